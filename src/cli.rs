@@ -1,0 +1,287 @@
+//! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use eddy::{
+    model::{Architecture, Core, DeviceKind},
+    mpm::Preset,
+    transport::{Link, Reliability, TransportKind},
+};
+
+/// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
+#[derive(Debug, Parser)]
+#[command(name = "eddy", version, propagate_version = true)]
+pub struct Cli {
+    /// No progress bars, no live lines.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+
+    /// What is logged to standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug`.
+    #[arg(long, global = true, default_value = "warn", env = "EDDY_LOG")]
+    pub log_level: String,
+
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Simulates a scene, predicts it live, records both and judges the prediction.
+    Demo(DemoArgs),
+    /// Simulates ground truth with the Material Point Method and writes one bag a scene.
+    Simulate(SimulateArgs),
+    /// Records topics into an MCAP bag.
+    Record(RecordArgs),
+    /// Publishes the messages of a bag at their recorded times.
+    Replay(ReplayArgs),
+    /// Learns a surrogate from bags.
+    Train(TrainArgs),
+    /// Predicts the frames of live streams.
+    Node(NodeArgs),
+    /// Predicts the frames of a bag, with the node's own code.
+    Predict(PredictArgs),
+    /// Judges checkpoints by free rollouts over bags.
+    Eval(EvalArgs),
+    /// Looks into bags.
+    Bag(BagArgs),
+}
+
+/// `eddy demo`
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// No terminal needed: a plain line every second instead of a live line.
+    #[arg(long)]
+    pub headless: bool,
+    /// Length of the scene (simulated seconds; it runs in real time).
+    #[arg(long, default_value_t = 8.0)]
+    pub seconds: f64,
+    /// Seed of the scene.
+    #[arg(long, default_value_t = 7)]
+    pub seed: u64,
+    /// The surrogate; the shipped particle model if not given.
+    #[arg(long)]
+    pub checkpoint: Option<PathBuf>,
+    /// Where the bag and the report go.
+    #[arg(long, short, default_value = "bags/demo")]
+    pub output: PathBuf,
+}
+
+/// `eddy simulate`
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Which kind of scenes.
+    #[arg(long, value_enum, default_value_t = Preset::MultiMaterial)]
+    pub preset: Preset,
+    /// How many scenes, with the ids 0, 1, 2, ...
+    #[arg(long, default_value_t = 1)]
+    pub scenes: u32,
+    /// Seed: the same seed gives the same bytes.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Length of a scene (simulated seconds); the preset's own if not given.
+    #[arg(long)]
+    pub duration: Option<f64>,
+    /// Substeps a frame; from the CFL rule if not given. An unstable number is refused.
+    #[arg(long)]
+    pub substeps: Option<u32>,
+    /// Stiffness: Young's modulus E of every material (density x velocity^2).
+    #[arg(long, default_value_t = 1e3)]
+    pub stiffness: f32,
+    /// Where the bags go: one directory a scene.
+    #[arg(long, short)]
+    pub output: PathBuf,
+}
+
+/// `eddy record`
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// The links to record, for example zenoh:/particles zenoh:/prediction.
+    #[arg(required = true)]
+    pub links: Vec<Link>,
+    /// The bag: a directory that does not exist yet.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// End after so many seconds; at SIGINT or SIGTERM if not given.
+    #[arg(long)]
+    pub max_duration: Option<f64>,
+    /// End after so many messages.
+    #[arg(long)]
+    pub max_messages: Option<u64>,
+    /// How chunks are compressed.
+    #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
+    pub compression: CompressionArg,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CompressionArg {
+    None,
+    Lz4,
+    Zstd,
+}
+
+/// `eddy replay`
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    pub bag: PathBuf,
+    /// The transport to publish on.
+    #[arg(long, default_value = "zenoh")]
+    pub to: TransportKind,
+    /// How much faster than recorded.
+    #[arg(long, default_value_t = 1.0)]
+    pub rate: f64,
+    /// Start again at the end, until SIGINT or SIGTERM.
+    #[arg(long = "loop")]
+    pub looped: bool,
+    /// Skip so many recorded seconds.
+    #[arg(long, default_value_t = 0.0)]
+    pub start_offset: f64,
+    /// End after so many recorded seconds.
+    #[arg(long)]
+    pub duration: Option<f64>,
+    /// Only these topics; all if not given.
+    #[arg(long, num_args = 1..)]
+    pub topics: Vec<String>,
+    /// Publish a topic under another name: /particles:=/truth.
+    #[arg(long, value_name = "FROM:=TO")]
+    pub remap: Vec<String>,
+    /// Wait for so many subscribers of every topic before the first message (at most 30 s).
+    #[arg(long, default_value_t = 0)]
+    pub wait_for: usize,
+    /// What happens when a subscriber cannot keep up.
+    #[arg(long, value_enum, default_value_t = Reliability::Block)]
+    pub reliability: Reliability,
+}
+
+/// `eddy train`
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// Bags, or directories of bags.
+    #[arg(long, required = true, num_args = 1..)]
+    pub data: Vec<PathBuf>,
+    /// Where the checkpoint goes.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// Settings from a TOML file; what is given here on the command line goes first.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Which network.
+    #[arg(long, value_enum)]
+    pub architecture: Option<Architecture>,
+    /// Which recurrent core.
+    #[arg(long, value_enum)]
+    pub core: Option<Core>,
+    /// Passes over the training data.
+    #[arg(long)]
+    pub epochs: Option<u32>,
+    /// Seed of initial weights and of the order of the data.
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
+}
+
+/// `eddy node`
+#[derive(Debug, Args)]
+pub struct NodeArgs {
+    /// The surrogate; the shipped particle model if not given.
+    #[arg(long)]
+    pub checkpoint: Option<PathBuf>,
+    /// Settings from a TOML file; what is given here on the command line goes first.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Where frames come from [default: zenoh:/particles].
+    #[arg(long)]
+    pub input: Option<Link>,
+    /// Where predictions go; several may be given [default: zenoh:/prediction].
+    #[arg(long)]
+    pub output: Vec<Link>,
+    /// Frames predicted ahead of each observed frame [default: 1].
+    #[arg(long)]
+    pub horizon: Option<u32>,
+    /// Which of the frames up to the horizon are published [default: last].
+    #[arg(long, value_enum)]
+    pub publish: Option<eddy::node::Publish>,
+    /// Observe so many frames of a stream, then simulate it alone.
+    #[arg(long)]
+    pub free_run: Option<u64>,
+    /// What happens when a subscriber cannot keep up [default: drop].
+    #[arg(long, value_enum)]
+    pub reliability: Option<Reliability>,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
+}
+
+/// `eddy predict`
+#[derive(Debug, Args)]
+pub struct PredictArgs {
+    /// The surrogate; the shipped particle model if not given.
+    #[arg(long)]
+    pub checkpoint: Option<PathBuf>,
+    /// The bag with the frames.
+    #[arg(long)]
+    pub input: PathBuf,
+    /// The bag with the predictions: a directory that does not exist yet.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// The topic with the frames.
+    #[arg(long, default_value = "/particles")]
+    pub topic: String,
+    /// Frames predicted ahead of each observed frame.
+    #[arg(long, default_value_t = 1)]
+    pub horizon: u32,
+    /// Which of the frames up to the horizon are published.
+    #[arg(long, value_enum, default_value_t = eddy::node::Publish::Last)]
+    pub publish: eddy::node::Publish,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
+}
+
+/// `eddy eval`
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// The checkpoints to judge.
+    #[arg(long, required = true, num_args = 1..)]
+    pub checkpoint: Vec<PathBuf>,
+    /// Bags, or directories of bags.
+    #[arg(long, required = true, num_args = 1..)]
+    pub data: Vec<PathBuf>,
+    /// Where report.json and curves.csv go.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// Length of the free rollouts (frames).
+    #[arg(long, default_value_t = 20)]
+    pub horizon: usize,
+    /// Start frames a stream, spread evenly over it.
+    #[arg(long, default_value_t = 7)]
+    pub starts: usize,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
+}
+
+/// `eddy bag`
+#[derive(Debug, Args)]
+pub struct BagArgs {
+    #[command(subcommand)]
+    pub command: BagCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum BagCommand {
+    /// Prints what is in a bag.
+    Info {
+        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        bag: PathBuf,
+    },
+    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
+    Check {
+        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        bag: PathBuf,
+    },
+}

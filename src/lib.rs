@@ -1,0 +1,31 @@
+//! eddy learns the motion of simulated particles and predicts it live.
+//!
+//! A surrogate node subscribes to particle-state frames, keeps the hidden state of a minimal
+//! recurrent network (minGRU, minLSTM) for every stream, and publishes the predicted next frames
+//! over shared memory or Zenoh. Ground truth comes from a Material-Point-Method solver, is recorded
+//! as MCAP bags, and bags are what networks are trained and judged on.
+//!
+//! Layers, each using only lower ones (`tests/all/layers.rs` holds this table):
+//!
+//! | layer | modules |
+//! |---|---|
+//! | L7 | `cli`, `commands` |
+//! | L6 | `config` |
+//! | L5 | `node`, `train` |
+//! | L4 | `eval` |
+//! | L3 | `dataset` |
+//! | L2 | `bag`, `transport`, `model` |
+//! | L1 | `msg`, `mpm`, `checkpoint` |
+//! | L0 | `frame` |
+
+pub mod bag;
+pub mod checkpoint;
+pub mod dataset;
+pub mod eval;
+pub mod frame;
+pub mod model;
+pub mod mpm;
+pub mod msg;
+pub mod node;
+pub mod train;
+pub mod transport;

@@ -1,0 +1,133 @@
+//! A transport and a topic in one word: `zenoh:/particles`.
+
+use std::{fmt, str::FromStr};
+
+/// The ways a message can travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TransportKind {
+    /// Within this process.
+    Memory,
+    /// Shared memory of this machine (iceoryx2).
+    Shm,
+    /// Zenoh, in the form of ROS 2's rmw_zenoh.
+    Zenoh,
+}
+
+impl TransportKind {
+    const ALL: [Self; 3] = [Self::Memory, Self::Shm, Self::Zenoh];
+
+    /// The word before the colon.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Memory => "memory",
+            Self::Shm => "shm",
+            Self::Zenoh => "zenoh",
+        }
+    }
+}
+
+impl fmt::Display for TransportKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for TransportKind {
+    type Err = InvalidLink;
+
+    fn from_str(text: &str) -> Result<Self, InvalidLink> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.name() == text)
+            .ok_or_else(|| InvalidLink::Transport { found: text.to_owned() })
+    }
+}
+
+/// A topic on a transport.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Link {
+    /// How the messages travel.
+    pub transport: TransportKind,
+    /// Absolute ROS 2 topic name, such as `/particles`.
+    pub topic: String,
+}
+
+/// Why a word is no link.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidLink {
+    /// There is no colon.
+    #[error("link: found `{found}`, expected transport:topic, for example zenoh:/particles")]
+    Form {
+        /// The whole word.
+        found: String,
+    },
+    /// The transport is unknown.
+    #[error("link transport: found `{found}`, expected memory, shm or zenoh")]
+    Transport {
+        /// The word before the colon.
+        found: String,
+    },
+    /// The topic is no absolute ROS 2 name.
+    #[error("link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)")]
+    Topic {
+        /// The word after the colon.
+        found: String,
+    },
+}
+
+impl Link {
+    /// The same transport with another topic.
+    pub fn with_topic(&self, topic: &str) -> Self {
+        Self { transport: self.transport, topic: topic.to_owned() }
+    }
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.transport, self.topic)
+    }
+}
+
+impl FromStr for Link {
+    type Err = InvalidLink;
+
+    fn from_str(text: &str) -> Result<Self, InvalidLink> {
+        let (transport, topic) =
+            text.split_once(':').ok_or_else(|| InvalidLink::Form { found: text.to_owned() })?;
+        if !is_absolute_name(topic) {
+            return Err(InvalidLink::Topic { found: topic.to_owned() });
+        }
+        Ok(Self { transport: transport.parse()?, topic: topic.to_owned() })
+    }
+}
+
+/// ROS 2 topic names, https://design.ros2.org/articles/topic_and_service_names.html.
+fn is_absolute_name(topic: &str) -> bool {
+    let token = |token: &str| {
+        token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+            && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(token))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_is_read_as_it_is_written() {
+        for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1"] {
+            assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn bad_links_say_what_was_expected() {
+        let message = |text: &str| text.parse::<Link>().unwrap_err().to_string();
+        assert!(message("/particles").starts_with("link: found `/particles`"));
+        assert!(message("tcp:/particles").starts_with("link transport: found `tcp`"));
+        for topic in ["particles", "/", "/a//b", "/9lives", "/a b", "/a/"] {
+            assert!(message(&format!("shm:{topic}")).starts_with("link topic: found"), "{topic}");
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Topics on a wire: one small trait pair, one file for each middleware.
+//!
+//! 1. [`link`]: a transport and a topic, written `zenoh:/particles`.
+//! 2. [`Publisher`], [`Subscriber`]: what every transport offers.
+//! 3. [`Transports`]: opens them; one session for each middleware and process.
+//!
+//! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
+//! A transport may move frames in a form of its own (shared memory does), so both sides of
+//! [`Payload`] must be expected from any topic of frames.
+
+mod link;
+
+pub use link::{InvalidLink, Link, TransportKind};
+
+use std::time::Duration;
+
+use crate::{
+    frame::Frame,
+    msg::{BadFrame, UnknownType},
+};
+
+/// One message as a transport delivers it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Payload {
+    /// A frame in the transport's own form, already checked.
+    Frame(Frame),
+    /// CDR bytes with their 4-byte header, unchecked.
+    Cdr(Vec<u8>),
+}
+
+impl Payload {
+    /// The frame, decoded if it came as bytes.
+    ///
+    /// # Errors
+    /// [`BadFrame`] when the bytes are no usable frame.
+    pub fn into_frame(self) -> Result<Frame, BadFrame> {
+        match self {
+            Self::Frame(frame) => Ok(frame),
+            Self::Cdr(bytes) => Frame::from_cdr(&bytes),
+        }
+    }
+
+    /// The CDR bytes, encoded if it came as a frame.
+    pub fn into_cdr(self) -> Vec<u8> {
+        match self {
+            Self::Frame(frame) => frame.to_cdr(),
+            Self::Cdr(bytes) => bytes,
+        }
+    }
+}
+
+/// What a publisher does when a subscriber cannot keep up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Reliability {
+    /// Waits for the subscriber; nothing is lost. Advertised to ROS 2 as reliable, keep all.
+    Block,
+    /// Gives up the message; the publisher is never slowed. Advertised as best effort, keep last.
+    Drop,
+}
+
+/// Sends the messages of one topic.
+pub trait Publisher: Send {
+    /// Sends a frame in the transport's own form.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the transport cannot take it; the publisher stays usable.
+    fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError>;
+
+    /// Sends a message given as CDR bytes with their header.
+    ///
+    /// # Errors
+    /// As [`Publisher::publish_frame`]; also when a topic of frames gets bytes that are no frame
+    /// and the transport cannot carry them as they are.
+    fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
+
+    /// How many subscribers are connected now, as far as the transport knows.
+    fn subscribers(&self) -> usize;
+}
+
+/// Receives the messages of one topic.
+pub trait Subscriber: Send {
+    /// The next message, or `None` when none came within `timeout`.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the transport failed. A message that is no frame is not such a
+    /// failure: it is delivered as it is, or counted in [`Subscriber::refused`].
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError>;
+
+    /// Messages that the transport could not deliver, since the start.
+    fn refused(&self) -> u64;
+}
+
+/// Why a transport failed.
+#[derive(Debug, thiserror::Error)]
+pub enum TransportError {
+    /// The topic's message type is not one of ours.
+    #[error(transparent)]
+    Type(#[from] UnknownType),
+    /// The topic carries frames, the bytes are none.
+    #[error("{link}: {reason}")]
+    Frame {
+        /// The topic's link.
+        link: Link,
+        /// What is wrong with the bytes.
+        reason: BadFrame,
+    },
+    /// The middleware refused.
+    #[error("{link}: {action}: {reason}")]
+    Middleware {
+        /// The topic's link.
+        link: Link,
+        /// What was tried.
+        action: &'static str,
+        /// What the middleware said, and what to do about it.
+        reason: String,
+    },
+}
