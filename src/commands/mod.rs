@@ -9,3 +9,16 @@ pub mod train;
 mod interrupt;
 
 pub use interrupt::Interrupt;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// A progress bar with the time left; hidden without a terminal or when `quiet`.
+pub(crate) fn progress_bar(length: u64, what: &str, quiet: bool) -> ProgressBar {
+    let bar = if quiet {
+        ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden())
+    } else {
+        ProgressBar::new(length)
+    };
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{eta}} left");
+    bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
+}
