@@ -51,7 +51,10 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         println!("{}: {}", args.output.display(), summary(node.counters()));
     }
     if node.counters().published == 0 {
-        bail!("{}: found no frame that could be predicted from, expected at least one", args.input.display());
+        bail!(
+            "{}: found no frame that could be predicted from, expected at least one",
+            args.input.display()
+        );
     }
     Ok(())
 }

@@ -47,7 +47,13 @@ impl Baseline {
                         }
                     }
                     Self::Ballistic => {
-                        ballistic::step(&mut state.position, &mut state.velocity, gravity, walls, dt);
+                        ballistic::step(
+                            &mut state.position,
+                            &mut state.velocity,
+                            gravity,
+                            walls,
+                            dt,
+                        );
                     }
                 }
                 state.clone()

@@ -54,7 +54,9 @@ pub enum EvalError {
         expected: f32,
     },
     /// No stream is long enough.
-    #[error("streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict")]
+    #[error(
+        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict"
+    )]
     TooShort {
         /// Frames of the longest stream.
         found: usize,

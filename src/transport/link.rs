@@ -71,7 +71,9 @@ pub enum InvalidLink {
         found: String,
     },
     /// The topic is no absolute ROS 2 name.
-    #[error("link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)")]
+    #[error(
+        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)"
+    )]
     Topic {
         /// The word after the colon.
         found: String,
