@@ -57,7 +57,7 @@ pub(super) fn judge_one(
 ) -> anyhow::Result<Report> {
     let judgement = judge(surrogate, streams, settings, || bar.inc(1))?;
     let description = surrogate.description();
-    let digest = description.digest.clone();
+    let digest = surrogate.digest().to_owned();
     let data = data_digest.to_owned();
     Ok(Report::new(name, digest, data, streams.len(), description.dt, &judgement))
 }

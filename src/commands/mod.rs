@@ -1,12 +1,17 @@
 //! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
 
 pub mod bag;
+pub mod demo;
+pub mod eval;
+pub mod node;
+pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod simulate;
 pub mod train;
 
 mod interrupt;
+mod surrogate;
 
 pub use interrupt::Interrupt;
 
