@@ -4,14 +4,14 @@
 //! `NAME.bias` `[out]`. `F` is the number of input features, `E`, `H` the widths of encoder and hidden
 //! state, `l` counts the recurrent layers from 0.
 //!
-//! | layer | frame model | particle model |
-//! |---|---|---|
-//! | `encoder.0` | F -> E | F -> E |
-//! | `encoder.1` | E -> H | E -> H |
-//! | `core.l.gate`, `core.l.candidate` (minGRU) | H -> H | H -> H |
-//! | `core.l.forget_gate`, `core.l.input_gate`, `core.l.candidate` (minLSTM) | H -> H | H -> H |
-//! | `mixer` | H -> H | H -> H |
-//! | `decoder` | H -> 2 N | H -> 2 |
+//! | layer | widths |
+//! |---|---|
+//! | `encoder.0` | F -> E |
+//! | `encoder.1` | E -> H |
+//! | `core.l.gate`, `core.l.candidate` (minGRU) | H -> H |
+//! | `core.l.forget_gate`, `core.l.input_gate`, `core.l.candidate` (minLSTM) | H -> H |
+//! | `mixer` | H -> H |
+//! | `decoder` | H -> 2 N (frame model), H -> 4 (particle model) |
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -28,16 +28,14 @@ pub(crate) const PARTICLE_FEATURES: usize = 16 + Material::COUNT;
 pub(crate) fn linear_layers(description: &Description) -> Vec<(String, usize, usize)> {
     let sizes = &description.sizes;
     let hidden = sizes.hidden;
-    let mut layers = match description.architecture {
-        Architecture::Frame => vec![
-            ("encoder.0".to_owned(), FRAME_FEATURES, sizes.encoder),
-            ("encoder.1".to_owned(), sizes.encoder, hidden),
-        ],
-        Architecture::Particle => vec![
-            ("encoder.0".to_owned(), PARTICLE_FEATURES, sizes.encoder),
-            ("encoder.1".to_owned(), sizes.encoder, hidden),
-        ],
+    let (features, outputs) = match description.architecture {
+        Architecture::Frame => (FRAME_FEATURES, 2 * sizes.particles.unwrap_or(0)),
+        Architecture::Particle => (PARTICLE_FEATURES, 4),
     };
+    let mut layers = vec![
+        ("encoder.0".to_owned(), features, sizes.encoder),
+        ("encoder.1".to_owned(), sizes.encoder, hidden),
+    ];
     let parts: &[&str] = match description.core {
         Core::MinGru => &["gate", "candidate"],
         Core::MinLstm => &["forget_gate", "input_gate", "candidate"],
@@ -46,7 +44,7 @@ pub(crate) fn linear_layers(description: &Description) -> Vec<(String, usize, us
         layers.extend(parts.iter().map(|part| (format!("core.{layer}.{part}"), hidden, hidden)));
     }
     layers.push(("mixer".to_owned(), hidden, hidden));
-    layers.push(("decoder".to_owned(), hidden, 2 * sizes.particles.unwrap_or(1)));
+    layers.push(("decoder".to_owned(), hidden, outputs));
     layers
 }
 

@@ -13,7 +13,7 @@
 mod description;
 mod error;
 mod files;
-mod layout;
+pub(crate) mod layout;
 
 pub use description::{
     Architecture, Core, Description, FORMAT_VERSION, Form, Normalization, Sizes, TrainingSummary,
