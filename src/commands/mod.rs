@@ -11,6 +11,7 @@ pub mod simulate;
 pub mod train;
 
 mod interrupt;
+mod live;
 mod surrogate;
 
 pub use interrupt::Interrupt;
