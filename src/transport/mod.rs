@@ -14,6 +14,8 @@ pub use link::{InvalidLink, Link, TransportKind};
 
 use std::time::Duration;
 
+use serde::Deserialize;
+
 use crate::{
     frame::Frame,
     msg::{BadFrame, UnknownType},
@@ -50,7 +52,8 @@ impl Payload {
 }
 
 /// What a publisher does when a subscriber cannot keep up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Reliability {
     /// Waits for the subscriber; nothing is lost. Advertised to ROS 2 as reliable, keep all.
     Block,
