@@ -24,6 +24,8 @@ pub use opener::{TransportOptions, Transports, ZenohOptions};
 
 use std::time::Duration;
 
+use serde::Deserialize;
+
 use crate::{
     frame::Frame,
     msg::{BadFrame, UnknownType},
@@ -60,7 +62,8 @@ impl Payload {
 }
 
 /// What a publisher does when a subscriber cannot keep up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Reliability {
     /// Waits for the subscriber, at most [`TransportOptions::patience`]; nothing is lost.
     /// Advertised to ROS 2 as reliable, keep all.

@@ -1,0 +1,4 @@
+//! The integration tests: one binary, one module an area.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+mod layers;
