@@ -1,1 +1,114 @@
-//! (under construction)
+//! Checkpoints: a trained network on disk, readable without the library that trained it.
+//!
+//! A checkpoint is a directory with two files:
+//!
+//! 1. `model.toml`, the [`Description`]: what the network is, what it was trained on, how its numbers
+//!    are scaled ([`description`]).
+//! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
+//!    that [`layout`] derives from the description.
+//!
+//! [`files`] writes and reads the two so that a crash between any two system calls leaves a whole
+//! checkpoint, the old one or the new one. [`error`] says why something is no checkpoint.
+
+mod description;
+mod error;
+mod files;
+pub(crate) mod layout;
+
+pub use description::{
+    Architecture, Core, Description, FORMAT_VERSION, Form, Normalization, Sizes, TrainingSummary,
+};
+pub use error::CheckpointError;
+pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
+pub use layout::tensor_shapes;
+
+use std::{collections::BTreeMap, path::Path};
+
+use sha2::{Digest, Sha256};
+
+/// A trained network: what it is, and its weights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// What the network is and how its numbers are scaled.
+    pub description: Description,
+    /// The weights by name, as [`tensor_shapes`] lists them.
+    pub tensors: BTreeMap<String, Weights>,
+}
+
+/// One tensor of weights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// Length of each axis; `[out, in]` for the matrix of a linear layer.
+    pub shape: Vec<usize>,
+    /// The numbers, last axis fastest.
+    pub values: Vec<f32>,
+}
+
+impl Checkpoint {
+    /// Writes the checkpoint into the directory `directory`, which is made if need be. A checkpoint
+    /// already there is replaced at once: a crash leaves it or the new one, never half of each.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Write`] when a file cannot be written, and what [`Checkpoint::check`] says.
+    pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
+        self.check(directory)?;
+        files::write(directory, &self.render_description(), &self.render_weights())
+    }
+
+    /// Reads the checkpoint in the directory `directory`.
+    ///
+    /// # Errors
+    /// [`CheckpointError`]: a file cannot be read or is damaged, the format version is another one, a
+    /// key of the description is unknown or missing, or the weights do not fit the description.
+    pub fn load(directory: &Path) -> Result<Self, CheckpointError> {
+        let (description, weights) = files::read(directory)?;
+        let description = description::parse(&directory.join(DESCRIPTION_FILE), &description)?;
+        let tensors = files::parse_weights(&directory.join(WEIGHTS_FILE), &weights)?;
+        let checkpoint = Self { description, tensors };
+        checkpoint.check(directory)?;
+        Ok(checkpoint)
+    }
+
+    /// Checks the description's numbers, and that the weights are those it asks for: no tensor
+    /// missing, none too many, each of its shape and finite. `directory` is named in errors.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Field`], [`CheckpointError::Missing`], [`CheckpointError::Unexpected`],
+    /// [`CheckpointError::Shape`], [`CheckpointError::NotFinite`].
+    pub fn check(&self, directory: &Path) -> Result<(), CheckpointError> {
+        description::check(&directory.join(DESCRIPTION_FILE), &self.description)?;
+        layout::check(&directory.join(WEIGHTS_FILE), &self.description, &self.tensors)
+    }
+
+    /// SHA-256 in hexadecimal over both files as [`Checkpoint::save`] writes them, the description
+    /// first (`cat model.toml model.safetensors | sha256sum`). It passes over all weights: keep it.
+    pub fn digest(&self) -> String {
+        let mut hash = Sha256::new();
+        hash.update(self.render_description());
+        hash.update(self.render_weights());
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The first twelve digits of [`Checkpoint::digest`], for people.
+    pub fn short_digest(&self) -> String {
+        let mut digest = self.digest();
+        digest.truncate(12);
+        digest
+    }
+
+    /// How many numbers the network has learned.
+    pub fn parameters(&self) -> usize {
+        self.tensors.values().map(|weights| weights.values.len()).sum()
+    }
+
+    fn render_description(&self) -> String {
+        description::render(&self.description)
+    }
+
+    fn render_weights(&self) -> Vec<u8> {
+        files::render_weights(&self.tensors)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,87 @@
-//! (under construction)
+//! The networks, written in burn.
+//!
+//! 1. [`ballistic`]: the step of a particle that nothing else touches; baseline and base.
+//! 2. `features`: frames to the numbers a network sees.
+//! 3. `layers`: the linear layers both networks are made of; weights in, weights out.
+//! 4. `core`, `mingru`, `minlstm`: the recurrent layers, as coefficients of a linear recurrence.
+//! 5. `scan`: that recurrence over all frames at once (training) or one at a time (streaming).
+//! 6. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
+//! 7. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
+//! 8. `network`: either of the two, behind one set of calls.
+//! 9. [`surrogate`]: a checkpoint that predicts frames, one after the other.
+//!
+//! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input
+//! features, `E` encoder width, `H` hidden width.
+
+pub mod ballistic;
+pub mod surrogate;
+
+pub(crate) mod core;
+pub(crate) mod features;
+pub(crate) mod frame_model;
+pub(crate) mod layers;
+pub(crate) mod mingru;
+pub(crate) mod minlstm;
+pub(crate) mod network;
+pub(crate) mod particle_model;
+pub(crate) mod scan;
+
+pub use ballistic::Ballistic;
+pub use surrogate::{Memory, ModelError, Surrogate};
+
+pub use crate::checkpoint::{Architecture, Core};
+
+use burn::tensor::{Device, Tensor};
+
+/// What computes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum DeviceKind {
+    /// burn-flex: this machine's CPU, the default.
+    #[default]
+    Flex,
+    /// burn-ndarray: this machine's CPU; deprecated upstream, kept for comparison.
+    Ndarray,
+}
+
+impl DeviceKind {
+    /// The device, without a record for gradients.
+    pub(crate) fn device(self) -> Device {
+        match self {
+            Self::Flex => Device::flex(),
+            #[expect(deprecated, reason = "selectable on purpose, see the variant")]
+            Self::Ndarray => Device::ndarray(),
+        }
+    }
+}
+
+/// Positions and velocities of particles at one instant, each `[R, 2]`, in domain lengths and
+/// domain lengths per second.
+#[derive(Clone, Debug)]
+pub(crate) struct Bodies {
+    pub(crate) position: Tensor<2>,
+    pub(crate) velocity: Tensor<2>,
+}
+
+/// Positions and velocities over time, each `[T, R, 2]`.
+#[derive(Clone, Debug)]
+pub(crate) struct Track {
+    pub(crate) position: Tensor<3>,
+    pub(crate) velocity: Tensor<3>,
+}
+
+impl Track {
+    /// The bodies at frame `t`.
+    pub(crate) fn at(&self, t: usize) -> Bodies {
+        let pick = |track: &Tensor<3>| {
+            let [_, rows, axes] = track.dims();
+            track.clone().slice([t..t + 1, 0..rows, 0..axes]).reshape([rows, axes])
+        };
+        Bodies { position: pick(&self.position), velocity: pick(&self.velocity) }
+    }
+
+    /// Bodies of consecutive frames, one after the other.
+    pub(crate) fn stack(frames: Vec<Bodies>) -> Self {
+        let (position, velocity) = frames.into_iter().map(|b| (b.position, b.velocity)).unzip();
+        Self { position: Tensor::stack::<3>(position, 0), velocity: Tensor::stack::<3>(velocity, 0) }
+    }
+}

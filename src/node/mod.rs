@@ -1,1 +1,24 @@
-//! (under construction)
+//! The nodes' logic: what happens when a frame arrives, without any concrete transport.
+//!
+//! 1. [`surrogate`]: frame in, predictions out; which frames are used and which are refused.
+//! 2. [`track`]: what the node knows of one stream: hidden state, sequence, warm-up, free run.
+//! 3. [`counters`]: everything that was dropped, and why.
+//! 4. [`queue`]: bounded, between a subscriber and the node.
+//! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
+//! 6. [`driver`]: receives, predicts, publishes, until told to end.
+//! 7. [`clock`]: the one place that asks the system for the time.
+
+pub mod clock;
+mod counters;
+pub mod diagnostics;
+mod driver;
+mod queue;
+mod settings;
+mod surrogate;
+mod track;
+
+pub use counters::{Counters, Refusal};
+pub use driver::{Outputs, drive};
+pub use queue::FrameQueue;
+pub use settings::{InvalidSettings, NodeSettings, Publish};
+pub use surrogate::{Prediction, SurrogateNode};

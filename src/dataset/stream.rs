@@ -1,0 +1,110 @@
+//! One trajectory in memory.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use sha2::{Digest, Sha256};
+
+use crate::{
+    bag::{BagError, BagReader},
+    frame::{Domain, Frame, Material, Stamp},
+};
+
+/// Positions and velocities at one instant; `N` particles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// Positions, `[N, 2]` (domain lengths).
+    pub position: Vec<[f32; 2]>,
+    /// Velocities, `[N, 2]` (domain lengths per second).
+    pub velocity: Vec<[f32; 2]>,
+}
+
+/// Consecutive frames of one simulated trajectory.
+#[derive(Clone, Debug)]
+pub struct Stream {
+    /// The stream's number in its bag: the scene id for simulated data.
+    pub id: u64,
+    /// The bag it was read from.
+    pub source: PathBuf,
+    /// Time between two states (s).
+    pub dt: f32,
+    /// The box that holds the particles.
+    pub domain: Domain,
+    /// Materials, `[N]`, the same in every frame.
+    pub material: Vec<Material>,
+    /// Sequence number of the first state.
+    pub first_sequence: u64,
+    /// Stamp of the first state.
+    pub first_stamp: Stamp,
+    /// The states, `dt` apart.
+    pub states: Vec<State>,
+}
+
+impl Stream {
+    fn begin(source: &Path, frame: Frame) -> Self {
+        Self {
+            id: frame.stream,
+            source: source.to_owned(),
+            dt: frame.dt,
+            domain: frame.domain,
+            material: frame.material,
+            first_sequence: frame.sequence,
+            first_stamp: frame.stamp,
+            states: vec![State { position: frame.position, velocity: frame.velocity }],
+        }
+    }
+
+    /// Whether `frame` is the one that comes after the last state.
+    fn is_continued_by(&self, frame: &Frame) -> bool {
+        frame.sequence == self.first_sequence + self.states.len() as u64
+            && frame.dt == self.dt
+            && frame.domain == self.domain
+            && frame.material == self.material
+    }
+
+    /// State number `index` as a frame.
+    pub fn frame(&self, index: usize) -> Frame {
+        let state = &self.states[index];
+        Frame {
+            stream: self.id,
+            sequence: self.first_sequence + index as u64,
+            stamp: self.first_stamp.advance(self.dt, index as u32),
+            dt: self.dt,
+            domain: self.domain,
+            position: state.position.clone(),
+            velocity: state.velocity.clone(),
+            material: self.material.clone(),
+        }
+    }
+
+    /// Adds everything a network could learn from to a digest.
+    pub(super) fn update(&self, hasher: &mut Sha256) {
+        hasher.update(self.id.to_le_bytes());
+        hasher.update(self.dt.to_le_bytes());
+        hasher.update(self.material.iter().map(|&m| m as u8).collect::<Vec<_>>());
+        for state in &self.states {
+            for x in state.position.iter().chain(&state.velocity).flatten() {
+                hasher.update(x.to_le_bytes());
+            }
+        }
+    }
+}
+
+/// The streams of one bag, cut in two wherever a frame is missing or the particles change.
+pub(super) fn read(path: &Path, topic: &str) -> Result<Vec<Stream>, BagError> {
+    let mut open: BTreeMap<u64, Stream> = BTreeMap::new();
+    let mut ended = Vec::new();
+    for frame in BagReader::open(path)?.frames(topic)? {
+        let frame = frame?;
+        match open.get_mut(&frame.stream) {
+            Some(stream) if stream.is_continued_by(&frame) => {
+                stream.states.push(State { position: frame.position, velocity: frame.velocity });
+            }
+            _ => ended.extend(open.insert(frame.stream, Stream::begin(path, frame))),
+        }
+    }
+    ended.extend(open.into_values());
+    Ok(ended)
+}

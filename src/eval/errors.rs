@@ -1,0 +1,129 @@
+//! Squared errors, summed over windows, for each material and frame ahead.
+
+use super::ranges;
+use crate::{checkpoint::Normalization, dataset::State, frame::Material};
+
+/// Sums over particles and windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// Particles summed over.
+    pub count: f64,
+    /// Sum of |x - x'|^2 (domain lengths squared).
+    pub position: f64,
+    /// Sum of |v - v'|^2 (domain lengths squared per second squared).
+    pub velocity: f64,
+    /// Sum over the four features of squared errors in units of each feature's range.
+    pub minmax: f64,
+}
+
+impl Errors {
+    /// Root mean square of |x - x'| (domain lengths).
+    pub fn position_rmse(&self) -> f64 {
+        (self.position / self.count).sqrt()
+    }
+
+    /// Root mean square of |v - v'| (domain lengths per second).
+    pub fn velocity_rmse(&self) -> f64 {
+        (self.velocity / self.count).sqrt()
+    }
+
+    /// Mean squared error of the MinMax-normalised features x, y, vx, vy.
+    pub fn minmax_mse(&self) -> f64 {
+        self.minmax / (4.0 * self.count)
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        self.position += other.position;
+        self.velocity += other.velocity;
+        self.minmax += other.minmax;
+    }
+}
+
+/// Errors for each frame ahead and each material.
+#[derive(Clone, Debug)]
+pub struct ErrorSums {
+    ranges: [f64; 4],
+    sums: Vec<[Errors; Material::COUNT]>,
+}
+
+impl ErrorSums {
+    /// No errors yet, for `horizon` frames ahead.
+    pub fn new(horizon: usize, normalization: &Normalization) -> Self {
+        Self { ranges: ranges(normalization), sums: vec![Default::default(); horizon] }
+    }
+
+    /// Adds one window: predicted and true states, one for each frame ahead.
+    pub fn add(&mut self, material: &[Material], predicted: &[State], truth: &[State]) {
+        for ((sums, predicted), truth) in self.sums.iter_mut().zip(predicted).zip(truth) {
+            for (particle, &kind) in material.iter().enumerate() {
+                let dx = difference(predicted.position[particle], truth.position[particle]);
+                let dv = difference(predicted.velocity[particle], truth.velocity[particle]);
+                let relative = [dx[0], dx[1], dv[0], dv[1]];
+                sums[kind as usize].add(&Errors {
+                    count: 1.0,
+                    position: dx[0] * dx[0] + dx[1] * dx[1],
+                    velocity: dv[0] * dv[0] + dv[1] * dv[1],
+                    minmax: relative.iter().zip(self.ranges).map(|(e, r)| (e / r) * (e / r)).sum(),
+                });
+            }
+        }
+    }
+
+    /// Errors of one material, one entry a frame ahead.
+    pub fn of(&self, material: Material) -> Vec<Errors> {
+        self.sums.iter().map(|sums| sums[material as usize]).collect()
+    }
+
+    /// Errors over all materials, one entry a frame ahead.
+    pub fn total(&self) -> Vec<Errors> {
+        let add = |mut total: Errors, errors: &Errors| {
+            total.add(errors);
+            total
+        };
+        self.sums.iter().map(|sums| sums.iter().fold(Errors::default(), add)).collect()
+    }
+}
+
+/// Mean of |x - x'|^2 over particles (domain lengths squared), for positions `[N, 2]`.
+pub fn mean_squared_distance(predicted: &[[f32; 2]], truth: &[[f32; 2]]) -> f64 {
+    let squared = |(&a, &b): (&[f32; 2], &[f32; 2])| {
+        let [x, y] = difference(a, b);
+        x * x + y * y
+    };
+    predicted.iter().zip(truth).map(squared).sum::<f64>() / truth.len() as f64
+}
+
+fn difference(a: [f32; 2], b: [f32; 2]) -> [f64; 2] {
+    [f64::from(a[0]) - f64::from(b[0]), f64::from(a[1]) - f64::from(b[1])]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_root_mean_squares_in_domain_units_and_in_units_of_the_range() {
+        let normalization = Normalization {
+            minimum: [0.0, 0.0, -2.0, -2.0],
+            maximum: [1.0, 1.0, 2.0, 2.0],
+            mean: [0.0; 4],
+            standard_deviation: [1.0; 4],
+        };
+        let truth = State { position: vec![[0.0; 2]; 2], velocity: vec![[0.0; 2]; 2] };
+        let predicted = State {
+            position: vec![[0.3, 0.4], [0.0, 0.0]],
+            velocity: vec![[0.0, 0.0], [2.0, 0.0]],
+        };
+        let mut sums = ErrorSums::new(1, &normalization);
+        sums.add(&[Material::Liquid, Material::Rope], &[predicted], &[truth]);
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-6;
+        let liquid = sums.of(Material::Liquid)[0];
+        assert!(close(liquid.position_rmse(), 0.5));
+        assert!(close(liquid.minmax_mse(), 0.25 / 4.0));
+        let total = sums.total()[0];
+        assert!(close(total.position_rmse(), 0.5 / 2f64.sqrt()));
+        assert!(close(total.velocity_rmse(), 2.0 / 2f64.sqrt()));
+        assert_eq!(sums.of(Material::Snow)[0].count, 0.0);
+    }
+}

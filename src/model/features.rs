@@ -1,0 +1,118 @@
+//! From frames to the numbers a network sees.
+//!
+//! Frame model ([`FRAME_FEATURES`]): x, y, vx, vy scaled to 0..1 by the training split's smallest and
+//! largest values (the paper's eq. 1), and the material one-hot.
+//!
+//! Particle model ([`PARTICLE_FEATURES`]), per axis where there are two numbers:
+//!
+//! | numbers | feature |
+//! |---|---|
+//! | 2 | velocity, z-scored |
+//! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first |
+//! | 2 | stop: velocity that the coming ballistic step loses at a wall |
+//! | 2 | position between the walls in effect, -1..1 |
+//! | 8 | nearness exp(-d / s) of the four walls at the scales s of [`NEAR`] and [`FAR`] |
+//! | 4 | material, one-hot |
+//!
+//! The push is what tells a particle at rest on others from one in free fall: the network sees no
+//! surroundings, but it sees what they just did.
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
+use crate::{
+    checkpoint::{
+        Normalization,
+        layout::{FRAME_FEATURES, PARTICLE_FEATURES},
+    },
+    frame::Material,
+};
+
+/// Scale of contact with a wall (domain lengths): about two cells of the 64 grid.
+pub(crate) const NEAR: f32 = 0.03;
+/// Scale of the reach of a wall through a body (domain lengths): about a body's size.
+pub(crate) const FAR: f32 = 0.2;
+
+/// Materials one-hot, `[R, 4]`.
+pub(crate) fn one_hot(material: impl IntoIterator<Item = Material>, device: &Device) -> Tensor<2> {
+    let mut values = Vec::new();
+    for material in material {
+        values.extend(Material::ALL.map(|kind| if kind == material { 1.0f32 } else { 0.0 }));
+    }
+    let rows = values.len() / Material::COUNT;
+    Tensor::from_data(TensorData::new(values, [rows, Material::COUNT]), device)
+}
+
+/// Feature scaling for both networks, as tensors.
+#[derive(Clone, Debug)]
+pub(crate) struct Scaling {
+    /// Smallest x, y, vx, vy, `[1, 4]`.
+    minimum: Tensor<2>,
+    /// Largest minus smallest, `[1, 4]`.
+    range: Tensor<2>,
+    /// Mean velocity, `[1, 2]`.
+    mean_velocity: Tensor<2>,
+    /// Standard deviation of the velocity, `[1, 2]`.
+    velocity_deviation: Tensor<2>,
+    /// Root mean square of the two standard deviations: the unit of velocity changes.
+    pub(crate) velocity_unit: f32,
+}
+
+impl Scaling {
+    pub(crate) fn new(scale: &Normalization, device: &Device) -> Self {
+        let row = |values: &[f32]| Tensor::<1>::from_floats(values, device).unsqueeze::<2>();
+        let range: Vec<f32> =
+            scale.maximum.iter().zip(&scale.minimum).map(|(high, low)| high - low).collect();
+        let [_, _, x, y] = scale.standard_deviation;
+        Self {
+            minimum: row(&scale.minimum),
+            range: row(&range),
+            mean_velocity: row(&scale.mean[2..]),
+            velocity_deviation: row(&scale.standard_deviation[2..]),
+            velocity_unit: ((x * x + y * y) / 2.0).sqrt(),
+        }
+    }
+
+    /// x, y, vx, vy of `bodies` in 0..1, `[R, 4]`.
+    pub(crate) fn min_max(&self, bodies: &Bodies) -> Tensor<2> {
+        let state = Tensor::cat(vec![bodies.position.clone(), bodies.velocity.clone()], 1);
+        (state - self.minimum.clone()) / self.range.clone()
+    }
+
+    /// Input of the frame model, `[R, F]`.
+    pub(crate) fn frame(&self, bodies: &Bodies, material: Tensor<2>) -> Tensor<2> {
+        let features = Tensor::cat(vec![self.min_max(bodies), material], 1);
+        debug_assert_eq!(features.dims()[1], FRAME_FEATURES);
+        features
+    }
+
+    /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`.
+    pub(crate) fn particle(
+        &self,
+        bodies: &Bodies,
+        push: Tensor<2>,
+        fallen: &Fallen,
+        walls: &BallisticTensors,
+        material: Tensor<2>,
+    ) -> Tensor<2> {
+        let below = (bodies.position.clone() - walls.lower.clone()).clamp_min(0.0);
+        let above = (walls.upper.clone() - bodies.position.clone()).clamp_min(0.0);
+        let middle = (below.clone() - above.clone()) / (walls.upper.clone() - walls.lower.clone());
+        let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
+        let features = Tensor::cat(
+            vec![
+                (bodies.velocity.clone() - self.mean_velocity.clone())
+                    / self.velocity_deviation.clone(),
+                push.div_scalar(self.velocity_unit),
+                fallen.stopped.clone().div_scalar(self.velocity_unit),
+                middle,
+                distance.clone().mul_scalar(-1.0 / NEAR).exp(),
+                distance.mul_scalar(-1.0 / FAR).exp(),
+                material,
+            ],
+            1,
+        );
+        debug_assert_eq!(features.dims()[1], PARTICLE_FEATURES);
+        features
+    }
+}

@@ -1,0 +1,112 @@
+//! The frame model: the paper's network (Table 1), one hidden state for the whole frame.
+//!
+//! | step | shape |
+//! |---|---|
+//! | features of each particle | `[B, N, 8]` |
+//! | pointwise Linear, ELU | `[B, N, 256]` |
+//! | mean over the particles | `[B, 256]` |
+//! | Linear | `[B, 1250]` |
+//! | two recurrent layers, dropout after each | `[B, 1250]` |
+//! | mixer: Linear, ELU | `[B, 1250]` |
+//! | decoder: one Linear | `[B, N, 2]` |
+//!
+//! Table 1 pools after the encoder's second Linear. A mean commutes with a linear map, so pooling
+//! goes first here: the same numbers for a fortieth of the work (a test compares the two orders).
+//! The table does not say whether the "MLP(1250 -> 1250)" has an activation; without one it would
+//! fold into the decoder, so it has the encoder's ELU.
+//! The decoder's output is dv in domain lengths per second: v' = v + dv, x' = x + v' dt.
+
+use burn::tensor::{Device, Tensor, activation::elu};
+
+use super::{
+    Bodies, Track,
+    features::Scaling,
+    layers::Layers,
+    network::{Dropout, Hidden},
+};
+use crate::checkpoint::Description;
+
+/// The frame model with its scales.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameModel {
+    pub(crate) layers: Layers,
+    pub(crate) scaling: Scaling,
+    /// N.
+    particles: usize,
+    /// Time between two frames (s).
+    dt: f32,
+}
+
+impl FrameModel {
+    pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
+        Self {
+            scaling: Scaling::new(&description.normalization, device),
+            particles: layers.decoder.weight.dims()[1] / 2,
+            layers,
+            dt: description.dt,
+        }
+    }
+
+    /// As [`ParticleModel::observe`](super::particle_model::ParticleModel::observe).
+    pub(crate) fn observe(
+        &self,
+        track: &Track,
+        material: &Tensor<2>,
+        hidden: Hidden,
+        dropout: &mut Dropout,
+    ) -> (Track, Hidden) {
+        let [frames, rows, _] = track.position.dims();
+        let encoded = (0..frames).map(|t| self.encode(&track.at(t), material)).collect();
+        let mut signal: Tensor<3> = Tensor::stack(encoded, 0); // [T, B, H]
+        let mut states = Vec::with_capacity(self.layers.core.len());
+        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
+            signal = layer.scan(signal, carried);
+            let [frames, windows, width] = signal.dims();
+            let after = signal.clone().slice([frames - 1..frames, 0..windows, 0..width]);
+            states.push(after.reshape([windows, width]));
+            signal = dropout.apply(signal);
+        }
+        let change = self.decode(signal.flatten(0, 1)).reshape([frames, rows, 2]);
+        let velocity = track.velocity.clone() + change;
+        let position = track.position.clone() + velocity.clone().mul_scalar(self.dt);
+        (Track { position, velocity }, Hidden { states, foretold: None })
+    }
+
+    /// As [`ParticleModel::step`](super::particle_model::ParticleModel::step).
+    pub(crate) fn step(
+        &self,
+        bodies: &Bodies,
+        material: &Tensor<2>,
+        hidden: Hidden,
+        dropout: &mut Dropout,
+    ) -> (Bodies, Hidden) {
+        let mut signal = self.encode(bodies, material);
+        let mut states = Vec::with_capacity(self.layers.core.len());
+        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
+            signal = layer.step(signal, carried);
+            states.push(signal.clone());
+            signal = dropout.apply(signal);
+        }
+        let velocity = bodies.velocity.clone() + self.decode(signal);
+        let position = bodies.position.clone() + velocity.clone().mul_scalar(self.dt);
+        (Bodies { position, velocity }, Hidden { states, foretold: None })
+    }
+
+    /// One frame of B windows, `[B N, ..]`, to `[B, H]`.
+    fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
+        let points = self.scaling.frame(bodies, material.clone()); // [B N, F]
+        let points = elu(self.layers.encoder[0].forward(points), 1.0); // [B N, E]
+        let [rows, width] = points.dims();
+        let points = points.reshape([rows / self.particles, self.particles, width]);
+        let pooled = points.mean_dim(1).squeeze_dim::<2>(1); // [B, E]
+        self.layers.encoder[1].forward(pooled)
+    }
+
+    /// `[B, H]` to dv, `[B N, 2]`.
+    fn decode(&self, signal: Tensor<2>) -> Tensor<2> {
+        let mixed = elu(self.layers.mixer.forward(signal), 1.0);
+        let change = self.layers.decoder.forward(mixed); // [B, 2 N]
+        let [windows, _] = change.dims();
+        change.reshape([windows * self.particles, 2])
+    }
+}

@@ -1,0 +1,146 @@
+//! The particle model: one hidden state for each particle, weights shared, no surroundings.
+//!
+//! features (F) -> Linear -> ReLU -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
+//! The decoder gives a velocity and a position residual on the ballistic step, in units of the
+//! training velocities' deviation u:
+//! v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has a residual of its own because
+//! a frame spans many substeps: in free fall alone, v' dt overshoots the path by g dt^2 / 2.
+//! v' is clamped to the training range widened by a quarter on each side, x' to the walls in effect,
+//! so that a rollout stays finite. A zero decoder is the ballistic step.
+
+use burn::tensor::{Device, Tensor, activation::relu};
+
+use super::{
+    Bodies, Track,
+    ballistic::{Ballistic, BallisticTensors, Fallen},
+    features::Scaling,
+    layers::Layers,
+    network::{Dropout, Hidden},
+};
+use crate::checkpoint::Description;
+
+/// How far v' may leave the range of training velocities, as a share of that range.
+const VELOCITY_MARGIN: f32 = 0.25;
+
+/// The particle model with its scales.
+#[derive(Clone, Debug)]
+pub(crate) struct ParticleModel {
+    pub(crate) layers: Layers,
+    scaling: Scaling,
+    ballistic: BallisticTensors,
+    slowest: Tensor<2>,
+    fastest: Tensor<2>,
+}
+
+impl ParticleModel {
+    pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
+        let scale = &description.normalization;
+        let bound = |side: f32, of: [f32; 4]| {
+            let margin = |axis: usize| {
+                side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis])
+            };
+            Tensor::<1>::from_floats([of[2] + margin(2), of[3] + margin(3)], device).unsqueeze()
+        };
+        Self {
+            layers,
+            scaling: Scaling::new(scale, device),
+            ballistic: BallisticTensors::new(Ballistic::of(description), device),
+            slowest: bound(-1.0, scale.minimum),
+            fastest: bound(1.0, scale.maximum),
+        }
+    }
+
+    /// Observes T consecutive frames at once. Gives the frame predicted after each, and the state
+    /// after the last. `material` is `[R, 4]`.
+    pub(crate) fn observe(
+        &self,
+        track: &Track,
+        material: &Tensor<2>,
+        hidden: Hidden,
+        dropout: &mut Dropout,
+    ) -> (Track, Hidden) {
+        let [frames, rows, _] = track.position.dims();
+        let flat = |t: &Tensor<3>| t.clone().reshape([frames * rows, 2]);
+        let bodies = Bodies { position: flat(&track.position), velocity: flat(&track.velocity) };
+        let fallen = self.ballistic.step(bodies.position.clone(), bodies.velocity.clone());
+
+        // What each frame was foretold to be by the one before it.
+        let foretold = fallen.velocity.clone().reshape([frames, rows, 2]);
+        let first = hidden.foretold.unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
+        let last = foretold.clone().slice([frames - 1..frames, 0..rows, 0..2]).reshape([rows, 2]);
+        let foretold = match frames {
+            1 => first,
+            _ => Tensor::cat(vec![first, foretold.slice([0..frames - 1, 0..rows, 0..2])], 0),
+        };
+        let push = (track.velocity.clone() - foretold).reshape([frames * rows, 2]);
+
+        let material = material.clone().unsqueeze::<3>().repeat(&[frames, 1, 1]);
+        let material = material.flatten::<2>(0, 1);
+        let input = self.scaling.particle(&bodies, push, &fallen, &self.ballistic, material);
+        let width = self.layers.decoder.weight.dims()[0];
+        let mut signal = self.encode(input).reshape([frames, rows, width]); // [T, R, H]
+        let mut states = Vec::with_capacity(self.layers.core.len());
+        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
+            signal = layer.scan(signal, carried);
+            let [frames, rows, width] = signal.dims();
+            let after = signal.clone().slice([frames - 1..frames, 0..rows, 0..width]);
+            states.push(after.reshape([rows, width]));
+            signal = dropout.apply(signal);
+        }
+        let next = self.decode(signal.reshape([frames * rows, width]), fallen);
+        let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
+        let predicted = Track { position: cube(next.position), velocity: cube(next.velocity) };
+        (predicted, Hidden { states, foretold: Some(last) })
+    }
+
+    /// Observes one frame, predicts the next.
+    pub(crate) fn step(
+        &self,
+        bodies: &Bodies,
+        material: &Tensor<2>,
+        hidden: Hidden,
+        dropout: &mut Dropout,
+    ) -> (Bodies, Hidden) {
+        let fallen = self.ballistic.step(bodies.position.clone(), bodies.velocity.clone());
+        let foretold = Some(fallen.velocity.clone());
+        let push = match hidden.foretold.clone() {
+            None => bodies.velocity.zeros_like(),
+            Some(foretold) => bodies.velocity.clone() - foretold,
+        };
+        let material = material.clone();
+        let input = self.scaling.particle(bodies, push, &fallen, &self.ballistic, material);
+        let mut signal = self.encode(input); // [R, H]
+        let mut states = Vec::with_capacity(self.layers.core.len());
+        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
+            signal = layer.step(signal, carried);
+            states.push(signal.clone());
+            signal = dropout.apply(signal);
+        }
+        (self.decode(signal, fallen), Hidden { states, foretold })
+    }
+
+    /// `[rows, F]` to `[rows, H]`.
+    fn encode(&self, input: Tensor<2>) -> Tensor<2> {
+        self.layers.encoder.iter().fold(input, |signal, layer| relu(layer.forward(signal)))
+    }
+
+    /// `[rows, H]` and the ballistic step to the next bodies.
+    fn decode(&self, signal: Tensor<2>, fallen: Fallen) -> Bodies {
+        let output = self.layers.decoder.forward(relu(self.layers.mixer.forward(signal)));
+        let [rows, _] = output.dims();
+        let output = output.mul_scalar(self.scaling.velocity_unit); // [rows, 4]
+        let faster = output.clone().slice([0..rows, 0..2]);
+        let farther = output.slice([0..rows, 2..4]).mul_scalar(self.ballistic.dt);
+        let between = |x: Tensor<2>, low: &Tensor<2>, high: &Tensor<2>| {
+            x.max_pair(low.clone()).min_pair(high.clone())
+        };
+        Bodies {
+            position: between(
+                fallen.position + farther,
+                &self.ballistic.lower,
+                &self.ballistic.upper,
+            ),
+            velocity: between(fallen.velocity + faster, &self.slowest, &self.fastest),
+        }
+    }
+}

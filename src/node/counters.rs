@@ -1,0 +1,123 @@
+//! Everything that was not used, and why.
+
+use crate::{frame::InvalidFrame, msg::BadFrame};
+
+/// Why a frame was not used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// It is no whole frame.
+    #[error(transparent)]
+    Bad(#[from] BadFrame),
+    /// Its interval is not the checkpoint's.
+    #[error("dt: found {found} s, expected {expected} s within 0.1 % as in the checkpoint")]
+    Interval {
+        /// The frame's interval (s).
+        found: f32,
+        /// The checkpoint's interval (s).
+        expected: f32,
+    },
+    /// The model cannot take these particles.
+    #[error("{0}")]
+    Model(String),
+    /// It came a second time, or after a later one.
+    #[error("stream {stream}: sequence: found {found}, expected at least {expected}")]
+    Late {
+        /// The stream.
+        stream: u64,
+        /// The frame's sequence number.
+        found: u64,
+        /// The next sequence number of the stream.
+        expected: u64,
+    },
+    /// The stream simulates itself by now.
+    #[error(
+        "stream {stream}: found sequence {found}, expected no more frames: the stream runs free"
+    )]
+    FreeRunning {
+        /// The stream.
+        stream: u64,
+        /// The frame's sequence number.
+        found: u64,
+    },
+}
+
+/// Counts since the start of the node.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames that arrived.
+    pub received: u64,
+    /// Predictions that were published.
+    pub published: u64,
+    /// Bytes that are no `ParticleFrame`.
+    pub undecodable: u64,
+    /// Frames with unequal lengths, unknown materials, another dimension or an empty domain.
+    pub malformed: u64,
+    /// Frames with a NaN or an infinity.
+    pub not_finite: u64,
+    /// Frames whose `dt` is not the checkpoint's.
+    pub wrong_interval: u64,
+    /// Frames whose particles do not fit the model.
+    pub wrong_particles: u64,
+    /// Duplicates and frames that came late.
+    pub late: u64,
+    /// Frames of a stream that runs free.
+    pub ignored_in_free_run: u64,
+    /// Frames that were missing and filled with a prediction.
+    pub filled: u64,
+    /// Frames that were missing in gaps too large to fill.
+    pub missing: u64,
+    /// Streams that were set back to their warm-up.
+    pub resets: u64,
+    /// Streams that made room for others.
+    pub evicted_streams: u64,
+    /// Frames that were dropped because the node was slow.
+    pub dropped_from_queue: u64,
+    /// Predictions that were not finite, and not published.
+    pub diverged: u64,
+}
+
+impl Counters {
+    /// Counts one refusal.
+    pub fn refuse(&mut self, refusal: &Refusal) {
+        let counter = match refusal {
+            Refusal::Bad(BadFrame::Cdr(_)) => &mut self.undecodable,
+            Refusal::Bad(BadFrame::Invalid(InvalidFrame::NotFinite { .. })) => &mut self.not_finite,
+            Refusal::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
+            Refusal::Interval { .. } => &mut self.wrong_interval,
+            Refusal::Model(_) => &mut self.wrong_particles,
+            Refusal::Late { .. } => &mut self.late,
+            Refusal::FreeRunning { .. } => &mut self.ignored_in_free_run,
+        };
+        *counter += 1;
+    }
+
+    /// Every counter with its name, in the order of the fields.
+    pub fn named(&self) -> [(&'static str, u64); 15] {
+        [
+            ("received", self.received),
+            ("published", self.published),
+            ("undecodable", self.undecodable),
+            ("malformed", self.malformed),
+            ("not_finite", self.not_finite),
+            ("wrong_interval", self.wrong_interval),
+            ("wrong_particles", self.wrong_particles),
+            ("late", self.late),
+            ("ignored_in_free_run", self.ignored_in_free_run),
+            ("filled", self.filled),
+            ("missing", self.missing),
+            ("resets", self.resets),
+            ("evicted_streams", self.evicted_streams),
+            ("dropped_from_queue", self.dropped_from_queue),
+            ("diverged", self.diverged),
+        ]
+    }
+
+    /// Frames that could not be used through their own fault.
+    pub fn bad(&self) -> u64 {
+        self.undecodable
+            + self.malformed
+            + self.not_finite
+            + self.wrong_interval
+            + self.wrong_particles
+    }
+}

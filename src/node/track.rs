@@ -1,0 +1,62 @@
+//! What the node knows of one stream.
+
+use std::time::Duration;
+
+use crate::{
+    frame::{Frame, Material, Stamp},
+    model::Memory,
+};
+
+/// Frames older than so many intervals mean that the stream started again (a looped bag).
+const RESTART_INTERVALS: u32 = 16;
+
+/// One stream: its hidden state and where it stands.
+pub(super) struct Track {
+    /// The model's hidden state, after the last frame or the frame it filled in.
+    pub memory: Memory,
+    /// The model's prediction from that state: the next frame.
+    pub predicted: Frame,
+    /// Sequence of the last observed frame.
+    pub sequence: u64,
+    /// Stamp of the last observed frame.
+    pub stamp: Stamp,
+    /// Frames observed since the stream began or was reset.
+    pub observed: u64,
+    /// When the next frame of a free run is due; `None` while frames are observed.
+    pub free_run_due: Option<Duration>,
+    /// When the stream was used last.
+    pub used: Duration,
+}
+
+/// How a frame follows the stream's last one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Follows {
+    /// It is the next one, or so many are missing in between.
+    After {
+        /// Missing frames.
+        gap: u64,
+    },
+    /// It was there already, or comes late.
+    Late,
+    /// It begins the stream anew.
+    Restart,
+}
+
+impl Track {
+    /// How `frame` follows. A change of the particles, or a stamp more than 16 intervals in the past,
+    /// begins the stream anew.
+    pub(super) fn follows(&self, frame: &Frame) -> Follows {
+        let oldest = Stamp(2 * self.stamp.0 - self.stamp.advance(frame.dt, RESTART_INTERVALS).0);
+        if self.material() != frame.material || frame.stamp < oldest {
+            return Follows::Restart;
+        }
+        match frame.sequence.checked_sub(self.sequence + 1) {
+            Some(gap) => Follows::After { gap },
+            None => Follows::Late,
+        }
+    }
+
+    fn material(&self) -> &[Material] {
+        &self.predicted.material
+    }
+}
