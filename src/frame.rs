@@ -156,7 +156,9 @@ pub enum InvalidFrame {
         found: f32,
     },
     /// A material has no known number.
-    #[error("material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)")]
+    #[error(
+        "material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)"
+    )]
     Material {
         /// Index of the first particle concerned.
         particle: usize,
@@ -212,8 +214,7 @@ impl Frame {
         if particles == 0 {
             return Err(InvalidFrame::Empty);
         }
-        for (field, found) in
-            [("position", self.position.len()), ("velocity", self.velocity.len())]
+        for (field, found) in [("position", self.position.len()), ("velocity", self.velocity.len())]
         {
             if found != particles {
                 return Err(InvalidFrame::Length {
@@ -225,8 +226,9 @@ impl Frame {
             }
         }
         let Domain { lower, upper } = self.domain;
-        let whole = (0..2)
-            .all(|axis| lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]);
+        let whole = (0..2).all(|axis| {
+            lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
+        });
         if !whole {
             return Err(InvalidFrame::Domain { found: [lower, upper] });
         }

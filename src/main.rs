@@ -3,4 +3,48 @@
 mod cli;
 mod commands;
 
-fn main() {}
+use std::{io, process::ExitCode};
+
+use clap::Parser;
+use tracing_subscriber::EnvFilter;
+
+use cli::{Cli, Command};
+use commands::Interrupt;
+
+/// Keeps freed pages: training and inference allocate the same large temporaries again and again.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// Exit code when something failed. Wrong usage is clap's 2.
+const FAILED: u8 = 1;
+
+fn main() -> ExitCode {
+    match run(Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            #[expect(clippy::print_stderr, reason = "the one place where an error reaches the user")]
+            {
+                eprintln!("eddy: {error:#}");
+            }
+            ExitCode::from(FAILED)
+        }
+    }
+}
+
+fn run(cli: Cli) -> anyhow::Result<()> {
+    let filter = EnvFilter::try_new(&cli.log_level)?;
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).init();
+    let interrupt = Interrupt::install()?;
+    let quiet = cli.quiet;
+    match cli.command {
+        Command::Demo(args) => commands::demo::run(args, quiet, &interrupt),
+        Command::Simulate(args) => commands::simulate::run(args, quiet, &interrupt),
+        Command::Record(args) => commands::record::run(args, quiet, &interrupt),
+        Command::Replay(args) => commands::replay::run(args, quiet, &interrupt),
+        Command::Train(args) => commands::train::run(args, quiet, &interrupt),
+        Command::Node(args) => commands::node::run(args, quiet, &interrupt),
+        Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
+        Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
+        Command::Bag(args) => commands::bag::run(args, quiet, &interrupt),
+    }
+}

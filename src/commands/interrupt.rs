@@ -31,6 +31,11 @@ impl Interrupt {
         self.0.load(Ordering::Relaxed)
     }
 
+    /// The flag itself, for loops that know no signals.
+    pub fn flag(&self) -> &AtomicBool {
+        &self.0
+    }
+
     /// Ends the loops as a signal would.
     pub fn request(&self) {
         self.0.store(true, Ordering::Relaxed);

@@ -1,11 +1,30 @@
 //! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
 
 pub mod bag;
+pub mod demo;
+pub mod eval;
+pub mod node;
+pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod simulate;
 pub mod train;
 
 mod interrupt;
+mod live;
+mod surrogate;
 
 pub use interrupt::Interrupt;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// A progress bar with the time left; hidden without a terminal or when `quiet`.
+pub(crate) fn progress_bar(length: u64, what: &str, quiet: bool) -> ProgressBar {
+    let bar = if quiet {
+        ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden())
+    } else {
+        ProgressBar::new(length)
+    };
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{eta}} left");
+    bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
+}

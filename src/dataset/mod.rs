@@ -42,7 +42,10 @@ pub enum DatasetError {
     #[error(transparent)]
     Bag(#[from] BagError),
     /// There are too few trajectories to split.
-    #[error("{}: found {found} streams, expected at least 2: one to learn from and one to validate on", list(paths))]
+    #[error(
+        "{}: found {found} streams, expected at least 2: one to learn from and one to validate on",
+        list(paths)
+    )]
     TooFew {
         /// What was searched.
         paths: Vec<PathBuf>,
@@ -103,7 +106,9 @@ pub fn load_streams(paths: &[PathBuf]) -> Result<Vec<Stream>, DatasetError> {
     for path in crate::bag::find_bags(paths)? {
         streams.extend(stream::read(&path, TRUTH_TOPIC)?);
     }
-    streams.sort_by(|a, b| (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence)));
+    streams.sort_by(|a, b| {
+        (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
+    });
     if let Some(first) = streams.first() {
         for stream in &streams {
             alike(first, stream)?;
@@ -114,7 +119,13 @@ pub fn load_streams(paths: &[PathBuf]) -> Result<Vec<Stream>, DatasetError> {
 
 fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
     let mixed = |field, found: String, expected: String| {
-        Err(DatasetError::Mixed { path: stream.source.clone(), stream: stream.id, field, found, expected })
+        Err(DatasetError::Mixed {
+            path: stream.source.clone(),
+            stream: stream.id,
+            field,
+            found,
+            expected,
+        })
     };
     if stream.dt != first.dt {
         return mixed("dt", format!("{} s", stream.dt), format!("{} s", first.dt));

@@ -13,16 +13,15 @@ mod rollout;
 mod window;
 
 pub use baseline::Baseline;
-pub use errors::{ErrorSums, Errors};
+pub use errors::{ErrorSums, Errors, mean_squared_distance};
 pub use report::{MaterialErrors, PredictorReport, Report};
 pub use rollout::{Rollout, roll_out};
 pub use window::starts;
 
 use crate::{
     checkpoint::Normalization,
-    dataset::{State, Stream},
-    frame::Domain,
-    model::{ModelError, Surrogate},
+    dataset::Stream,
+    model::{Ballistic, ModelError, Surrogate},
 };
 
 /// How to judge.
@@ -54,7 +53,9 @@ pub enum EvalError {
         expected: f32,
     },
     /// No stream is long enough.
-    #[error("streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict")]
+    #[error(
+        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict"
+    )]
     TooShort {
         /// Frames of the longest stream.
         found: usize,
@@ -94,7 +95,9 @@ pub fn judge(
 ) -> Result<Judgement, EvalError> {
     let description = surrogate.description();
     let warm_up = description.warm_up as usize;
-    let walls = Walls::around(streams);
+    let (lower, upper) = walls_around(streams);
+    let ballistic =
+        Ballistic { gravity: description.gravity, dt: description.dt, lower, upper };
     let sums = || ErrorSums::new(settings.horizon, &description.normalization);
     let mut judgement = Judgement {
         model: sums(),
@@ -114,13 +117,8 @@ pub fn judge(
             judgement.diverged += usize::from(rollout.diverged);
             judgement.model.add(&stream.material, &rollout.states, truth);
             for (baseline, errors) in &mut judgement.baselines {
-                let states = baseline.roll_out(
-                    &stream.states[start],
-                    settings.horizon,
-                    stream.dt,
-                    description.gravity,
-                    walls.0,
-                );
+                let states =
+                    baseline.roll_out(&stream.states[start], settings.horizon, &ballistic);
                 errors.add(&stream.material, &states, truth);
             }
             progress();
@@ -149,22 +147,16 @@ fn predict(
     roll_out(surrogate, &observed, horizon)
 }
 
-/// The box that the judged particles never leave: the best walls a baseline can know.
-#[derive(Clone, Copy, Debug)]
-struct Walls(Domain);
-
-impl Walls {
-    fn around(streams: &[Stream]) -> Self {
-        let mut walls = Domain { lower: [f32::INFINITY; 2], upper: [f32::NEG_INFINITY; 2] };
-        let positions = |state: &State| state.position.clone();
-        for position in streams.iter().flat_map(|s| &s.states).flat_map(positions) {
-            for axis in 0..2 {
-                walls.lower[axis] = walls.lower[axis].min(position[axis]);
-                walls.upper[axis] = walls.upper[axis].max(position[axis]);
-            }
+/// The smallest and largest coordinates of the particles: the best walls a baseline can know.
+fn walls_around(streams: &[Stream]) -> ([f32; 2], [f32; 2]) {
+    let (mut lower, mut upper) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+    for position in streams.iter().flat_map(|s| &s.states).flat_map(|state| &state.position) {
+        for axis in 0..2 {
+            lower[axis] = lower[axis].min(position[axis]);
+            upper[axis] = upper[axis].max(position[axis]);
         }
-        Self(walls)
     }
+    (lower, upper)
 }
 
 /// The ranges that MinMax errors are divided by.

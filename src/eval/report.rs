@@ -164,11 +164,10 @@ impl Report {
 
     /// The tables for a terminal.
     pub fn tables(&self) -> String {
-        let shown: Vec<usize> =
-            SHOWN.into_iter().filter(|&ahead| ahead <= self.horizon).collect();
+        let shown: Vec<usize> = SHOWN.into_iter().filter(|&ahead| ahead <= self.horizon).collect();
         let table = |title: &str| {
             let mut table = Table::new();
-            table.load_preset(UTF8_HORIZONTAL_ONLY);
+            table.load_style(UTF8_HORIZONTAL_ONLY);
             let frames = shown.iter().map(|ahead| format!("frame {ahead}"));
             table.set_header(std::iter::once(title.to_owned()).chain(frames));
             table
@@ -180,7 +179,10 @@ impl Report {
         let scientific: fn(f64) -> String = |x| format!("{x:.2e}");
         let mut text = String::new();
         for (title, quantity) in [
-            ("position RMSE (domain lengths)", (|e| &e.position_rmse) as fn(&MaterialErrors) -> &Vec<f64>),
+            (
+                "position RMSE (domain lengths)",
+                (|e| &e.position_rmse) as fn(&MaterialErrors) -> &Vec<f64>,
+            ),
             ("velocity RMSE (domain lengths/s)", |e| &e.velocity_rmse),
             ("MinMax MSE", |e| &e.minmax_mse),
         ] {

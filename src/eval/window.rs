@@ -14,9 +14,8 @@ pub fn starts(frames: usize, warm_up: usize, settings: Settings) -> Vec<usize> {
     };
     let last = ((STARTS_WITHIN * frames as f64) as usize).clamp(earliest, latest);
     let intervals = settings.starts.saturating_sub(1).max(1);
-    let mut starts: Vec<_> = (0..settings.starts)
-        .map(|k| earliest + (last - earliest) * k / intervals)
-        .collect();
+    let mut starts: Vec<_> =
+        (0..settings.starts).map(|k| earliest + (last - earliest) * k / intervals).collect();
     starts.dedup();
     starts
 }

@@ -14,7 +14,9 @@ const MAX_PADDING: usize = 3;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// The encapsulation header is not that of plain CDR.
-    #[error("CDR header: found {found:02x?}, expected [00, 01, 00, 00] (plain CDR, little-endian) or [00, 00, 00, 00] (big-endian)")]
+    #[error(
+        "CDR header: found {found:02x?}, expected [00, 01, 00, 00] (plain CDR, little-endian) or [00, 00, 00, 00] (big-endian)"
+    )]
     Header {
         /// The first bytes, at most four.
         found: Vec<u8>,

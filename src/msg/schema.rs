@@ -34,12 +34,27 @@ pub struct UnknownType {
 
 /// The `.msg` files this program was built from: name, text.
 const FILES: [(&str, &str); 9] = [
-    ("builtin_interfaces/msg/Time", include_str!("../../msgs/standard/builtin_interfaces/msg/Time.msg")),
-    ("diagnostic_msgs/msg/DiagnosticArray", include_str!("../../msgs/standard/diagnostic_msgs/msg/DiagnosticArray.msg")),
-    ("diagnostic_msgs/msg/DiagnosticStatus", include_str!("../../msgs/standard/diagnostic_msgs/msg/DiagnosticStatus.msg")),
-    ("diagnostic_msgs/msg/KeyValue", include_str!("../../msgs/standard/diagnostic_msgs/msg/KeyValue.msg")),
+    (
+        "builtin_interfaces/msg/Time",
+        include_str!("../../msgs/standard/builtin_interfaces/msg/Time.msg"),
+    ),
+    (
+        "diagnostic_msgs/msg/DiagnosticArray",
+        include_str!("../../msgs/standard/diagnostic_msgs/msg/DiagnosticArray.msg"),
+    ),
+    (
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        include_str!("../../msgs/standard/diagnostic_msgs/msg/DiagnosticStatus.msg"),
+    ),
+    (
+        "diagnostic_msgs/msg/KeyValue",
+        include_str!("../../msgs/standard/diagnostic_msgs/msg/KeyValue.msg"),
+    ),
     ("eddy_msgs/msg/ParticleFrame", include_str!("../../msgs/eddy_msgs/msg/ParticleFrame.msg")),
-    ("eddy_msgs/msg/PredictionStatus", include_str!("../../msgs/eddy_msgs/msg/PredictionStatus.msg")),
+    (
+        "eddy_msgs/msg/PredictionStatus",
+        include_str!("../../msgs/eddy_msgs/msg/PredictionStatus.msg"),
+    ),
     ("rosgraph_msgs/msg/Clock", include_str!("../../msgs/standard/rosgraph_msgs/msg/Clock.msg")),
     ("std_msgs/msg/Header", include_str!("../../msgs/standard/std_msgs/msg/Header.msg")),
     ("std_msgs/msg/String", include_str!("../../msgs/standard/std_msgs/msg/String.msg")),
@@ -203,7 +218,10 @@ mod tests {
         let support = type_support(M::TYPE).unwrap();
         let referred = &support.description.referenced_type_descriptions;
         for description in referred.iter().chain([&support.description.type_description]) {
-            assert_eq!(fields_of_twin(&registry, &description.type_name), fields_of_text(description));
+            assert_eq!(
+                fields_of_twin(&registry, &description.type_name),
+                fields_of_text(description)
+            );
         }
     }
 
@@ -229,7 +247,9 @@ mod tests {
             .map(|field| {
                 let kind = &field.field_type;
                 let element = match TypeId::base_type(kind.type_id) {
-                    TypeId::NESTED_TYPE => Format::TypeName(twin_name(&kind.nested_type_name).into()),
+                    TypeId::NESTED_TYPE => {
+                        Format::TypeName(twin_name(&kind.nested_type_name).into())
+                    }
                     TypeId::BYTE | TypeId::UINT8 => Format::U8,
                     TypeId::INT32 => Format::I32,
                     TypeId::UINT32 => Format::U32,

@@ -30,7 +30,9 @@ pub enum Refusal {
         expected: u64,
     },
     /// The stream simulates itself by now.
-    #[error("stream {stream}: found sequence {found}, expected no more frames: the stream runs free")]
+    #[error(
+        "stream {stream}: found sequence {found}, expected no more frames: the stream runs free"
+    )]
     FreeRunning {
         /// The stream.
         stream: u64,

@@ -119,7 +119,7 @@ impl Loop<'_> {
         if predictions.is_empty() {
             return;
         }
-        let digest = &self.node.surrogate().description().digest;
+        let digest = self.node.surrogate().digest();
         for prediction in predictions {
             for output in self.outputs.iter_mut() {
                 log_failure(output.prediction.publish_frame(&prediction.frame));
@@ -134,7 +134,7 @@ impl Loop<'_> {
 
     fn report(&mut self, queue: &FrameQueue) {
         self.node.counters_mut().dropped_from_queue = queue.dropped();
-        let digest = self.node.surrogate().description().digest.clone();
+        let digest = self.node.surrogate().digest().to_owned();
         let report = self.monitor.report(
             self.clock.now(),
             clock::wall(),

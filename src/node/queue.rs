@@ -115,9 +115,11 @@ mod tests {
     fn block_loses_nothing_with_a_slow_reader() {
         let queue = FrameQueue::new(2, Reliability::Block);
         thread::scope(|scope| {
-            scope.spawn(|| (0..100).for_each(|number| {
-                queue.push(Duration::ZERO, message(number));
-            }));
+            scope.spawn(|| {
+                (0..100).for_each(|number| {
+                    queue.push(Duration::ZERO, message(number));
+                })
+            });
             for number in 0..100 {
                 let (_, payload) = queue.pop(Duration::from_secs(10)).unwrap();
                 assert_eq!(payload, message(number));

@@ -159,14 +159,15 @@ impl SurrogateNode {
         (track.sequence, track.stamp, track.used) = (frame.sequence, frame.stamp, now);
 
         let warm_up = u64::from(self.surrogate.description().warm_up);
-        let predictions = if self.settings.free_run.is_some_and(|k| track.observed >= k.max(warm_up)) {
-            track.free_run_due = Some(now + interval(frame));
-            Vec::new()
-        } else if track.observed < warm_up {
-            Vec::new()
-        } else {
-            self.look_ahead(&track)
-        };
+        let predictions =
+            if self.settings.free_run.is_some_and(|k| track.observed >= k.max(warm_up)) {
+                track.free_run_due = Some(now + interval(frame));
+                Vec::new()
+            } else if track.observed < warm_up {
+                Vec::new()
+            } else {
+                self.look_ahead(&track)
+            };
         let stream = frame.stream;
         self.streams.insert(stream, track);
         if predictions.iter().any(|prediction| prediction.frame.check().is_err()) {

@@ -2,6 +2,8 @@
 
 use std::{fmt, str::FromStr};
 
+use serde::Deserialize;
+
 /// The ways a message can travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TransportKind {
@@ -44,7 +46,8 @@ impl FromStr for TransportKind {
 }
 
 /// A topic on a transport.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Deserialize)]
+#[serde(try_from = "String")]
 pub struct Link {
     /// How the messages travel.
     pub transport: TransportKind,
@@ -68,7 +71,9 @@ pub enum InvalidLink {
         found: String,
     },
     /// The topic is no absolute ROS 2 name.
-    #[error("link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)")]
+    #[error(
+        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)"
+    )]
     Topic {
         /// The word after the colon.
         found: String,
@@ -76,9 +81,27 @@ pub enum InvalidLink {
 }
 
 impl Link {
+    /// A topic on Zenoh.
+    pub fn zenoh(topic: &str) -> Self {
+        Self { transport: TransportKind::Zenoh, topic: topic.to_owned() }
+    }
+
+    /// A topic within this process.
+    pub fn memory(topic: &str) -> Self {
+        Self { transport: TransportKind::Memory, topic: topic.to_owned() }
+    }
+
     /// The same transport with another topic.
     pub fn with_topic(&self, topic: &str) -> Self {
         Self { transport: self.transport, topic: topic.to_owned() }
+    }
+}
+
+impl TryFrom<String> for Link {
+    type Error = InvalidLink;
+
+    fn try_from(text: String) -> Result<Self, InvalidLink> {
+        text.parse()
     }
 }
 

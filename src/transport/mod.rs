@@ -2,17 +2,29 @@
 //!
 //! 1. [`link`]: a transport and a topic, written `zenoh:/particles`.
 //! 2. [`Publisher`], [`Subscriber`]: what every transport offers.
-//! 3. [`Transports`]: opens them; one session for each middleware and process.
+//! 3. [`opener`]: [`Transports`] opens them; one session for each middleware and process.
+//! 4. [`queue`]: the bounded queue between a transport's thread and a subscriber.
+//! 5. [`memory`]: within this process.
+//! 6. [`shm`]: shared memory, by iceoryx2.
+//! 7. [`zenoh`]: the wire of ROS 2's rmw_zenoh.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so both sides of
 //! [`Payload`] must be expected from any topic of frames.
 
 mod link;
+mod memory;
+mod opener;
+mod queue;
+mod shm;
+mod zenoh;
 
 pub use link::{InvalidLink, Link, TransportKind};
+pub use opener::{TransportOptions, Transports, ZenohOptions};
 
 use std::time::Duration;
+
+use serde::Deserialize;
 
 use crate::{
     frame::Frame,
@@ -50,9 +62,11 @@ impl Payload {
 }
 
 /// What a publisher does when a subscriber cannot keep up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Reliability {
-    /// Waits for the subscriber; nothing is lost. Advertised to ROS 2 as reliable, keep all.
+    /// Waits for the subscriber, at most [`TransportOptions::patience`]; nothing is lost.
+    /// Advertised to ROS 2 as reliable, keep all.
     Block,
     /// Gives up the message; the publisher is never slowed. Advertised as best effort, keep last.
     Drop,
@@ -103,6 +117,34 @@ pub enum TransportError {
         link: Link,
         /// What is wrong with the bytes.
         reason: BadFrame,
+    },
+    /// The topic is in use for messages of another type.
+    #[error("{link}: found message type {found}, expected {expected}")]
+    TopicType {
+        /// The topic's link.
+        link: Link,
+        /// The type that the topic carries.
+        found: String,
+        /// The type that was asked for.
+        expected: String,
+    },
+    /// An environment variable cannot be used.
+    #[error("{variable}: found `{found}`, expected {expected}")]
+    Environment {
+        /// Its name.
+        variable: &'static str,
+        /// Its value, or the part of it that is wrong.
+        found: String,
+        /// What it should be.
+        expected: String,
+    },
+    /// A subscriber took nothing for as long as a blocking publisher is willing to wait.
+    #[error("{link}: found a subscriber that took nothing for {seconds} s, expected one that reads (or --reliability drop)")]
+    Stalled {
+        /// The topic's link.
+        link: Link,
+        /// How long the publisher waited (s).
+        seconds: f64,
     },
     /// The middleware refused.
     #[error("{link}: {action}: {reason}")]

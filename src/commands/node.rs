@@ -1,0 +1,107 @@
+//! `eddy node`: predicts the frames of live streams.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use serde::Deserialize;
+
+use super::{Interrupt, surrogate};
+use crate::cli::NodeArgs;
+use eddy::{
+    config,
+    msg::{DiagnosticArray, Message, ParticleFrame, PredictionStatus},
+    node::{Counters, FrameQueue, NodeSettings, Outputs, SurrogateNode, drive},
+    transport::{Link, Reliability, TransportError, TransportOptions, Transports},
+};
+
+/// The node's name in the ROS 2 graph.
+const NAME: &str = "eddy_node";
+
+/// What a configuration file of `eddy node` may say; the command line goes first.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct NodeFile {
+    /// Directory of the checkpoint; the shipped particle model if not given.
+    checkpoint: Option<PathBuf>,
+    /// Link that frames come from, `zenoh:/particles` if not given.
+    input: Option<Link>,
+    /// Links that predictions go to, `zenoh:/prediction` if not given.
+    output: Vec<Link>,
+    /// What happens when a subscriber cannot keep up, `drop` if not given.
+    reliability: Option<Reliability>,
+    /// The behaviour towards streams.
+    node: NodeSettings,
+}
+
+/// Runs the node until a signal comes.
+pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let file: NodeFile = match &args.config {
+        Some(path) => config::load(path)?,
+        None => NodeFile::default(),
+    };
+    let settings = NodeSettings {
+        horizon: args.horizon.unwrap_or(file.node.horizon),
+        publish: args.publish.unwrap_or(file.node.publish),
+        free_run: args.free_run.or(file.node.free_run),
+        ..file.node
+    };
+    let input = args.input.or(file.input).unwrap_or(Link::zenoh("/particles"));
+    let outputs = [args.output, file.output, vec![Link::zenoh("/prediction")]];
+    let outputs = outputs.into_iter().find(|links| !links.is_empty()).unwrap_or_default();
+    let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
+
+    let checkpoint = args.checkpoint.or(file.checkpoint);
+    let surrogate = surrogate::load(checkpoint.as_deref(), args.device)?;
+    let queue = FrameQueue::new(settings.queue, reliability);
+    let mut node = SurrogateNode::new(surrogate, settings)?;
+
+    let transports = Transports::new(TransportOptions::from_env(NAME)?);
+    let mut subscriber = transports
+        .subscriber(&input, ParticleFrame::TYPE)
+        .with_context(|| format!("cannot subscribe to {input}"))?;
+    let mut publishers = outputs
+        .iter()
+        .map(|link| open(&transports, link, reliability))
+        .collect::<Result<Vec<_>, _>>()
+        .context("cannot publish")?;
+
+    if !quiet {
+        let digest = node.surrogate().digest();
+        let outputs: Vec<_> = outputs.iter().map(ToString::to_string).collect();
+        println!("predicting {input} -> {} with model {digest}", outputs.join(", "));
+    }
+    let outcome =
+        drive(&mut node, NAME, subscriber.as_mut(), &mut publishers, &queue, interrupt.flag());
+    if !quiet {
+        println!("{}", summary(node.counters()));
+    }
+    Ok(outcome?)
+}
+
+fn open(
+    transports: &Transports,
+    link: &Link,
+    reliability: Reliability,
+) -> Result<Outputs, TransportError> {
+    let status = link.with_topic(&format!("{}/status", link.topic));
+    Ok(Outputs {
+        prediction: transports.publisher(link, ParticleFrame::TYPE, reliability)?,
+        status: transports.publisher(&status, PredictionStatus::TYPE, reliability)?,
+        diagnostics: transports.publisher(
+            &link.with_topic("/diagnostics"),
+            DiagnosticArray::TYPE,
+            Reliability::Drop,
+        )?,
+    })
+}
+
+/// What was used and what was not, in one line; zeros are left out.
+pub(super) fn summary(counters: &Counters) -> String {
+    let counted: Vec<_> = counters
+        .named()
+        .into_iter()
+        .filter(|&(name, count)| count > 0 || matches!(name, "received" | "published"))
+        .map(|(name, count)| format!("{count} {}", name.replace('_', " ")))
+        .collect();
+    counted.join(", ")
+}

@@ -1,0 +1,243 @@
+//! Opens publishers and subscribers by their links; one session for each middleware.
+
+use std::{
+    ops::RangeInclusive,
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use super::{
+    Link, Publisher, Reliability, Subscriber, TransportError, TransportKind,
+    memory::Broker,
+    shm::ShmNode,
+    zenoh::ZenohNode,
+};
+use crate::msg::{Message, ParticleFrame, type_support};
+
+/// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
+const MAX_DOMAIN: u16 = 232;
+
+/// How this process appears to others, and how long it waits for them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TransportOptions {
+    /// Name of this process in the ROS graph: letters, digits and `_`.
+    pub node_name: String,
+    /// ROS domain, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Zenoh topics of other domains are not seen.
+    pub domain_id: u16,
+    /// How long a blocking publisher waits for a subscriber that takes nothing [default: 30 s].
+    pub patience: Duration,
+    /// How zenoh finds its peers.
+    pub zenoh: ZenohOptions,
+}
+
+/// How zenoh finds its peers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ZenohOptions {
+    /// A zenoh configuration that replaces all of eddy's defaults [`ZENOH_SESSION_CONFIG_URI`].
+    pub config_file: Option<PathBuf>,
+    /// Single settings that go last, `key=value;key=value` with values in JSON5
+    /// [`ZENOH_CONFIG_OVERRIDE`], as rmw_zenoh reads them.
+    pub overrides: String,
+    /// The router's endpoint [default: `tcp/localhost:7447`]; it need not be there.
+    pub router: String,
+    /// Loopback ports on which eddy processes find each other without a router
+    /// [default: 7448..=7463].
+    pub ports: RangeInclusive<u16>,
+}
+
+impl Default for ZenohOptions {
+    fn default() -> Self {
+        Self {
+            config_file: None,
+            overrides: String::new(),
+            router: "tcp/localhost:7447".to_owned(),
+            ports: 7448..=7463,
+        }
+    }
+}
+
+impl TransportOptions {
+    /// Defaults, whatever the environment says.
+    pub fn new(node_name: &str) -> Self {
+        Self {
+            node_name: node_name.to_owned(),
+            domain_id: 0,
+            patience: Duration::from_secs(30),
+            zenoh: ZenohOptions::default(),
+        }
+    }
+
+    /// Defaults, with what `ROS_DOMAIN_ID`, `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE` say.
+    ///
+    /// # Errors
+    /// [`TransportError::Environment`] when `ROS_DOMAIN_ID` is no domain. The zenoh variables are
+    /// read when the first zenoh link is opened.
+    pub fn from_env(node_name: &str) -> Result<Self, TransportError> {
+        Self::from_variables(node_name, |name| {
+            std::env::var_os(name).map(|value| value.to_string_lossy().into_owned())
+        })
+    }
+
+    fn from_variables(
+        node_name: &str,
+        variable: impl Fn(&'static str) -> Option<String>,
+    ) -> Result<Self, TransportError> {
+        // An empty variable counts as unset, as in ROS 2.
+        let variable = |name| variable(name).filter(|value| !value.is_empty());
+        let mut options = Self::new(node_name);
+        if let Some(found) = variable("ROS_DOMAIN_ID") {
+            let domain = found.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
+            options.domain_id = domain.ok_or_else(|| TransportError::Environment {
+                variable: "ROS_DOMAIN_ID",
+                found,
+                expected: format!("a whole number from 0 to {MAX_DOMAIN}"),
+            })?;
+        }
+        options.zenoh.config_file = variable("ZENOH_SESSION_CONFIG_URI").map(PathBuf::from);
+        options.zenoh.overrides = variable("ZENOH_CONFIG_OVERRIDE").unwrap_or_default();
+        Ok(options)
+    }
+}
+
+/// Opens links. Clones share their sessions and the topics within the process.
+#[derive(Clone)]
+pub struct Transports {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    options: TransportOptions,
+    broker: Broker,
+    shm: Mutex<Option<Arc<ShmNode>>>,
+    zenoh: Mutex<Option<Arc<ZenohNode>>>,
+}
+
+impl Transports {
+    /// Opens nothing yet: a middleware starts with the first link that needs it.
+    pub fn new(options: TransportOptions) -> Self {
+        let broker = Broker::default();
+        let (shm, zenoh) = (Mutex::default(), Mutex::default());
+        Self { shared: Arc::new(Shared { options, broker, shm, zenoh }) }
+    }
+
+    /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the type is unknown, the topic carries another one, or the
+    /// middleware cannot be opened.
+    pub fn publisher(
+        &self,
+        link: &Link,
+        type_name: &str,
+        reliability: Reliability,
+    ) -> Result<Box<dyn Publisher>, TransportError> {
+        let support = type_support(type_name)?;
+        let patience = self.shared.options.patience;
+        Ok(match link.transport {
+            TransportKind::Memory => {
+                Box::new(self.shared.broker.publisher(link, type_name, reliability, patience)?)
+            }
+            TransportKind::Shm => self.shm(link)?.publisher(link, type_name, reliability, patience)?,
+            TransportKind::Zenoh => {
+                Box::new(self.zenoh(link)?.publisher(link, support, reliability)?)
+            }
+        })
+    }
+
+    /// A subscriber to messages of type `type_name`. It keeps the messages it is behind in a
+    /// bounded queue; a full one holds blocking publishers back and is passed over by the others.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn subscriber(
+        &self,
+        link: &Link,
+        type_name: &str,
+    ) -> Result<Box<dyn Subscriber>, TransportError> {
+        let support = type_support(type_name)?;
+        Ok(match link.transport {
+            TransportKind::Memory => Box::new(self.shared.broker.subscriber(link, type_name)?),
+            TransportKind::Shm => self.shm(link)?.subscriber(link, type_name)?,
+            TransportKind::Zenoh => Box::new(self.zenoh(link)?.subscriber(link, support)?),
+        })
+    }
+
+    fn shm(&self, link: &Link) -> Result<Arc<ShmNode>, TransportError> {
+        open_once(&self.shared.shm, || ShmNode::open(link, &self.shared.options))
+    }
+
+    fn zenoh(&self, link: &Link) -> Result<Arc<ZenohNode>, TransportError> {
+        open_once(&self.shared.zenoh, || ZenohNode::open(link, &self.shared.options))
+    }
+}
+
+fn open_once<T>(
+    slot: &Mutex<Option<Arc<T>>>,
+    open: impl FnOnce() -> Result<T, TransportError>,
+) -> Result<Arc<T>, TransportError> {
+    let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+    let opened = match slot.take() {
+        Some(opened) => opened,
+        None => Arc::new(open()?),
+    };
+    Ok(Arc::clone(slot.insert(opened)))
+}
+
+/// Frames can be sent only on topics of frames.
+pub(super) fn check_frames(link: &Link, type_name: &str) -> Result<(), TransportError> {
+    if is_frames(type_name) {
+        return Ok(());
+    }
+    Err(TransportError::TopicType {
+        link: link.clone(),
+        found: ParticleFrame::TYPE.to_owned(),
+        expected: type_name.to_owned(),
+    })
+}
+
+/// Whether messages of this type are frames.
+pub(super) fn is_frames(type_name: &str) -> bool {
+    type_name == ParticleFrame::TYPE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options(variables: &[(&'static str, &str)]) -> Result<TransportOptions, TransportError> {
+        TransportOptions::from_variables("test", |name| {
+            variables.iter().find(|(known, _)| *known == name).map(|(_, value)| (*value).to_owned())
+        })
+    }
+
+    #[test]
+    fn an_empty_environment_gives_the_defaults() {
+        assert_eq!(options(&[]).unwrap(), TransportOptions::new("test"));
+        assert_eq!(options(&[("ROS_DOMAIN_ID", "")]).unwrap().domain_id, 0);
+    }
+
+    #[test]
+    fn the_environment_of_rmw_zenoh_counts() {
+        let options = options(&[
+            ("ROS_DOMAIN_ID", "42"),
+            ("ZENOH_SESSION_CONFIG_URI", "/etc/zenoh.json5"),
+            ("ZENOH_CONFIG_OVERRIDE", "mode=\"client\""),
+        ])
+        .unwrap();
+        assert_eq!(options.domain_id, 42);
+        assert_eq!(options.zenoh.config_file, Some(PathBuf::from("/etc/zenoh.json5")));
+        assert_eq!(options.zenoh.overrides, "mode=\"client\"");
+    }
+
+    #[test]
+    fn a_bad_domain_names_variable_found_and_expected() {
+        for found in ["-1", "233", "one", "70000"] {
+            let message = options(&[("ROS_DOMAIN_ID", found)]).unwrap_err().to_string();
+            assert_eq!(
+                message,
+                format!("ROS_DOMAIN_ID: found `{found}`, expected a whole number from 0 to 232")
+            );
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! How a frame lies in shared memory. Other languages name these types and copy this layout.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::frame::{Domain, Frame, InvalidFrame, Material, Stamp};
+
+/// One particle, 20 bytes.
+#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
+#[type_name("eddy::Particle")]
+#[repr(C)]
+pub(super) struct Particle {
+    /// Position (domain lengths).
+    pub(super) x: f32,
+    pub(super) y: f32,
+    /// Velocity (domain lengths per second).
+    pub(super) vx: f32,
+    pub(super) vy: f32,
+    /// Number of the [`Material`].
+    pub(super) material: u32,
+}
+
+/// What a frame says besides its particles, 48 bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("eddy::FrameHeader")]
+#[repr(C)]
+pub(super) struct FrameHeader {
+    pub(super) stream: u64,
+    pub(super) sequence: u64,
+    /// Simulation time (ns).
+    pub(super) stamp_ns: i64,
+    /// Time between two frames (s).
+    pub(super) dt: f32,
+    /// Domain corners (domain lengths).
+    pub(super) lower: [f32; 2],
+    pub(super) upper: [f32; 2],
+}
+
+impl From<&Frame> for FrameHeader {
+    fn from(frame: &Frame) -> Self {
+        Self {
+            stream: frame.stream,
+            sequence: frame.sequence,
+            stamp_ns: frame.stamp.0,
+            dt: frame.dt,
+            lower: frame.domain.lower,
+            upper: frame.domain.upper,
+        }
+    }
+}
+
+/// Particle `index` of a frame.
+pub(super) fn particle(frame: &Frame, index: usize) -> Particle {
+    let ([x, y], [vx, vy]) = (frame.position[index], frame.velocity[index]);
+    Particle { x, y, vx, vy, material: frame.material[index] as u32 }
+}
+
+/// The frame in shared memory, checked.
+pub(super) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Frame, InvalidFrame> {
+    let domain = Domain { lower: header.lower, upper: header.upper };
+    let material = particles
+        .iter()
+        .enumerate()
+        .map(|(particle, p)| {
+            // Saturated, so that a number that does not fit a byte stays unknown.
+            let found = u8::try_from(p.material).unwrap_or(u8::MAX);
+            Material::try_from(found).map_err(|found| InvalidFrame::Material { particle, found })
+        })
+        .collect::<Result<_, _>>()?;
+    Frame::new(
+        header.stream,
+        header.sequence,
+        Stamp(header.stamp_ns),
+        header.dt,
+        domain,
+        particles.iter().map(|p| [p.x, p.y]).collect(),
+        particles.iter().map(|p| [p.vx, p.vy]).collect(),
+        material,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::{align_of, offset_of, size_of};
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn the_layout_is_the_one_other_programs_were_told() {
+        assert_eq!((size_of::<Particle>(), align_of::<Particle>()), (20, 4));
+        assert_eq!(offset_of!(Particle, material), 16);
+        assert_eq!((size_of::<FrameHeader>(), align_of::<FrameHeader>()), (48, 8));
+        assert_eq!(offset_of!(FrameHeader, dt), 24);
+        assert_eq!((offset_of!(FrameHeader, lower), offset_of!(FrameHeader, upper)), (28, 36));
+    }
+
+    #[test]
+    fn an_unknown_material_is_named() {
+        let header = FrameHeader { dt: 0.016, upper: [1.0; 2], ..FrameHeader::default() };
+        let particle = Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material: 256 };
+        let error = frame(&header, &[particle]).unwrap_err();
+        assert_eq!(error, InvalidFrame::Material { particle: 0, found: 255 });
+    }
+
+    proptest! {
+        #[test]
+        fn frames_come_back_as_they_went(
+            stream: u64, sequence: u64, stamp: i64,
+            particles in prop::collection::vec(
+                (prop::array::uniform2(-1e9f32..1e9), prop::array::uniform2(-1e9f32..1e9), 0u8..4),
+                1..50,
+            ),
+        ) {
+            let sent = Frame {
+                stream, sequence, stamp: Stamp(stamp), dt: 0.016, domain: Domain::UNIT,
+                position: particles.iter().map(|p| p.0).collect(),
+                velocity: particles.iter().map(|p| p.1).collect(),
+                material: particles.iter().map(|p| Material::try_from(p.2).unwrap()).collect(),
+            };
+            let slice: Vec<_> = (0..sent.len()).map(|index| particle(&sent, index)).collect();
+            prop_assert_eq!(frame(&FrameHeader::from(&sent), &slice), Ok(sent));
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! The services of a topic: opened as they are found, created with room to spare.
+
+use std::{
+    fmt::{Debug, Display},
+    sync::{Mutex, PoisonError, mpsc},
+    thread,
+    time::Duration,
+};
+
+use iceoryx2::{
+    node::{Node, NodeState},
+    prelude::*,
+    service::{
+        builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
+        port_factory::{event, publish_subscribe},
+        static_config::messaging_pattern,
+    },
+};
+
+use crate::transport::{Link, TransportError};
+
+/// The flavour of iceoryx2 whose ports may move between threads.
+pub(super) type Ipc = ipc_threadsafe::Service;
+/// Opens the ports of a topic.
+pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
+/// Opens the ports of a topic's events.
+pub(super) type Events = event::PortFactory<Ipc>;
+
+/// Messages that a reader may be behind.
+pub(super) const DEPTH: usize = 64;
+/// Readers, writers and processes a topic has room for.
+const PORTS: usize = 16;
+/// How often killed processes are looked for.
+const CLEANING: Duration = Duration::from_millis(500);
+/// How often opening is tried while another process creates or removes the same service.
+const ATTEMPTS: u32 = 50;
+/// The attribute that names a service's message type.
+const TYPE_ATTRIBUTE: &str = "type";
+
+/// Opens services, and clears away what killed processes left.
+pub(super) struct Services {
+    // Locked for its thread safety only: opening is rare.
+    node: Mutex<Node<Ipc>>,
+    _cleaner: mpsc::Sender<()>,
+}
+
+impl Services {
+    pub(super) fn open(link: &Link, node_name: &str) -> Result<Self, TransportError> {
+        let failed = |error: &dyn Display| middleware(link, "open shared memory", error);
+        let name = NodeName::new(node_name).map_err(|error| failed(&format!("{error:?}")))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            // Signals belong to the program.
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|error| failed(&error))?;
+        let cleaner = spawn_cleaner(node.config().clone()).map_err(|error| failed(&error))?;
+        Ok(Self { node: Mutex::new(node), _cleaner: cleaner })
+    }
+
+    /// The service that carries the messages of a topic.
+    pub(super) fn topic<P, H>(
+        &self,
+        link: &Link,
+        type_name: &str,
+    ) -> Result<Topic<P, H>, TransportError>
+    where
+        P: Debug + ZeroCopySend,
+        H: Debug + ZeroCopySend,
+    {
+        let name = service_name(link)?;
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
+        let mut last = String::new();
+        for _ in 0..ATTEMPTS {
+            match builder().open() {
+                Ok(topic) => return check_type(link, type_name, topic),
+                Err(PublishSubscribeOpenError::DoesNotExist) => {}
+                Err(PublishSubscribeOpenError::IncompatibleTypes) => {
+                    return Err(foreign_type::<P, H>(link, &name, node.config()));
+                }
+                Err(error) if is_passing(error) => last = error.to_string(),
+                Err(error) => return Err(middleware(link, "open the service", &error)),
+            }
+            let created = builder()
+                .enable_safe_overflow(false)
+                .subscriber_max_buffer_size(DEPTH)
+                .subscriber_max_borrowed_samples(2)
+                .history_size(0)
+                .max_publishers(PORTS)
+                .max_subscribers(PORTS)
+                .max_nodes(2 * PORTS)
+                .create_with_attributes(&attributes(type_name));
+            match created {
+                Ok(topic) => return Ok(topic),
+                // Another process was faster, or is about to be.
+                Err(
+                    error @ (PublishSubscribeCreateError::AlreadyExists
+                    | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
+                    | PublishSubscribeCreateError::HangsInCreation),
+                ) => last = error.to_string(),
+                Err(error) => return Err(middleware(link, "create the service", &error)),
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        Err(middleware(link, "open the service", &last))
+    }
+
+    /// The service that wakes the readers of a topic.
+    pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
+        let name = service_name(link)?;
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = String::new();
+        for _ in 0..ATTEMPTS {
+            match node.service_builder(&name).event().open_or_create() {
+                Ok(events) => return Ok(events),
+                Err(error) => last = error.to_string(),
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        Err(middleware(link, "open the event service", &last))
+    }
+}
+
+/// Errors of a service that another process is creating or removing right now.
+fn is_passing(error: PublishSubscribeOpenError) -> bool {
+    matches!(
+        error,
+        PublishSubscribeOpenError::IsMarkedForDestruction
+            | PublishSubscribeOpenError::HangsInCreation
+            | PublishSubscribeOpenError::ServiceInCorruptedState
+    )
+}
+
+fn service_name(link: &Link) -> Result<ServiceName, TransportError> {
+    ServiceName::new(&format!("eddy{}", link.topic))
+        .map_err(|error| middleware(link, "name the service", &format!("{error:?}")))
+}
+
+fn attributes(type_name: &str) -> AttributeSpecifier {
+    let specifier = AttributeSpecifier::new();
+    match (TYPE_ATTRIBUTE.try_into(), type_name.try_into()) {
+        (Ok(key), Ok(value)) => specifier.define(&key, &value).unwrap_or_default(),
+        // Longer than iceoryx2 allows: readers then go without this check.
+        _ => specifier,
+    }
+}
+
+/// CDR of every type has the same layout: the attribute tells the types apart.
+fn check_type<P, H>(
+    link: &Link,
+    expected: &str,
+    topic: Topic<P, H>,
+) -> Result<Topic<P, H>, TransportError>
+where
+    P: Debug + ZeroCopySend,
+    H: Debug + ZeroCopySend,
+{
+    let found = TYPE_ATTRIBUTE
+        .try_into()
+        .ok()
+        .and_then(|key| topic.attributes().key_value(&key, 0).map(ToString::to_string));
+    match found {
+        Some(found) if found != expected => Err(TransportError::TopicType {
+            link: link.clone(),
+            found,
+            expected: expected.to_owned(),
+        }),
+        _ => Ok(topic),
+    }
+}
+
+/// Names the layout of the service that is there and the one that was asked for.
+fn foreign_type<P, H>(link: &Link, name: &ServiceName, config: &Config) -> TransportError {
+    let pattern = iceoryx2::service::messaging_pattern::MessagingPattern::PublishSubscribe;
+    let details = Ipc::details(name, config, pattern).ok().flatten();
+    let found = match details.as_ref().map(|service| service.static_details.messaging_pattern()) {
+        Some(messaging_pattern::MessagingPattern::PublishSubscribe(service)) => {
+            let types = service.message_type_details();
+            format!("[{}] with header {}", types.payload.type_name(), types.user_header.type_name())
+        }
+        _ => "unknown".to_owned(),
+    };
+    let short = |name: &'static str| name.rsplit("::").next().unwrap_or(name);
+    let (payload, header) = (short(std::any::type_name::<P>()), short(std::any::type_name::<H>()));
+    let expected = format!("[{payload}] with header {header}");
+    TransportError::TopicType { link: link.clone(), found, expected }
+}
+
+/// A thread that clears away what killed processes left: their readers would hold blocking writers
+/// back for good, and would be counted as subscribers. It ends when the sender is dropped.
+fn spawn_cleaner(config: Config) -> std::io::Result<mpsc::Sender<()>> {
+    let (keep, ended) = mpsc::channel::<()>();
+    thread::Builder::new().name("shm cleaner".to_owned()).spawn(move || {
+        while ended.recv_timeout(CLEANING) == Err(mpsc::RecvTimeoutError::Timeout) {
+            let listed = Node::<Ipc>::list(&config, |state| {
+                if let NodeState::Dead(node) = state
+                    && let Err(error) = node.try_remove_stale_resources()
+                {
+                    tracing::debug!(?error, "a killed process is not cleared away yet");
+                }
+                CallbackProgression::Continue
+            });
+            if let Err(error) = listed {
+                tracing::debug!(%error, "users of shared memory cannot be listed");
+            }
+        }
+    })?;
+    Ok(keep)
+}
+
+/// An error of iceoryx2 on `link`.
+pub(super) fn middleware(
+    link: &Link,
+    action: &'static str,
+    reason: &dyn Display,
+) -> TransportError {
+    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
+}

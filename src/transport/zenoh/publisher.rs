@@ -1,0 +1,85 @@
+//! Publishes one topic.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
+
+use super::{
+    attachment::Attachment,
+    graph::{self, Graph},
+    keys::Endpoint,
+    middleware,
+};
+use crate::{
+    frame::Frame,
+    transport::{Link, Publisher, Reliability, TransportError, opener},
+};
+
+pub(in crate::transport) struct ZenohPublisher {
+    link: Link,
+    type_name: String,
+    publisher: pubsub::Publisher<'static>,
+    gid: [u8; 16],
+    /// Number of the last message; the first one is 1.
+    sequence: i64,
+    graph: Graph,
+    _token: LivelinessToken,
+}
+
+impl ZenohPublisher {
+    pub(super) fn open(
+        session: &Session,
+        endpoint: Endpoint,
+        graph: Graph,
+        reliability: Reliability,
+    ) -> Result<Self, TransportError> {
+        let Endpoint { link, type_name, key, token, gid, .. } = endpoint;
+        let congestion_control = match reliability {
+            Reliability::Block => CongestionControl::Block,
+            Reliability::Drop => CongestionControl::Drop,
+        };
+        let publisher = session
+            .declare_publisher(key)
+            .congestion_control(congestion_control)
+            .wait()
+            .map_err(|error| middleware(&link, "declare the publisher", &error))?;
+        let token = graph::declare(session, &token)
+            .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
+        Ok(Self { link, type_name, publisher, gid, sequence: 0, graph, _token: token })
+    }
+
+    fn publish(&mut self, bytes: Vec<u8>) -> Result<(), TransportError> {
+        self.sequence += 1;
+        let attachment =
+            Attachment { sequence: self.sequence, source_time: wall_clock(), gid: self.gid };
+        self.publisher
+            .put(bytes)
+            .attachment(attachment.to_bytes())
+            .wait()
+            .map_err(|error| middleware(&self.link, "publish", &error))
+    }
+}
+
+/// Nanoseconds since the epoch. ROS tools show it as the message's source time; eddy never reads it.
+fn wall_clock() -> i64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
+}
+
+impl Publisher for ZenohPublisher {
+    fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
+        opener::check_frames(&self.link, &self.type_name)?;
+        self.publish(frame.to_cdr())
+    }
+
+    fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
+        self.publish(bytes.to_vec())
+    }
+
+    /// The tokens of matching ROS subscribers, once messages do reach one of them. A subscriber
+    /// without a token, which is not ROS, counts as one.
+    fn subscribers(&self) -> usize {
+        let reached = self.publisher.matching_status().wait();
+        if reached.is_ok_and(|status| status.matching()) { self.graph.matching().max(1) } else { 0 }
+    }
+}
