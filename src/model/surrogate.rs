@@ -64,6 +64,7 @@ pub enum ModelError {
 /// machine.
 pub struct Surrogate {
     description: Description,
+    digest: String,
     network: Network,
     device: DeviceKind,
 }
@@ -85,12 +86,18 @@ impl Surrogate {
         checkpoint.check("checkpoint".as_ref())?;
         let network =
             Network::new(&checkpoint.description, &checkpoint.tensors, &device.device()).valid();
-        Ok(Self { description: checkpoint.description.clone(), network, device })
+        let digest = checkpoint.short_digest();
+        Ok(Self { description: checkpoint.description.clone(), digest, network, device })
     }
 
     /// What the network is.
     pub fn description(&self) -> &Description {
         &self.description
+    }
+
+    /// The first digits of the checkpoint's digest.
+    pub fn digest(&self) -> &str {
+        &self.digest
     }
 
     /// An empty memory for the particles of `frame`. It has not observed `frame`; that is

@@ -17,6 +17,9 @@ mod settings;
 mod surrogate;
 mod track;
 
+#[cfg(test)]
+mod tests;
+
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, drive};
 pub use queue::FrameQueue;
