@@ -1,13 +1,13 @@
 //! A point that pulls on everything before the recording starts, so that scenes start from varied
 //! states.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Distance below which the pull fades to zero at the centre (domain lengths).
 const CORE: f32 = 0.05;
 
 /// A point attractor: the same pull everywhere, towards one point.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Attractor {
     /// The point (domain lengths).
     pub centre: [f32; 2],

@@ -1,11 +1,11 @@
 //! Bodies: so many particles of one material in one shape, on a square lattice.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::frame::Material;
 
 /// The outline of a body. Its size follows from the number of particles and their spacing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Shape {
     /// A disc.
@@ -18,7 +18,7 @@ pub enum Shape {
 }
 
 /// What one body is, and where it starts.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Body {
     /// What it is made of.
     pub material: Material,

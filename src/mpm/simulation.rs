@@ -1,5 +1,7 @@
 //! A scene, frame by frame.
 
+use serde::{Deserialize, Serialize};
+
 use super::{
     FRAME_INTERVAL, GRAVITY,
     error::MpmError,
@@ -14,7 +16,8 @@ use crate::frame::{Domain, Frame, Material, Stamp, decimal};
 const STIFFEST: f32 = 1e9;
 
 /// What can be chosen about a simulation.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Young's modulus E of every material (density x velocity^2); 1000 by default.
     pub stiffness: f32,
