@@ -1,4 +1,5 @@
 //! The integration tests: one binary, one module an area.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
+mod bag;
 mod layers;
