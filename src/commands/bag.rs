@@ -39,7 +39,7 @@ fn info(path: &Path, quiet: bool) -> anyhow::Result<()> {
         println!("end          {:.9} s", end.seconds());
     }
     let mut table = Table::new();
-    table.load_preset(presets::NOTHING);
+    table.load_style(presets::NOTHING);
     table.set_header(["topic", "type", "messages", "rate (1/s)", "streams", "particles", "dt (s)"]);
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
         let rate = rate(topic.message_count, bag.duration());
