@@ -112,8 +112,8 @@ pub enum BagError {
         found: String,
     },
     /// The topic is there, but not one message of it.
-    #[error("{path}: topic {topic}: found 0 messages, expected at least 1 frame", path = .path.display())]
-    NoFrames {
+    #[error("{path}: topic {topic}: found 0 messages, expected at least 1", path = .path.display())]
+    NoMessages {
         /// The bag.
         path: PathBuf,
         /// The topic.
