@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Checkpoint, CheckpointError, Description},
-    frame::{Frame, Material},
+    frame::Frame,
 };
 
 /// How much the frame interval of a stream may differ from the checkpoint's, relative to it.
@@ -86,7 +86,7 @@ impl Surrogate {
         checkpoint.check("checkpoint".as_ref())?;
         let network =
             Network::new(&checkpoint.description, &checkpoint.tensors, &device.device()).valid();
-        let digest = checkpoint.short_digest();
+        let digest = checkpoint.digest();
         Ok(Self { description: checkpoint.description.clone(), digest, network, device })
     }
 
@@ -95,7 +95,7 @@ impl Surrogate {
         &self.description
     }
 
-    /// The first digits of the checkpoint's digest.
+    /// Digest of its checkpoint, [`Checkpoint::digest`].
     pub fn digest(&self) -> &str {
         &self.digest
     }
@@ -174,12 +174,5 @@ impl Memory {
     /// How many particles it is for.
     pub fn particles(&self) -> usize {
         self.material.dims()[0]
-    }
-}
-
-impl Surrogate {
-    /// The materials the network was trained on.
-    pub fn materials(&self) -> &[Material] {
-        &self.description.materials
     }
 }
