@@ -3,5 +3,6 @@
 
 mod graph;
 mod layers;
+mod mpm;
 mod pipeline;
 mod support;
