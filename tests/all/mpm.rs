@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use crate::support::{eddy, fail, succeed};
+use crate::support::{Process, eddy, fail, succeed, wait_for};
 
 fn simulate(output: &Path, more: &[&str]) -> Vec<String> {
     let mut arguments = vec!["simulate", "--duration", "0.032", "--output"];
@@ -67,6 +67,22 @@ fn an_unstable_request_is_refused_before_anything_is_written() {
     let said = fail(1, simulate(&output, &["--substeps", "20"]));
     assert!(said.contains("scene 0: substeps: found 20, expected at least 153 a frame"), "{said}");
     assert!(!output.exists());
-    let code = eddy().args(["simulate", "--preset", "gas", "--output", "x"]).status().unwrap();
-    assert_eq!(code.code(), Some(2));
+    fail(2, ["simulate", "--preset", "gas", "--output", "x"]);
+}
+
+#[test]
+fn an_interrupt_keeps_what_is_finished_and_the_same_command_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let arguments = simulate(output, &["--scenes", "30"]);
+    let mut process = Process::start(eddy().args(&arguments).env("RAYON_NUM_THREADS", "2"));
+    wait_for("a scene is finished", || output.join("manifest.json").exists().then_some(()));
+    process.interrupt();
+    assert_eq!(process.wait().code(), Some(1));
+    assert!(!output.join(".incomplete").exists());
+    let finished = manifest(output)["scenes"].as_array().unwrap().len();
+    assert!((1..30).contains(&finished), "{finished}");
+    assert_eq!(fs::read_dir(output).unwrap().count(), finished + 1, "bags and the manifest");
+    let said = succeed(simulate(output, &["--scenes", "30"]));
+    assert!(said.contains(&format!("{finished} of 30 scenes are in")), "{said}");
 }
