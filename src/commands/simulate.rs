@@ -49,6 +49,11 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         println!("{present} of {} scenes are in {} already", args.scenes, args.output.display());
     }
     let workshop = Workshop::open(&args.output)?;
+    ensure!(
+        Manifest::open(&args.output, request.clone())? == manifest,
+        "{}: another eddy simulate has added scenes just now; run the command again",
+        args.output.display()
+    );
     let frames = planned.iter().map(|scene| scene.most_frames).sum();
     let job = Job {
         request,

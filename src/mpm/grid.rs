@@ -75,6 +75,7 @@ impl Grid {
     }
 
     /// The nodes, row by row.
+    #[cfg(test)]
     pub(super) fn nodes(&self) -> &[Node] {
         &self.nodes
     }

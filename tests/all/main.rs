@@ -4,5 +4,6 @@
 mod bag;
 mod graph;
 mod layers;
+mod mpm;
 mod pipeline;
 mod support;
