@@ -26,10 +26,14 @@ pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
 /// Opens the ports of a topic's events.
 pub(super) type Events = event::PortFactory<Ipc>;
 
-/// Messages that a reader may be behind.
-pub(super) const DEPTH: usize = 64;
-/// Readers, writers and processes a topic has room for.
-const PORTS: usize = 16;
+/// Messages that a reader may be behind. A publisher reserves (and zeroes) memory for as many
+/// from every possible reader: 14 MB for frames of 2,560 particles, 0.7 MB for short messages.
+/// That leaves room for several topics in the 64 MB that containers usually have.
+const DEPTH: usize = 32;
+/// Readers that a topic has room for, and writers.
+const PORTS: usize = 8;
+/// Processes that may have a topic open.
+const PROCESSES: usize = 32;
 /// How often killed processes are looked for.
 const CLEANING: Duration = Duration::from_millis(500);
 /// How often opening is tried while another process creates or removes the same service.
@@ -75,11 +79,10 @@ impl Services {
         for _ in 0..ATTEMPTS {
             match builder().open() {
                 Ok(topic) => return check_type(link, type_name, topic),
-                Err(PublishSubscribeOpenError::DoesNotExist) => {}
                 Err(PublishSubscribeOpenError::IncompatibleTypes) => {
                     return Err(foreign_type::<P, H>(link, &name, node.config()));
                 }
-                Err(error) if is_passing(error) => last = error.to_string(),
+                Err(error) if is_passing(error) => {}
                 Err(error) => return Err(middleware(link, "open the service", &error)),
             }
             let created = builder()
@@ -89,7 +92,7 @@ impl Services {
                 .history_size(0)
                 .max_publishers(PORTS)
                 .max_subscribers(PORTS)
-                .max_nodes(2 * PORTS)
+                .max_nodes(PROCESSES)
                 .create_with_attributes(&attributes(type_name));
             match created {
                 Ok(topic) => return Ok(topic),
@@ -97,7 +100,8 @@ impl Services {
                 Err(
                     error @ (PublishSubscribeCreateError::AlreadyExists
                     | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
-                    | PublishSubscribeCreateError::HangsInCreation),
+                    | PublishSubscribeCreateError::HangsInCreation
+                    | PublishSubscribeCreateError::ServiceInCorruptedState),
                 ) => last = error.to_string(),
                 Err(error) => return Err(middleware(link, "create the service", &error)),
             }
@@ -122,11 +126,12 @@ impl Services {
     }
 }
 
-/// Errors of a service that another process is creating or removing right now.
+/// Errors of a service that is not there, or that another process is creating or removing right now.
 fn is_passing(error: PublishSubscribeOpenError) -> bool {
     matches!(
         error,
-        PublishSubscribeOpenError::IsMarkedForDestruction
+        PublishSubscribeOpenError::DoesNotExist
+            | PublishSubscribeOpenError::IsMarkedForDestruction
             | PublishSubscribeOpenError::HangsInCreation
             | PublishSubscribeOpenError::ServiceInCorruptedState
     )
@@ -172,7 +177,7 @@ where
 
 /// Names the layout of the service that is there and the one that was asked for.
 fn foreign_type<P, H>(link: &Link, name: &ServiceName, config: &Config) -> TransportError {
-    let pattern = iceoryx2::service::messaging_pattern::MessagingPattern::PublishSubscribe;
+    let pattern = MessagingPattern::PublishSubscribe;
     let details = Ipc::details(name, config, pattern).ok().flatten();
     let found = match details.as_ref().map(|service| service.static_details.messaging_pattern()) {
         Some(messaging_pattern::MessagingPattern::PublishSubscribe(service)) => {
