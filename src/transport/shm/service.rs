@@ -13,7 +13,10 @@ use iceoryx2::{
     service::{
         builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
         port_factory::{event, publish_subscribe},
-        static_config::messaging_pattern,
+        static_config::{
+            message_type_details::{TypeDetail, TypeVariant},
+            messaging_pattern,
+        },
     },
 };
 
@@ -176,20 +179,32 @@ where
 }
 
 /// Names the layout of the service that is there and the one that was asked for.
-fn foreign_type<P, H>(link: &Link, name: &ServiceName, config: &Config) -> TransportError {
-    let pattern = MessagingPattern::PublishSubscribe;
-    let details = Ipc::details(name, config, pattern).ok().flatten();
+fn foreign_type<P: ZeroCopySend, H: ZeroCopySend>(
+    link: &Link,
+    name: &ServiceName,
+    config: &Config,
+) -> TransportError {
+    let details = Ipc::details(name, config, MessagingPattern::PublishSubscribe).ok().flatten();
     let found = match details.as_ref().map(|service| service.static_details.messaging_pattern()) {
         Some(messaging_pattern::MessagingPattern::PublishSubscribe(service)) => {
             let types = service.message_type_details();
-            format!("[{}] with header {}", types.payload.type_name(), types.user_header.type_name())
+            layout_name(&types.payload, &types.user_header)
         }
         _ => "unknown".to_owned(),
     };
-    let short = |name: &'static str| name.rsplit("::").next().unwrap_or(name);
-    let (payload, header) = (short(std::any::type_name::<P>()), short(std::any::type_name::<H>()));
-    let expected = format!("[{payload}] with header {header}");
+    let payload = TypeDetail::new::<P>(TypeVariant::Dynamic);
+    let header = TypeDetail::new::<H>(TypeVariant::FixedSize);
+    let expected = layout_name(&payload, &header);
     TransportError::TopicType { link: link.clone(), found, expected }
+}
+
+fn layout_name(payload: &TypeDetail, header: &TypeDetail) -> String {
+    let (payload, variant) = (payload.type_name(), payload.variant());
+    let header = header.type_name();
+    match variant {
+        TypeVariant::Dynamic => format!("[{payload}] with header {header}"),
+        TypeVariant::FixedSize => format!("{payload} with header {header}"),
+    }
 }
 
 /// A thread that clears away what killed processes left: their readers would hold blocking writers
