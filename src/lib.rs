@@ -20,6 +20,7 @@
 
 pub mod bag;
 pub mod checkpoint;
+pub mod config;
 pub mod dataset;
 pub mod eval;
 pub mod frame;

@@ -11,6 +11,8 @@ pub mod simulate;
 pub mod train;
 
 mod interrupt;
+mod live;
+mod manifest;
 mod surrogate;
 
 pub use interrupt::Interrupt;

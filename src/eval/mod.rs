@@ -13,7 +13,7 @@ mod rollout;
 mod window;
 
 pub use baseline::Baseline;
-pub use errors::{ErrorSums, Errors};
+pub use errors::{ErrorSums, Errors, mean_squared_distance};
 pub use report::{MaterialErrors, PredictorReport, Report};
 pub use rollout::{Rollout, roll_out};
 pub use window::starts;

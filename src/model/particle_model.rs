@@ -66,7 +66,7 @@ impl ParticleModel {
 
         // What each frame was foretold to be by the one before it.
         let foretold = fallen.velocity.clone().reshape([frames, rows, 2]);
-        let first = hidden.foretold.unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
+        let first = hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
         let last = foretold.clone().slice([frames - 1..frames, 0..rows, 0..2]).reshape([rows, 2]);
         let foretold = match frames {
             1 => first,

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Checkpoint, CheckpointError, Description},
-    frame::{Frame, Material},
+    frame::Frame,
 };
 
 /// How much the frame interval of a stream may differ from the checkpoint's, relative to it.
@@ -64,6 +64,7 @@ pub enum ModelError {
 /// machine.
 pub struct Surrogate {
     description: Description,
+    digest: String,
     network: Network,
     device: DeviceKind,
 }
@@ -85,12 +86,18 @@ impl Surrogate {
         checkpoint.check("checkpoint".as_ref())?;
         let network =
             Network::new(&checkpoint.description, &checkpoint.tensors, &device.device()).valid();
-        Ok(Self { description: checkpoint.description.clone(), network, device })
+        let digest = checkpoint.digest();
+        Ok(Self { description: checkpoint.description.clone(), digest, network, device })
     }
 
     /// What the network is.
     pub fn description(&self) -> &Description {
         &self.description
+    }
+
+    /// Digest of its checkpoint, [`Checkpoint::digest`].
+    pub fn digest(&self) -> &str {
+        &self.digest
     }
 
     /// An empty memory for the particles of `frame`. It has not observed `frame`; that is
@@ -167,12 +174,5 @@ impl Memory {
     /// How many particles it is for.
     pub fn particles(&self) -> usize {
         self.material.dims()[0]
-    }
-}
-
-impl Surrogate {
-    /// The materials the network was trained on.
-    pub fn materials(&self) -> &[Material] {
-        &self.description.materials
     }
 }

@@ -28,3 +28,34 @@ pub trait Message: Serialize + DeserializeOwned {
     /// The type's name, such as `eddy_msgs/msg/ParticleFrame`.
     const TYPE: &'static str;
 }
+
+/// The type of the messages on a topic of ours, by the name of the topic.
+///
+/// Status, diagnostics and clock have their fixed names; every other topic carries frames.
+pub fn topic_type(topic: &str) -> &'static str {
+    match topic.rsplit('/').next() {
+        Some("status") => PredictionStatus::TYPE,
+        Some("diagnostics") => DiagnosticArray::TYPE,
+        Some("clock") => Clock::TYPE,
+        _ => ParticleFrame::TYPE,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_are_of_frames_unless_their_last_word_says_otherwise() {
+        let cases = [
+            ("/particles", ParticleFrame::TYPE),
+            ("/left/prediction", ParticleFrame::TYPE),
+            ("/prediction/status", PredictionStatus::TYPE),
+            ("/diagnostics", DiagnosticArray::TYPE),
+            ("/clock", Clock::TYPE),
+        ];
+        for (topic, expected) in cases {
+            assert_eq!(topic_type(topic), expected, "{topic}");
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! Which files a bag has, and where bags are.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use super::{error::BagError, metadata};
+
+/// The file beside the MCAP files that rosbag2 looks for.
+pub(super) const METADATA: &str = "metadata.yaml";
+
+/// Added to the name of a file while it is being written.
+pub(super) const ACTIVE: &str = ".active";
+
+/// Name of the first file of the bag in `directory`: `run7` has `run7_0.mcap`.
+///
+/// `None` when the path has no last part (`/`, `..`).
+pub(super) fn first_file(directory: &Path) -> Option<PathBuf> {
+    let name = directory.file_name()?.to_str()?;
+    Some(directory.join(format!("{name}_0.mcap")))
+}
+
+/// Whether the name is that of an MCAP file, being written or finished.
+pub(super) fn is_mcap(path: &Path) -> bool {
+    let name = path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
+    name.strip_suffix(ACTIVE).unwrap_or(&name).ends_with(".mcap")
+}
+
+/// Whether the file is still being written, or was left so.
+pub(super) fn is_active(path: &Path) -> bool {
+    path.to_string_lossy().ends_with(ACTIVE)
+}
+
+/// The MCAP files of the bag at `path`: those that `metadata.yaml` names, or all in the directory
+/// when the bag was never finished, or the file itself.
+pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let not_a_bag = |found: &str| BagError::NotABag { path: path.into(), found: found.into() };
+    let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
+    if kind.is_file() {
+        return if is_mcap(path) {
+            Ok(vec![path.into()])
+        } else {
+            Err(not_a_bag("a file of another kind"))
+        };
+    }
+    let description = path.join(METADATA);
+    if description.exists() {
+        return metadata::files(&description, path);
+    }
+    let (files, _) = children(path)?;
+    if files.is_empty() {
+        return Err(not_a_bag("a directory without metadata.yaml and without .mcap files"));
+    }
+    Ok(files)
+}
+
+/// The bags at and beneath `paths`, each once, in the order of `paths` and then of their names.
+///
+/// A path may be a bag directory, an MCAP file, or a directory that holds bags at any depth
+/// (links to directories are not followed). A directory is itself a bag when it holds
+/// `metadata.yaml` or a file named after it, as [`super::BagWriter`] leaves it when it is killed.
+///
+/// # Errors
+/// [`BagError::Io`] when a path cannot be read, [`BagError::NotABag`] when one is a file of another
+/// kind, [`BagError::NoBags`] when there is no bag at all.
+pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
+    let mut bags = Vec::new();
+    for path in paths {
+        let kind = fs::metadata(path).map_err(BagError::io(path, "looking for bags"))?;
+        if kind.is_dir() {
+            collect(path, &mut bags)?;
+        } else {
+            bags.extend(files_of(path)?);
+        }
+    }
+    let mut seen = std::collections::HashSet::new();
+    bags.retain(|bag| seen.insert(bag.clone()));
+    if bags.is_empty() {
+        return Err(BagError::NoBags { paths: paths.to_vec() });
+    }
+    Ok(bags)
+}
+
+fn collect(directory: &Path, bags: &mut Vec<PathBuf>) -> Result<(), BagError> {
+    let active = |file: &Path| PathBuf::from(format!("{}{ACTIVE}", file.display()));
+    let named_after_it =
+        first_file(directory).is_some_and(|file| file.exists() || active(&file).exists());
+    if named_after_it || directory.join(METADATA).exists() {
+        bags.push(directory.into());
+        return Ok(());
+    }
+    let (files, directories) = children(directory)?;
+    bags.extend(files);
+    directories.iter().try_for_each(|child| collect(child, bags))
+}
+
+/// The MCAP files and the directories in a directory, each sorted by name.
+fn children(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), BagError> {
+    let failed =
+        |source| BagError::Io { path: directory.into(), action: "listing the directory", source };
+    let (mut files, mut directories) = (Vec::new(), Vec::new());
+    for entry in fs::read_dir(directory).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
+        if kind.is_dir() {
+            directories.push(path);
+        } else if is_mcap(&path) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    directories.sort();
+    Ok((files, directories))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn touch(path: &Path) {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "").unwrap();
+    }
+
+    #[test]
+    fn bags_are_found_as_directories_files_and_beneath_directories() {
+        let root = tempfile::tempdir().unwrap();
+        let at = |name: &str| root.path().join(name);
+        for file in [
+            "set/b/metadata.yaml",
+            "set/b/b_0.mcap",
+            "set/a/a_0.mcap.active",
+            "set/deep/c/c_0.mcap",
+            "set/lone.mcap",
+            "set/notes.txt",
+        ] {
+            touch(&at(file));
+        }
+        let expected = ["set/lone.mcap", "set/a", "set/b", "set/deep/c"].map(at);
+        assert_eq!(find_bags(&[at("set")]).unwrap(), expected);
+        assert_eq!(
+            find_bags(&[at("set/b"), at("set/lone.mcap"), at("set/b")]).unwrap(),
+            [at("set/b"), at("set/lone.mcap")]
+        );
+    }
+
+    #[test]
+    fn a_directory_without_bags_is_an_error_that_names_it() {
+        let root = tempfile::tempdir().unwrap();
+        let message = find_bags(&[root.path().into()]).unwrap_err().to_string();
+        let expected = format!(
+            "{}: found no bag, expected bag directories or .mcap files there",
+            root.path().display()
+        );
+        assert_eq!(message, expected);
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_refused() {
+        let root = tempfile::tempdir().unwrap();
+        let file = root.path().join("notes.txt");
+        touch(&file);
+        let message = find_bags(&[file]).unwrap_err().to_string();
+        assert!(
+            message.contains("found a file of another kind, expected a bag directory"),
+            "{message}"
+        );
+    }
+}

@@ -1,0 +1,204 @@
+//! One piece of a file, a chunk or a run of messages outside chunks, decompressed and checked.
+
+use std::{
+    fs::File,
+    io::{Read, Seek, SeekFrom},
+    path::Path,
+};
+
+use mcap::{
+    McapError, McapResult, parse_record,
+    records::{Record, op},
+    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+};
+
+use super::{
+    error::BagError,
+    record::{self, ChunkHeader, HEADER_SIZE, SIZE_LIMIT},
+};
+
+/// What a piece of a file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// One chunk record, whole.
+    Chunk,
+    /// One chunk record that the end of the file cuts.
+    CutChunk,
+    /// Schemas, channels and messages outside chunks, one after the other.
+    Loose,
+}
+
+/// A piece of a file that holds messages.
+#[derive(Clone, Debug)]
+pub(super) struct Segment {
+    /// Which of the bag's files.
+    pub(super) file: usize,
+    /// Where it starts (bytes).
+    pub(super) position: u64,
+    /// How long it is (bytes).
+    pub(super) length: u64,
+    pub(super) kind: Kind,
+    /// Smallest log time (ns).
+    pub(super) first: u64,
+    /// Largest log time (ns).
+    pub(super) last: u64,
+}
+
+impl Segment {
+    /// Calls `on_record` with every schema, channel and message in it.
+    ///
+    /// A whole chunk is checked against its checksum before its first record. Of a cut one, the
+    /// records before the cut are read; that it is cut is no error here.
+    ///
+    /// # Errors
+    /// [`BagError::Io`]; [`BagError::Corrupt`] when the bytes are not what they should be, or when
+    /// `on_record` says why it cannot use a record.
+    pub(super) fn read(
+        &self,
+        path: &Path,
+        on_record: impl FnMut(Record<'_>) -> Result<(), String>,
+    ) -> Result<(), BagError> {
+        let corrupt = |(found, expected): (String, &str)| BagError::Corrupt {
+            path: path.into(),
+            position: self.position,
+            found,
+            expected: expected.into(),
+        };
+        if self.length > SIZE_LIMIT {
+            return Err(corrupt((format!("{} bytes", self.length), "at most 1 GiB")));
+        }
+        let bytes = self.bytes(path).map_err(BagError::io(path, "reading"))?;
+        let outcome = match self.kind {
+            Kind::Loose => drive(&bytes, on_record),
+            Kind::Chunk => read_chunk(&bytes, on_record),
+            Kind::CutChunk => return read_cut_chunk(bytes, on_record).map_err(corrupt),
+        };
+        outcome.map_err(|fault| corrupt(fault.words()))
+    }
+
+    fn bytes(&self, path: &Path) -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        file.seek(SeekFrom::Start(self.position))?;
+        let mut bytes = vec![0; self.length as usize];
+        file.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+}
+
+/// Why the records of a piece could not be read to its end.
+enum Fault {
+    /// The bytes are no records, or fail their checksum.
+    Mcap(McapError),
+    /// A record cannot be used, for the reason given.
+    Record(String),
+}
+
+impl Fault {
+    /// Found and expected.
+    fn words(self) -> (String, &'static str) {
+        match self {
+            Self::Record(found) => (found, "a record that fits those before it"),
+            Self::Mcap(McapError::BadChunkCrc { saved, calculated }) => (
+                format!("checksum {calculated:08x} where the chunk says {saved:08x}"),
+                "equal checksums",
+            ),
+            Self::Mcap(McapError::UnsupportedCompression(name)) => {
+                (format!("compression `{name}`"), "zstd, lz4 or none")
+            }
+            Self::Mcap(error) => {
+                (format!("bytes that cannot be read ({error})"), "whole MCAP records")
+            }
+        }
+    }
+}
+
+impl From<McapError> for Fault {
+    fn from(error: McapError) -> Self {
+        Self::Mcap(error)
+    }
+}
+
+fn read_chunk(
+    bytes: &[u8],
+    on_record: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), Fault> {
+    match bytes.get(HEADER_SIZE as usize..).and_then(ChunkHeader::parse) {
+        // Without a checksum nothing vouches for the lengths in it: they are checked one by one.
+        Some(header) if header.compression.is_empty() && header.crc == 0 => {
+            drive(bytes.get(HEADER_SIZE as usize + header.records..).unwrap_or_default(), on_record)
+        }
+        _ => drive(bytes, on_record),
+    }
+}
+
+fn read_cut_chunk(
+    mut bytes: Vec<u8>,
+    mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), (String, &'static str)> {
+    let body = HEADER_SIZE as usize;
+    let Some(header) = bytes.get(body..).and_then(ChunkHeader::parse) else { return Ok(()) };
+    let records = body + header.records;
+    if bytes.len() <= records {
+        return Ok(());
+    }
+    let outcome = if header.compression.is_empty() {
+        drive(&bytes[records..], on_record)
+    } else {
+        // The chunk now claims what is there, and no checksum, so that it is read up to the cut.
+        let claim = |value: usize| (value as u64).to_le_bytes();
+        let (length, compressed) = (claim(bytes.len() - body), claim(bytes.len() - records));
+        bytes[1..body].copy_from_slice(&length);
+        bytes[body + 24..body + 28].fill(0);
+        bytes[records - 8..records].copy_from_slice(&compressed);
+        drive(&bytes, &mut on_record)
+    };
+    match outcome {
+        Err(Fault::Record(reason)) => Err(Fault::Record(reason).words()),
+        // Bytes that end too early are what a cut is.
+        Err(Fault::Mcap(_)) | Ok(()) => Ok(()),
+    }
+}
+
+/// Runs MCAP's reader over records in memory; chunks among them are opened.
+fn drive(
+    bytes: &[u8],
+    mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), Fault> {
+    let mut reader = LinearReader::new_with_options(
+        LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(SIZE_LIMIT as usize),
+    );
+    let mut rest = bytes;
+    while let Some(event) = reader.next_event() {
+        match event? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (next, after) = rest.split_at(wanted.min(rest.len()));
+                reader.insert(next.len()).copy_from_slice(next);
+                reader.notify_read(next.len());
+                rest = after;
+            }
+            LinearReadEvent::Record { opcode, data } => {
+                if let Some(record) = wanted_record(opcode, data)? {
+                    on_record(record).map_err(Fault::Record)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The record, if it is one of the three kinds that count here.
+pub(super) fn wanted_record(opcode: u8, body: &[u8]) -> McapResult<Option<Record<'_>>> {
+    match opcode {
+        op::SCHEMA | op::CHANNEL | op::MESSAGE => parse_record(opcode, body).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// For messages about records: `a chunk of 12 bytes`.
+pub(super) fn described(header: &record::RecordHeader) -> String {
+    format!("a {} of {} bytes", record::name(header.opcode), header.length)
+}

@@ -1,0 +1,250 @@
+//! `eddy demo`: the whole job in one process: truth, surrogate, recorder, report.
+
+use std::{
+    io::{IsTerminal, Write, stdout},
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use anyhow::Context;
+
+use super::{Interrupt, eval::judge_one, live::Live, node::summary, progress_bar, surrogate};
+use crate::cli::DemoArgs;
+use eddy::{
+    bag::WriterOptions,
+    dataset,
+    eval::Settings,
+    model::{Ballistic, DeviceKind},
+    mpm::{self, Preset, Scene, Simulation},
+    msg::{DiagnosticArray, Message, ParticleFrame, PredictionStatus, cdr},
+    node::{
+        FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode,
+        clock::{self, Clock},
+        drive,
+    },
+    transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+};
+
+/// The node's name in diagnostics.
+const NAME: &str = "eddy_demo";
+/// How long the watcher waits for a frame before it looks at everything else.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Runs the demo.
+pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), DeviceKind::Flex)?;
+    let ballistic = Ballistic::of(surrogate.description());
+    let scene = Scene::generate(Preset::MultiMaterial, args.seed, 0);
+    let settings = mpm::Settings { duration: Some(args.seconds), ..mpm::Settings::default() };
+    let simulation = Simulation::new(scene, &settings)?;
+    let mut node = SurrogateNode::new(surrogate, NodeSettings::default())?;
+
+    let folder = unused(&args.output);
+    let bag = folder.join("bag");
+    std::fs::create_dir_all(&folder)
+        .with_context(|| format!("cannot make {}", folder.display()))?;
+    println!("simulating {} s of truth, predicting each next frame", args.seconds);
+
+    let transports = Transports::new(TransportOptions::from_env(NAME)?);
+    let mut wires = Wires::open(&transports)?;
+    let mut recorder = Recorder::create(&bag, WriterOptions::default())?;
+    let live_line = stdout().is_terminal() && !args.headless && !quiet;
+    let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
+
+    thread::scope(|scope| -> anyhow::Result<()> {
+        let truth = scope.spawn(|| {
+            let outcome = simulate(simulation, wires.truth.as_mut(), interrupt);
+            truth_ended.store(true, Ordering::Relaxed);
+            outcome
+        });
+        let queue = FrameQueue::new(16, Reliability::Block);
+        let outputs = std::slice::from_mut(&mut wires.outputs);
+        let (node, input, stop) = (&mut node, wires.input.as_mut(), &stop);
+        let predictor = scope.spawn(move || drive(node, NAME, input, outputs, &queue, stop));
+
+        let watched = wires.watch.run(
+            &mut recorder,
+            Live::start(ballistic, Duration::ZERO),
+            &truth_ended,
+            if live_line { Printer::Line } else { Printer::Lines { quiet } },
+        );
+        stop.store(true, Ordering::Relaxed);
+        for outcome in [join(truth), join(predictor).map_err(Into::into)] {
+            outcome?;
+        }
+        watched
+    })?;
+    wires.watch.rest(&mut recorder)?;
+    let recorded = recorder.finish()?;
+    println!("{}", summary(node.counters()));
+    println!("bag:    {} ({} messages)", bag.display(), recorded.messages);
+    report(&node, &folder, &bag, quiet)
+}
+
+/// The embedded links: who publishes and who listens. Everyone listens before anyone publishes.
+struct Wires {
+    truth: Box<dyn Publisher>,
+    input: Box<dyn Subscriber>,
+    outputs: Outputs,
+    watch: Watch,
+}
+
+/// What the recorder and the live line listen to.
+struct Watch {
+    truth: Box<dyn Subscriber>,
+    prediction: Box<dyn Subscriber>,
+    status: Box<dyn Subscriber>,
+}
+
+impl Wires {
+    fn open(transports: &Transports) -> anyhow::Result<Self> {
+        let link = |topic: &str| Link::memory(topic);
+        let listen = |topic: &str, kind: &str| transports.subscriber(&link(topic), kind);
+        let publish =
+            |topic: &str, kind: &str| transports.publisher(&link(topic), kind, Reliability::Block);
+        Ok(Self {
+            input: listen("/particles", ParticleFrame::TYPE)?,
+            watch: Watch {
+                truth: listen("/particles", ParticleFrame::TYPE)?,
+                prediction: listen("/prediction", ParticleFrame::TYPE)?,
+                status: listen("/prediction/status", PredictionStatus::TYPE)?,
+            },
+            truth: publish("/particles", ParticleFrame::TYPE)?,
+            outputs: Outputs {
+                prediction: publish("/prediction", ParticleFrame::TYPE)?,
+                status: publish("/prediction/status", PredictionStatus::TYPE)?,
+                diagnostics: publish("/diagnostics", DiagnosticArray::TYPE)?,
+            },
+        })
+    }
+}
+
+/// Publishes the scene frame by frame, in real time where the machine is fast enough.
+fn simulate(
+    mut simulation: Simulation,
+    publisher: &mut dyn Publisher,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    let clock = Clock::start();
+    while !interrupt.requested() {
+        let Some(frame) = simulation.next_frame()? else { break };
+        let due = Duration::from_secs_f64(frame.stamp.seconds());
+        thread::sleep(due.saturating_sub(clock.now()));
+        publisher.publish_frame(&frame)?;
+    }
+    Ok(())
+}
+
+/// How the live line is shown.
+enum Printer {
+    /// One line of a terminal, again and again.
+    Line,
+    /// A new line every second.
+    Lines { quiet: bool },
+}
+
+impl Watch {
+    /// Records and compares until the truth has ended and nothing more comes.
+    fn run(
+        &mut self,
+        recorder: &mut Recorder,
+        mut live: Live,
+        truth_ended: &AtomicBool,
+        printer: Printer,
+    ) -> anyhow::Result<()> {
+        let clock = Clock::start();
+        let interval = match printer {
+            Printer::Line => Duration::from_millis(200),
+            Printer::Lines { .. } => Duration::from_secs(1),
+        };
+        let mut printed = clock.now();
+        loop {
+            let ended = truth_ended.load(Ordering::Relaxed);
+            while let Some(payload) = self.prediction.receive(Duration::ZERO)? {
+                recorder.record("/prediction", &payload, clock::wall())?;
+                live.prediction(payload.into_frame()?);
+            }
+            while let Some(payload) = self.status.receive(Duration::ZERO)? {
+                recorder.record("/prediction/status", &payload, clock::wall())?;
+                let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
+                live.latency(Duration::from_secs_f32(status.latency.max(0.0)));
+            }
+            match self.truth.receive(PATIENCE)? {
+                Some(payload) => {
+                    recorder.record("/particles", &payload, clock::wall())?;
+                    live.truth(payload.into_frame()?);
+                }
+                None if ended => break,
+                None => {}
+            }
+            if clock.now() - printed >= interval {
+                printed = clock.now();
+                printer.print(&live.line(printed));
+            }
+        }
+        if matches!(printer, Printer::Line) {
+            println!();
+        }
+        Ok(())
+    }
+
+    /// Records what the node published last.
+    fn rest(&mut self, recorder: &mut Recorder) -> anyhow::Result<()> {
+        for (topic, subscriber) in
+            [("/prediction", &mut self.prediction), ("/prediction/status", &mut self.status)]
+        {
+            while let Some(payload) = subscriber.receive(Duration::ZERO)? {
+                recorder.record(topic, &payload, clock::wall())?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Printer {
+    fn print(&self, line: &str) {
+        match self {
+            Self::Line => {
+                print!("\r\x1b[2K{line}");
+                // A terminal that went away is no reason to end.
+                let _ = stdout().flush();
+            }
+            Self::Lines { quiet: false } => println!("{line}"),
+            Self::Lines { quiet: true } => {}
+        }
+    }
+}
+
+/// Judges the surrogate by free rollouts over the bag just recorded.
+fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyhow::Result<()> {
+    let streams = dataset::load_streams(&[bag.to_owned()])?;
+    let settings = Settings { horizon: 20, starts: 10 };
+    let bar = progress_bar(settings.starts as u64, "rollouts", quiet);
+    let digest = dataset::digest(&streams);
+    let name = "demo".to_owned();
+    let report = judge_one(node.surrogate(), name, &digest, &streams, settings, &bar)?;
+    bar.finish_and_clear();
+    report.save(folder)?;
+    println!("report: {}", folder.join("report.json").display());
+    println!("\nfree rollouts from {} frames of this scene:\n{}", report.windows, report.tables());
+    Ok(())
+}
+
+/// `path`, or the first of `path-2`, `path-3`, ... that is not there yet.
+fn unused(path: &Path) -> PathBuf {
+    let numbered = |number: u32| {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!("-{number}"));
+        path.with_file_name(name)
+    };
+    std::iter::once(path.to_owned())
+        .chain((2..).map(numbered))
+        .find(|candidate| !candidate.exists())
+        .unwrap_or_else(|| path.to_owned())
+}
+
+fn join<T>(handle: thread::ScopedJoinHandle<'_, T>) -> T {
+    handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}

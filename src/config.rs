@@ -1,0 +1,158 @@
+//! Settings from TOML files: typed, unknown keys refused, files hold only what differs from the
+//! defaults.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+use toml::{Table, Value};
+
+/// Why a settings file is of no use.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: {reason}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        reason: io::Error,
+    },
+    /// The file is no TOML.
+    #[error("{}: {reason}", file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// Line and column, and what is wrong there.
+        reason: String,
+    },
+    /// A key is unknown, or its value of the wrong type.
+    #[error("{}: {reason}", file.display())]
+    Key {
+        /// The file.
+        file: PathBuf,
+        /// The key, what was found and what was expected.
+        reason: String,
+    },
+}
+
+/// A settings file, not yet typed.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    file: PathBuf,
+    table: Table,
+}
+
+impl Overrides {
+    /// Reads a settings file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Read`], [`ConfigError::Syntax`].
+    pub fn read(file: &Path) -> Result<Self, ConfigError> {
+        let file = file.to_owned();
+        let text = match fs::read_to_string(&file) {
+            Ok(text) => text,
+            Err(reason) => return Err(ConfigError::Read { file, reason }),
+        };
+        match text.parse() {
+            Ok(table) => Ok(Self { file, table }),
+            Err(error) => {
+                Err(ConfigError::Syntax { file, reason: error.to_string().trim_end().to_owned() })
+            }
+        }
+    }
+
+    /// The value of one key at the top, where it decides which defaults hold.
+    ///
+    /// # Errors
+    /// [`ConfigError::Key`] when its value is of the wrong type.
+    pub fn get<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, ConfigError> {
+        let typed = |value: &Value| {
+            value.clone().try_into().map_err(|error: toml::de::Error| self.key_error(&error, key))
+        };
+        self.table.get(key).map(typed).transpose()
+    }
+
+    /// `defaults` with this file's values in their places.
+    ///
+    /// # Errors
+    /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
+    pub fn over<T: Serialize + DeserializeOwned>(&self, defaults: &T) -> Result<T, ConfigError> {
+        let mut merged = Table::try_from(defaults).expect("settings are tables of TOML's own types");
+        merge(&mut merged, &self.table);
+        T::deserialize(Value::Table(merged)).map_err(|error| self.key_error(&error, ""))
+    }
+
+    fn key_error(&self, error: &toml::de::Error, key: &str) -> ConfigError {
+        let separator = if key.is_empty() { "" } else { ": " };
+        let reason = format!("{key}{separator}{}", error.to_string().trim_end().replace('\n', " "));
+        ConfigError::Key { file: self.file.clone(), reason }
+    }
+}
+
+/// Puts the values of `over` in the places of those of `base`, table by table. Lists are replaced
+/// whole.
+fn merge(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(base)), Value::Table(over)) => merge(base, over),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Settings {
+        epochs: u32,
+        loss: Loss,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Loss {
+        velocity: f32,
+        density: f32,
+    }
+
+    const DEFAULTS: Settings = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 0.25 } };
+
+    fn over(text: &str) -> Result<Settings, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.toml");
+        fs::write(&file, text).unwrap();
+        let named = folder.path().display().to_string();
+        Overrides::read(&file)
+            .and_then(|overrides| overrides.over(&DEFAULTS))
+            .map_err(|error| error.to_string().replace(&named, "."))
+    }
+
+    #[test]
+    fn a_file_holds_only_what_differs_from_the_defaults() {
+        let expected = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 1.0 } };
+        assert_eq!(over("[loss]\ndensity = 1.0"), Ok(expected));
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_by_name() {
+        let message = over("[loss]\nvelocty = 1.0").unwrap_err();
+        assert!(message.starts_with("./settings.toml: unknown field `velocty`"), "{message}");
+        assert!(message.contains("expected `velocity` or `density`"), "{message}");
+    }
+
+    #[test]
+    fn a_value_of_the_wrong_type_is_refused() {
+        let message = over("epochs = \"many\"").unwrap_err();
+        assert!(message.contains("invalid type: string \"many\", expected u32"), "{message}");
+    }
+}

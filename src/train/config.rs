@@ -1,0 +1,278 @@
+//! Everything about a training run that can be chosen, with defaults for each architecture.
+
+use serde::{Deserialize, Serialize};
+
+use super::TrainError;
+use crate::checkpoint::{Architecture, Core, Sizes};
+
+/// A training run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Which network.
+    pub architecture: Architecture,
+    /// Which recurrent core.
+    pub core: Core,
+    /// Seed of initial weights, of the order of the data, and of dropout.
+    pub seed: u64,
+    /// Most epochs; one epoch is `windows.per_epoch` windows.
+    pub epochs: u32,
+    /// Epochs without a better validation loss after which training stops; not counted before the
+    /// last stage of `unroll` has begun.
+    pub patience: u32,
+    /// Gravity of the data (domain lengths per second squared). Bags do not carry it.
+    pub gravity: [f32; 2],
+    /// Free frames a window, by share of the run: later stages unroll further.
+    pub unroll: Vec<Stage>,
+    /// Widths.
+    pub network: NetworkConfig,
+    /// What a batch is made of.
+    pub windows: WindowConfig,
+    /// What is minimised.
+    pub loss: LossConfig,
+    /// How it is minimised.
+    pub optimizer: OptimizerConfig,
+    /// What the best epoch is chosen by.
+    pub validation: ValidationConfig,
+}
+
+/// A part of the run with one length of unroll.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Share of the run's iterations (any unit: shares are divided by their sum).
+    pub share: f32,
+    /// Frames the network predicts from its own output after the warm-up.
+    pub frames: usize,
+}
+
+/// Widths of the network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Width of the pointwise encoder's first layer.
+    pub encoder: usize,
+    /// Width of the hidden state.
+    pub hidden: usize,
+    /// Recurrent layers.
+    pub layers: usize,
+    /// Share of the recurrent layers' outputs dropped in training (0 to below 1).
+    pub dropout: f32,
+}
+
+/// What a batch is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindowConfig {
+    /// Observed frames at the start of each window.
+    pub warm_up: usize,
+    /// Windows a batch.
+    pub batch: usize,
+    /// Windows an epoch.
+    pub per_epoch: usize,
+    /// Particles drawn from each window; 0 takes all (and the frame model always does).
+    pub particles: usize,
+}
+
+/// What an error is divided by before errors are summed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LossKind {
+    /// The range of the feature in the training split: the mean squared error of MinMax-scaled
+    /// features (the paper's eq. 2).
+    Mse,
+    /// The best trivial predictor's error of the same material and frame ahead; square root of the
+    /// sum for each window, since these sums are heavy-tailed.
+    Relative,
+}
+
+/// What is minimised.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LossConfig {
+    /// What errors are divided by.
+    pub kind: LossKind,
+    /// Weight of position errors.
+    pub position_weight: f32,
+    /// Weight of velocity errors.
+    pub velocity_weight: f32,
+    /// Weight of the one-step predictions during the warm-up, relative to the unroll's.
+    pub observed_weight: f32,
+    /// Relative loss: share of the error over all windows in the divisor; the rest is the window's
+    /// own. 1 weighs windows as their errors are, 0 weighs all windows alike.
+    pub common_share: f32,
+    /// Weight of the density maps' mean squared error (1 = all particles spread evenly).
+    pub density_weight: f32,
+    /// Nodes of the density map along an axis.
+    pub density_grid: usize,
+}
+
+/// Adam.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OptimizerConfig {
+    /// Learning rate at the start.
+    pub learning_rate: f64,
+    /// Learning rate at the end as a share of the first; the way there is half a cosine.
+    pub final_share: f64,
+    /// Largest norm of a tensor's gradient; longer ones are shortened to it.
+    pub clip: f32,
+}
+
+/// What the best epoch is chosen by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ValidationConfig {
+    /// Length of the free rollouts (frames).
+    pub horizon: usize,
+    /// Rollouts a validation stream.
+    pub starts: usize,
+}
+
+impl TrainConfig {
+    /// The defaults for a network.
+    pub fn defaults(architecture: Architecture) -> Self {
+        match architecture {
+            Architecture::Particle => Self::particle(),
+            Architecture::Frame => Self::frame(),
+        }
+    }
+
+    /// An epoch takes about half a minute on one core.
+    fn particle() -> Self {
+        let stage = |share, frames| Stage { share, frames };
+        Self {
+            architecture: Architecture::Particle,
+            core: Core::MinGru,
+            seed: 1,
+            epochs: 40,
+            patience: 12,
+            gravity: [0.0, -9.8],
+            unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
+            network: NetworkConfig { encoder: 64, hidden: 64, layers: 2, dropout: 0.0 },
+            windows: WindowConfig { warm_up: 5, batch: 32, per_epoch: 4096, particles: 64 },
+            loss: LossConfig {
+                kind: LossKind::Relative,
+                position_weight: 1.0,
+                velocity_weight: 0.2,
+                observed_weight: 0.0,
+                common_share: 0.5,
+                density_weight: 0.0,
+                density_grid: 32,
+            },
+            optimizer: OptimizerConfig { learning_rate: 2e-3, final_share: 0.02, clip: 1.0 },
+            validation: ValidationConfig { horizon: 20, starts: 7 },
+        }
+    }
+
+    /// The paper's widths, window and learning rate. Sixteen windows of 2,500 particles take about
+    /// half a second on two cores, hence the short epoch.
+    fn frame() -> Self {
+        Self {
+            architecture: Architecture::Frame,
+            core: Core::MinGru,
+            seed: 1,
+            epochs: 100,
+            patience: 15,
+            gravity: [0.0, -9.8],
+            unroll: vec![Stage { share: 1.0, frames: 1 }],
+            network: NetworkConfig { encoder: 256, hidden: 1250, layers: 2, dropout: 0.1 },
+            windows: WindowConfig { warm_up: 2, batch: 16, per_epoch: 512, particles: 0 },
+            loss: LossConfig {
+                kind: LossKind::Mse,
+                position_weight: 1.0,
+                velocity_weight: 1.0,
+                observed_weight: 0.0,
+                common_share: 0.0,
+                density_weight: 1e-3,
+                density_grid: 32,
+            },
+            optimizer: OptimizerConfig { learning_rate: 1e-3, final_share: 0.02, clip: 1.0 },
+            validation: ValidationConfig { horizon: 20, starts: 3 },
+        }
+    }
+
+    /// Widths of the layers for streams of `particles` particles.
+    pub fn sizes(&self, particles: usize) -> Sizes {
+        Sizes {
+            encoder: self.network.encoder,
+            hidden: self.network.hidden,
+            layers: self.network.layers,
+            particles: (self.architecture == Architecture::Frame).then_some(particles),
+        }
+    }
+
+    /// Batches an epoch.
+    pub fn batches(&self) -> usize {
+        self.windows.per_epoch.div_ceil(self.windows.batch.max(1))
+    }
+
+    /// Checks the numbers.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] for the first number that is out of its range.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let at_least_one = [
+            ("epochs", self.epochs as usize),
+            ("network.encoder", self.network.encoder),
+            ("network.hidden", self.network.hidden),
+            ("network.layers", self.network.layers),
+            ("windows.warm_up", self.windows.warm_up),
+            ("windows.batch", self.windows.batch),
+            ("windows.per_epoch", self.windows.per_epoch),
+            ("validation.horizon", self.validation.horizon),
+            ("validation.starts", self.validation.starts),
+            ("unroll", self.unroll.len()),
+            ("unroll.frames", self.unroll.iter().map(|stage| stage.frames).min().unwrap_or(1)),
+        ];
+        for (field, found) in at_least_one {
+            if found == 0 {
+                return Err(setting(field, "0", "at least 1"));
+            }
+        }
+        let loss = &self.loss;
+        let not_negative = [
+            ("loss.position_weight", loss.position_weight),
+            ("loss.velocity_weight", loss.velocity_weight),
+            ("loss.observed_weight", loss.observed_weight),
+            ("loss.density_weight", loss.density_weight),
+        ];
+        for (field, found) in not_negative {
+            if !(found.is_finite() && found >= 0.0) {
+                return Err(setting(field, found, "a number from 0"));
+            }
+        }
+        let shares = self.unroll.iter().map(|stage| stage.share);
+        if let Some(found) = shares.clone().find(|share| !(share.is_finite() && *share > 0.0)) {
+            return Err(setting("unroll.share", found, "a positive number"));
+        }
+        if loss.position_weight + loss.velocity_weight == 0.0 {
+            let field = "loss.position_weight, loss.velocity_weight";
+            return Err(setting(field, "0, 0", "at least one above 0"));
+        }
+        if loss.density_weight > 0.0 && loss.density_grid < 2 {
+            return Err(setting("loss.density_grid", loss.density_grid, "at least 2"));
+        }
+        if !(0.0..=1.0).contains(&loss.common_share) {
+            return Err(setting("loss.common_share", loss.common_share, "0 to 1"));
+        }
+        if !(0.0..1.0).contains(&self.network.dropout) {
+            return Err(setting("network.dropout", self.network.dropout, "0 to below 1"));
+        }
+        let rate = self.optimizer.learning_rate;
+        if !(rate.is_finite() && rate > 0.0) {
+            return Err(setting("optimizer.learning_rate", rate, "a positive number"));
+        }
+        if !(0.0..=1.0).contains(&self.optimizer.final_share) {
+            return Err(setting("optimizer.final_share", self.optimizer.final_share, "0 to 1"));
+        }
+        if !(self.optimizer.clip > 0.0) {
+            return Err(setting("optimizer.clip", self.optimizer.clip, "a positive number"));
+        }
+        Ok(())
+    }
+}
+
+fn setting(field: &'static str, found: impl ToString, expected: &'static str) -> TrainError {
+    TrainError::Setting { field, found: found.to_string(), expected }
+}

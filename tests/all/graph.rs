@@ -1,0 +1,186 @@
+//! Three processes, as a user starts them: `eddy replay` -> `eddy node` -> `eddy record`.
+
+use std::{collections::BTreeMap, path::Path, process::Command};
+
+use eddy::{bag::BagReader, frame::Frame, transport::TransportKind};
+use tempfile::TempDir;
+
+use crate::support::{Process, eddy, free_port, simulate, succeed, unique, wait_for};
+
+/// One scene, what `eddy predict` says of it, and a place in the world of its own.
+struct World {
+    folder: TempDir,
+    transport: TransportKind,
+    prefix: String,
+    ports: [u16; 3],
+}
+
+/// Who listens on which of the world's Zenoh ports.
+#[derive(Clone, Copy)]
+enum Role {
+    Node,
+    Recorder,
+    Player,
+}
+
+impl World {
+    fn new(transport: TransportKind) -> Self {
+        let world = Self {
+            folder: tempfile::tempdir().unwrap(),
+            transport,
+            prefix: format!("/{}", unique("graph")),
+            ports: [free_port(), free_port(), free_port()],
+        };
+        simulate(&world.folder.path().join("truth"), 1, 1.0);
+        let (truth, expected) = (world.path("truth/scene_0000"), world.path("expected"));
+        succeed(["predict", "--input", &truth, "--output", &expected]);
+        world
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn link(&self, topic: &str) -> String {
+        format!("{}:{}{topic}", self.transport, self.prefix)
+    }
+
+    /// The program, on Zenoh ports of this world's own.
+    fn eddy(&self, role: Role) -> Command {
+        let endpoint = |port: &u16| format!("\"tcp/127.0.0.1:{port}\"");
+        let listen = endpoint(&self.ports[role as usize]);
+        let connect = self.ports.each_ref().map(endpoint).join(",");
+        let mut command = eddy();
+        command.env(
+            "ZENOH_CONFIG_OVERRIDE",
+            format!("listen/endpoints=[{listen}];connect/endpoints=[{connect}]"),
+        );
+        command
+    }
+
+    fn node(&self) -> Process {
+        Process::start(self.eddy(Role::Node).args([
+            "node",
+            "--reliability=block",
+            "--input",
+            &self.link("/particles"),
+            "--output",
+            &self.link("/prediction"),
+        ]))
+    }
+
+    fn record(&self, bag: &str, messages: usize) -> Process {
+        Process::start(self.eddy(Role::Recorder).args([
+            "record",
+            &self.link("/particles"),
+            &self.link("/prediction"),
+            "--output",
+            &self.path(bag),
+            "--max-messages",
+            &messages.to_string(),
+        ]))
+    }
+
+    /// Replays the scene once node and recorder listen.
+    fn replay(&self) -> Process {
+        Process::start(self.eddy(Role::Player).args([
+            "replay",
+            &self.path("truth/scene_0000"),
+            "--to",
+            &self.transport.to_string(),
+            "--remap",
+            &format!("/particles:={}/particles", self.prefix),
+            "--wait-for",
+            "2",
+        ]))
+    }
+
+    fn frames(&self, bag: &str, topic: &str) -> Vec<Frame> {
+        let reader = BagReader::open(Path::new(&self.path(bag))).unwrap();
+        reader.frames(topic).unwrap().map(Result::unwrap).collect()
+    }
+}
+
+fn every_frame_has_its_prediction_and_it_equals_the_offline_one(transport: TransportKind) {
+    let world = World::new(transport);
+    let truth = world.frames("truth/scene_0000", "/particles");
+    let expected = world.frames("expected", "/prediction");
+    assert!(expected.len() > truth.len() / 2);
+
+    let mut node = world.node();
+    let mut record = world.record("recorded", truth.len() + expected.len());
+    assert!(world.replay().wait().success());
+    assert!(record.wait().success());
+    node.interrupt();
+    assert!(node.wait().success());
+
+    let topic = |name: &str| format!("{}{name}", world.prefix);
+    assert_eq!(world.frames("recorded", &topic("/particles")), truth);
+    assert_eq!(world.frames("recorded", &topic("/prediction")), expected);
+    let stamps: BTreeMap<_, _> = truth.iter().map(|frame| (frame.sequence, frame.stamp)).collect();
+    for prediction in &expected[..expected.len() - 1] {
+        assert_eq!(stamps[&prediction.sequence], prediction.stamp);
+    }
+}
+
+#[test]
+fn on_zenoh_every_frame_has_its_prediction_and_it_equals_the_offline_one() {
+    every_frame_has_its_prediction_and_it_equals_the_offline_one(TransportKind::Zenoh);
+}
+
+#[test]
+fn on_shared_memory_every_frame_has_its_prediction_and_it_equals_the_offline_one() {
+    every_frame_has_its_prediction_and_it_equals_the_offline_one(TransportKind::Shm);
+}
+
+fn a_killed_process_leaves_the_others_running_and_works_again(transport: TransportKind) {
+    let world = World::new(transport);
+    let (truth, expected) = (
+        world.frames("truth/scene_0000", "/particles").len(),
+        world.frames("expected", "/prediction").len(),
+    );
+
+    // The node dies and comes back: the recorder still listens.
+    let mut record = world.record("second_try", 2 * truth + expected);
+    let node = world.node();
+    let mut replay = world.replay();
+    wait_for("the bag is being written", || {
+        Path::new(&world.path("second_try")).exists().then_some(())
+    });
+    node.kill();
+    assert!(replay.wait().success(), "a replay without a node still ends");
+    assert!(record.is_running());
+    let mut node = world.node();
+    let mut replay = world.replay();
+
+    // The player dies and comes back: node and recorder still listen.
+    assert!(replay.is_running());
+    replay.kill();
+    assert!(node.is_running() && record.is_running());
+    record.interrupt();
+    assert!(record.wait().success());
+
+    // The recorder dies: its bag is readable, and the node goes on to the next recorder.
+    let record = world.record("killed", usize::MAX >> 1);
+    assert!(world.replay().wait().success());
+    record.kill();
+    let mut record = world.record("third_try", truth + expected);
+    assert!(world.replay().wait().success());
+    assert!(record.wait().success());
+    assert_eq!(
+        world.frames("third_try", &format!("{}/prediction", world.prefix)),
+        world.frames("expected", "/prediction")
+    );
+    node.interrupt();
+    assert!(node.wait().success());
+}
+
+#[test]
+fn on_zenoh_a_killed_process_leaves_the_others_running_and_works_again() {
+    a_killed_process_leaves_the_others_running_and_works_again(TransportKind::Zenoh);
+}
+
+#[test]
+fn on_shared_memory_a_killed_process_leaves_the_others_running_and_works_again() {
+    a_killed_process_leaves_the_others_running_and_works_again(TransportKind::Shm);
+}

@@ -1,0 +1,42 @@
+//! Simulate, train, judge and predict, in one sitting.
+
+use std::fs;
+
+use crate::support::{simulate, succeed};
+
+#[test]
+fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    simulate(folder.path().join("mm").as_path(), 3, 0.8);
+
+    fs::write(path("train.toml"), "windows_per_epoch = 64\n").unwrap();
+    let (data, model, config) = (path("mm"), path("model"), path("train.toml"));
+    succeed(["train", "--data", &data, "--output", &model, "--epochs", "3", "--config", &config]);
+    let losses = training_losses(&fs::read_to_string(path("model/metrics.csv")).unwrap());
+    assert_eq!(losses.len(), 3);
+    assert!(losses[2] < losses[0], "the training loss rose: {losses:?}");
+
+    let report = path("report");
+    let printed = succeed(["eval", "--checkpoint", &model, "--data", &data, "--output", &report]);
+    assert!(printed.contains("only its test part is judged"), "{printed}");
+    assert!(printed.contains("ballistic with walls"), "{printed}");
+    let json: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(path("report/report.json")).unwrap()).unwrap();
+    assert_eq!(json["predictors"][0]["position_rmse"].as_array().unwrap().len(), 20);
+
+    let (bag, first, second) = (path("mm/scene_0002"), path("first"), path("second"));
+    succeed(["predict", "--checkpoint", &model, "--input", &bag, "--output", &first]);
+    succeed(["predict", "--checkpoint", &model, "--input", &bag, "--output", &second]);
+    assert_eq!(
+        fs::read(path("first/first_0.mcap")).unwrap(),
+        fs::read(path("second/second_0.mcap")).unwrap()
+    );
+}
+
+/// The column `training_loss`, one number an epoch.
+fn training_losses(csv: &str) -> Vec<f64> {
+    let mut lines = csv.lines();
+    let column = lines.next().unwrap().split(',').position(|c| c == "training_loss").unwrap();
+    lines.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect()
+}

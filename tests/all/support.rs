@@ -1,0 +1,112 @@
+//! The program as its users run it, with everything it needs for itself: folders, ports, topics.
+
+use std::{
+    net::TcpListener,
+    path::Path,
+    process::{Child, Command, ExitStatus, Output, Stdio},
+    sync::atomic::{AtomicU32, Ordering},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// No test waits longer for anything.
+pub const DEADLINE: Duration = Duration::from_secs(120);
+
+/// The program.
+pub fn eddy() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_eddy"));
+    command.arg("--quiet").stdin(Stdio::null());
+    command
+}
+
+/// Runs `eddy` with `arguments`, which must succeed. Returns what it printed.
+pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> String {
+    let output = run(arguments);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{}: {errors}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs `eddy` with `arguments`, which must fail with `code`. Returns what it said.
+pub fn fail<S: AsRef<std::ffi::OsStr>>(
+    code: i32,
+    arguments: impl IntoIterator<Item = S>,
+) -> String {
+    let output = run(arguments);
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{errors}");
+    errors
+}
+
+fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+    eddy().args(arguments).output().unwrap()
+}
+
+/// A process that ends with the test, whatever happens.
+pub struct Process(Child);
+
+impl Process {
+    /// Starts it in the background.
+    pub fn start(command: &mut Command) -> Self {
+        Self(command.stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap())
+    }
+
+    /// Asks it to end, as Ctrl-C does.
+    pub fn interrupt(&self) {
+        let id = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    }
+
+    /// Ends it without notice (SIGKILL).
+    pub fn kill(mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+
+    /// Waits for its end.
+    pub fn wait(&mut self) -> ExitStatus {
+        wait_for("the process ends", || self.0.try_wait().unwrap())
+    }
+
+    /// Whether it runs.
+    pub fn is_running(&mut self) -> bool {
+        self.0.try_wait().unwrap().is_none()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Asks again and again until there is an answer.
+pub fn wait_for<T>(what: &str, mut answer: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = answer() {
+            return found;
+        }
+        assert!(start.elapsed() < DEADLINE, "waited {DEADLINE:?} until {what}");
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// A word that no other test, and no other run, uses.
+pub fn unique(word: &str) -> String {
+    static NUMBER: AtomicU32 = AtomicU32::new(0);
+    format!("{word}_{}_{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed))
+}
+
+/// A port of the loopback interface that was free just now.
+pub fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// Simulates `scenes` short scenes into `folder`.
+pub fn simulate(folder: &Path, scenes: u32, seconds: f64) {
+    let (scenes, seconds) = (scenes.to_string(), seconds.to_string());
+    let folder = folder.to_str().unwrap();
+    succeed(["simulate", "--scenes", &scenes, "--duration", &seconds, "--output", folder]);
+}
