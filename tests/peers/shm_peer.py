@@ -96,9 +96,10 @@ def main():
             time.monotonic() < deadline,
             f"{args.service}: found {len(sequences)} frames in {args.timeout} s, expected {args.count}",
         )
+        wakes += len(listener.try_wait())
         sample = subscriber.receive()
         if sample is None:
-            wakes += listener.timed_wait(lambda _: None, iox2.Duration.from_millis(100)) > 0
+            wakes += len(listener.timed_wait(iox2.Duration.from_millis(100)))
             continue
         header, frame = sample.user_header().contents, particles_of(sample)
         check_frame(header, frame)
