@@ -7,3 +7,4 @@ mod layers;
 mod mpm;
 mod pipeline;
 mod support;
+mod transport;
