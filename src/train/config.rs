@@ -72,6 +72,9 @@ pub struct WindowConfig {
     pub per_epoch: usize,
     /// Particles drawn from each window; 0 takes all (and the frame model always does).
     pub particles: usize,
+    /// Whether every other window, by chance, is mirrored left to right. Right for data without a
+    /// preferred side: a symmetric box, no sideways gravity.
+    pub mirror: bool,
 }
 
 /// What an error is divided by before errors are summed.
@@ -150,7 +153,7 @@ impl TrainConfig {
             gravity: [0.0, -9.8],
             unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
             network: NetworkConfig { encoder: 64, hidden: 64, layers: 2, dropout: 0.0 },
-            windows: WindowConfig { warm_up: 5, batch: 32, per_epoch: 4096, particles: 64 },
+            windows: WindowConfig { warm_up: 5, batch: 32, per_epoch: 4096, particles: 64, mirror: true },
             loss: LossConfig {
                 kind: LossKind::Relative,
                 position_weight: 1.0,
@@ -177,7 +180,7 @@ impl TrainConfig {
             gravity: [0.0, -9.8],
             unroll: vec![Stage { share: 1.0, frames: 1 }],
             network: NetworkConfig { encoder: 256, hidden: 1250, layers: 2, dropout: 0.1 },
-            windows: WindowConfig { warm_up: 2, batch: 16, per_epoch: 512, particles: 0 },
+            windows: WindowConfig { warm_up: 2, batch: 16, per_epoch: 512, particles: 0, mirror: true },
             loss: LossConfig {
                 kind: LossKind::Mse,
                 position_weight: 1.0,

@@ -251,7 +251,8 @@ fn sampler_for<'a>(
         Architecture::Frame => 0,
         Architecture::Particle => config.windows.particles,
     };
-    Sampler::new(&dataset.train, config.windows.warm_up, unroll, particles)
+    let WindowConfig { warm_up, mirror, .. } = config.windows;
+    Sampler::new(&dataset.train, warm_up, unroll, particles, mirror)
 }
 
 /// Stream and first frame of each window, to find a batch again.

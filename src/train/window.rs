@@ -31,6 +31,8 @@ pub(super) struct Sampler<'a> {
     frames: usize,
     /// Particles a window; 0 is all.
     particles: usize,
+    /// Whether to mirror every other window.
+    mirror: bool,
 }
 
 impl<'a> Sampler<'a> {
@@ -40,6 +42,7 @@ impl<'a> Sampler<'a> {
         warm_up: usize,
         unroll: usize,
         particles: usize,
+        mirror: bool,
     ) -> Result<Self, TrainError> {
         let frames = warm_up + unroll;
         let mut windows = 0;
@@ -47,7 +50,7 @@ impl<'a> Sampler<'a> {
             windows += (stream.states.len() + 1).saturating_sub(frames);
             windows
         });
-        let sampler = Self { streams, ends: ends.collect(), frames, particles };
+        let sampler = Self { streams, ends: ends.collect(), frames, particles, mirror };
         if windows == 0 {
             let found = streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0);
             return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
@@ -74,14 +77,22 @@ impl<'a> Sampler<'a> {
             wanted if wanted == 0 || wanted >= count => (0..count).collect(),
             wanted => sample(random, count, wanted).into_vec(),
         };
-        let pick = |values: &[[f32; 2]]| chosen.iter().map(|&i| values[i]).collect();
+        let sides = stream.domain.lower[0] + stream.domain.upper[0];
+        let mirrored = self.mirror && random.random();
+        let pick = |values: &[[f32; 2]], sides: f32| {
+            let value = |&i: &usize| {
+                let [x, y] = values[i];
+                if mirrored { [sides - x, y] } else { [x, y] }
+            };
+            chosen.iter().map(value).collect()
+        };
         Window {
             stream: stream.id,
             start,
             material: chosen.iter().map(|&i| stream.material[i]).collect(),
             states: stream.states[start..start + self.frames]
                 .iter()
-                .map(|s| State { position: pick(&s.position), velocity: pick(&s.velocity) })
+                .map(|s| State { position: pick(&s.position, sides), velocity: pick(&s.velocity, 0.0) })
                 .collect(),
         }
     }
