@@ -74,7 +74,7 @@ fn check(path: &Path, quiet: bool) -> anyhow::Result<()> {
         println!("... and {} more", survey.further_findings);
     }
     if findings > 0 {
-        bail!("{}: {findings} findings, expected none", path.display());
+        bail!("{}: findings: found {findings}, expected 0", path.display());
     }
     println!("{}: {} messages, nothing wrong", path.display(), bag.message_count());
     Ok(())

@@ -33,7 +33,9 @@ pub fn run(args: ReplayArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
             topics: Some(topics.clone()),
         },
     )?;
-    let mut outputs = open(&args, &bag, &topics)?;
+    // Sessions end with it: it stays until the last message is out.
+    let transports = Transports::new(TransportOptions::from_env("eddy_replay")?);
+    let mut outputs = open(&transports, &args, &bag, &topics)?;
     if !wait_for(&outputs, args.wait_for, interrupt)? {
         return Ok(());
     }
@@ -94,7 +96,12 @@ struct Outputs {
     refused: u64,
 }
 
-fn open(args: &ReplayArgs, bag: &BagReader, topics: &[String]) -> anyhow::Result<Outputs> {
+fn open(
+    transports: &Transports,
+    args: &ReplayArgs,
+    bag: &BagReader,
+    topics: &[String],
+) -> anyhow::Result<Outputs> {
     let mut renamed = HashMap::new();
     for rule in &args.remap {
         let Some((from, to)) = rule.split_once(":=") else {
@@ -105,7 +112,6 @@ fn open(args: &ReplayArgs, bag: &BagReader, topics: &[String]) -> anyhow::Result
         }
         renamed.insert(from, to);
     }
-    let transports = Transports::new(TransportOptions::from_env("eddy_replay")?);
     let mut publishers = HashMap::new();
     for topic in bag.topics().iter().filter(|topic| topics.contains(&topic.name)) {
         let name = renamed.get(topic.name.as_str()).copied().unwrap_or(&topic.name);
