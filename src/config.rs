@@ -38,6 +38,17 @@ pub enum ConfigError {
     },
 }
 
+/// The settings in a file, where what is not said there has its default.
+///
+/// # Errors
+/// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
+/// wrong type.
+pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
+    let settings = Overrides::read(file)?;
+    let table = Value::Table(settings.table.clone());
+    T::deserialize(table).map_err(|error| settings.key_error(&error, ""))
+}
+
 /// A settings file, not yet typed.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {

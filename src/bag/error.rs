@@ -8,14 +8,14 @@ use crate::msg::{BadFrame, UnknownType};
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
     /// The operating system refused.
-    #[error("{path}: {action}: {source}", path = .path.display())]
+    #[error("{path}: {action}: {reason}", path = .path.display())]
     Io {
         /// The file or directory.
         path: PathBuf,
         /// What was tried.
         action: &'static str,
         /// What the system said.
-        source: io::Error,
+        reason: io::Error,
     },
     /// A new bag would overwrite something.
     #[error("{path}: found something of that name, expected a bag directory that does not exist yet", path = .path.display())]
@@ -112,8 +112,8 @@ pub enum BagError {
         found: String,
     },
     /// The topic is there, but not one message of it.
-    #[error("{path}: topic {topic}: found 0 messages, expected at least 1 frame", path = .path.display())]
-    NoFrames {
+    #[error("{path}: topic {topic}: found 0 messages, expected at least 1", path = .path.display())]
+    NoMessages {
         /// The bag.
         path: PathBuf,
         /// The topic.
@@ -144,12 +144,12 @@ pub enum BagError {
         found: i64,
     },
     /// The topic's message type is not one of ours.
-    #[error("topic {topic}: {source}")]
+    #[error("topic {topic}: {reason}")]
     Type {
         /// The topic.
         topic: String,
         /// The name that is not known.
-        source: UnknownType,
+        reason: UnknownType,
     },
 }
 
@@ -160,6 +160,6 @@ impl BagError {
         action: &'static str,
     ) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();
-        move |source| Self::Io { path, action, source }
+        move |reason| Self::Io { path, action, reason }
     }
 }

@@ -81,7 +81,7 @@ impl FileIndex {
     /// [`BagError::Io`], and [`BagError::Magic`] when it is no MCAP file. Damage behind the first
     /// bytes is no error but noted in the index.
     pub(super) fn open(path: &Path, number: usize) -> Result<Self, BagError> {
-        let failed = |source| BagError::Io { path: path.into(), action: "reading", source };
+        let failed = |reason| BagError::Io { path: path.into(), action: "reading", reason };
         let mut file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
         let size = file.metadata().map_err(failed)?.len();
         let mut magic = Vec::new();

@@ -98,7 +98,7 @@ fn collect(directory: &Path, bags: &mut Vec<PathBuf>) -> Result<(), BagError> {
 /// The MCAP files and the directories in a directory, each sorted by name.
 fn children(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), BagError> {
     let failed =
-        |source| BagError::Io { path: directory.into(), action: "listing the directory", source };
+        |reason| BagError::Io { path: directory.into(), action: "listing the directory", reason };
     let (mut files, mut directories) = (Vec::new(), Vec::new());
     for entry in fs::read_dir(directory).map_err(failed)? {
         let entry = entry.map_err(failed)?;

@@ -255,7 +255,52 @@ mod tests {
 
     #[test]
     fn the_text_is_that_of_rosbag2() {
-        insta::assert_snapshot!(text(&bag()));
+        insta::assert_snapshot!(text(&bag()), @r#"
+        rosbag2_bagfile_information:
+          version: 9
+          storage_identifier: mcap
+          duration:
+            nanoseconds: 32000
+          starting_time:
+            nanoseconds_since_epoch: 1000
+          message_count: 3
+          topics_with_message_count:
+          - topic_metadata:
+              name: /particles
+              type: eddy_msgs/msg/ParticleFrame
+              serialization_format: cdr
+              offered_qos_profiles:
+              - history: keep_last
+                depth: 10
+                reliability: reliable
+                durability: volatile
+                deadline:
+                  sec: 9223372036
+                  nsec: 854775807
+                lifespan:
+                  sec: 9223372036
+                  nsec: 854775807
+                liveliness: automatic
+                liveliness_lease_duration:
+                  sec: 9223372036
+                  nsec: 854775807
+                avoid_ros_namespace_conventions: false
+              type_description_hash: RIHS01_00
+            message_count: 3
+          compression_format: ""
+          compression_mode: ""
+          relative_file_paths:
+          - run_0.mcap
+          files:
+          - path: run_0.mcap
+            starting_time:
+              nanoseconds_since_epoch: 1000
+            duration:
+              nanoseconds: 32000
+            message_count: 3
+          custom_data: null
+          ros_distro: eddy
+        "#);
     }
 
     #[test]
@@ -274,8 +319,8 @@ mod tests {
                 "compression_mode: found FILE, expected an empty",
             ),
             (
-                "    - run_0.mcap",
-                "    - gone.mcap",
+                "  - run_0.mcap",
+                "  - gone.mcap",
                 "gone.mcap, which does not exist, expected the names of files",
             ),
             ("message_count: 3", "message_count: many", "rosbag2_bagfile_information: found"),

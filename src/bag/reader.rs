@@ -10,7 +10,7 @@ use super::{
     error::BagError,
     index::FileIndex,
     layout,
-    messages::{BagMessage, Messages, Selection},
+    messages::{Messages, Selection},
 };
 use crate::{
     frame::{Frame, Stamp},
@@ -191,24 +191,17 @@ impl BagReader {
         Messages::new(self.contents.clone(), selection)
     }
 
-    /// The frames of a topic, in the order of their log time.
+    /// The messages of a topic, which must have the given type, in the order of their log time.
     ///
     /// # Errors
     /// [`BagError::NoTopic`] when the bag lacks the topic, [`BagError::TopicType`] when it carries
-    /// no `eddy_msgs/msg/ParticleFrame`, [`BagError::NoFrames`] when it is empty; when the bag is
-    /// damaged so that nothing of the topic is left, that damage.
-    pub fn frames(&self, topic: &str) -> Result<Frames, BagError> {
+    /// another type, [`BagError::NoMessages`] when it is empty; when the bag is damaged so that
+    /// nothing of the topic is left, that damage.
+    pub fn messages_of(&self, topic: &str, type_name: &str) -> Result<Messages, BagError> {
         let path = self.path();
-        let mut of_topic = self.topics().iter().filter(|info| info.name == topic).peekable();
-        if of_topic.peek().is_none() {
-            let found = match self.topics() {
-                [] => "no topic".to_owned(),
-                topics => topics
-                    .iter()
-                    .map(|topic| format!("{} ({})", topic.name, topic.type_name))
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            };
+        let of_topic: Vec<_> = self.topics().iter().filter(|info| info.name == topic).collect();
+        if of_topic.is_empty() {
+            let found = self.topics_in_words();
             let none = BagError::NoTopic { path: path.into(), topic: topic.into(), found };
             return Err(if self.topics().is_empty() {
                 self.damage().unwrap_or(none)
@@ -216,21 +209,38 @@ impl BagReader {
                 none
             });
         }
-        if let Some(other) = of_topic.clone().find(|info| info.type_name != ParticleFrame::TYPE) {
+        if let Some(other) = of_topic.iter().find(|info| info.type_name != type_name) {
             return Err(BagError::TopicType {
                 path: path.into(),
                 topic: topic.into(),
                 found: other.type_name.clone(),
-                expected: ParticleFrame::TYPE.into(),
+                expected: type_name.into(),
             });
         }
-        if of_topic.all(|info| info.message_count == 0) {
-            let none = BagError::NoFrames { path: path.into(), topic: topic.into() };
+        if of_topic.iter().all(|info| info.message_count == 0) {
+            let none = BagError::NoMessages { path: path.into(), topic: topic.into() };
             return Err(self.damage().unwrap_or(none));
         }
-        let selection = Selection { topics: Some(vec![topic.into()]), ..Selection::default() };
-        let (messages, path) = (self.select(&selection), path.into());
-        Ok(Frames { messages, path, topic: topic.into(), read: 0 })
+        let topics = Some(vec![topic.into()]);
+        Ok(self.select(&Selection { topics, ..Selection::default() }))
+    }
+
+    /// The frames of a topic, in the order of their log time.
+    ///
+    /// # Errors
+    /// As [`BagReader::messages_of`] with the type `eddy_msgs/msg/ParticleFrame`.
+    pub fn frames(&self, topic: &str) -> Result<Frames, BagError> {
+        let messages = self.messages_of(topic, ParticleFrame::TYPE)?;
+        Ok(Frames { messages, path: self.path().into(), topic: topic.into(), read: 0 })
+    }
+
+    /// For messages: each topic with its type.
+    fn topics_in_words(&self) -> String {
+        if self.topics().is_empty() {
+            return "no topic".to_owned();
+        }
+        let words = |topic: &TopicInfo| format!("{} ({})", topic.name, topic.type_name);
+        self.topics().iter().map(words).collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -253,8 +263,8 @@ impl Iterator for Frames {
     type Item = Result<Frame, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let BagMessage { data, .. } = match self.messages.next()? {
-            Ok(message) => message,
+        let data = match self.messages.next()? {
+            Ok(message) => message.data,
             Err(error) => return Some(Err(error)),
         };
         let message = self.read;

@@ -157,7 +157,7 @@ impl BagWriter {
     /// another one already, otherwise as [`BagWriter::write`].
     pub fn topic(&mut self, name: &str, type_name: &str) -> Result<TopicId, BagError> {
         let support = type_support(type_name)
-            .map_err(|source| BagError::Type { topic: name.into(), source })?;
+            .map_err(|reason| BagError::Type { topic: name.into(), reason })?;
         self.topic_with_schema(name, type_name, &support.schema, &support.hash)
     }
 
@@ -281,7 +281,7 @@ impl BagWriter {
 
 fn refused(path: &Path, error: McapError) -> BagError {
     match error {
-        McapError::Io(source) => BagError::io(path, "writing")(source),
+        McapError::Io(error) => BagError::io(path, "writing")(error),
         other => BagError::Format { path: path.into(), reason: other.to_string() },
     }
 }

@@ -62,8 +62,25 @@ impl Checkpoint {
     /// key of the description is unknown or missing, or the weights do not fit the description.
     pub fn load(directory: &Path) -> Result<Self, CheckpointError> {
         let (description, weights) = files::read(directory)?;
-        let description = description::parse(&directory.join(DESCRIPTION_FILE), &description)?;
-        let tensors = files::parse_weights(&directory.join(WEIGHTS_FILE), &weights)?;
+        Self::parse(directory, &description, &weights)
+    }
+
+    /// The particle model that ships inside this program; `checkpoints/README.md` says how it was
+    /// made.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`]; a test loads it, so only a broken build has any.
+    pub fn shipped() -> Result<Self, CheckpointError> {
+        Self::parse(
+            "checkpoints/particle-mingru".as_ref(),
+            include_str!("../../checkpoints/particle-mingru/model.toml"),
+            include_bytes!("../../checkpoints/particle-mingru/model.safetensors"),
+        )
+    }
+
+    fn parse(directory: &Path, description: &str, weights: &[u8]) -> Result<Self, CheckpointError> {
+        let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
+        let tensors = files::parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
         let checkpoint = Self { description, tensors };
         checkpoint.check(directory)?;
         Ok(checkpoint)

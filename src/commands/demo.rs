@@ -13,7 +13,7 @@ use anyhow::Context;
 use super::{Interrupt, eval::judge_one, live::Live, node::summary, progress_bar, surrogate};
 use crate::cli::DemoArgs;
 use eddy::{
-    bag::WriterOptions,
+    bag::{BagSummary, BagWriter, TopicId, WriterOptions},
     dataset,
     eval::Settings,
     model::{Ballistic, DeviceKind},
@@ -48,8 +48,9 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     println!("simulating {} s of truth, predicting each next frame", args.seconds);
 
     let transports = Transports::new(TransportOptions::from_env(NAME)?);
-    let mut wires = Wires::open(&transports)?;
-    let mut recorder = Recorder::create(&bag, WriterOptions::default())?;
+    let recorder =
+        Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
+    let mut wires = Wires::open(&transports, recorder)?;
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
     let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
 
@@ -65,7 +66,6 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         let predictor = scope.spawn(move || drive(node, NAME, input, outputs, &queue, stop));
 
         let watched = wires.watch.run(
-            &mut recorder,
             Live::start(ballistic, Duration::ZERO),
             &truth_ended,
             if live_line { Printer::Line } else { Printer::Lines { quiet } },
@@ -76,8 +76,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         }
         watched
     })?;
-    wires.watch.rest(&mut recorder)?;
-    let recorded = recorder.finish()?;
+    let recorded = wires.watch.finish()?;
     println!("{}", summary(node.counters()));
     println!("bag:    {} ({} messages)", bag.display(), recorded.messages);
     report(&node, &folder, &bag, quiet)
@@ -91,26 +90,51 @@ struct Wires {
     watch: Watch,
 }
 
-/// What the recorder and the live line listen to.
+/// What is recorded and shown.
 struct Watch {
-    truth: Box<dyn Subscriber>,
-    prediction: Box<dyn Subscriber>,
-    status: Box<dyn Subscriber>,
+    recorder: Recorder,
+    truth: Recorded,
+    prediction: Recorded,
+    status: Recorded,
+}
+
+/// A topic that is recorded as it is received.
+struct Recorded {
+    subscriber: Box<dyn Subscriber>,
+    topic: TopicId,
+}
+
+impl Recorded {
+    fn receive(
+        &mut self,
+        recorder: &mut Recorder,
+        timeout: Duration,
+    ) -> anyhow::Result<Option<Payload>> {
+        let payload = self.subscriber.receive(timeout)?;
+        if let Some(payload) = &payload {
+            recorder.on_message(self.topic, payload.clone(), clock::wall())?;
+        }
+        Ok(payload)
+    }
 }
 
 impl Wires {
-    fn open(transports: &Transports) -> anyhow::Result<Self> {
-        let link = |topic: &str| Link::memory(topic);
-        let listen = |topic: &str, kind: &str| transports.subscriber(&link(topic), kind);
-        let publish =
-            |topic: &str, kind: &str| transports.publisher(&link(topic), kind, Reliability::Block);
+    fn open(transports: &Transports, mut recorder: Recorder) -> anyhow::Result<Self> {
+        let listen =
+            |topic: &str, kind: &str| transports.subscriber(&Link::memory(topic), kind);
+        let publish = |topic: &str, kind: &str| {
+            transports.publisher(&Link::memory(topic), kind, Reliability::Block)
+        };
+        let mut record = |topic: &str, kind: &str| -> anyhow::Result<Recorded> {
+            let topic_id = recorder.topic(topic, kind)?;
+            Ok(Recorded { subscriber: listen(topic, kind)?, topic: topic_id })
+        };
+        let truth = record("/particles", ParticleFrame::TYPE)?;
+        let prediction = record("/prediction", ParticleFrame::TYPE)?;
+        let status = record("/prediction/status", PredictionStatus::TYPE)?;
         Ok(Self {
+            watch: Watch { recorder, truth, prediction, status },
             input: listen("/particles", ParticleFrame::TYPE)?,
-            watch: Watch {
-                truth: listen("/particles", ParticleFrame::TYPE)?,
-                prediction: listen("/prediction", ParticleFrame::TYPE)?,
-                status: listen("/prediction/status", PredictionStatus::TYPE)?,
-            },
             truth: publish("/particles", ParticleFrame::TYPE)?,
             outputs: Outputs {
                 prediction: publish("/prediction", ParticleFrame::TYPE)?,
@@ -149,7 +173,6 @@ impl Watch {
     /// Records and compares until the truth has ended and nothing more comes.
     fn run(
         &mut self,
-        recorder: &mut Recorder,
         mut live: Live,
         truth_ended: &AtomicBool,
         printer: Printer,
@@ -162,20 +185,16 @@ impl Watch {
         let mut printed = clock.now();
         loop {
             let ended = truth_ended.load(Ordering::Relaxed);
-            while let Some(payload) = self.prediction.receive(Duration::ZERO)? {
-                recorder.record("/prediction", &payload, clock::wall())?;
+            let recorder = &mut self.recorder;
+            while let Some(payload) = self.prediction.receive(recorder, Duration::ZERO)? {
                 live.prediction(payload.into_frame()?);
             }
-            while let Some(payload) = self.status.receive(Duration::ZERO)? {
-                recorder.record("/prediction/status", &payload, clock::wall())?;
+            while let Some(payload) = self.status.receive(recorder, Duration::ZERO)? {
                 let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
                 live.latency(Duration::from_secs_f32(status.latency.max(0.0)));
             }
-            match self.truth.receive(PATIENCE)? {
-                Some(payload) => {
-                    recorder.record("/particles", &payload, clock::wall())?;
-                    live.truth(payload.into_frame()?);
-                }
+            match self.truth.receive(recorder, PATIENCE)? {
+                Some(payload) => live.truth(payload.into_frame()?),
                 None if ended => break,
                 None => {}
             }
@@ -190,16 +209,12 @@ impl Watch {
         Ok(())
     }
 
-    /// Records what the node published last.
-    fn rest(&mut self, recorder: &mut Recorder) -> anyhow::Result<()> {
-        for (topic, subscriber) in
-            [("/prediction", &mut self.prediction), ("/prediction/status", &mut self.status)]
-        {
-            while let Some(payload) = subscriber.receive(Duration::ZERO)? {
-                recorder.record(topic, &payload, clock::wall())?;
-            }
+    /// Records what the node published last, and closes the bag.
+    fn finish(mut self) -> anyhow::Result<BagSummary> {
+        for topic in [&mut self.prediction, &mut self.status] {
+            while topic.receive(&mut self.recorder, Duration::ZERO)?.is_some() {}
         }
-        Ok(())
+        Ok(self.recorder.finish()?)
     }
 }
 

@@ -69,7 +69,7 @@ fn unseen(
     digest: &str,
     streams: &[Stream],
 ) -> anyhow::Result<Vec<Stream>> {
-    if checkpoint.description.data_digest != digest {
+    if checkpoint.description.data != digest {
         return Ok(streams.to_vec());
     }
     let test = Dataset::load(&args.data)?.test;

@@ -12,6 +12,7 @@ pub mod train;
 
 mod interrupt;
 mod live;
+mod manifest;
 mod surrogate;
 
 pub use interrupt::Interrupt;

@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn a_stream_that_is_too_short_has_none() {
-        assert_eq!(starts(24, 5, SETTINGS), []);
+        assert!(starts(24, 5, SETTINGS).is_empty());
         assert_eq!(starts(25, 5, SETTINGS), [4]);
     }
 }

@@ -1,1 +1,63 @@
-//! (under construction)
+//! Ground truth: the Moving Least Squares Material Point Method in two dimensions.
+//!
+//! From a seed to frames:
+//!
+//! 1. [`preset`]: the two kinds of scenes and the numbers they share.
+//! 2. [`scene`], with [`body`] and [`placement`]: random bodies, places, velocities, from seed and id.
+//! 3. [`simulation`]: settings checked ([`stability`]), substeps run, frames handed out;
+//!    [`attractor`] pulls before the first of them.
+//!
+//! One substep ([`solver`]), in the order of the method:
+//!
+//! 1. [`grid`] is cleared.
+//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`], with [`polar`] and
+//!    [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
+//! 3. [`grid`]: momentum becomes velocity; gravity and walls act.
+//! 4. [`g2p`]: velocity and its gradient return to the particles, which move.
+//!
+//! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
+//! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the law and its numbers as in Taichi's
+//! `mpm99` and `mpm128`. Lengths are domain lengths (the unit square), density is 1.
+
+mod attractor;
+mod body;
+mod constitutive;
+#[cfg(test)]
+mod energy;
+mod error;
+mod g2p;
+mod grid;
+mod material;
+mod matrix;
+mod p2g;
+mod particle;
+mod placement;
+mod polar;
+mod preset;
+mod scene;
+mod simulation;
+mod solver;
+mod spline;
+mod stability;
+
+pub use attractor::Attractor;
+pub use body::{Body, Shape};
+pub use error::{Limit, MpmError};
+pub use matrix::Matrix2;
+pub use particle::Particle;
+pub use preset::{Length, PARTICLES, Preset};
+pub use scene::Scene;
+pub use simulation::{Settings, Simulation};
+pub use solver::{Solver, SolverSettings};
+pub use stability::{CFL, LIQUID_CFL, minimum_substeps};
+
+/// Time between two frames (s).
+pub const FRAME_INTERVAL: f32 = 0.016;
+
+/// Acceleration in -y (domain lengths per s^2).
+pub const GRAVITY: f32 = 9.8;
+
+/// How near to an edge of the domain particles come in practice (domain lengths).
+pub fn wall_margin(preset: Preset) -> f32 {
+    preset.wall_margin()
+}

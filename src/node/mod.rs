@@ -6,19 +6,28 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`clock`]: the one place that asks the system for the time.
+//! 7. [`recorder`]: what arrives into a bag.
+//! 8. [`player`]: a bag as it was recorded: which message is due when.
+//! 9. [`clock`]: the one place that asks the system for the time.
 
 pub mod clock;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod player;
 mod queue;
+mod recorder;
 mod settings;
 mod surrogate;
 mod track;
 
+#[cfg(test)]
+mod tests;
+
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, drive};
+pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;
+pub use recorder::Recorder;
 pub use settings::{InvalidSettings, NodeSettings, Publish};
 pub use surrogate::{Prediction, SurrogateNode};

@@ -109,10 +109,8 @@ impl SurrogateNode {
             if when > now {
                 continue;
             }
-            let frame = std::mem::replace(
-                &mut track.predicted,
-                self.surrogate.step(&mut track.memory, &track.predicted),
-            );
+            let next = self.surrogate.step(&mut track.memory, &track.predicted);
+            let frame = std::mem::replace(&mut track.predicted, next);
             track.used = now;
             track.free_run_due = Some(when + interval(&frame));
             if frame.check().is_err() {

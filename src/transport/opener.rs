@@ -11,8 +11,8 @@ use super::{
     Link, Publisher, Reliability, Subscriber, TransportError, TransportKind,
     memory::Broker,
     shm::ShmNode,
-    zenoh::ZenohNode,
 };
+use super::zenoh::ZenohNode;
 use crate::msg::{Message, ParticleFrame, type_support};
 
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").

@@ -1,7 +1,10 @@
 //! The integration tests: one binary, one module an area.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
+mod bag;
 mod graph;
 mod layers;
+mod mpm;
 mod pipeline;
 mod support;
+mod transport;

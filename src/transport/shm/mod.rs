@@ -11,7 +11,7 @@
 //! CDR bytes. An event service of the same name wakes readers: event 0 is a new sample.
 //!
 //! Overflow and buffer length belong to the service and are fixed by whoever creates it. eddy
-//! creates services without overflow and with room for 64 messages a reader, so that one service serves
+//! creates services without overflow and with room for 32 messages a reader, so that one service serves
 //! blocking and dropping publishers alike: it is the publisher that waits for a full reader or passes
 //! it over. A service made by another program is taken as it is.
 //!

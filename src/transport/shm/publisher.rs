@@ -1,37 +1,25 @@
 //! Writes messages into loaned memory, sends them, wakes the readers.
 
-use std::{
-    fmt::Debug,
-    mem::MaybeUninit,
-    thread,
-    time::Duration,
-};
+use std::{fmt::Debug, thread, time::Duration};
 
 use iceoryx2::{
-    port::{BackpressureAction, LoanError, SendError, notifier::Notifier, publisher},
+    port::{BackpressureAction, SendError, notifier::Notifier, publisher},
     prelude::*,
-    sample_mut_uninit::SampleMutUninit,
 };
 
 use super::{
     layout::{self, FrameHeader, Particle},
-    service::{DEPTH, Events, Ipc, Topic, middleware},
+    service::{Events, Ipc, Topic, middleware},
 };
 use crate::{
     frame::Frame,
     transport::{Link, Publisher, Reliability, TransportError, opener},
 };
 
-/// Messages in memory at once: a full reader's, and as many again by half for the others. Readers
-/// share messages, so this does not grow with their number. Memory is taken (and zeroed) for
-/// all of them when the publisher opens: 4.9 MB for 2,500 particles.
-const SLOTS: usize = DEPTH + DEPTH / 2;
-/// Elements of a message there is room for at first.
+/// Elements of a message there is room for at first; more room is made when a longer one comes.
 const FIRST_LENGTH: usize = 2560;
-/// Between two looks at whether a slot came free.
+/// Between two tries to send to a reader that is not there yet.
 const PAUSE: Duration = Duration::from_millis(1);
-
-type Loan<P, H> = SampleMutUninit<Ipc, [MaybeUninit<P>], H>;
 
 /// The writing side of one topic.
 pub(super) struct Outlet<P, H>
@@ -65,62 +53,72 @@ where
                 "found a service made by another program with overflow: slow readers lose the oldest messages"
             );
         }
-        let publisher = open_publisher(link, &topic, reliability, patience, FIRST_LENGTH)?;
+        let publisher = open_publisher(link, &topic, reliability, patience)?;
         let notifier = events
             .notifier_builder()
             .default_event_id(EventId::new(0))
             .create()
             .map_err(|error| middleware(link, "open the notifier", &error))?;
-        Ok(Self { link: link.clone(), topic, publisher, notifier, reliability, patience })
+        let outlet = Self { link: link.clone(), topic, publisher, notifier, reliability, patience };
+        // Readers that wait connect now, before the first message.
+        outlet.wake();
+        Ok(outlet)
     }
 
     /// Sends `length` elements with a header.
+    ///
+    /// A reader connects when it next looks for messages; until then it has a buffer, but is not
+    /// waited for when that is full. A blocking publisher therefore sends again what nobody took. With
+    /// several readers, one that is so late may miss messages that another one took; this is a warning.
     fn send(
         &mut self,
         length: usize,
         header: H,
-        element: impl FnMut(usize) -> P,
-    ) -> Result<(), TransportError> {
-        let Some(mut loan) = self.loan(length)? else {
-            return match self.reliability {
-                Reliability::Drop => Ok(()),
-                Reliability::Block => Err(self.stalled()),
-            };
-        };
-        *loan.user_header_mut() = header;
-        match loan.write_from_fn(element).send() {
-            Ok(_) => {}
-            Err(SendError::UnableToDeliver) => return Err(self.stalled()),
-            Err(error) => return Err(middleware(&self.link, "send", &error)),
+        element: impl Fn(usize) -> P,
+    ) -> Result<(), TransportError>
+    where
+        H: Copy,
+    {
+        let tries = self.patience.div_duration_f64(PAUSE) as u64;
+        for _ in 0..=tries {
+            let taken = self.send_once(length, header, &element)?;
+            self.wake();
+            let readers = self.subscribers();
+            if self.reliability == Reliability::Drop || taken >= readers {
+                return Ok(());
+            }
+            if taken > 0 {
+                tracing::warn!(link = %self.link, taken, readers, "a reader that does not read yet missed a message");
+                return Ok(());
+            }
+            thread::sleep(PAUSE);
         }
-        // Readers also poll: a wake-up that fails costs them time, not messages.
+        Err(self.stalled())
+    }
+
+    /// Sends a message; how many readers took it.
+    fn send_once(
+        &self,
+        length: usize,
+        header: H,
+        element: impl Fn(usize) -> P,
+    ) -> Result<usize, TransportError> {
+        let mut loan = self
+            .publisher
+            .loan_slice_uninit(length)
+            .map_err(|error| middleware(&self.link, "loan memory", &error))?;
+        *loan.user_header_mut() = header;
+        loan.write_from_fn(element).send().map_err(|error| match error {
+            SendError::UnableToDeliver => self.stalled(),
+            error => middleware(&self.link, "send", &error),
+        })
+    }
+
+    /// Readers also poll: a wake-up that fails costs them time, not messages.
+    fn wake(&self) {
         if let Err(error) = self.notifier.notify() {
             tracing::debug!(link = %self.link, ?error, "readers were not woken");
         }
-        Ok(())
-    }
-
-    /// Room for a message, or `None` when readers hold all there is.
-    fn loan(&mut self, length: usize) -> Result<Option<Loan<P, H>>, TransportError> {
-        if length > self.publisher.initial_max_slice_len() {
-            // What was sent stays readable after its publisher is gone.
-            let room = length.next_power_of_two();
-            self.publisher =
-                open_publisher(&self.link, &self.topic, self.reliability, self.patience, room)?;
-        }
-        let pauses = match self.reliability {
-            Reliability::Drop => 0,
-            Reliability::Block => self.patience.div_duration_f64(PAUSE) as u64,
-        };
-        for pause in 0..=pauses {
-            match self.publisher.loan_slice_uninit(length) {
-                Ok(loan) => return Ok(Some(loan)),
-                Err(LoanError::OutOfMemory) if pause < pauses => thread::sleep(PAUSE),
-                Err(LoanError::OutOfMemory) => {}
-                Err(error) => return Err(middleware(&self.link, "loan memory", &error)),
-            }
-        }
-        Ok(None)
     }
 
     fn stalled(&self) -> TransportError {
@@ -132,14 +130,11 @@ where
     }
 }
 
-/// A static pool of [`SLOTS`]: iceoryx2 would by itself reserve the worst case, one buffer a reader.
-/// (Its growing pools need that worst case: they count messages in tables of the first size.)
 fn open_publisher<P, H>(
     link: &Link,
     topic: &Topic<P, H>,
     reliability: Reliability,
     patience: Duration,
-    length: usize,
 ) -> Result<publisher::Publisher<Ipc, [P], H>, TransportError>
 where
     P: Debug + ZeroCopySend,
@@ -147,9 +142,8 @@ where
 {
     let builder = topic
         .publisher_builder()
-        .initial_max_slice_len(length)
-        .allocation_strategy(AllocationStrategy::Static)
-        .override_sample_preallocation(|worst| worst.min(SLOTS));
+        .initial_max_slice_len(FIRST_LENGTH)
+        .allocation_strategy(AllocationStrategy::PowerOfTwo);
     let builder = match reliability {
         Reliability::Drop => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
         Reliability::Block => builder

@@ -13,7 +13,10 @@ use iceoryx2::{
     service::{
         builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
         port_factory::{event, publish_subscribe},
-        static_config::messaging_pattern,
+        static_config::{
+            message_type_details::{TypeDetail, TypeVariant},
+            messaging_pattern,
+        },
     },
 };
 
@@ -26,10 +29,14 @@ pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
 /// Opens the ports of a topic's events.
 pub(super) type Events = event::PortFactory<Ipc>;
 
-/// Messages that a reader may be behind.
-pub(super) const DEPTH: usize = 64;
-/// Readers, writers and processes a topic has room for.
-const PORTS: usize = 16;
+/// Messages that a reader may be behind. A publisher reserves (and zeroes) memory for as many
+/// from every possible reader: 14 MB for frames of 2,560 particles, 0.7 MB for short messages.
+/// That leaves room for several topics in the 64 MB that containers usually have.
+const DEPTH: usize = 32;
+/// Readers that a topic has room for, and writers.
+const PORTS: usize = 8;
+/// Processes that may have a topic open.
+const PROCESSES: usize = 32;
 /// How often killed processes are looked for.
 const CLEANING: Duration = Duration::from_millis(500);
 /// How often opening is tried while another process creates or removes the same service.
@@ -75,11 +82,10 @@ impl Services {
         for _ in 0..ATTEMPTS {
             match builder().open() {
                 Ok(topic) => return check_type(link, type_name, topic),
-                Err(PublishSubscribeOpenError::DoesNotExist) => {}
                 Err(PublishSubscribeOpenError::IncompatibleTypes) => {
                     return Err(foreign_type::<P, H>(link, &name, node.config()));
                 }
-                Err(error) if is_passing(error) => last = error.to_string(),
+                Err(error) if is_passing(error) => {}
                 Err(error) => return Err(middleware(link, "open the service", &error)),
             }
             let created = builder()
@@ -89,7 +95,7 @@ impl Services {
                 .history_size(0)
                 .max_publishers(PORTS)
                 .max_subscribers(PORTS)
-                .max_nodes(2 * PORTS)
+                .max_nodes(PROCESSES)
                 .create_with_attributes(&attributes(type_name));
             match created {
                 Ok(topic) => return Ok(topic),
@@ -97,7 +103,8 @@ impl Services {
                 Err(
                     error @ (PublishSubscribeCreateError::AlreadyExists
                     | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
-                    | PublishSubscribeCreateError::HangsInCreation),
+                    | PublishSubscribeCreateError::HangsInCreation
+                    | PublishSubscribeCreateError::ServiceInCorruptedState),
                 ) => last = error.to_string(),
                 Err(error) => return Err(middleware(link, "create the service", &error)),
             }
@@ -122,11 +129,12 @@ impl Services {
     }
 }
 
-/// Errors of a service that another process is creating or removing right now.
+/// Errors of a service that is not there, or that another process is creating or removing right now.
 fn is_passing(error: PublishSubscribeOpenError) -> bool {
     matches!(
         error,
-        PublishSubscribeOpenError::IsMarkedForDestruction
+        PublishSubscribeOpenError::DoesNotExist
+            | PublishSubscribeOpenError::IsMarkedForDestruction
             | PublishSubscribeOpenError::HangsInCreation
             | PublishSubscribeOpenError::ServiceInCorruptedState
     )
@@ -171,20 +179,32 @@ where
 }
 
 /// Names the layout of the service that is there and the one that was asked for.
-fn foreign_type<P, H>(link: &Link, name: &ServiceName, config: &Config) -> TransportError {
-    let pattern = iceoryx2::service::messaging_pattern::MessagingPattern::PublishSubscribe;
-    let details = Ipc::details(name, config, pattern).ok().flatten();
+fn foreign_type<P: ZeroCopySend, H: ZeroCopySend>(
+    link: &Link,
+    name: &ServiceName,
+    config: &Config,
+) -> TransportError {
+    let details = Ipc::details(name, config, MessagingPattern::PublishSubscribe).ok().flatten();
     let found = match details.as_ref().map(|service| service.static_details.messaging_pattern()) {
         Some(messaging_pattern::MessagingPattern::PublishSubscribe(service)) => {
             let types = service.message_type_details();
-            format!("[{}] with header {}", types.payload.type_name(), types.user_header.type_name())
+            layout_name(&types.payload, &types.user_header)
         }
         _ => "unknown".to_owned(),
     };
-    let short = |name: &'static str| name.rsplit("::").next().unwrap_or(name);
-    let (payload, header) = (short(std::any::type_name::<P>()), short(std::any::type_name::<H>()));
-    let expected = format!("[{payload}] with header {header}");
+    let payload = TypeDetail::new::<P>(TypeVariant::Dynamic);
+    let header = TypeDetail::new::<H>(TypeVariant::FixedSize);
+    let expected = layout_name(&payload, &header);
     TransportError::TopicType { link: link.clone(), found, expected }
+}
+
+fn layout_name(payload: &TypeDetail, header: &TypeDetail) -> String {
+    let (payload, variant) = (payload.type_name(), payload.variant());
+    let header = header.type_name();
+    match variant {
+        TypeVariant::Dynamic => format!("[{payload}] with header {header}"),
+        TypeVariant::FixedSize => format!("{payload} with header {header}"),
+    }
 }
 
 /// A thread that clears away what killed processes left: their readers would hold blocking writers

@@ -1,59 +1,47 @@
-//! Who else is on a topic: the liveliness tokens of the other side.
+//! Who else is on a topic: the liveliness tokens of its other side.
 
 use std::{
     collections::HashSet,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use hiroz_protocol::entity::EndpointKind;
-use zenoh::{Session, Wait, key_expr::KeyExpr, liveliness::LivelinessToken, pubsub, sample::SampleKind};
+use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
-use super::keys::Endpoint;
+use super::keys::{Endpoint, type_in};
 
-/// The endpoints of the other kind on our topic: counted, and told from those of another type.
+/// The endpoints on the other side of our topic: counted, and told from those of another type.
 pub(super) struct Graph {
     matching: Arc<Mutex<HashSet<String>>>,
     _watch: pubsub::Subscriber<()>,
 }
 
 impl Graph {
-    /// Watches the endpoints of `kind` on the topic of `endpoint`.
+    /// Watches the other side of the topic of `endpoint`.
     ///
     /// Type and hash are part of a topic's key, so messages of another type never arrive. What
     /// would be silence is a warning here, once for each type.
-    pub(super) fn watch(
-        session: &Session,
-        endpoint: &Endpoint,
-        kind: EndpointKind,
-    ) -> zenoh::Result<Self> {
-        let topic = endpoint.link.topic.replace('/', "%");
-        let domain = endpoint.domain_id;
-        let tokens = format!("@ros2_lv/{domain}/*/*/*/{kind}/*/*/*/{topic}/*/*/*");
+    pub(super) fn watch(session: &Session, endpoint: &Endpoint) -> zenoh::Result<Self> {
         let matching = Arc::new(Mutex::new(HashSet::new()));
         let observed = Arc::clone(&matching);
-        let (link, expected) = (endpoint.link.clone(), endpoint.type_name.clone());
-        let own_type = type_chunks(&endpoint.token).map(|(name, hash)| (name.to_owned(), hash.to_owned()));
         let foreign = Mutex::new(HashSet::new());
+        let (link, own_token) = (endpoint.link.clone(), endpoint.token.clone());
         let watch = session
             .liveliness()
-            .declare_subscriber(tokens)
+            .declare_subscriber(&endpoint.others)
             .history(true)
             .callback(move |sample| {
                 let token = sample.key_expr().as_str();
-                let found = type_chunks(token).map(|(name, hash)| (name.to_owned(), hash.to_owned()));
-                if found == own_type {
-                    let mut observed = observed.lock().unwrap_or_else(PoisonError::into_inner);
-                    match sample.kind() {
-                        SampleKind::Put => observed.insert(token.to_owned()),
-                        SampleKind::Delete => observed.remove(token),
-                    };
-                } else if let Some((name, hash)) = found
-                    && sample.kind() == SampleKind::Put
-                    && foreign.lock().unwrap_or_else(PoisonError::into_inner).insert((name.clone(), hash.clone()))
-                {
-                    let found = hiroz_schema::type_name::ros_from_dds_strict(&name);
+                let (Some(found), Some(expected)) = (type_in(token), type_in(&own_token)) else {
+                    return;
+                };
+                let appears = sample.kind() == SampleKind::Put;
+                if found == expected {
+                    let mut observed = lock(&observed);
+                    if appears { observed.insert(token.to_owned()) } else { observed.remove(token) };
+                } else if appears && lock(&foreign).insert((found.0.clone(), found.1.to_owned())) {
                     tracing::warn!(
-                        "{link}: found message type {found} ({hash}), expected {expected}: its messages are not exchanged"
+                        "{link}: found message type {} ({}), expected {} ({}): its messages are not exchanged",
+                        found.0, found.1, expected.0, expected.1
                     );
                 }
             })
@@ -63,17 +51,16 @@ impl Graph {
 
     /// How many endpoints there are of our type.
     pub(super) fn matching(&self) -> usize {
-        self.matching.lock().unwrap_or_else(PoisonError::into_inner).len()
+        lock(&self.matching).len()
     }
 }
 
-/// Type and hash in an endpoint's token.
-fn type_chunks(token: &str) -> Option<(&str, &str)> {
-    let mut chunks = token.split('/').skip(10);
-    Some((chunks.next()?, chunks.next()?))
+/// Shows a node or an endpoint to the others until it is dropped.
+pub(super) fn declare(session: &Session, token: &str) -> zenoh::Result<LivelinessToken> {
+    session.liveliness().declare_token(token.to_owned()).wait()
 }
 
-/// Shows an endpoint to the others until it is dropped.
-pub(super) fn declare(session: &Session, token: &KeyExpr<'static>) -> zenoh::Result<LivelinessToken> {
-    session.liveliness().declare_token(token.clone()).wait()
+/// A set is never left half changed.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,80 +1,100 @@
 //! Names on the wire: key expressions, liveliness tokens, quality of service, GIDs
-//! (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`; formatted by `hiroz-protocol`).
+//! (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`).
 
-use hiroz_protocol::{
-    EndpointEntity, EndpointKind, NodeEntity, RmwZenohFormatter, TypeHash, TypeInfo,
-    format::KeyExprFormatter,
-    qos::{QosDurability, QosHistory, QosProfile, QosReliability},
-};
-use zenoh::{key_expr::KeyExpr, session::ZenohId};
+use zenoh::session::ZenohId;
 
 use crate::{
     msg::TypeSupport,
     transport::{Link, Reliability},
 };
 
-/// Messages kept for late readers, as advertised for dropping publishers (the ROS 2 default).
+/// First word of every liveliness token.
+const ADMIN_SPACE: &str = "@ros2_lv";
+/// Stands for an empty enclave or namespace; within names, for `/`.
+const EMPTY: &str = "%";
+/// Messages kept, as advertised for dropping publishers (the ROS 2 default).
 const ADVERTISED_DEPTH: usize = 10;
 
-/// This process in the ROS graph.
-pub(super) struct Node(NodeEntity);
+/// The two sides of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    Publisher,
+    Subscription,
+}
 
-impl Node {
-    pub(super) fn new(domain_id: u16, zid: ZenohId, name: &str) -> Self {
-        let (namespace, enclave) = (String::new(), String::new());
-        Self(NodeEntity::new(domain_id.into(), zid, 0, name.to_owned(), namespace, enclave))
+impl Side {
+    /// The word in tokens.
+    fn code(self) -> &'static str {
+        match self {
+            Self::Publisher => "MP",
+            Self::Subscription => "MS",
+        }
     }
 
-    /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`
-    pub(super) fn token(&self) -> zenoh::Result<KeyExpr<'static>> {
-        Ok(RmwZenohFormatter::node_liveliness_key_expr(&self.0)?.0)
+    fn other(self) -> Self {
+        match self {
+            Self::Publisher => Self::Subscription,
+            Self::Subscription => Self::Publisher,
+        }
+    }
+}
+
+/// This process in the ROS graph.
+pub(super) struct Node {
+    pub(super) domain_id: u16,
+    pub(super) zid: ZenohId,
+    pub(super) name: String,
+}
+
+impl Node {
+    /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`; the node's number is 0.
+    pub(super) fn token(&self) -> String {
+        let Self { domain_id, zid, name } = self;
+        format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{EMPTY}/{EMPTY}/{name}")
     }
 }
 
 /// A publisher or subscriber of ours, as others see it.
 pub(super) struct Endpoint {
     pub(super) link: Link,
-    pub(super) domain_id: usize,
     /// ROS name of the type, such as `eddy_msgs/msg/ParticleFrame`.
     pub(super) type_name: String,
     /// `<domain>/<topic>/<type>/<hash>`
-    pub(super) key: KeyExpr<'static>,
+    pub(super) key: String,
     /// `@ros2_lv/<domain>/<zid>/<nid>/<eid>/<MP|MS>/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>`
-    pub(super) token: KeyExpr<'static>,
-    /// XXH3-128 of the token, little-endian.
-    pub(super) gid: [u8; 16],
+    pub(super) token: String,
+    /// The tokens of the topic's other side, whatever their type.
+    pub(super) others: String,
 }
 
 impl Endpoint {
+    /// Endpoint number `id` of a node.
     pub(super) fn new(
         node: &Node,
         id: usize,
-        kind: EndpointKind,
+        side: Side,
         link: &Link,
         support: &TypeSupport,
-        qos: QosProfile,
-    ) -> zenoh::Result<Self> {
-        let hash = TypeHash::from_rihs_string(&support.hash)
-            .ok_or_else(|| format!("type hash: found {}, expected RIHS01", support.hash))?;
-        let dds_name = hiroz_schema::type_name::dds_from_canonical(&support.name)
-            .ok_or_else(|| format!("type: found {}, expected package/msg/Name", support.name))?;
-        let entity = EndpointEntity {
-            id,
-            node: Some(node.0.clone()),
-            kind,
-            topic: link.topic.clone(),
-            type_info: Some(TypeInfo::new(&dds_name, hash)),
-            qos,
-        };
-        let token = RmwZenohFormatter::liveliness_key_expr(&entity, &node.0.z_id)?.0;
-        Ok(Self {
+        qos: &str,
+    ) -> Self {
+        let Node { domain_id, zid, name } = node;
+        let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
+        let (dds_name, hash) = (dds_name(&support.name), &support.hash);
+        let (code, other) = (side.code(), side.other().code());
+        Self {
             link: link.clone(),
-            domain_id: node.0.domain_id,
             type_name: support.name.clone(),
-            key: (*RmwZenohFormatter::topic_key_expr(&entity)?).clone(),
-            gid: gid(&token),
-            token,
-        })
+            key: format!("{domain_id}/{topic}/{dds_name}/{hash}"),
+            token: format!(
+                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{EMPTY}/{name}/{mangled}/{dds_name}/{hash}/{qos}"
+            ),
+            others: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
+        }
+    }
+
+    /// Who says so in attachments: XXH3-128 of the token, little-endian.
+    pub(super) fn gid(&self) -> [u8; 16] {
+        gid(&self.token)
     }
 }
 
@@ -82,23 +102,36 @@ fn gid(token: &str) -> [u8; 16] {
     xxhash_rust::xxh3::xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
-/// What a publisher promises.
-pub(super) fn publisher_qos(reliability: Reliability) -> QosProfile {
-    let (reliability, history) = match reliability {
-        Reliability::Block => (QosReliability::Reliable, QosHistory::KeepAll),
-        Reliability::Drop => (QosReliability::BestEffort, QosHistory::KeepLast(ADVERTISED_DEPTH)),
-    };
-    QosProfile { reliability, history, durability: QosDurability::Volatile, ..QosProfile::default() }
+/// `std_msgs/msg/String` as DDS names it: `std_msgs::msg::dds_::String_`.
+fn dds_name(ros_name: &str) -> String {
+    let (package, name) = ros_name.rsplit_once('/').unwrap_or(("", ros_name));
+    format!("{}::dds_::{name}_", package.replace('/', "::"))
+}
+
+/// Type, as ROS names it, and hash in the token of an endpoint.
+pub(super) fn type_in(token: &str) -> Option<(String, &str)> {
+    let mut chunks = token.split('/').skip(10);
+    let (dds_name, hash) = (chunks.next()?, chunks.next()?);
+    let ros_name = dds_name.replace("::dds_::", "::").replace("::", "/");
+    Some((ros_name.trim_end_matches('_').to_owned(), hash))
+}
+
+/// What a publisher promises: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each
+/// empty where it equals rmw_zenoh's default of reliable, volatile, keep last.
+pub(super) fn publisher_qos(reliability: Reliability) -> String {
+    match reliability {
+        Reliability::Block => "::2,:,:,:,,".to_owned(),
+        Reliability::Drop => best_effort(ADVERTISED_DEPTH),
+    }
 }
 
 /// What a subscriber asks for: little, so that every publisher suits it.
-pub(super) fn subscriber_qos(depth: usize) -> QosProfile {
-    QosProfile {
-        reliability: QosReliability::BestEffort,
-        history: QosHistory::KeepLast(depth),
-        durability: QosDurability::Volatile,
-        ..QosProfile::default()
-    }
+pub(super) fn subscriber_qos(depth: usize) -> String {
+    best_effort(depth)
+}
+
+fn best_effort(depth: usize) -> String {
+    format!("2::,{depth}:,:,:,,")
 }
 
 #[cfg(test)]
@@ -108,24 +141,22 @@ mod tests {
 
     const ZID: &str = "1234567890abcdef1234567890abcdef";
 
-    fn endpoint(link: &str, type_name: &str, kind: EndpointKind, qos: QosProfile) -> Endpoint {
-        let node = Node::new(7, ZID.parse().unwrap(), "eddy_node");
-        let support = type_support(type_name).unwrap();
-        Endpoint::new(&node, 3, kind, &link.parse().unwrap(), support, qos).unwrap()
+    fn node() -> Node {
+        Node { domain_id: 7, zid: ZID.parse().unwrap(), name: "eddy_node".to_owned() }
+    }
+
+    fn endpoint(link: &str, type_name: &str, side: Side, qos: &str) -> Endpoint {
+        Endpoint::new(&node(), 3, side, &link.parse().unwrap(), type_support(type_name).unwrap(), qos)
     }
 
     #[test]
     fn names_are_those_of_rmw_zenoh() {
-        let string = endpoint(
-            "zenoh:/chatter",
-            RosString::TYPE,
-            EndpointKind::Publisher,
-            publisher_qos(Reliability::Block),
-        );
+        let qos = publisher_qos(Reliability::Block);
+        let endpoint = endpoint("zenoh:/chatter", RosString::TYPE, Side::Publisher, &qos);
         let hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
-        assert_eq!(string.key.as_str(), format!("7/chatter/std_msgs::msg::dds_::String_/{hash}"));
+        assert_eq!(endpoint.key, format!("7/chatter/std_msgs::msg::dds_::String_/{hash}"));
         assert_eq!(
-            string.token.as_str(),
+            endpoint.token,
             format!(
                 "@ros2_lv/7/{ZID}/0/3/MP/%/%/eddy_node/%chatter/std_msgs::msg::dds_::String_/{hash}/::2,:,:,:,,"
             )
@@ -134,38 +165,39 @@ mod tests {
 
     #[test]
     fn inner_slashes_stay_in_keys_and_are_replaced_in_tokens() {
-        let status = endpoint(
-            "zenoh:/prediction/status",
-            ParticleFrame::TYPE,
-            EndpointKind::Subscription,
-            subscriber_qos(64),
-        );
+        let qos = subscriber_qos(64);
+        let endpoint =
+            endpoint("zenoh:/prediction/raw", ParticleFrame::TYPE, Side::Subscription, &qos);
         let hash = &type_support(ParticleFrame::TYPE).unwrap().hash;
         let name = "eddy_msgs::msg::dds_::ParticleFrame_";
-        assert_eq!(status.key.as_str(), format!("7/prediction/status/{name}/{hash}"));
+        assert_eq!(endpoint.key, format!("7/prediction/raw/{name}/{hash}"));
         assert_eq!(
-            status.token.as_str(),
-            format!("@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%status/{name}/{hash}/2::,64:,:,:,,")
+            endpoint.token,
+            format!("@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%raw/{name}/{hash}/2::,64:,:,:,,")
         );
+        assert_eq!(endpoint.others, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*");
     }
 
     #[test]
     fn the_node_has_a_token_of_its_own() {
-        let node = Node::new(0, ZID.parse().unwrap(), "eddy_node");
-        let expected = format!("@ros2_lv/0/{ZID}/0/0/NN/%/%/eddy_node");
-        assert_eq!(node.token().unwrap().as_str(), expected);
+        assert_eq!(node().token(), format!("@ros2_lv/7/{ZID}/0/0/NN/%/%/eddy_node"));
+    }
+
+    #[test]
+    fn the_type_is_read_back_from_a_token() {
+        for name in [ParticleFrame::TYPE, RosString::TYPE] {
+            let endpoint = endpoint("zenoh:/a/b", name, Side::Publisher, "::,:,:,:,,");
+            let hash = type_support(name).unwrap().hash.as_str();
+            assert_eq!(type_in(&endpoint.token), Some((name.to_owned(), hash)));
+        }
+        assert_eq!(type_in(&node().token()), None);
     }
 
     #[test]
     fn quality_of_service_is_written_as_rmw_zenoh_writes_it() {
-        let cases = [
-            (publisher_qos(Reliability::Block), "::2,:,:,:,,"),
-            (publisher_qos(Reliability::Drop), "2::,10:,:,:,,"),
-            (subscriber_qos(64), "2::,64:,:,:,,"),
-        ];
-        for (qos, expected) in cases {
-            assert_eq!(qos.encode(), expected);
-        }
+        assert_eq!(publisher_qos(Reliability::Block), "::2,:,:,:,,");
+        assert_eq!(publisher_qos(Reliability::Drop), "2::,10:,:,:,,");
+        assert_eq!(subscriber_qos(64), "2::,64:,:,:,,");
     }
 
     /// Computed with the Python package xxhash 4.1.0: `xxh3_128_intdigest(token).to_bytes(16, "little")`.
@@ -173,8 +205,7 @@ mod tests {
     fn the_gid_is_the_hash_of_the_token_in_little_endian() {
         let token = "@ros2_lv/0/1234567890abcdef1234567890abcdef/0/0/NN/%/%/eddy_node";
         let expected = [
-            0xf5, 0xa6, 0x5f, 0x2e, 0x0b, 0xe1, 0xaf, 0xc6,
-            0x33, 0x30, 0xca, 0x65, 0x3a, 0x17, 0xde, 0xff,
+            0xf5, 0xa6, 0x5f, 0x2e, 0x0b, 0xe1, 0xaf, 0xc6, 0x33, 0x30, 0xca, 0x65, 0x3a, 0x17, 0xde, 0xff
         ];
         assert_eq!(gid(token), expected);
     }

@@ -6,12 +6,13 @@
 //! 4. [`graph`]: who else is on a topic, by liveliness tokens.
 //! 5. [`publisher`], [`subscriber`]: messages.
 //!
-//! Why the `zenoh` crate with `hiroz-protocol`, and not all of `hiroz` 0.2.1: hiroz makes an endpoint's
-//! GID from a truncated SHA-256 of session and entity numbers (`hiroz/src/entity.rs`, `endpoint_gid`), where rmw_zenoh takes
-//! XXH3-128 of the liveliness token (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`, `Entity::Entity`),
-//! so ROS tools could not tie a message to its publisher; it turns on all of zenoh's default features
-//! (TLS, QUIC, serial lines, shared memory); and it builds zenoh a second time as a build dependency. What remains of it, names and
-//! tokens, is `hiroz-protocol`, which is used here. `zenoh-ext` is not needed: no topic of eddy's is transient local.
+//! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
+//! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
+//! rmw_zenoh takes XXH3-128 of the liveliness token (`liveliness_utils.cpp`, `Entity::Entity`), so ROS
+//! tools could not tie a message to its publisher; it turns on all of zenoh's default features (TLS, QUIC, serial
+//! lines, shared memory); and it builds zenoh a second time as a build dependency. Its part for names and tokens,
+//! `hiroz-protocol` 0.2.1, compiles only with its feature `std`, which turns on the same features; the
+//! names are short enough to be written here. `zenoh-ext` is not needed: no topic of eddy's is transient local.
 
 mod attachment;
 mod config;
@@ -26,13 +27,11 @@ use std::{
     time::Duration,
 };
 
-use hiroz_protocol::entity::EndpointKind;
-use zenoh::{Session, Wait, liveliness::LivelinessToken};
+use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{Link, Reliability, TransportError, TransportOptions};
 use crate::msg::TypeSupport;
-use graph::Graph;
-use keys::{Endpoint, Node};
+use keys::{Endpoint, Node, Side};
 use publisher::ZenohPublisher;
 use subscriber::ZenohSubscriber;
 
@@ -49,12 +48,9 @@ pub(super) struct ZenohNode {
 impl ZenohNode {
     pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         let session = config::open(link, options)?;
-        let node = Node::new(options.domain_id, session.zid(), &options.node_name);
-        let token = node.token().map_err(|error| middleware(link, "name the node", &error))?;
-        let token = session
-            .liveliness()
-            .declare_token(token)
-            .wait()
+        let (domain_id, name) = (options.domain_id, options.node_name.clone());
+        let node = Node { domain_id, zid: session.zid(), name };
+        let token = graph::declare(&session, &node.token())
             .map_err(|error| middleware(link, "declare the node", &error))?;
         let next_id = AtomicUsize::new(1);
         Ok(Self { session, node, patience: options.patience, next_id, _token: token })
@@ -67,10 +63,8 @@ impl ZenohNode {
         reliability: Reliability,
     ) -> Result<ZenohPublisher, TransportError> {
         let qos = keys::publisher_qos(reliability);
-        let endpoint = self.endpoint(link, support, EndpointKind::Publisher, qos)?;
-        let graph = Graph::watch(&self.session, &endpoint, EndpointKind::Subscription)
-            .map_err(|error| middleware(link, "watch subscribers", &error))?;
-        ZenohPublisher::open(&self.session, endpoint, graph, reliability)
+        let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
+        ZenohPublisher::open(&self.session, endpoint, reliability)
     }
 
     pub(super) fn subscriber(
@@ -79,22 +73,13 @@ impl ZenohNode {
         support: &TypeSupport,
     ) -> Result<ZenohSubscriber, TransportError> {
         let qos = keys::subscriber_qos(subscriber::DEPTH);
-        let endpoint = self.endpoint(link, support, EndpointKind::Subscription, qos)?;
-        let graph = Graph::watch(&self.session, &endpoint, EndpointKind::Publisher)
-            .map_err(|error| middleware(link, "watch publishers", &error))?;
-        ZenohSubscriber::open(&self.session, endpoint, graph, self.patience)
+        let endpoint =
+            Endpoint::new(&self.node, self.id(), Side::Subscription, link, support, &qos);
+        ZenohSubscriber::open(&self.session, endpoint, self.patience)
     }
 
-    fn endpoint(
-        &self,
-        link: &Link,
-        support: &TypeSupport,
-        kind: EndpointKind,
-        qos: hiroz_protocol::qos::QosProfile,
-    ) -> Result<Endpoint, TransportError> {
-        let id = self.next_id.fetch_add(1, Ordering::Relaxed);
-        Endpoint::new(&self.node, id, kind, link, support, qos)
-            .map_err(|error| middleware(link, "name the topic", &error))
+    fn id(&self) -> usize {
+        self.next_id.fetch_add(1, Ordering::Relaxed)
     }
 }
 

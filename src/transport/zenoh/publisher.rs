@@ -30,10 +30,12 @@ impl ZenohPublisher {
     pub(super) fn open(
         session: &Session,
         endpoint: Endpoint,
-        graph: Graph,
         reliability: Reliability,
     ) -> Result<Self, TransportError> {
-        let Endpoint { link, type_name, key, token, gid, .. } = endpoint;
+        let graph = Graph::watch(session, &endpoint)
+            .map_err(|error| middleware(&endpoint.link, "watch the subscribers", &error))?;
+        let gid = endpoint.gid();
+        let Endpoint { link, type_name, key, token, .. } = endpoint;
         let congestion_control = match reliability {
             Reliability::Block => CongestionControl::Block,
             Reliability::Drop => CongestionControl::Drop,

@@ -37,9 +37,10 @@ impl ZenohSubscriber {
     pub(super) fn open(
         session: &Session,
         endpoint: Endpoint,
-        graph: Graph,
         patience: Duration,
     ) -> Result<Self, TransportError> {
+        let graph = Graph::watch(session, &endpoint)
+            .map_err(|error| middleware(&endpoint.link, "watch the publishers", &error))?;
         let Endpoint { link, key, token, .. } = endpoint;
         let intake = Arc::new(Intake {
             queue: Queue::new(DEPTH),

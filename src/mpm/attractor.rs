@@ -1,0 +1,41 @@
+//! A point that pulls on everything before the recording starts, so that scenes start from varied
+//! states.
+
+use serde::{Deserialize, Serialize};
+
+/// Distance below which the pull fades to zero at the centre (domain lengths).
+const CORE: f32 = 0.05;
+
+/// A point attractor: the same pull everywhere, towards one point.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Attractor {
+    /// The point (domain lengths).
+    pub centre: [f32; 2],
+    /// Acceleration far from the point (domain lengths per s^2).
+    pub strength: f32,
+    /// How long it acts, in frame intervals.
+    pub frames: u32,
+}
+
+impl Attractor {
+    /// Acceleration at a position (domain lengths per s^2).
+    pub fn acceleration(&self, position: [f32; 2]) -> [f32; 2] {
+        let towards = [self.centre[0] - position[0], self.centre[1] - position[1]];
+        let distance = (towards[0] * towards[0] + towards[1] * towards[1]).sqrt();
+        let scale = self.strength / (CORE + distance);
+        [towards[0] * scale, towards[1] * scale]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_pulls_towards_its_centre_and_not_at_its_centre() {
+        let attractor = Attractor { centre: [0.5, 0.5], strength: 10.0, frames: 1 };
+        assert_eq!(attractor.acceleration([0.5, 0.5]), [0.0, 0.0]);
+        let [x, y] = attractor.acceleration([0.1, 0.5]);
+        assert!(x > 8.0 && x < 10.0 && y == 0.0);
+    }
+}

@@ -1,0 +1,63 @@
+//! The energy that the solver should conserve, in double precision: what tests hold it against.
+
+use super::{
+    material::{DENSITY, Lame, hardening},
+    matrix::Matrix2,
+    particle::Particle,
+};
+use crate::frame::Material;
+
+/// Fixed-corotated energy per area: `mu |F - R|^2 + lambda/2 (J - 1)^2`. `f` is `[[xx, xy], [yx, yy]]`.
+fn elastic(f: [[f64; 2]; 2], mu: f64, lambda: f64) -> f64 {
+    let [[xx, xy], [yx, yy]] = f;
+    // |F - R|^2 = (s1 - 1)^2 + (s2 - 1)^2 with s = q +- r, as in `polar`.
+    let q = 0.5 * (xx + yy).hypot(yx - xy);
+    let r = 0.5 * (xx - yy).hypot(yx + xy);
+    let area = xx * yy - xy * yx;
+    mu * ((q + r - 1.0).powi(2) + (q - r - 1.0).powi(2)) + 0.5 * lambda * (area - 1.0).powi(2)
+}
+
+fn double(f: Matrix2) -> [[f64; 2]; 2] {
+    [[f.xx.into(), f.xy.into()], [f.yx.into(), f.yy.into()]]
+}
+
+/// Kirchhoff stress `(d psi / d F) F^T` by central differences.
+pub(super) fn kirchhoff_by_differences(f: Matrix2, lame: Lame) -> Matrix2 {
+    const STEP: f64 = 1e-5;
+    let (mu, lambda) = (f64::from(lame.mu), f64::from(lame.lambda));
+    let f = double(f);
+    let slope = |row: usize, column: usize| {
+        let moved = |by: f64| {
+            let mut f = f;
+            f[row][column] += by;
+            elastic(f, mu, lambda)
+        };
+        (moved(STEP) - moved(-STEP)) / (2.0 * STEP)
+    };
+    let stress = |row: usize, column: usize| {
+        (slope(row, 0) * f[column][0] + slope(row, 1) * f[column][1]) as f32
+    };
+    Matrix2::new(stress(0, 0), stress(0, 1), stress(1, 0), stress(1, 1))
+}
+
+/// Kinetic energy with its affine part, elastic energy and potential energy of particles of one
+/// `volume` on a grid of width `dx`.
+pub(super) fn total(particles: &[Particle], lame: Lame, volume: f32, dx: f32, gravity: f32) -> f64 {
+    let volume = f64::from(volume);
+    let mass = f64::from(DENSITY) * volume;
+    let inertia = f64::from(dx).powi(2) / 4.0;
+    particles
+        .iter()
+        .map(|particle| {
+            let [u, v] = particle.velocity.map(f64::from);
+            let affine: f64 = double(particle.affine).as_flattened().iter().map(|c| c * c).sum();
+            let kinetic = 0.5 * mass * (u * u + v * v + inertia * affine);
+            let factor = f64::from(hardening(particle.material, particle.plastic));
+            let mu = if particle.material == Material::Liquid { 0.0 } else { f64::from(lame.mu) };
+            let lambda = f64::from(lame.lambda);
+            let stored =
+                volume * elastic(double(particle.deformation), mu * factor, lambda * factor);
+            kinetic + stored + mass * f64::from(gravity) * f64::from(particle.position[1])
+        })
+        .sum()
+}

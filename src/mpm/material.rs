@@ -1,0 +1,70 @@
+//! What the materials are made of: density, stiffness, hardening, speed of sound.
+//!
+//! Numbers of Taichi's `mpm99` and `mpm128` examples, which follow Hu et al., "A Moving Least
+//! Squares Material Point Method", ACM TOG 37(4), 2018, and, for snow, Stomakhin et al., "A Material
+//! Point Method for Snow Simulation", ACM TOG 32(4), 2013.
+
+use crate::frame::Material;
+
+/// Mass per area of every material (1 unit of mass per domain length^2).
+pub(super) const DENSITY: f32 = 1.0;
+/// Poisson's ratio of every material.
+pub(super) const POISSON_RATIO: f32 = 0.2;
+
+/// Stiffness of jelly, as a part of E.
+const JELLY_STIFFNESS: f32 = 0.3;
+/// Stiffness of rope, as a multiple of E: barely stretches, bends under its own weight.
+const ROPE_STIFFNESS: f32 = 2.0;
+/// How fast snow hardens with its plastic compression: h = exp(10 (1 - Jp)).
+const SNOW_HARDENING: f32 = 10.0;
+/// Bounds of the hardening of snow.
+const SNOW_HARDENING_RANGE: [f32; 2] = [0.1, 5.0];
+
+/// Elastic stretches that snow bears before it yields, smallest and largest.
+pub(super) const SNOW_STRETCH: [f32; 2] = [1.0 - 2.5e-2, 1.0 + 4.5e-3];
+
+/// The Lame parameters of a stiffness, before hardening.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lame {
+    /// Shear modulus mu (density x velocity^2).
+    pub(super) mu: f32,
+    /// First parameter lambda (density x velocity^2).
+    pub(super) lambda: f32,
+}
+
+impl Lame {
+    /// The parameters for Young's modulus `stiffness` (density x velocity^2).
+    pub(super) fn of(stiffness: f32) -> Self {
+        let nu = POISSON_RATIO;
+        Self {
+            mu: stiffness / (2.0 * (1.0 + nu)),
+            lambda: stiffness * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)),
+        }
+    }
+
+    /// The largest speed of sound in a material (domain lengths per second): that of a pressure
+    /// wave, in snow packed as hard as it gets.
+    pub(super) fn sound_speed(self, material: Material) -> f32 {
+        let modulus = match material {
+            Material::Liquid => self.lambda,
+            Material::Snow => (self.lambda + 2.0 * self.mu) * SNOW_HARDENING_RANGE[1],
+            Material::Jelly => (self.lambda + 2.0 * self.mu) * JELLY_STIFFNESS,
+            Material::Rope => (self.lambda + 2.0 * self.mu) * ROPE_STIFFNESS,
+        };
+        (modulus / DENSITY).sqrt()
+    }
+}
+
+/// The factor on both Lame parameters. `plastic` is Jp, the area that plastic flow has taken off
+/// snow: below 1 where it is packed.
+pub(super) fn hardening(material: Material, plastic: f32) -> f32 {
+    match material {
+        Material::Liquid => 1.0,
+        Material::Snow => {
+            let [softest, hardest] = SNOW_HARDENING_RANGE;
+            (SNOW_HARDENING * (1.0 - plastic)).exp().clamp(softest, hardest)
+        }
+        Material::Jelly => JELLY_STIFFNESS,
+        Material::Rope => ROPE_STIFFNESS,
+    }
+}

@@ -1,0 +1,213 @@
+//! One explicit MLS-MPM substep after the other.
+
+use super::{attractor::Attractor, g2p, grid::Grid, material::Lame, p2g, particle::Particle};
+
+/// What a [`Solver`] computes with.
+#[derive(Clone, Copy, Debug)]
+pub struct SolverSettings {
+    /// Cells on a side of the unit square.
+    pub cells: u32,
+    /// Young's modulus E of every material (density x velocity^2).
+    pub stiffness: f32,
+    /// Length of a substep (s). Nothing checks it here: see [`minimum_substeps`](super::minimum_substeps).
+    pub dt: f32,
+    /// Acceleration in -y (domain lengths per s^2).
+    pub gravity: f32,
+}
+
+/// Particles and the grid that they interact through.
+#[derive(Clone, Debug)]
+pub struct Solver {
+    particles: Vec<Particle>,
+    grid: Grid,
+    lame: Lame,
+    /// Area of an undeformed particle: four to a cell (domain lengths^2).
+    volume: f32,
+    dt: f32,
+    gravity: f32,
+    /// Pulls while it is set.
+    pub attractor: Option<Attractor>,
+}
+
+impl Solver {
+    /// A solver at the state of these particles, which stand half a cell apart when undeformed.
+    ///
+    /// # Errors
+    /// The index of the first particle that is not inside the grid.
+    pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
+        let grid = Grid::new(settings.cells as usize);
+        if let Some(outside) = particles.iter().position(|p| !grid.contains(p.position)) {
+            return Err(outside);
+        }
+        let volume = (0.5 * grid.dx()) * (0.5 * grid.dx());
+        Ok(Self {
+            particles,
+            grid,
+            lame: Lame::of(settings.stiffness),
+            volume,
+            dt: settings.dt,
+            gravity: settings.gravity,
+            attractor: None,
+        })
+    }
+
+    /// Moves everything one substep on.
+    ///
+    /// # Errors
+    /// The index of the first particle that left the grid or has a position that is no number; the
+    /// state is of no use then.
+    pub fn substep(&mut self) -> Result<(), usize> {
+        self.grid.clear();
+        p2g::scatter(&mut self.particles, &mut self.grid, self.lame, self.volume, self.dt);
+        self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
+        g2p::gather(&mut self.particles, &self.grid, self.dt)
+    }
+
+    /// The particles, in the order they were given.
+    pub fn particles(&self) -> &[Particle] {
+        &self.particles
+    }
+
+    /// Length of a substep (s).
+    pub fn dt(&self) -> f32 {
+        self.dt
+    }
+
+    /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).
+    pub fn kinetic_energy(&self) -> f64 {
+        let sum: f64 = self
+            .particles
+            .iter()
+            .map(|p| p.velocity.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>())
+            .sum();
+        0.5 * sum / self.particles.len() as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{GRAVITY, energy, material::DENSITY, matrix::Matrix2, minimum_substeps},
+        *,
+    };
+    use crate::frame::Material;
+
+    const CELLS: u32 = 64;
+    const STIFFNESS: f32 = 1e3;
+
+    /// A square of 20 x 20 particles around the middle of the domain.
+    fn square(material: Material) -> Vec<Particle> {
+        let spacing = 0.5 / CELLS as f32;
+        (0..400)
+            .map(|k| {
+                let place = |n: usize| 0.5 + (n as f32 - 9.5) * spacing;
+                Particle::at_rest([place(k % 20), place(k / 20)], material)
+            })
+            .collect()
+    }
+
+    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
+        let settings = SolverSettings { cells: CELLS, stiffness: STIFFNESS, dt, gravity };
+        Solver::new(particles, settings).unwrap()
+    }
+
+    fn run(solver: &mut Solver, substeps: usize) {
+        for _ in 0..substeps {
+            solver.substep().unwrap();
+        }
+    }
+
+    /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
+    /// APIC keeps in C (`x x v + dx^2/4 (C_yx - C_xy)`).
+    fn momenta(solver: &Solver) -> ([f64; 2], f64) {
+        let inertia = f64::from(solver.grid.dx()).powi(2) / 4.0;
+        let mut linear = [0.0; 2];
+        let mut angular = 0.0;
+        for particle in solver.particles() {
+            let [x, y] = particle.position.map(f64::from);
+            let [u, v] = particle.velocity.map(f64::from);
+            linear = [linear[0] + u, linear[1] + v];
+            angular += x * v - y * u;
+            angular += inertia * f64::from(particle.affine.yx - particle.affine.xy);
+        }
+        (linear, angular)
+    }
+
+    #[test]
+    fn the_grid_carries_the_mass_of_the_particles() {
+        let mut solver = solver(square(Material::Jelly), 1e-4, 0.0);
+        run(&mut solver, 1);
+        let found: f64 = solver.grid.nodes().iter().map(|node| f64::from(node[2])).sum();
+        let expected = 400.0 * f64::from(DENSITY * solver.volume);
+        assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
+    }
+
+    #[test]
+    fn momentum_is_conserved_without_walls_and_gravity() {
+        for material in Material::ALL {
+            let mut particles = square(material);
+            for particle in &mut particles {
+                // A spin of 5 rad/s, and a flight that stays off the walls.
+                let [x, y] = particle.position;
+                particle.velocity = [1.0 - 5.0 * (y - 0.5), 0.5 + 5.0 * (x - 0.5)];
+                particle.affine = Matrix2::new(0.0, -5.0, 5.0, 0.0);
+            }
+            let mut solver = solver(particles, 1e-4, 0.0);
+            let (linear, angular) = momenta(&solver);
+            run(&mut solver, 1000);
+            let (linear_after, angular_after) = momenta(&solver);
+            for axis in 0..2 {
+                let drift = (linear_after[axis] / linear[axis] - 1.0).abs();
+                assert!(drift < 1e-6, "{material:?}: linear {drift}");
+            }
+            let drift = (angular_after / angular - 1.0).abs();
+            assert!(drift < 1e-5, "{material:?}: angular {drift}");
+        }
+    }
+
+    #[test]
+    fn a_falling_body_follows_the_discrete_formula() {
+        let (dt, substeps) = (1e-4, 200);
+        let start = square(Material::Rope);
+        let mut solver = solver(start.clone(), dt, GRAVITY);
+        run(&mut solver, substeps);
+        let n = substeps as f32;
+        let fallen = GRAVITY * dt * dt * n * (n + 1.0) / 2.0;
+        for (before, after) in start.iter().zip(solver.particles()) {
+            assert!((before.position[1] - after.position[1] - fallen).abs() < 1e-6);
+            assert!((before.position[0] - after.position[0]).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn energy_does_not_grow_when_bodies_hit_the_floor() {
+        for material in Material::ALL {
+            let mut particles = square(material);
+            for particle in &mut particles {
+                particle.position[1] -= 0.3;
+                particle.velocity[1] = -2.0;
+            }
+            let interval = 0.016;
+            let (substeps, _) = minimum_substeps(&[material], STIFFNESS, CELLS, 4.0, interval);
+            let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
+            let energy = |solver: &Solver| {
+                let (lame, volume) = (solver.lame, solver.volume);
+                energy::total(solver.particles(), lame, volume, solver.grid.dx(), GRAVITY)
+            };
+            let start = energy(&solver);
+            for _ in 0..30 {
+                run(&mut solver, substeps as usize);
+                let now = energy(&solver);
+                assert!(now <= 1.01 * start, "{material:?}: from {start} to {now}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_state_that_is_no_number_is_an_error() {
+        let mut particles = square(Material::Jelly);
+        particles[17].deformation.xx = f32::NAN;
+        let mut solver = solver(particles, 1e-4, GRAVITY);
+        assert!(solver.substep().is_err());
+    }
+}

@@ -1,0 +1,143 @@
+//! Records what arrives: when a message comes, when time passes.
+
+use crate::{
+    bag::{BagError, BagSummary, BagWriter, TopicId},
+    frame::Stamp,
+    transport::Payload,
+};
+
+/// A killed recorder loses at most the messages of this time (ns of wall time).
+const FLUSH_INTERVAL: i64 = 1_000_000_000;
+
+/// Writes messages into a bag as they arrive, and ends a chunk once a second.
+pub struct Recorder {
+    bag: BagWriter,
+    flushed: Stamp,
+    /// Whether messages were written since then.
+    dirty: bool,
+}
+
+impl Recorder {
+    /// Records into `bag`. All times are wall times.
+    pub fn new(bag: BagWriter, now: Stamp) -> Self {
+        Self { bag, flushed: now, dirty: false }
+    }
+
+    /// Adds a topic, or gives the id it already has.
+    ///
+    /// # Errors
+    /// As [`BagWriter::topic`].
+    pub fn topic(&mut self, name: &str, type_name: &str) -> Result<TopicId, BagError> {
+        self.bag.topic(name, type_name)
+    }
+
+    /// Writes a message that arrived at `now`, which becomes both its times.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn on_message(
+        &mut self,
+        topic: TopicId,
+        payload: Payload,
+        now: Stamp,
+    ) -> Result<(), BagError> {
+        self.bag.write(topic, now, now, &payload.into_cdr())?;
+        self.dirty = true;
+        self.on_tick(now)
+    }
+
+    /// Hands the messages to the system if the last time was a second ago. To be called at least
+    /// once a second, also while nothing arrives.
+    ///
+    /// # Errors
+    /// As [`BagWriter::flush`].
+    pub fn on_tick(&mut self, now: Stamp) -> Result<(), BagError> {
+        // The wall clock may be set back: any second apart counts.
+        if now.0.abs_diff(self.flushed.0) < FLUSH_INTERVAL.unsigned_abs() {
+            return Ok(());
+        }
+        self.flushed = now;
+        if std::mem::take(&mut self.dirty) {
+            self.bag.flush()?;
+        }
+        Ok(())
+    }
+
+    /// The bag so far.
+    pub fn bag(&self) -> &BagWriter {
+        &self.bag
+    }
+
+    /// Closes the bag.
+    ///
+    /// # Errors
+    /// As [`BagWriter::finish`].
+    pub fn finish(self) -> Result<BagSummary, BagError> {
+        self.bag.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        bag::{BagReader, WriterOptions},
+        frame::{Domain, Frame, Material},
+        msg::{Message, ParticleFrame, RosString, cdr},
+    };
+
+    fn frame(sequence: u64) -> Frame {
+        Frame {
+            stream: 0,
+            sequence,
+            stamp: Stamp(0).advance(0.016, sequence as u32),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            position: vec![[0.5, 0.5]],
+            velocity: vec![[0.0, -1.0]],
+            material: vec![Material::Snow],
+        }
+    }
+
+    #[test]
+    fn frames_and_bytes_are_recorded_with_the_time_of_their_arrival() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
+        let mut recorder = Recorder::new(bag, Stamp(5));
+        let particles = recorder.topic("/particles", ParticleFrame::TYPE).unwrap();
+        let words = recorder.topic("/words", RosString::TYPE).unwrap();
+        let text = cdr::encode(&RosString { data: "eddy".into() });
+        recorder.on_message(particles, Payload::Frame(frame(0)), Stamp(10)).unwrap();
+        recorder.on_message(words, Payload::Cdr(text.clone()), Stamp(11)).unwrap();
+        recorder.on_message(particles, Payload::Cdr(frame(1).to_cdr()), Stamp(12)).unwrap();
+        assert_eq!(recorder.finish().unwrap().messages, 3);
+
+        let bag = BagReader::open(&path).unwrap();
+        let messages: Vec<_> = bag.messages().map(Result::unwrap).collect();
+        let times: Vec<_> = messages.iter().map(|message| message.log_time).collect();
+        assert_eq!(times, [Stamp(10), Stamp(11), Stamp(12)]);
+        assert_eq!(messages[0].data, frame(0).to_cdr());
+        assert_eq!(messages[1].data, text);
+        assert_eq!(messages[2].data, frame(1).to_cdr());
+    }
+
+    #[test]
+    fn what_is_older_than_a_second_is_in_the_file_before_the_bag_is_closed() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
+        let mut recorder = Recorder::new(bag, Stamp(0));
+        let topic = recorder.topic("/particles", ParticleFrame::TYPE).unwrap();
+        let on_disk = || BagReader::open(&path).unwrap().message_count();
+        let second = 1_000_000_000;
+
+        recorder.on_message(topic, Payload::Frame(frame(0)), Stamp(second / 2)).unwrap();
+        assert_eq!(on_disk(), 0);
+        recorder.on_tick(Stamp(second)).unwrap();
+        assert_eq!(on_disk(), 1);
+        recorder.on_message(topic, Payload::Frame(frame(1)), Stamp(second + 1)).unwrap();
+        recorder.on_message(topic, Payload::Frame(frame(2)), Stamp(2 * second)).unwrap();
+        assert_eq!(on_disk(), 3);
+    }
+}

@@ -1,0 +1,286 @@
+//! The rules of the surrogate node, one test a rule.
+
+use std::time::Duration;
+
+use super::{Counters, NodeSettings, Publish, Refusal, SurrogateNode};
+use crate::{
+    checkpoint::{
+        Architecture, Checkpoint, Core, Description, FORMAT_VERSION, Form, Normalization, Sizes,
+        TrainingSummary,
+    },
+    frame::{Domain, Frame, Material, Stamp},
+    model::{DeviceKind, Memory, Surrogate, layers::initial},
+    msg::{BadFrame, StreamState},
+};
+
+const DT: f32 = 0.016;
+const WARM_UP: u64 = 3;
+
+/// A particle model with random weights, its decoder included: its predictions depend on all it saw.
+fn surrogate() -> Surrogate {
+    let description = Description {
+        format_version: FORMAT_VERSION,
+        architecture: Architecture::Particle,
+        core: Core::MinGru,
+        form: Form::Plain,
+        dt: DT,
+        warm_up: WARM_UP as u32,
+        gravity: [0.0, -9.8],
+        materials: vec![Material::Liquid, Material::Jelly],
+        data: String::new(),
+        sizes: Sizes { encoder: 8, hidden: 8, layers: 1, particles: None },
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.0, 0.0, -1.0, -1.0],
+            maximum: [1.0; 4],
+            mean: [0.5, 0.5, 0.0, 0.0],
+            standard_deviation: [0.5; 4],
+        },
+        training: TrainingSummary {
+            command: String::new(),
+            seed: 1,
+            epochs: 0,
+            best_epoch: 0,
+            training_loss: 0.0,
+            validation_loss: 0.0,
+            samples: 0,
+        },
+    };
+    let mut tensors = initial(&description, 1);
+    let decoder = tensors.get_mut("decoder.weight").unwrap();
+    for (index, weight) in decoder.values.iter_mut().enumerate() {
+        *weight = 0.1 * (index as f32).sin();
+    }
+    Surrogate::load(&Checkpoint { description, tensors }, DeviceKind::Flex).unwrap()
+}
+
+fn node(settings: NodeSettings) -> SurrogateNode {
+    SurrogateNode::new(surrogate(), settings).unwrap()
+}
+
+/// Two particles on arcs, different in every stream.
+fn frame(stream: u64, sequence: u64) -> Frame {
+    let t = sequence as f32 * DT;
+    let phase = stream as f32;
+    let place = |a: f32| [0.5 + 0.2 * (a + t + phase).cos(), 0.5 + 0.2 * (a + t + phase).sin()];
+    let pace = |a: f32| [-0.2 * (a + t + phase).sin(), 0.2 * (a + t + phase).cos()];
+    Frame {
+        stream,
+        sequence,
+        stamp: Stamp(0).advance(DT, sequence as u32),
+        dt: DT,
+        domain: Domain::UNIT,
+        position: vec![place(0.0), place(2.0)],
+        velocity: vec![pace(0.0), pace(2.0)],
+        material: vec![Material::Liquid, Material::Jelly],
+    }
+}
+
+/// Feeds one frame and returns the predicted frames.
+fn feed(node: &mut SurrogateNode, frame: Frame) -> Vec<Frame> {
+    let predictions = node.on_frame(Ok(frame), Duration::ZERO).unwrap();
+    predictions.into_iter().map(|prediction| prediction.frame).collect()
+}
+
+fn feed_all(node: &mut SurrogateNode, frames: impl IntoIterator<Item = Frame>) -> Vec<Frame> {
+    frames.into_iter().flat_map(|frame| feed(node, frame)).collect()
+}
+
+/// What the surrogate itself predicts after these frames.
+fn directly(frames: impl IntoIterator<Item = Frame>) -> (Surrogate, Memory, Frame) {
+    let surrogate = surrogate();
+    let mut frames = frames.into_iter();
+    let first = frames.next().unwrap();
+    let mut memory = surrogate.start(&first).unwrap();
+    let mut predicted = surrogate.step(&mut memory, &first);
+    for frame in frames {
+        predicted = surrogate.step(&mut memory, &frame);
+    }
+    (surrogate, memory, predicted)
+}
+
+#[test]
+fn predictions_begin_with_the_warm_ups_last_frame() {
+    let mut node = node(NodeSettings::default());
+    let predictions = feed_all(&mut node, (0..6).map(|s| frame(1, s)));
+    let sequences: Vec<_> = predictions.iter().map(|p| p.sequence).collect();
+    assert_eq!(sequences, [3, 4, 5, 6]);
+    assert_eq!(predictions[0].stamp, frame(1, 3).stamp);
+    assert_eq!(predictions[3], directly((0..6).map(|s| frame(1, s))).2);
+}
+
+#[test]
+fn the_horizon_is_reached_by_a_copy_of_the_state() {
+    let far = NodeSettings { horizon: 5, publish: Publish::All, ..NodeSettings::default() };
+    let (mut near, mut far) = (node(NodeSettings::default()), node(far));
+    for sequence in 0..10 {
+        let near = feed(&mut near, frame(1, sequence));
+        let far = feed(&mut far, frame(1, sequence));
+        assert_eq!(near.first(), far.first());
+        if sequence + 1 >= WARM_UP {
+            let ahead: Vec<_> = far.iter().map(|p| p.sequence - sequence).collect();
+            assert_eq!(ahead, [1, 2, 3, 4, 5]);
+        }
+    }
+    let last = NodeSettings { horizon: 5, ..NodeSettings::default() };
+    let predictions = feed_all(&mut node(last), (0..3).map(|s| frame(1, s)));
+    let (surrogate, mut memory, mut expected) = directly((0..3).map(|s| frame(1, s)));
+    for _ in 1..5 {
+        expected = surrogate.step(&mut memory, &expected);
+    }
+    assert_eq!(predictions, [expected]);
+}
+
+#[test]
+fn streams_do_not_touch_each_other() {
+    let mut alone = node(NodeSettings::default());
+    let expected = feed_all(&mut alone, (0..8).map(|s| frame(1, s)));
+    let mut both = node(NodeSettings::default());
+    let woven = (0..8).flat_map(|s| [frame(1, s), frame(2, s)]);
+    let mut found = feed_all(&mut both, woven);
+    found.retain(|prediction| prediction.stream == 1);
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_short_gap_is_filled_with_the_models_own_prediction() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let found = feed(&mut node, frame(1, 8));
+
+    let (surrogate, mut memory, mut predicted) = directly((0..5).map(|s| frame(1, s)));
+    for _ in 0..3 {
+        predicted = surrogate.step(&mut memory, &predicted);
+    }
+    assert_eq!(found, [surrogate.step(&mut memory, &frame(1, 8))]);
+    assert_eq!(node.counters().filled, 3);
+    assert_eq!(node.counters().resets, 0);
+}
+
+#[test]
+fn a_long_gap_begins_the_stream_anew() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let found = feed_all(&mut node, (9..12).map(|s| frame(1, s)));
+    assert_eq!(found, [directly((9..12).map(|s| frame(1, s))).2]);
+    assert_eq!((node.counters().missing, node.counters().resets), (4, 1));
+}
+
+#[test]
+fn duplicates_and_late_frames_are_dropped_and_change_nothing() {
+    let mut plain = node(NodeSettings::default());
+    let expected = feed_all(&mut plain, (0..6).map(|s| frame(1, s)));
+    let mut node = node(NodeSettings::default());
+    let mut found = feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    for late in [4, 2] {
+        let refusal = node.on_frame(Ok(frame(1, late)), Duration::ZERO).unwrap_err();
+        assert_eq!(refusal, Refusal::Late { stream: 1, found: late, expected: 5 });
+    }
+    found.extend(feed(&mut node, frame(1, 5)));
+    assert_eq!(found, expected);
+    assert_eq!(node.counters().late, 2);
+}
+
+#[test]
+fn a_looped_bag_begins_the_stream_anew() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..30).map(|s| frame(1, s)));
+    let found = feed_all(&mut node, (0..3).map(|s| frame(1, s)));
+    assert_eq!(found, [directly((0..3).map(|s| frame(1, s))).2]);
+    assert_eq!(node.counters().resets, 1);
+}
+
+#[test]
+fn other_particles_begin_the_stream_anew() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let one_particle = |sequence| {
+        let mut frame = frame(1, sequence);
+        frame.position.truncate(1);
+        frame.velocity.truncate(1);
+        frame.material.truncate(1);
+        frame
+    };
+    let found = feed_all(&mut node, (5..8).map(one_particle));
+    assert_eq!(found, [directly((5..8).map(one_particle)).2]);
+    assert_eq!(node.counters().resets, 1);
+}
+
+#[test]
+fn bad_frames_are_counted_by_their_fault_and_change_nothing() {
+    type Fault = fn(&mut Frame);
+    let faults: [(Fault, fn(&Counters) -> u64); 4] = [
+        (|f| f.position[0][0] = f32::NAN, |c| c.not_finite),
+        (|f| drop(f.velocity.pop()), |c| c.malformed),
+        (|f| f.dt = 0.0161, |c| c.wrong_interval),
+        (|f| f.material[0] = Material::Snow, |c| c.wrong_particles),
+    ];
+    let mut plain = node(NodeSettings::default());
+    let expected = feed_all(&mut plain, (0..5).map(|s| frame(1, s)));
+    for (fault, counter) in faults {
+        let mut node = node(NodeSettings::default());
+        let mut found = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+        // A stream of its own, so that only the fault can be the reason.
+        let mut bad = frame(2, 4);
+        fault(&mut bad);
+        let checked = bad.check().map(|()| bad).map_err(BadFrame::from);
+        node.on_frame(checked, Duration::ZERO).unwrap_err();
+        assert_eq!(counter(node.counters()), 1);
+        found.extend(feed(&mut node, frame(1, 4)));
+        assert_eq!(found, expected);
+    }
+    let mut node = node(NodeSettings::default());
+    node.on_frame(Frame::from_cdr(&[1, 2, 3]), Duration::ZERO).unwrap_err();
+    assert_eq!(node.counters().undecodable, 1);
+}
+
+#[test]
+fn the_least_recently_used_stream_makes_room() {
+    let mut node = node(NodeSettings { max_streams: 2, ..NodeSettings::default() });
+    for (second, stream) in [(0, 1), (1, 2), (2, 1), (3, 3)] {
+        node.on_frame(Ok(frame(stream, second)), Duration::from_secs(second)).unwrap();
+    }
+    assert_eq!((node.streams(), node.counters().evicted_streams), (2, 1));
+    // Stream 1 was used after stream 2: it is still there, and its third frame ends its warm-up.
+    assert_eq!(feed(&mut node, frame(1, 3)).len(), 1);
+}
+
+#[test]
+fn a_free_run_goes_on_alone_at_dt() {
+    let mut node = node(NodeSettings { free_run: Some(4), ..NodeSettings::default() });
+    let observed = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+    assert_eq!(observed.len(), 1, "tracking ends where the free run begins");
+
+    let (surrogate, mut memory, mut expected) = directly((0..4).map(|s| frame(1, s)));
+    for number in 1..=3u32 {
+        let due = node.next_tick().unwrap();
+        assert_eq!(due, number * Duration::from_millis(16));
+        assert_eq!(node.on_tick(due - Duration::from_millis(1)), []);
+        let predictions = node.on_tick(due);
+        assert_eq!(predictions.len(), 1);
+        assert_eq!(predictions[0].frame, expected);
+        assert_eq!(predictions[0].state, StreamState::FreeRunning);
+        assert_eq!((predictions[0].source_sequence, predictions[0].horizon), (3, number));
+        expected = surrogate.step(&mut memory, &expected);
+    }
+    let refusal = node.on_frame(Ok(frame(1, 4)), Duration::ZERO).unwrap_err();
+    assert_eq!(refusal, Refusal::FreeRunning { stream: 1, found: 4 });
+}
+
+#[test]
+fn a_prediction_that_is_not_finite_is_never_published() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+    let mut wild = frame(1, 4);
+    wild.velocity[0] = [f32::MAX; 2];
+    assert_eq!(wild.check(), Ok(()));
+    assert_eq!(feed(&mut node, wild), []);
+    assert_eq!((node.counters().diverged, node.streams()), (1, 0));
+}
+
+#[test]
+fn settings_out_of_range_are_named() {
+    let settings = NodeSettings { horizon: 0, ..NodeSettings::default() };
+    let error = SurrogateNode::new(surrogate(), settings).err().unwrap();
+    assert_eq!(error.to_string(), "horizon: found 0, expected at least 1");
+}

@@ -1,0 +1,172 @@
+//! Other processes: this test binary started again, with one role to play.
+
+use std::{
+    io::{BufRead, BufReader},
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::mpsc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use eddy::{
+    msg::{Message, RosString},
+    transport::{Link, Reliability, TransportOptions, Transports},
+};
+
+use super::{DEADLINE, frame, frames_publisher, frames_subscriber, options};
+
+const VARIABLE: &str = "EDDY_TEST_CHILD";
+const PARTICLES: usize = 2_500;
+
+/// A process with a role, killed with SIGKILL when dropped.
+pub(super) struct Process {
+    child: Child,
+    lines: mpsc::Receiver<String>,
+}
+
+impl Process {
+    /// Starts `role` on `link`, with the same ports as `options`.
+    pub(super) fn start(role: &str, link: &Link, options: &TransportOptions) -> Self {
+        let ports = &options.zenoh.ports;
+        let task = format!("{role} {link} {} {} {}", ports.start(), ports.end(), options.zenoh.router);
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--ignored", "--exact", "transport::child::main", "--nocapture"])
+            .env(VARIABLE, task)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = read_lines(child.stdout.take().unwrap());
+        Self { child, lines }
+    }
+
+    /// Waits for a line that contains `text`.
+    pub(super) fn says(&self, text: &str) -> String {
+        let start = Instant::now();
+        loop {
+            let left = DEADLINE.saturating_sub(start.elapsed());
+            let line = self.lines.recv_timeout(left).unwrap_or_else(|_| panic!("nobody said `{text}`"));
+            if line.contains(text) {
+                return line;
+            }
+        }
+    }
+
+    /// SIGKILL.
+    pub(super) fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Killed already, or a test failed: nothing to be done about an error here.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn read_lines(stdout: ChildStdout) -> mpsc::Receiver<String> {
+    let (sender, lines) = mpsc::channel();
+    thread::spawn(move || {
+        for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    lines
+}
+
+#[test]
+#[ignore = "the other process of tests in this folder; does nothing by itself"]
+fn main() {
+    let Ok(task) = std::env::var(VARIABLE) else { return };
+    let words: Vec<&str> = task.split(' ').collect();
+    let [role, link, start, end, router] = words[..] else { panic!("{VARIABLE}={task}") };
+    let link: Link = link.parse().unwrap();
+    let mut options = options();
+    options.zenoh.ports = start.parse().unwrap()..=end.parse().unwrap();
+    options.zenoh.router = router.to_owned();
+    tracing_subscriber::fmt().with_max_level(tracing::Level::WARN).with_ansi(false).init();
+    let transports = Transports::new(options);
+    match role {
+        "publish" => publish(&transports, &link),
+        "subscribe" => subscribe(&transports, &link, u64::MAX),
+        "stall" => subscribe(&transports, &link, 1),
+        "strings" => {
+            let mut subscriber = transports.subscriber(&link, RosString::TYPE).unwrap();
+            println!("ready");
+            while subscriber.receive(Duration::from_secs(1)).unwrap().is_none() {}
+        }
+        "echo" => echo(&transports, &link),
+        other => panic!("no role {other}"),
+    }
+}
+
+/// One frame every few milliseconds, for ever.
+fn publish(transports: &Transports, link: &Link) {
+    let mut publisher = frames_publisher(transports, link, Reliability::Block);
+    println!("ready");
+    for sequence in 0.. {
+        publisher.publish_frame(&frame(sequence, PARTICLES)).unwrap();
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Says what arrives; after `most` frames reads no more.
+fn subscribe(transports: &Transports, link: &Link, most: u64) {
+    let mut subscriber = frames_subscriber(transports, link);
+    println!("ready");
+    let mut read = 0;
+    loop {
+        if read == most {
+            thread::park();
+        } else if let Some(payload) = subscriber.receive(Duration::from_millis(100)).unwrap() {
+            println!("frame {}", payload.into_frame().unwrap().sequence);
+            read += 1;
+        }
+    }
+}
+
+/// Sends every frame back on another topic.
+fn echo(transports: &Transports, link: &Link) {
+    let mut subscriber = frames_subscriber(transports, link);
+    let back = link.with_topic(&format!("{}/back", link.topic));
+    let mut publisher = frames_publisher(transports, &back, Reliability::Block);
+    println!("ready");
+    loop {
+        if let Some(payload) = subscriber.receive(Duration::from_millis(100)).unwrap() {
+            publisher.publish_frame(&payload.into_frame().unwrap()).unwrap();
+        }
+    }
+}
+
+/// The median way of a frame to another process and half of its way back, which is the same.
+/// Printed with `--nocapture`; the bound only catches a transport that polls where it should wake.
+#[test]
+fn a_frame_reaches_another_process_within_milliseconds() {
+    const ROUNDS: u64 = 200;
+    for transport in ["shm", "zenoh"] {
+        let (options, link) = (options(), super::link(transport));
+        let transports = Transports::new(options.clone());
+        let back = link.with_topic(&format!("{}/back", link.topic));
+        let mut subscriber = frames_subscriber(&transports, &back);
+        let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+        let echo = Process::start("echo", &link, &options);
+        echo.says("ready");
+        super::eventually("the echo is seen", || publisher.subscribers() == 1);
+        let mut ways = Vec::new();
+        for sequence in 0..ROUNDS {
+            let sent = frame(sequence, PARTICLES);
+            let start = Instant::now();
+            publisher.publish_frame(&sent).unwrap();
+            super::expect_frame(&mut *subscriber, &sent);
+            ways.push(start.elapsed() / 2);
+        }
+        ways.sort_unstable();
+        let median = ways[ways.len() / 2];
+        println!("{transport}: {PARTICLES} particles one way in {median:?} (median of {ROUNDS})");
+        assert!(median < Duration::from_millis(50), "{transport}: {median:?}");
+    }
+}

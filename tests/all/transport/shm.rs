@@ -1,0 +1,172 @@
+//! Shared memory: killed processes, and services that other programs make.
+
+use std::{thread, time::{Duration, Instant}};
+
+use eddy::transport::{Reliability, Transports};
+use iceoryx2::prelude::*;
+
+use super::{
+    child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber, link,
+    next_frame, options,
+};
+
+#[test]
+fn a_killed_subscriber_frees_the_publisher_that_waits_for_it() {
+    let (options, link) = (options(), link("shm"));
+    let patience = options.patience;
+    let transports = Transports::new(options.clone());
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+    let stalled = Process::start("stall", &link, &options);
+    stalled.says("ready");
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(0, 10)).unwrap();
+    stalled.says("frame 0");
+    let publishing = thread::spawn(move || {
+        let start = Instant::now();
+        for sequence in 1..200 {
+            publisher.publish_frame(&frame(sequence, 10)).unwrap();
+        }
+        (publisher, start.elapsed())
+    });
+    // Longer than it takes to fill the buffer.
+    thread::sleep(Duration::from_millis(300));
+    assert!(!publishing.is_finished(), "the publisher did not wait for a subscriber that reads nothing");
+    stalled.kill();
+    let (mut publisher, waited) = publishing.join().unwrap();
+    assert!(waited < patience, "waited {waited:?} for a dead subscriber");
+    eventually("the dead subscriber is forgotten", || publisher.subscribers() == 0);
+
+    let again = Process::start("subscribe", &link, &options);
+    again.says("ready");
+    eventually("the new subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(200, 10)).unwrap();
+    again.says("frame 200");
+}
+
+#[test]
+fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restarted() {
+    let (options, link) = (options(), link("shm"));
+    let transports = Transports::new(options.clone());
+    let mut subscriber = frames_subscriber(&transports, &link);
+    // More often than a topic has room for publishers.
+    for _ in 0..10 {
+        let publisher = Process::start("publish", &link, &options);
+        eventually("the publisher's first frame", || next_frame(&mut *subscriber).sequence == 0);
+        for sequence in 1..5 {
+            assert_eq!(next_frame(&mut *subscriber).sequence, sequence);
+        }
+        publisher.kill();
+    }
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+    publisher.publish_frame(&frame(u64::MAX, 10)).unwrap();
+    eventually("our own frame", || next_frame(&mut *subscriber).sequence == u64::MAX);
+}
+
+#[test]
+fn frames_outlive_the_publisher_that_sent_them() {
+    let (options, link) = (options(), link("shm"));
+    let there = Transports::new(options.clone());
+    let mut subscriber = frames_subscriber(&there, &link);
+    let here = Transports::new(options);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    publisher.publish_frame(&frame(0, 2_500)).unwrap();
+    expect_frame(&mut *subscriber, &frame(0, 2_500));
+    for sequence in 1..10 {
+        publisher.publish_frame(&frame(sequence, 2_500)).unwrap();
+    }
+    drop((publisher, here));
+    for sequence in 1..10 {
+        expect_frame(&mut *subscriber, &frame(sequence, 2_500));
+    }
+}
+
+/// The layout that other programs were told, written down again as they would.
+#[derive(Debug, Clone, Copy, ZeroCopySend)]
+#[type_name("eddy::Particle")]
+#[repr(C)]
+struct Particle {
+    x: f32,
+    y: f32,
+    vx: f32,
+    vy: f32,
+    material: u32,
+}
+
+#[derive(Debug, Default, Clone, Copy, ZeroCopySend)]
+#[type_name("eddy::FrameHeader")]
+#[repr(C)]
+struct FrameHeader {
+    stream: u64,
+    sequence: u64,
+    stamp_ns: i64,
+    dt: f32,
+    lower: [f32; 2],
+    upper: [f32; 2],
+}
+
+fn service_name(link: &eddy::transport::Link) -> ServiceName {
+    format!("eddy{}", link.topic).as_str().try_into().unwrap()
+}
+
+#[test]
+fn a_service_made_by_another_program_is_used_as_it_is() {
+    let link = link("shm");
+    let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
+    // With that program's defaults: room for two, the oldest overwritten.
+    let service = node
+        .service_builder(&service_name(&link))
+        .publish_subscribe::<[Particle]>()
+        .user_header::<FrameHeader>()
+        .create()
+        .unwrap();
+    let foreign_publisher = service.publisher_builder().initial_max_slice_len(2).create().unwrap();
+    let foreign_subscriber = service.subscriber_builder().create().unwrap();
+
+    let transports = Transports::new(options());
+    let mut subscriber = frames_subscriber(&transports, &link);
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Drop);
+
+    let sent = frame(5, 3);
+    publisher.publish_frame(&sent).unwrap();
+    expect_frame(&mut *subscriber, &sent);
+    let sample = foreign_subscriber.receive().unwrap().unwrap();
+    let header = sample.user_header();
+    assert_eq!((header.stream, header.sequence, header.stamp_ns), (9, 5, 80_000_000));
+    assert_eq!((header.dt, header.lower, header.upper), (0.016, [-0.5, 0.0], [1.0, 2.0]));
+    let particle = sample.payload()[2];
+    assert_eq!([particle.x, particle.y], sent.position[2]);
+    assert_eq!([particle.vx, particle.vy], sent.velocity[2]);
+    assert_eq!(particle.material, 2);
+
+    // That program wakes nobody.
+    let mut sample = foreign_publisher.loan_slice_uninit(2).unwrap();
+    *sample.user_header_mut() = FrameHeader { dt: 0.016, sequence: 77, upper: [1.0; 2], ..Default::default() };
+    let particle = |index| Particle { x: index as f32, y: 0.25, vx: 0.0, vy: -1.0, material: 3 };
+    sample.write_from_fn(particle).send().unwrap();
+    let received = next_frame(&mut *subscriber);
+    assert_eq!((received.sequence, received.len()), (77, 2));
+    assert_eq!(received.position, [[0.0, 0.25], [1.0, 0.25]]);
+
+    // What is no frame is counted, and the next frame arrives.
+    let mut sample = foreign_publisher.loan_slice_uninit(1).unwrap();
+    *sample.user_header_mut() = FrameHeader { dt: f32::NAN, upper: [1.0; 2], ..Default::default() };
+    sample.write_from_fn(particle).send().unwrap();
+    eventually("the bad frame is counted", || {
+        assert_eq!(subscriber.receive(Duration::from_millis(10)).unwrap(), None);
+        subscriber.refused() == 1
+    });
+    publisher.publish_frame(&sent).unwrap();
+    expect_frame(&mut *subscriber, &sent);
+}
+
+#[test]
+fn a_foreign_service_of_another_layout_is_refused_with_both_layouts() {
+    let link = link("shm");
+    let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
+    let _service =
+        node.service_builder(&service_name(&link)).publish_subscribe::<u64>().create().unwrap();
+    let transports = Transports::new(options());
+    let error = transports.subscriber(&link, "eddy_msgs/msg/ParticleFrame").err().unwrap();
+    let expected = "found message type u64 with header (), expected [eddy::Particle] with header eddy::FrameHeader";
+    assert_eq!(error.to_string(), format!("{link}: {expected}"));
+}

@@ -1,0 +1,272 @@
+//! What every transport promises.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use eddy::{
+    msg::{DiagnosticArray, Message, ParticleFrame, RosString, cdr},
+    transport::{Payload, Reliability, TransportError, Transports},
+};
+
+use super::{
+    DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame, link, next_frame,
+    options,
+};
+
+const PARTICLES: usize = 2_500;
+
+/// One module with all tests for each transport.
+macro_rules! every_transport {
+    ($($transport:ident)*) => {$(
+        mod $transport {
+            const NAME: &str = stringify!($transport);
+
+            #[test]
+            fn frames_arrive_bit_by_bit_and_in_order() {
+                super::frames_arrive_bit_by_bit_and_in_order(NAME);
+            }
+            #[test]
+            fn every_subscriber_gets_every_frame() {
+                super::every_subscriber_gets_every_frame(NAME);
+            }
+            #[test]
+            fn other_messages_travel_as_cdr() {
+                super::other_messages_travel_as_cdr(NAME);
+            }
+            #[test]
+            fn frames_given_as_bytes_arrive_as_frames() {
+                super::frames_given_as_bytes_arrive_as_frames(NAME);
+            }
+            #[test]
+            fn a_slow_subscriber_loses_nothing_under_block() {
+                super::a_slow_subscriber_loses_nothing_under_block(NAME);
+            }
+            #[test]
+            fn a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher() {
+                super::a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher(NAME);
+            }
+            #[test]
+            fn a_later_subscriber_gets_the_later_frames() {
+                super::a_later_subscriber_gets_the_later_frames(NAME);
+            }
+            #[test]
+            fn a_subscriber_that_went_is_not_counted_and_not_waited_for() {
+                super::a_subscriber_that_went_is_not_counted_and_not_waited_for(NAME);
+            }
+            #[test]
+            fn nothing_within_the_timeout_is_none() {
+                super::nothing_within_the_timeout_is_none(NAME);
+            }
+            #[test]
+            fn frames_of_any_size_share_a_topic() {
+                super::frames_of_any_size_share_a_topic(NAME);
+            }
+            #[test]
+            fn only_topics_of_frames_take_frames() {
+                super::only_topics_of_frames_take_frames(NAME);
+            }
+            #[test]
+            fn an_unknown_type_is_named() {
+                super::an_unknown_type_is_named(NAME);
+            }
+        }
+    )*};
+}
+
+every_transport! { memory shm zenoh }
+
+fn frames_arrive_bit_by_bit_and_in_order(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    for sequence in 0..20 {
+        publisher.publish_frame(&frame(sequence, PARTICLES)).unwrap();
+    }
+    for sequence in 0..20 {
+        expect_frame(&mut *subscriber, &frame(sequence, PARTICLES));
+    }
+    assert_eq!(subscriber.refused(), 0);
+}
+
+fn every_subscriber_gets_every_frame(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscribers = [(); 2].map(|()| frames_subscriber(&there, &link));
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("both are seen", || publisher.subscribers() == 2);
+    for sequence in 0..5 {
+        publisher.publish_frame(&frame(sequence, 10)).unwrap();
+    }
+    for subscriber in &mut subscribers {
+        for sequence in 0..5 {
+            expect_frame(&mut **subscriber, &frame(sequence, 10));
+        }
+    }
+}
+
+fn other_messages_travel_as_cdr(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = there.subscriber(&link, RosString::TYPE).unwrap();
+    let mut publisher = here.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    // From nothing to more than any transport's first buffer.
+    for length in [0, 1, 2_000, 300_000] {
+        let bytes = cdr::encode(&RosString { data: "e".repeat(length) });
+        publisher.publish_cdr(&bytes).unwrap();
+        assert_eq!(subscriber.receive(DEADLINE).unwrap(), Some(Payload::Cdr(bytes)));
+    }
+}
+
+fn frames_given_as_bytes_arrive_as_frames(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    let mut elsewhere = ParticleFrame::from(&frame(3, 10));
+    elsewhere.header.frame_id = "map".to_owned();
+    for message in [ParticleFrame::from(&frame(2, 10)), elsewhere] {
+        publisher.publish_cdr(&cdr::encode(&message)).unwrap();
+    }
+    expect_frame(&mut *subscriber, &frame(2, 10));
+    expect_frame(&mut *subscriber, &frame(3, 10));
+}
+
+fn a_slow_subscriber_loses_nothing_under_block(transport: &str) {
+    const FRAMES: u64 = 500;
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    let publishing = thread::spawn(move || {
+        for sequence in 0..FRAMES {
+            publisher.publish_frame(&frame(sequence, PARTICLES)).unwrap();
+        }
+        publisher
+    });
+    for sequence in 0..FRAMES {
+        assert_eq!(next_frame(&mut *subscriber).sequence, sequence);
+        if sequence % 10 == 0 {
+            // Slow on purpose: the publisher fills every buffer in the meantime.
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+    assert_eq!(subscriber.refused(), 0);
+    drop(publishing.join().unwrap());
+}
+
+fn a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Drop);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    let start = Instant::now();
+    for sequence in 0..500 {
+        publisher.publish_frame(&frame(sequence, PARTICLES)).unwrap();
+    }
+    let patience = options().patience;
+    assert!(start.elapsed() < patience, "waited {:?}", start.elapsed());
+    // What did arrive is in order, with gaps.
+    let first = next_frame(&mut *subscriber).sequence;
+    let second = next_frame(&mut *subscriber).sequence;
+    assert!(first < second, "{first} then {second}");
+}
+
+fn a_later_subscriber_gets_the_later_frames(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    assert_eq!(publisher.subscribers(), 0);
+    publisher.publish_frame(&frame(0, 10)).unwrap();
+    let mut subscriber = frames_subscriber(&there, &link);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(1, 10)).unwrap();
+    expect_frame(&mut *subscriber, &frame(1, 10));
+}
+
+fn a_subscriber_that_went_is_not_counted_and_not_waited_for(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    drop(subscriber);
+    eventually("it is gone", || publisher.subscribers() == 0);
+    let start = Instant::now();
+    for sequence in 0..200 {
+        publisher.publish_frame(&frame(sequence, 10)).unwrap();
+    }
+    let patience = options().patience;
+    assert!(start.elapsed() < patience, "waited {:?}", start.elapsed());
+}
+
+fn nothing_within_the_timeout_is_none(transport: &str) {
+    let ([_, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    for timeout in [Duration::ZERO, Duration::from_millis(1), Duration::from_millis(250)] {
+        let start = Instant::now();
+        assert_eq!(subscriber.receive(timeout).unwrap(), None);
+        let waited = start.elapsed();
+        assert!(waited >= timeout && waited < DEADLINE, "waited {waited:?} for {timeout:?}");
+    }
+}
+
+fn frames_of_any_size_share_a_topic(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    let sizes = [1, 2_500, 3, 6_000, 1, 20_000, 100];
+    // All are sent before the first is read.
+    for (sequence, size) in (0..).zip(sizes) {
+        publisher.publish_frame(&frame(sequence, size)).unwrap();
+    }
+    for (sequence, size) in (0..).zip(sizes) {
+        expect_frame(&mut *subscriber, &frame(sequence, size));
+    }
+}
+
+fn only_topics_of_frames_take_frames(transport: &str) {
+    let ([here, _], link) = (ends(transport, options()), link(transport));
+    let mut publisher =
+        here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).unwrap();
+    let message = publisher.publish_frame(&frame(0, 1)).unwrap_err().to_string();
+    let expected = "found message type eddy_msgs/msg/ParticleFrame, expected diagnostic_msgs/msg/DiagnosticArray";
+    assert_eq!(message, format!("{link}: {expected}"));
+}
+
+fn an_unknown_type_is_named(transport: &str) {
+    let error = Transports::new(options()).subscriber(&link(transport), "std_msgs/msg/Nothing").err().unwrap();
+    assert!(matches!(error, TransportError::Type(_)), "{error}");
+    assert!(error.to_string().contains("found std_msgs/msg/Nothing"), "{error}");
+}
+
+/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys.
+#[test]
+fn a_topic_of_another_type_is_refused_with_both_types() {
+    for transport in ["memory", "shm"] {
+        let ([here, there], link) = (ends(transport, options()), link(transport));
+        let _strings = there.subscriber(&link, RosString::TYPE).unwrap();
+        let error =
+            here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).err().unwrap();
+        let expected = "found message type std_msgs/msg/String, expected diagnostic_msgs/msg/DiagnosticArray";
+        assert_eq!(error.to_string(), format!("{link}: {expected}"));
+    }
+}
+
+#[test]
+fn a_blocking_publisher_gives_up_on_a_stalled_subscriber_when_its_patience_ends() {
+    for transport in ["memory", "shm"] {
+        let mut options = options();
+        options.patience = Duration::from_millis(100);
+        let ([here, there], link) = (ends(transport, options), link(transport));
+        let mut subscriber = frames_subscriber(&there, &link);
+        let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+        let stalled = (0..).map(|n| publisher.publish_frame(&frame(n, 10))).find_map(Result::err);
+        let message = stalled.unwrap().to_string();
+        assert!(message.starts_with(&format!("{link}: found a subscriber that took nothing for 0.1 s")), "{message}");
+        // The publisher stays usable.
+        assert!(is_frame(&subscriber.receive(DEADLINE).unwrap().unwrap()));
+        publisher.publish_frame(&frame(99, 10)).unwrap();
+    }
+}
+

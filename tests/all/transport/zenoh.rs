@@ -1,0 +1,232 @@
+//! Zenoh: the wire as others see it, and how processes find each other.
+
+use std::{
+    net::TcpListener,
+    time::{Duration, Instant},
+};
+
+use eddy::{
+    msg::{Message, ParticleFrame, type_support},
+    transport::{Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+};
+use zenoh::{Session, Wait};
+
+use super::{
+    DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
+    link, next_frame, options,
+};
+
+/// A session of zenoh alone, in `mode`, with these endpoints (JSON5).
+fn plain_session(mode: &str, listen: &str, connect: &str) -> Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", mode),
+        ("listen/endpoints", listen),
+        ("connect/endpoints", connect),
+        ("scouting/multicast/enabled", "false"),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// A plain session beside the process that took the first port of `options`.
+fn plain_peer(options: &TransportOptions) -> Session {
+    let connect = format!(r#"["tcp/127.0.0.1:{}"]"#, options.zenoh.ports.start());
+    plain_session(r#""peer""#, r#"["tcp/127.0.0.1:0"]"#, &connect)
+}
+
+/// A router on a port that the system chooses, and its endpoint.
+fn router() -> (Session, String) {
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let endpoint = format!("tcp/{free}");
+    (plain_session(r#""router""#, &format!(r#"["{endpoint}"]"#), "[]"), endpoint)
+}
+
+fn topic_key(link: &eddy::transport::Link) -> String {
+    let hash = &type_support(ParticleFrame::TYPE).unwrap().hash;
+    format!("0{}/eddy_msgs::msg::dds_::ParticleFrame_/{hash}", link.topic)
+}
+
+#[test]
+fn others_see_the_keys_attachments_and_tokens_of_rmw_zenoh() {
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+    let _subscriber = frames_subscriber(&transports, &link.with_topic("/elsewhere"));
+
+    let peer = plain_peer(&options);
+    let samples = peer.declare_subscriber("**").wait().unwrap();
+    eventually("the peer is seen", || publisher.subscribers() >= 1);
+    let sent = frame(4, 3);
+    publisher.publish_frame(&sent).unwrap();
+    publisher.publish_frame(&sent).unwrap();
+
+    let first = samples.recv_timeout(DEADLINE).unwrap().unwrap();
+    assert_eq!(first.key_expr().as_str(), topic_key(&link));
+    let payload = first.payload().to_bytes();
+    assert_eq!(payload[..4], [0, 1, 0, 0]);
+    assert!(Payload::Cdr(payload.into_owned()).into_frame().unwrap() == sent);
+    let second = samples.recv_timeout(DEADLINE).unwrap().unwrap();
+    let [first, second] =
+        [first, second].map(|sample| sample.attachment().unwrap().to_bytes().into_owned());
+    assert_eq!((first.len(), second.len()), (33, 33));
+    assert_eq!(first[..8], 1i64.to_le_bytes());
+    assert_eq!(second[..8], 2i64.to_le_bytes());
+    assert_eq!(first[16], 16);
+    let times = [&first, &second].map(|a| i64::from_le_bytes(a[8..16].try_into().unwrap()));
+    assert!(times[0] > 1_700_000_000_000_000_000 && times[0] <= times[1], "{times:?}");
+
+    let tokens = peer.liveliness().get("@ros2_lv/**").wait().unwrap();
+    let mut tokens: Vec<_> =
+        tokens.iter().map(|reply| reply.result().unwrap().key_expr().to_string()).collect();
+    tokens.sort();
+    let hash = &type_support(ParticleFrame::TYPE).unwrap().hash;
+    let zid = tokens[0].split('/').nth(2).unwrap().to_owned();
+    let topic = link.topic.replace('/', "%");
+    let name = "eddy_msgs::msg::dds_::ParticleFrame_";
+    let expected = [
+        format!("@ros2_lv/0/{zid}/0/0/NN/%/%/eddy_test"),
+        format!("@ros2_lv/0/{zid}/0/1/MP/%/%/eddy_test/{topic}/{name}/{hash}/::2,:,:,:,,"),
+        format!("@ros2_lv/0/{zid}/0/2/MS/%/%/eddy_test/%elsewhere/{name}/{hash}/2::,64:,:,:,,"),
+    ];
+    assert_eq!(tokens, expected);
+    let gid = xxhash_rust::xxh3::xxh3_128(expected[1].as_bytes()).to_le_bytes();
+    assert_eq!(first[17..], gid);
+}
+
+#[test]
+fn messages_with_any_attachment_arrive_and_gaps_are_counted() {
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let mut subscriber = frames_subscriber(&transports, &link);
+    let peer = plain_peer(&options);
+    let publisher = peer.declare_publisher(topic_key(&link)).wait().unwrap();
+    eventually("the subscriber is seen", || publisher.matching_status().wait().unwrap().matching());
+    let attachment = |sequence: i64| {
+        [&sequence.to_le_bytes()[..], &0i64.to_le_bytes(), &[16], &[7; 16]].concat()
+    };
+    let attachments = [Some(vec![]), Some(vec![1; 32]), None, Some(attachment(3)), Some(attachment(6))];
+    for (sequence, attachment) in (0..).zip(attachments) {
+        publisher.put(frame(sequence, 2).to_cdr()).attachment(attachment).wait().unwrap();
+        expect_frame(&mut *subscriber, &frame(sequence, 2));
+    }
+    assert_eq!(subscriber.refused(), 2, "messages 4 and 5 of one publisher");
+}
+
+#[test]
+fn a_topic_of_another_type_is_a_warning_with_both_types() {
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let _publisher = frames_publisher(&transports, &link, Reliability::Drop);
+    let strings = Process::start("strings", &link, &options);
+    let warning = strings.says("found message type");
+    assert!(warning.contains(&format!("{link}: found message type eddy_msgs/msg/ParticleFrame (RIHS01_")), "{warning}");
+    assert!(warning.contains("expected std_msgs/msg/String (RIHS01_df668c74"), "{warning}");
+}
+
+#[test]
+fn a_busy_port_is_named() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let (mut options, link) = (options(), link("zenoh"));
+    options.zenoh.overrides = format!(r#"listen/endpoints=["tcp/127.0.0.1:{port}"]"#);
+    let message = Transports::new(options).subscriber(&link, ParticleFrame::TYPE).err().unwrap().to_string();
+    assert!(message.starts_with(&format!("{link}: open the zenoh session")), "{message}");
+    assert!(message.contains(&port.to_string()), "{message}");
+}
+
+#[test]
+fn domains_do_not_mix() {
+    let (options, link) = (options(), link("zenoh"));
+    let mut other = options.clone();
+    other.domain_id = 1;
+    let (here, there) = (Transports::new(options), Transports::new(other));
+    let mut same = frames_subscriber(&here, &link);
+    let mut elsewhere = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber of our domain is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(0, 1)).unwrap();
+    expect_frame(&mut *same, &frame(0, 1));
+    assert_eq!(elsewhere.receive(Duration::from_millis(100)).unwrap(), None);
+}
+
+/// Each frame exactly once, in order, and nothing after the last.
+fn exactly_once(publisher: &mut dyn Publisher, subscriber: &mut dyn Subscriber) {
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    for sequence in 0..50 {
+        publisher.publish_frame(&frame(sequence, 2_500)).unwrap();
+    }
+    for sequence in 0..50 {
+        assert_eq!(next_frame(subscriber).sequence, sequence);
+    }
+    assert_eq!(subscriber.receive(Duration::from_millis(200)).unwrap(), None);
+    assert_eq!(subscriber.refused(), 0);
+}
+
+#[test]
+fn frames_come_once_when_peers_meet_directly_and_through_a_router() {
+    let (router, endpoint) = router();
+    let (mut options, link) = (options(), link("zenoh"));
+    options.zenoh.router = endpoint;
+    let (here, there) = (Transports::new(options.clone()), Transports::new(options.clone()));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("both know the router", || router.info().peers_zid().wait().count() == 2);
+    exactly_once(&mut *publisher, &mut *subscriber);
+    // The router may go, and come.
+    router.close().wait().unwrap();
+    publisher.publish_frame(&frame(50, 1)).unwrap();
+    expect_frame(&mut *subscriber, &frame(50, 1));
+}
+
+#[test]
+fn peers_that_know_only_a_router_exchange_frames_once() {
+    let (_router, endpoint) = router();
+    let (mut options, link) = (options(), link("zenoh"));
+    // As a ROS node with rmw_zenoh's own settings.
+    options.zenoh.overrides = format!(r#"connect/endpoints=["{endpoint}"]"#);
+    let (here, there) = (Transports::new(options.clone()), Transports::new(options));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    exactly_once(&mut *publisher, &mut *subscriber);
+}
+
+#[test]
+fn processes_beyond_the_port_range_find_each_other() {
+    let (mut options, link) = (options(), link("zenoh"));
+    let only = *options.zenoh.ports.start();
+    options.zenoh.ports = only..=only;
+    let [first, second, third] = [(); 3].map(|()| Transports::new(options.clone()));
+    let _holds_the_port = frames_subscriber(&first, &link.with_topic("/elsewhere"));
+    let mut subscriber = frames_subscriber(&second, &link);
+    let mut publisher = frames_publisher(&third, &link, Reliability::Block);
+    exactly_once(&mut *publisher, &mut *subscriber);
+}
+
+/// Printed with `--nocapture`: from the start of a process, which opens its session first, to its
+/// first frame here.
+#[test]
+fn processes_find_each_other_without_a_router_whichever_starts_first_and_again_after_a_kill() {
+    let (options, link) = (options(), link("zenoh"));
+    // The publisher starts first and takes the first port; we take the second, and dial it.
+    let publisher = Process::start("publish", &link, &options);
+    publisher.says("ready");
+    let transports = Transports::new(options.clone());
+    let start = Instant::now();
+    let mut subscriber = frames_subscriber(&transports, &link);
+    next_frame(&mut *subscriber);
+    println!("a subscriber that starts later: {:?}", start.elapsed());
+    publisher.kill();
+    // Started again it takes the same port, which we keep dialling.
+    for _ in 0..3 {
+        while subscriber.receive(Duration::ZERO).unwrap().is_some() {}
+        let start = Instant::now();
+        let publisher = Process::start("publish", &link, &options);
+        next_frame(&mut *subscriber);
+        let found = start.elapsed();
+        println!("a publisher that was killed and started again: {found:?}");
+        assert!(found < Duration::from_secs(10), "{found:?}");
+        publisher.kill();
+    }
+}
