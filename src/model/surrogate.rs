@@ -32,7 +32,7 @@ pub enum ModelError {
         /// Particles of the network.
         expected: usize,
     },
-    /// The frame has a material that no training frame had.
+    /// The frame has a material that the data set did not have.
     #[error("material[{particle}]: found {found}, expected one of {expected} as in the checkpoint")]
     Material {
         /// First particle concerned.

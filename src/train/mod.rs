@@ -217,8 +217,11 @@ fn describe(
             });
         }
     }
+    // Of every part: in a small set, a material may be in the validation part only.
+    let parts = [&dataset.train, &dataset.validation, &dataset.test];
+    let streams = parts.into_iter().flatten();
     let materials: BTreeSet<Material> =
-        dataset.train.iter().flat_map(|stream| stream.material.iter().copied()).collect();
+        streams.flat_map(|stream| stream.material.iter().copied()).collect();
     Ok(Description {
         format_version: FORMAT_VERSION,
         architecture: config.architecture,
