@@ -91,7 +91,8 @@ impl Overrides {
     /// # Errors
     /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
     pub fn over<T: Serialize + DeserializeOwned>(&self, defaults: &T) -> Result<T, ConfigError> {
-        let mut merged = Table::try_from(defaults).expect("settings are tables of TOML's own types");
+        let mut merged =
+            Table::try_from(defaults).expect("settings are tables of TOML's own types");
         merge(&mut merged, &self.table);
         T::deserialize(Value::Table(merged)).map_err(|error| self.key_error(&error, ""))
     }

@@ -136,7 +136,7 @@ pub struct Description {
     pub warm_up: u32,
     /// Gravity (domain lengths per second squared).
     pub gravity: [f32; 2],
-    /// Materials that occurred in training; others are refused.
+    /// Materials that occur in the data; others are refused.
     pub materials: Vec<Material>,
     /// Digest of the training data.
     pub data: String,

@@ -72,11 +72,8 @@ fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
 /// Reads both files: the description's text, the weights' bytes.
 pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointError> {
     let [_, new_description] = incoming(directory);
-    let description = if half_renamed(directory) {
-        new_description
-    } else {
-        directory.join(DESCRIPTION_FILE)
-    };
+    let description =
+        if half_renamed(directory) { new_description } else { directory.join(DESCRIPTION_FILE) };
     let weights = directory.join(WEIGHTS_FILE);
     let failed = |file: &Path, reason| CheckpointError::Read { file: file.to_owned(), reason };
     let text = fs::read_to_string(&description).map_err(|reason| failed(&description, reason))?;
@@ -116,7 +113,8 @@ pub(super) fn parse_weights(
                 found: format!("{:?}", view.dtype()),
             });
         }
-        let values = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let values =
+            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
         let weights = Weights { shape: view.shape().to_vec(), values: values.collect() };
         tensors.insert(name.to_owned(), weights);
     }

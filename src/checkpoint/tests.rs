@@ -1,1 +1,202 @@
-//! (written below)
+use std::{collections::BTreeMap, fs, path::Path};
+
+use super::*;
+use crate::frame::{Domain, Material};
+
+/// A small particle model with made-up weights.
+fn checkpoint() -> Checkpoint {
+    let description = Description {
+        format_version: FORMAT_VERSION,
+        architecture: Architecture::Particle,
+        core: Core::MinGru,
+        form: Form::Plain,
+        dt: 0.016,
+        warm_up: 5,
+        gravity: [0.0, -9.8],
+        materials: vec![Material::Liquid, Material::Rope],
+        data: "0123".to_owned(),
+        sizes: Sizes { encoder: 3, hidden: 2, layers: 1, particles: None },
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -3.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.0, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        training: TrainingSummary {
+            command: "eddy train --data \"bags/mm\"".to_owned(),
+            seed: 1,
+            epochs: 3,
+            best_epoch: 2,
+            training_loss: 0.75,
+            validation_loss: 0.5,
+            samples: 4096,
+        },
+    };
+    let mut next = 0.0;
+    let mut number = || {
+        next += 0.125;
+        next
+    };
+    let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
+        let values = (0..shape.iter().product()).map(|_| number()).collect();
+        (name, Weights { shape, values })
+    });
+    let tensors: BTreeMap<_, _> = tensors.collect();
+    Checkpoint { description, tensors }
+}
+
+/// Saves a checkpoint, changes a file, and gives the message with which loading fails.
+fn refusal(change: impl FnOnce(&Path)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    checkpoint().save(folder.path()).unwrap();
+    change(folder.path());
+    let message = Checkpoint::load(folder.path()).unwrap_err().to_string();
+    message.replace(&folder.path().display().to_string(), "x")
+}
+
+fn edit_description(from: &str, to: &str) -> impl FnOnce(&Path) {
+    move |folder| {
+        let file = folder.join(DESCRIPTION_FILE);
+        let text = fs::read_to_string(&file).unwrap();
+        assert!(text.contains(from), "{text}");
+        fs::write(&file, text.replacen(from, to, 1)).unwrap();
+    }
+}
+
+fn edit_weights(change: impl FnOnce(&mut BTreeMap<String, Weights>)) -> impl FnOnce(&Path) {
+    move |folder| {
+        let mut tensors = checkpoint().tensors;
+        change(&mut tensors);
+        fs::write(folder.join(WEIGHTS_FILE), files::render_weights(&tensors)).unwrap();
+    }
+}
+
+#[test]
+fn a_checkpoint_comes_back_as_it_was_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let directory = folder.path().join("a/b");
+    let saved = checkpoint();
+    saved.save(&directory).unwrap();
+    assert_eq!(Checkpoint::load(&directory).unwrap(), saved);
+}
+
+#[test]
+fn the_digest_is_that_of_the_two_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoint = checkpoint();
+    checkpoint.save(folder.path()).unwrap();
+    let mut hash = Sha256::new();
+    hash.update(fs::read(folder.path().join(DESCRIPTION_FILE)).unwrap());
+    hash.update(fs::read(folder.path().join(WEIGHTS_FILE)).unwrap());
+    let expected: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(checkpoint.digest(), expected);
+    assert!(expected.starts_with(&checkpoint.short_digest()));
+}
+
+#[test]
+fn a_later_version_is_refused_before_its_keys_are_looked_at() {
+    let later = edit_description("format_version = 1", "format_version = 2\nfuture = true");
+    assert_eq!(refusal(later), "x/model.toml: format_version: found 2, expected 1");
+}
+
+#[test]
+fn an_unknown_key_is_named() {
+    let message = refusal(edit_description("hidden = 2", "hidden = 2\nhiden = 3"));
+    assert!(message.starts_with("x/model.toml: "), "{message}");
+    assert!(message.contains("unknown field `hiden`"), "{message}");
+}
+
+#[test]
+fn sizes_out_of_range_are_refused() {
+    let message = refusal(edit_description("layers = 1", "layers = 0"));
+    assert_eq!(message, "x/model.toml: sizes.layers: found 0, expected 1 to 65536");
+    let message = refusal(edit_description("layers = 1", "layers = 1\nparticles = 7"));
+    let expected = "expected nothing for the particle model";
+    assert_eq!(message, format!("x/model.toml: sizes.particles: found 7, {expected}"));
+}
+
+#[test]
+fn a_missing_tensor_is_named_with_its_shape() {
+    let message = refusal(edit_weights(|tensors| drop(tensors.remove("core.0.gate.weight"))));
+    let expected = "found nothing, expected a tensor of shape [2, 2]";
+    assert_eq!(message, format!("x/model.safetensors: core.0.gate.weight: {expected}"));
+}
+
+#[test]
+fn a_tensor_of_another_shape_is_named_with_both() {
+    let message = refusal(edit_weights(|tensors| {
+        let transposed = Weights { shape: vec![3, 2], values: vec![0.0; 6] };
+        tensors.insert("encoder.1.weight".to_owned(), transposed);
+    }));
+    let expected = "found shape [3, 2], expected [2, 3]";
+    assert_eq!(message, format!("x/model.safetensors: encoder.1.weight: {expected}"));
+}
+
+#[test]
+fn a_tensor_too_many_is_named() {
+    let message = refusal(edit_weights(|tensors| {
+        tensors.insert("pooling.weight".to_owned(), Weights { shape: vec![1], values: vec![0.0] });
+    }));
+    assert!(
+        message.starts_with("x/model.safetensors: pooling.weight: found a tensor of shape [1]"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_weight_that_is_no_number_is_named() {
+    let message = refusal(edit_weights(|tensors| {
+        tensors.get_mut("mixer.bias").unwrap().values[1] = f32::NAN;
+    }));
+    let expected = "mixer.bias[1]: found NaN, expected a finite number";
+    assert_eq!(message, format!("x/model.safetensors: {expected}"));
+}
+
+#[test]
+fn weights_cut_short_are_refused() {
+    let message = refusal(|folder| {
+        let file = folder.join(WEIGHTS_FILE);
+        let bytes = fs::read(&file).unwrap();
+        fs::write(&file, &bytes[..bytes.len() - 3]).unwrap();
+    });
+    assert!(message.starts_with("x/model.safetensors: found "), "{message}");
+    assert!(message.ends_with("expected a whole safetensors file"), "{message}");
+}
+
+#[test]
+fn a_directory_without_a_checkpoint_is_named() {
+    let message = refusal(|folder| fs::remove_file(folder.join(DESCRIPTION_FILE)).unwrap());
+    assert!(message.starts_with("x/model.toml: "), "{message}");
+}
+
+/// Another checkpoint of the same shapes.
+fn second() -> Checkpoint {
+    let mut second = checkpoint();
+    second.description.training.best_epoch = 3;
+    second.tensors.get_mut("decoder.bias").unwrap().values[0] = -1.0;
+    second
+}
+
+#[test]
+fn a_writer_killed_before_the_first_rename_leaves_the_old_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    checkpoint().save(folder.path()).unwrap();
+    fs::write(folder.path().join("model.safetensors.new"), "half").unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint());
+    fs::write(folder.path().join("model.toml.new"), "half").unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint());
+}
+
+#[test]
+fn a_writer_killed_between_the_renames_leaves_the_new_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    second().save(folder.path()).unwrap();
+    fs::rename(path(DESCRIPTION_FILE), path("model.toml.new")).unwrap();
+    fs::write(path(DESCRIPTION_FILE), checkpoint().render_description()).unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), second());
+    // The next writer finishes what that one began before it starts its own.
+    checkpoint().save(folder.path()).unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint());
+}

@@ -47,7 +47,7 @@ impl RecurrentLayer {
     }
 
     /// The coefficients (a, b), each of the input's shape `[.., H]`.
-    fn coefficients<const D: usize>(&self, input: Tensor<D>) -> (Tensor<D>, Tensor<D>) {
+    pub(crate) fn coefficients<const D: usize>(&self, input: Tensor<D>) -> (Tensor<D>, Tensor<D>) {
         match self {
             Self::MinGru(layer) => layer.coefficients(input),
             Self::MinLstm(layer) => layer.coefficients(input),

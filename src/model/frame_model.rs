@@ -93,7 +93,7 @@ impl FrameModel {
     }
 
     /// One frame of B windows, `[B N, ..]`, to `[B, H]`.
-    fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
+    pub(crate) fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
         let points = self.scaling.frame(bodies, material.clone()); // [B N, F]
         let points = elu(self.layers.encoder[0].forward(points), 1.0); // [B N, E]
         let [rows, width] = points.dims();

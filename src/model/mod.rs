@@ -82,6 +82,12 @@ impl Track {
     /// Bodies of consecutive frames, one after the other.
     pub(crate) fn stack(frames: Vec<Bodies>) -> Self {
         let (position, velocity) = frames.into_iter().map(|b| (b.position, b.velocity)).unzip();
-        Self { position: Tensor::stack::<3>(position, 0), velocity: Tensor::stack::<3>(velocity, 0) }
+        Self {
+            position: Tensor::stack::<3>(position, 0),
+            velocity: Tensor::stack::<3>(velocity, 0),
+        }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -36,9 +36,8 @@ impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
         let bound = |side: f32, of: [f32; 4]| {
-            let margin = |axis: usize| {
-                side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis])
-            };
+            let margin =
+                |axis: usize| side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis]);
             Tensor::<1>::from_floats([of[2] + margin(2), of[3] + margin(3)], device).unsqueeze()
         };
         Self {
@@ -66,7 +65,8 @@ impl ParticleModel {
 
         // What each frame was foretold to be by the one before it.
         let foretold = fallen.velocity.clone().reshape([frames, rows, 2]);
-        let first = hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
+        let first =
+            hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
         let last = foretold.clone().slice([frames - 1..frames, 0..rows, 0..2]).reshape([rows, 2]);
         let foretold = match frames {
             1 => first,

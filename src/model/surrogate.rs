@@ -32,7 +32,7 @@ pub enum ModelError {
         /// Particles of the network.
         expected: usize,
     },
-    /// The frame has a material that no training frame had.
+    /// The frame has a material that the data set did not have.
     #[error("material[{particle}]: found {found}, expected one of {expected} as in the checkpoint")]
     Material {
         /// First particle concerned.
@@ -125,8 +125,8 @@ impl Surrogate {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
         let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-        let distance = apart(frame.domain.lower, domain.lower)
-            .max(apart(frame.domain.upper, domain.upper));
+        let distance =
+            apart(frame.domain.lower, domain.lower).max(apart(frame.domain.upper, domain.upper));
         if distance > DOMAIN_TOLERANCE {
             return Err(ModelError::Domain {
                 found: format!("{:?}, {:?}", frame.domain.lower, frame.domain.upper),

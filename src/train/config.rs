@@ -156,7 +156,13 @@ impl TrainConfig {
             gravity: [0.0, -9.8],
             unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
             network: NetworkConfig { encoder: 64, hidden: 64, layers: 2, dropout: 0.0 },
-            windows: WindowConfig { warm_up: 5, batch: 64, per_epoch: 16_384, particles: 16, mirror: true },
+            windows: WindowConfig {
+                warm_up: 5,
+                batch: 64,
+                per_epoch: 16_384,
+                particles: 16,
+                mirror: true,
+            },
             loss: LossConfig {
                 kind: LossKind::Relative,
                 position_weight: 1.0,
@@ -183,7 +189,13 @@ impl TrainConfig {
             gravity: [0.0, -9.8],
             unroll: vec![Stage { share: 1.0, frames: 1 }],
             network: NetworkConfig { encoder: 256, hidden: 1250, layers: 2, dropout: 0.1 },
-            windows: WindowConfig { warm_up: 2, batch: 16, per_epoch: 512, particles: 0, mirror: true },
+            windows: WindowConfig {
+                warm_up: 2,
+                batch: 16,
+                per_epoch: 512,
+                particles: 0,
+                mirror: true,
+            },
             loss: LossConfig {
                 kind: LossKind::Mse,
                 position_weight: 1.0,

@@ -62,7 +62,7 @@ pub enum TrainError {
     },
     /// The validation streams do not fit.
     #[error("validation: {0}")]
-    Validation(#[from] EvalError),
+    Validation(EvalError),
     /// The network does not fit its own description.
     #[error(transparent)]
     Model(#[from] ModelError),

@@ -92,7 +92,8 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     config.check()?;
     let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
     let mut order = ChaCha8Rng::seed_from_u64(seeds.next_u64());
-    let mut dropout = Dropout::new(config.network.dropout, ChaCha8Rng::seed_from_u64(seeds.next_u64()));
+    let mut dropout =
+        Dropout::new(config.network.dropout, ChaCha8Rng::seed_from_u64(seeds.next_u64()));
 
     let description = describe(config, dataset, &run.command)?;
     let plain = run.device.device();
@@ -153,9 +154,10 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         let score =
             validate::validate(&config.validation, &checkpoint, &dataset.validation, run.device)?;
         let training_loss = losses / per_epoch as f64;
-        let best = outcome.best.as_ref().is_none_or(|best| {
-            score.loss < best.description.training.validation_loss
-        });
+        let best = outcome
+            .best
+            .as_ref()
+            .is_none_or(|best| score.loss < best.description.training.validation_loss);
         let done = Epoch {
             epoch,
             samples,
@@ -215,8 +217,11 @@ fn describe(
             });
         }
     }
+    // Of every part: in a small set, a material may be in the validation part only.
+    let parts = [&dataset.train, &dataset.validation, &dataset.test];
+    let streams = parts.into_iter().flatten();
     let materials: BTreeSet<Material> =
-        dataset.train.iter().flat_map(|stream| stream.material.iter().copied()).collect();
+        streams.flat_map(|stream| stream.material.iter().copied()).collect();
     Ok(Description {
         format_version: FORMAT_VERSION,
         architecture: config.architecture,

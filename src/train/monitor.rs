@@ -56,7 +56,8 @@ impl Monitor {
             "epoch,samples,unroll,training_loss,validation_loss,first_skill,last_skill,learning_rate"
         )
         .map_err(failed)?;
-        let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let target =
+            if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let style = ProgressStyle::with_template("{bar:30} {percent:>3} % {eta:>5} left  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar());
         let bar = ProgressBar::with_draw_target(Some(batches), target).with_style(style);

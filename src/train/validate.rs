@@ -1,14 +1,12 @@
 //! How good a network is on streams it is not fitted to: free rollouts against trivial predictors.
 
-use super::ValidationConfig;
+use super::{TrainError, ValidationConfig};
 use crate::{
     checkpoint::Checkpoint,
     dataset::Stream,
     eval::{EvalError, Report, Settings, judge},
     model::{DeviceKind, Surrogate},
 };
-
-use super::TrainError;
 
 /// What free rollouts came to.
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +28,7 @@ pub(super) fn validate(
 ) -> Result<Score, TrainError> {
     let surrogate = Surrogate::load(checkpoint, device)?;
     let settings = Settings { horizon: config.horizon, starts: config.starts };
-    let judgement = judge(&surrogate, streams, settings, || {})?;
+    let judgement = judge(&surrogate, streams, settings, || {}).map_err(TrainError::Validation)?;
     let name = String::new();
     let dt = checkpoint.description.dt;
     let report = Report::new(name.clone(), name.clone(), name, streams.len(), dt, &judgement);
@@ -40,7 +38,8 @@ pub(super) fn validate(
         let warm_up = checkpoint.description.warm_up as usize;
         let expected = warm_up + config.horizon;
         let horizon = config.horizon;
-        return Err(EvalError::TooShort { found: 0, expected, warm_up, horizon }.into());
+        let short = EvalError::TooShort { found: 0, expected, warm_up, horizon };
+        return Err(TrainError::Validation(short));
     };
     // A rollout that diverged has no finite error; it must lose against any that has.
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;

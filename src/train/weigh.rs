@@ -10,11 +10,7 @@
 
 use super::{LossConfig, LossKind, window::Window};
 use crate::{
-    checkpoint::Normalization,
-    dataset::State,
-    eval::Baseline,
-    frame::Material,
-    model::Ballistic,
+    checkpoint::Normalization, dataset::State, eval::Baseline, frame::Material, model::Ballistic,
 };
 
 /// Position error below which nothing is gained (domain lengths): a thirtieth of a cell.

@@ -92,7 +92,10 @@ impl<'a> Sampler<'a> {
             material: chosen.iter().map(|&i| stream.material[i]).collect(),
             states: stream.states[start..start + self.frames]
                 .iter()
-                .map(|s| State { position: pick(&s.position, sides), velocity: pick(&s.velocity, 0.0) })
+                .map(|s| State {
+                    position: pick(&s.position, sides),
+                    velocity: pick(&s.velocity, 0.0),
+                })
                 .collect(),
         }
     }

@@ -8,4 +8,5 @@ mod layers;
 mod mpm;
 mod pipeline;
 mod support;
+mod train;
 mod transport;

@@ -1,0 +1,248 @@
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor, TensorData, activation::elu};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    features::one_hot,
+    frame_model::FrameModel,
+    layers::{Layers, initial},
+    network::{Dropout, Hidden, Network},
+    *,
+};
+use crate::{
+    checkpoint::{
+        Checkpoint, Description, FORMAT_VERSION, Form, Normalization, Sizes, TrainingSummary,
+        Weights,
+    },
+    frame::{Domain, Frame, Material, Stamp},
+};
+
+const PARTICLES: usize = 7;
+const DT: f32 = 0.016;
+
+fn description(architecture: Architecture, core: Core) -> Description {
+    let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
+    Description {
+        format_version: FORMAT_VERSION,
+        architecture,
+        core,
+        form: Form::Plain,
+        dt: DT,
+        warm_up: 2,
+        gravity: [0.0, -9.8],
+        materials: vec![Material::Liquid, Material::Jelly],
+        data: String::new(),
+        sizes: Sizes { encoder: 6, hidden: 5, layers: 2, particles },
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -4.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.1, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        training: TrainingSummary {
+            command: String::new(),
+            seed: 0,
+            epochs: 0,
+            best_epoch: 0,
+            training_loss: 0.0,
+            validation_loss: 0.0,
+            samples: 0,
+        },
+    }
+}
+
+/// Initial weights, but with a decoder that says something.
+fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial(description, seed);
+    for name in ["decoder.weight", "decoder.bias"] {
+        for value in &mut tensors.get_mut(name).unwrap().values {
+            *value = random.random_range(-0.3..0.3);
+        }
+    }
+    tensors
+}
+
+/// Particles that jump about: no network can tell them from truth.
+fn frames(count: u64) -> Vec<Frame> {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut pairs = |low: f32, high: f32| {
+        (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    (0..count)
+        .map(|sequence| Frame {
+            stream: 4,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: pairs(0.06, 0.94),
+            velocity: pairs(-2.0, 2.0),
+            material: (0..PARTICLES)
+                .map(|i| if i < 3 { Material::Liquid } else { Material::Jelly })
+                .collect(),
+        })
+        .collect()
+}
+
+fn track(frames: &[Frame], device: &Device) -> Track {
+    let rows = |values: &[[f32; 2]]| {
+        let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);
+        Tensor::<2>::from_data(data, device)
+    };
+    let bodies =
+        frames.iter().map(|f| Bodies { position: rows(&f.position), velocity: rows(&f.velocity) });
+    Track::stack(bodies.collect())
+}
+
+fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
+    tensor.clone().into_data().to_vec().unwrap()
+}
+
+fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+const EVERY_NETWORK: [(Architecture, Core); 4] = [
+    (Architecture::Frame, Core::MinGru),
+    (Architecture::Frame, Core::MinLstm),
+    (Architecture::Particle, Core::MinGru),
+    (Architecture::Particle, Core::MinLstm),
+];
+
+#[test]
+fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
+    let frames = frames(9);
+    for (architecture, core) in EVERY_NETWORK {
+        let description = description(architecture, core);
+        let checkpoint = Checkpoint { tensors: weights(&description, 1), description };
+        let device = DeviceKind::Flex.device();
+        let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
+        let material = one_hot(frames[0].material.iter().copied(), &device);
+        let none = &mut Dropout::none();
+        // In two parts, so that the carried state counts as well.
+        let (start, rest) = frames.split_at(4);
+        let (first, hidden) =
+            network.observe(&track(start, &device), &material, Hidden::default(), none);
+        let (second, _) = network.observe(&track(rest, &device), &material, hidden, none);
+        let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
+
+        let surrogate = Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap();
+        let mut memory = surrogate.start(&frames[0]).unwrap();
+        let streamed: Vec<Frame> =
+            frames.iter().map(|frame| surrogate.step(&mut memory, frame)).collect();
+        let flat = |pick: fn(&Frame) -> &Vec<[f32; 2]>| -> Vec<f32> {
+            streamed.iter().flat_map(|f| pick(f).as_flattened()).copied().collect()
+        };
+        for (part, found) in [flat(|f| &f.position), flat(|f| &f.velocity)].iter().enumerate() {
+            let expected = [expected[0][part].clone(), expected[1][part].clone()].concat();
+            let difference = largest_difference(found, &expected);
+            assert!(difference <= 1e-5, "{architecture:?} {core:?}: {difference}");
+        }
+        assert_eq!(streamed[8].sequence, 9);
+        assert_eq!(streamed[8].stamp, Stamp(9 * 16_000_000));
+    }
+}
+
+#[test]
+fn flex_and_ndarray_agree() {
+    let frames = frames(6);
+    for (architecture, core) in EVERY_NETWORK {
+        let description = description(architecture, core);
+        let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
+        let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
+            let surrogate = Surrogate::load(&checkpoint, device).unwrap();
+            let mut memory = surrogate.start(&frames[0]).unwrap();
+            let last = frames.iter().map(|frame| surrogate.step(&mut memory, frame)).last();
+            last.unwrap()
+        });
+        for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
+            let difference = largest_difference(a.as_flattened(), b.as_flattened());
+            assert!(difference <= 1e-4, "{architecture:?} {core:?}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn an_untrained_particle_model_is_the_ballistic_step() {
+    let description = description(Architecture::Particle, Core::MinGru);
+    let checkpoint = Checkpoint { tensors: initial(&description, 5), description };
+    let surrogate = Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap();
+    let frames = frames(3);
+    let mut memory = surrogate.start(&frames[0]).unwrap();
+    for frame in &frames {
+        let next = surrogate.step(&mut memory, frame);
+        let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
+        Ballistic::of(surrogate.description()).step_all(&mut position, &mut velocity);
+        let found = [next.position.as_flattened(), next.velocity.as_flattened()].concat();
+        let expected = [position.as_flattened(), velocity.as_flattened()].concat();
+        assert!(largest_difference(&found, &expected) <= 1e-6);
+    }
+}
+
+#[test]
+fn pooling_before_the_second_linear_is_exact() {
+    let description = description(Architecture::Frame, Core::MinGru);
+    let device = DeviceKind::Flex.device();
+    let layers = Layers::new(&description, &weights(&description, 1), &device);
+    let model = FrameModel::new(&description, layers.clone(), &device);
+    let frame = &frames(1)[0];
+    let bodies = track(std::slice::from_ref(frame), &device).at(0);
+    let material = one_hot(frame.material.iter().copied(), &device);
+
+    // Table 1, to the letter: both layers for every particle, then the mean.
+    let points = model.scaling.frame(&bodies, material.clone());
+    let points = elu(layers.encoder[0].forward(points), 1.0);
+    let literal = layers.encoder[1].forward(points).mean_dim(0); // [1, H]
+
+    let pooled = model.encode(&bodies, &material);
+    assert!(largest_difference(&numbers(&pooled), &numbers(&literal)) <= 1e-6);
+}
+
+#[test]
+fn gates_of_an_untrained_network_are_open() {
+    for core in [Core::MinGru, Core::MinLstm] {
+        let description = description(Architecture::Particle, core);
+        let device = DeviceKind::Flex.device();
+        let layers = Layers::new(&description, &initial(&description, 1), &device);
+        let (kept, _) = layers.core[0].coefficients(Tensor::<2>::zeros([1, 5], &device));
+        assert!(numbers(&kept).iter().all(|a| *a <= 0.5), "{core:?}");
+    }
+}
+
+#[test]
+fn particles_that_a_network_cannot_predict_are_refused() {
+    let frame = frames(1).remove(0);
+    let surrogate = |architecture| {
+        let description = description(architecture, Core::MinGru);
+        let checkpoint = Checkpoint { tensors: weights(&description, 1), description };
+        Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap()
+    };
+    let refusal = |architecture, change: fn(&mut Frame)| {
+        let mut frame = frame.clone();
+        change(&mut frame);
+        surrogate(architecture).start(&frame).err().unwrap().to_string()
+    };
+    let fewer = |frame: &mut Frame| {
+        frame.position.pop();
+        frame.velocity.pop();
+        frame.material.pop();
+    };
+    let message = refusal(Architecture::Frame, fewer);
+    assert_eq!(message, "particles: found 6, expected 7 as in the checkpoint");
+    let message = refusal(Architecture::Particle, |frame| frame.material[2] = Material::Snow);
+    let expected = "expected one of liquid, jelly as in the checkpoint";
+    assert_eq!(message, format!("material[2]: found snow, {expected}"));
+    let message = refusal(Architecture::Particle, |frame| frame.dt = 0.02);
+    assert_eq!(message, "dt: found 0.02 s, expected 0.016 s as in the checkpoint");
+    let message = refusal(Architecture::Particle, |frame| frame.domain.upper = [2.0, 1.0]);
+    assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
+
+    let mut fewer_particles = frame.clone();
+    fewer(&mut fewer_particles);
+    assert!(surrogate(Architecture::Particle).start(&fewer_particles).is_ok());
+}
