@@ -66,7 +66,7 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         .context("cannot publish")?;
 
     if !quiet {
-        let digest = node.surrogate().digest();
+        let digest = &node.surrogate().digest()[..12];
         let outputs: Vec<_> = outputs.iter().map(ToString::to_string).collect();
         println!("predicting {input} -> {} with model {digest}", outputs.join(", "));
     }

@@ -58,7 +58,7 @@ fn a_truncated_bag_is_named_and_what_is_whole_is_predicted() {
     fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
 
     let bag = folder.path("truth/scene_0000");
-    says(&fail(1, ["bag", "check", &bag]), &["scene_0000_0.mcap"]);
+    says(&fail(1, ["bag", "check", &bag]), &["scene_0000", "findings"]);
     says(&predict(&folder, &bag), &["scene_0000_0.mcap", "expected"]);
 }
 
