@@ -92,7 +92,7 @@ impl FileIndex {
         let start = record::summary_start(&mut file, size).map_err(failed)?;
         if let Some(start) = start {
             let records = Records::new(file.try_clone().map_err(failed)?, size, start);
-            let index = Builder::new(path, number, size).from_summary(records);
+            let index = Builder::new(path, number, size).of_summary(records);
             if let Some(index) = index.map_err(failed)? {
                 return Ok(index);
             }
@@ -128,7 +128,7 @@ impl Builder {
 
     /// The index in the file's summary; `None` when it lacks a part that is needed or contradicts
     /// itself: files may have no statistics, no chunk indexes, or messages outside chunks.
-    fn from_summary(mut self, mut records: Records) -> std::io::Result<Option<FileIndex>> {
+    fn of_summary(mut self, mut records: Records) -> std::io::Result<Option<FileIndex>> {
         let (mut statistics, mut chunks) = (None, Vec::new());
         while let Step::Record(header) = records.step()? {
             if header.opcode == op::FOOTER {

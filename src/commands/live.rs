@@ -16,6 +16,9 @@ use eddy::{
 /// Frames that the shown errors are averaged over: one second.
 const AVERAGED: usize = 62;
 
+/// Errors of the best baseline below this mean that nothing moves (domain lengths).
+const AT_REST: f64 = 1e-4;
+
 /// Mean squared position errors of one frame ahead: the model's, then each baseline's.
 type SquaredErrors = [f64; 1 + Baseline::ALL.len()];
 
@@ -94,12 +97,15 @@ impl Live {
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .unwrap_or((Baseline::Persistence, f64::NAN));
         line += &format!(
-            " | error {:.1e}, {} {:.1e}, skill {:+.2}",
+            " | error {:.1e}, {} {:.1e}",
             mean(0).sqrt(),
             best.name(),
-            error.sqrt(),
-            1.0 - mean(0) / error
+            error.sqrt()
         );
+        // Where everything rests the best baseline is exact, and a ratio to it says nothing.
+        if error.sqrt() > AT_REST {
+            line += &format!(", skill {:+.2}", 1.0 - mean(0) / error);
+        }
         line
     }
 }

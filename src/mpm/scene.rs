@@ -90,7 +90,7 @@ impl Scene {
     }
 
     /// The speed of the fastest body: the start, the pull of the attractor, and a fall through the
-    /// whole domain added up (domain lengths per second). Jets of a splash were seen to be 2.4 times
+    /// whole domain added up (domain lengths per second). Jets of a splash were seen to be 3.2 times
     /// as fast.
     pub fn fastest(&self, gravity: f32, interval: f32) -> f32 {
         let start =

@@ -6,8 +6,8 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`recorder`]: what arrives into a bag.
-//! 8. [`player`]: a bag as it was recorded: which message is due when.
+//! 7. `recorder`: what arrives into a bag.
+//! 8. `player`: a bag as it was recorded: which message is due when.
 //! 9. [`clock`]: the one place that asks the system for the time.
 
 pub mod clock;

@@ -6,7 +6,9 @@ use std::{
     time::Duration,
 };
 
-use super::{Link, Payload, Publisher, Reliability, Subscriber, TransportError, opener, queue::Queue};
+use super::{
+    Link, Payload, Publisher, Reliability, Subscriber, TransportError, opener, queue::Queue,
+};
 use crate::frame::Frame;
 
 /// Messages that a subscriber may be behind.

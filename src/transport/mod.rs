@@ -1,12 +1,12 @@
 //! Topics on a wire: one small trait pair, one file for each middleware.
 //!
-//! 1. [`link`]: a transport and a topic, written `zenoh:/particles`.
+//! 1. `link`: a transport and a topic, written `zenoh:/particles`.
 //! 2. [`Publisher`], [`Subscriber`]: what every transport offers.
-//! 3. [`opener`]: [`Transports`] opens them; one session for each middleware and process.
-//! 4. [`queue`]: the bounded queue between a transport's thread and a subscriber.
-//! 5. [`memory`]: within this process.
-//! 6. [`shm`]: shared memory, by iceoryx2.
-//! 7. [`zenoh`]: the wire of ROS 2's rmw_zenoh.
+//! 3. `opener`: [`Transports`] opens them; one session for each middleware and process.
+//! 4. `queue`: the bounded queue between a transport's thread and a subscriber.
+//! 5. `memory`: within this process.
+//! 6. `shm`: shared memory, by iceoryx2.
+//! 7. `zenoh`: the wire of ROS 2's rmw_zenoh.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so both sides of
@@ -139,7 +139,9 @@ pub enum TransportError {
         expected: String,
     },
     /// A subscriber took nothing for as long as a blocking publisher is willing to wait.
-    #[error("{link}: found a subscriber that took nothing for {seconds} s, expected one that reads (or --reliability drop)")]
+    #[error(
+        "{link}: found a subscriber that took nothing for {seconds} s, expected one that reads (or --reliability drop)"
+    )]
     Stalled {
         /// The topic's link.
         link: Link,

@@ -7,12 +7,11 @@ use std::{
     time::Duration,
 };
 
+use super::zenoh::ZenohNode;
 use super::{
-    Link, Publisher, Reliability, Subscriber, TransportError, TransportKind,
-    memory::Broker,
+    Link, Publisher, Reliability, Subscriber, TransportError, TransportKind, memory::Broker,
     shm::ShmNode,
 };
-use super::zenoh::ZenohNode;
 use crate::msg::{Message, ParticleFrame, type_support};
 
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
@@ -34,10 +33,10 @@ pub struct TransportOptions {
 /// How zenoh finds its peers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ZenohOptions {
-    /// A zenoh configuration that replaces all of eddy's defaults [`ZENOH_SESSION_CONFIG_URI`].
+    /// A zenoh configuration that replaces all of eddy's defaults (`ZENOH_SESSION_CONFIG_URI`).
     pub config_file: Option<PathBuf>,
     /// Single settings that go last, `key=value;key=value` with values in JSON5
-    /// [`ZENOH_CONFIG_OVERRIDE`], as rmw_zenoh reads them.
+    /// (`ZENOH_CONFIG_OVERRIDE`), as rmw_zenoh reads them.
     pub overrides: String,
     /// The router's endpoint [default: `tcp/localhost:7447`]; it need not be there.
     pub router: String,
@@ -138,7 +137,9 @@ impl Transports {
             TransportKind::Memory => {
                 Box::new(self.shared.broker.publisher(link, type_name, reliability, patience)?)
             }
-            TransportKind::Shm => self.shm(link)?.publisher(link, type_name, reliability, patience)?,
+            TransportKind::Shm => {
+                self.shm(link)?.publisher(link, type_name, reliability, patience)?
+            }
             TransportKind::Zenoh => {
                 Box::new(self.zenoh(link)?.publisher(link, support, reliability)?)
             }
@@ -228,6 +229,11 @@ mod tests {
         assert_eq!(options.domain_id, 42);
         assert_eq!(options.zenoh.config_file, Some(PathBuf::from("/etc/zenoh.json5")));
         assert_eq!(options.zenoh.overrides, "mode=\"client\"");
+    }
+
+    #[test]
+    fn the_port_of_a_router_is_never_ours() {
+        assert!(!ZenohOptions::default().ports.contains(&7447));
     }
 
     #[test]

@@ -104,7 +104,10 @@ mod tests {
         for item in 0..3 {
             queue.push_or_wait(item, Duration::ZERO).unwrap();
         }
-        assert_eq!([queue.pop(LONG), queue.pop(LONG), queue.pop(LONG)], [Some(0), Some(1), Some(2)]);
+        assert_eq!(
+            [queue.pop(LONG), queue.pop(LONG), queue.pop(LONG)],
+            [Some(0), Some(1), Some(2)]
+        );
         assert_eq!(queue.pop(Duration::ZERO), None);
     }
 

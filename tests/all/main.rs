@@ -1,6 +1,7 @@
 //! The integration tests: one binary, one module an area.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
+mod bad_input;
 mod bag;
 mod graph;
 mod layers;

@@ -50,14 +50,14 @@ impl ShmNode {
         reliability: Reliability,
         patience: Duration,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        let events = self.services.events(link)?;
+        let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<Particle, FrameHeader>(link, type_name)?;
-            let outlet = Outlet::open(link, topic, &events, reliability, patience)?;
+            let outlet = Outlet::open(link, topic, &events, cleaner, reliability, patience)?;
             Box::new(FramePublisher { outlet })
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
-            let outlet = Outlet::open(link, topic, &events, reliability, patience)?;
+            let outlet = Outlet::open(link, topic, &events, cleaner, reliability, patience)?;
             Box::new(BytesPublisher { outlet, type_name: type_name.to_owned() })
         })
     }
@@ -67,13 +67,13 @@ impl ShmNode {
         link: &Link,
         type_name: &str,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        let events = self.services.events(link)?;
+        let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<Particle, FrameHeader>(link, type_name)?;
-            Box::new(FrameSubscriber::new(Inlet::open(link, &topic, &events)?))
+            Box::new(FrameSubscriber::new(Inlet::open(link, &topic, &events, cleaner)?))
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
-            Box::new(BytesSubscriber { inlet: Inlet::open(link, &topic, &events)? })
+            Box::new(BytesSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })
         })
     }
 }

@@ -9,7 +9,7 @@ use iceoryx2::{
 
 use super::{
     layout::{self, FrameHeader, Particle},
-    service::{Events, Ipc, Topic, middleware},
+    service::{Cleaner, Events, Ipc, Topic, middleware},
 };
 use crate::{
     frame::Frame,
@@ -33,6 +33,9 @@ where
     notifier: Notifier<Ipc>,
     reliability: Reliability,
     patience: Duration,
+    /// Whether a reader that came late was told of.
+    warned: bool,
+    _cleaner: Cleaner,
 }
 
 impl<P, H> Outlet<P, H>
@@ -44,6 +47,7 @@ where
         link: &Link,
         topic: Topic<P, H>,
         events: &Events,
+        cleaner: Cleaner,
         reliability: Reliability,
         patience: Duration,
     ) -> Result<Self, TransportError> {
@@ -59,7 +63,16 @@ where
             .default_event_id(EventId::new(0))
             .create()
             .map_err(|error| middleware(link, "open the notifier", &error))?;
-        let outlet = Self { link: link.clone(), topic, publisher, notifier, reliability, patience };
+        let outlet = Self {
+            link: link.clone(),
+            topic,
+            publisher,
+            notifier,
+            reliability,
+            patience,
+            warned: false,
+            _cleaner: cleaner,
+        };
         // Readers that wait connect now, before the first message.
         outlet.wake();
         Ok(outlet)
@@ -88,7 +101,9 @@ where
                 return Ok(());
             }
             if taken > 0 {
-                tracing::warn!(link = %self.link, taken, readers, "a reader that does not read yet missed a message");
+                if !std::mem::replace(&mut self.warned, true) {
+                    tracing::warn!(link = %self.link, taken, readers, "a reader that does not read yet misses messages");
+                }
                 return Ok(());
             }
             thread::sleep(PAUSE);
@@ -170,10 +185,8 @@ impl Publisher for FramePublisher {
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        let frame = Frame::from_cdr(bytes).map_err(|reason| TransportError::Frame {
-            link: self.outlet.link.clone(),
-            reason,
-        })?;
+        let frame = Frame::from_cdr(bytes)
+            .map_err(|reason| TransportError::Frame { link: self.outlet.link.clone(), reason })?;
         self.publish_frame(&frame)
     }
 

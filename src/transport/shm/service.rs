@@ -48,8 +48,11 @@ const TYPE_ATTRIBUTE: &str = "type";
 pub(super) struct Services {
     // Locked for its thread safety only: opening is rare.
     node: Mutex<Node<Ipc>>,
-    _cleaner: mpsc::Sender<()>,
+    cleaner: Cleaner,
 }
+
+/// Keeps the cleaning going for as long as there is one.
+pub(super) type Cleaner = mpsc::Sender<()>;
 
 impl Services {
     pub(super) fn open(link: &Link, node_name: &str) -> Result<Self, TransportError> {
@@ -62,7 +65,12 @@ impl Services {
             .create::<Ipc>()
             .map_err(|error| failed(&error))?;
         let cleaner = spawn_cleaner(node.config().clone()).map_err(|error| failed(&error))?;
-        Ok(Self { node: Mutex::new(node), _cleaner: cleaner })
+        Ok(Self { node: Mutex::new(node), cleaner })
+    }
+
+    /// For the ports, which may outlive these services.
+    pub(super) fn cleaner(&self) -> Cleaner {
+        self.cleaner.clone()
     }
 
     /// The service that carries the messages of a topic.
@@ -208,8 +216,8 @@ fn layout_name(payload: &TypeDetail, header: &TypeDetail) -> String {
 }
 
 /// A thread that clears away what killed processes left: their readers would hold blocking writers
-/// back for good, and would be counted as subscribers. It ends when the sender is dropped.
-fn spawn_cleaner(config: Config) -> std::io::Result<mpsc::Sender<()>> {
+/// back for good, and would be counted as subscribers. It ends with the last [`Cleaner`].
+fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
     let (keep, ended) = mpsc::channel::<()>();
     thread::Builder::new().name("shm cleaner".to_owned()).spawn(move || {
         while ended.recv_timeout(CLEANING) == Err(mpsc::RecvTimeoutError::Timeout) {

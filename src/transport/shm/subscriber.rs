@@ -13,7 +13,7 @@ use iceoryx2::{
 
 use super::{
     layout::{self, FrameHeader, Particle},
-    service::{Events, Ipc, Topic, middleware},
+    service::{Cleaner, Events, Ipc, Topic, middleware},
 };
 use crate::transport::{Link, Payload, Subscriber, TransportError};
 
@@ -32,6 +32,7 @@ where
     link: Link,
     subscriber: subscriber::Subscriber<Ipc, [P], H>,
     listener: Listener<Ipc>,
+    _cleaner: Cleaner,
 }
 
 impl<P, H> Inlet<P, H>
@@ -43,6 +44,7 @@ where
         link: &Link,
         topic: &Topic<P, H>,
         events: &Events,
+        cleaner: Cleaner,
     ) -> Result<Self, TransportError> {
         let listener = events
             .listener_builder()
@@ -52,7 +54,7 @@ where
             .subscriber_builder()
             .create()
             .map_err(|error| middleware(link, "open the subscriber", &error))?;
-        Ok(Self { link: link.clone(), subscriber, listener })
+        Ok(Self { link: link.clone(), subscriber, listener, _cleaner: cleaner })
     }
 
     fn receive(&self, timeout: Duration) -> Result<Option<Sample<Ipc, [P], H>>, TransportError> {
@@ -64,7 +66,9 @@ where
                 Ok(Some(sample)) => return Ok(Some(sample)),
                 Ok(None) => {}
                 // A publisher was killed while it connected; the others go on.
-                Err(error) => tracing::warn!(link = %self.link, %error, "a publisher cannot be read"),
+                Err(error) => {
+                    tracing::warn!(link = %self.link, %error, "a publisher cannot be read")
+                }
             }
             if left.is_zero() {
                 return Ok(None);
@@ -91,7 +95,8 @@ where
     }
 }
 
-/// Reads a topic of frames.
+/// Reads a topic of frames. One that is refused ends the wait, so that a publisher of nothing else
+/// cannot hold the reader for good.
 pub(super) struct FrameSubscriber {
     inlet: Inlet<Particle, FrameHeader>,
     refused: u64,

@@ -30,7 +30,8 @@ const DIAL: &str = "retry_period_init_ms=100;retry_period_max_ms=500";
 pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Session, TransportError> {
     let zenoh = &options.zenoh;
     let overrides = overrides(&zenoh.overrides)?;
-    let overridden = |way: &str| overrides.iter().any(|(key, _)| key.split('/').next() == Some(way));
+    let overridden =
+        |way: &str| overrides.iter().any(|(key, _)| key.split('/').next() == Some(way));
     if let Some(path) = &zenoh.config_file {
         let config = Config::from_file(path).map_err(|error| TransportError::Environment {
             variable: FILE_VARIABLE,
@@ -96,7 +97,10 @@ fn rmw_defaults(options: &TransportOptions) -> zenoh::Result<Config> {
         ("listen/endpoints", json!(["tcp/localhost:0"])),
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(true)),
-        ("scouting/gossip/autoconnect_strategy", json!({ "peer": { "to_router": "always", "to_peer": "greater-zid" } })),
+        (
+            "scouting/gossip/autoconnect_strategy",
+            json!({ "peer": { "to_router": "always", "to_peer": "greater-zid" } }),
+        ),
         // What a session waits at most for its first peers; without a router, always.
         ("scouting/delay", json!(250)),
         ("timestamping/enabled", json!(true)),
@@ -160,10 +164,7 @@ mod tests {
     #[test]
     fn a_bad_override_names_variable_found_and_expected() {
         let message = open_with_overrides("mode");
-        assert_eq!(
-            message,
-            "ZENOH_CONFIG_OVERRIDE: found `mode`, expected key=value;key=value"
-        );
+        assert_eq!(message, "ZENOH_CONFIG_OVERRIDE: found `mode`, expected key=value;key=value");
         let message = open_with_overrides("mood=\"peer\"");
         assert!(message.starts_with("ZENOH_CONFIG_OVERRIDE: found `mood=\"peer\"`"), "{message}");
     }
@@ -173,7 +174,10 @@ mod tests {
         let mut options = TransportOptions::new("test");
         options.zenoh.config_file = Some("/nowhere/zenoh.json5".into());
         let message = open(&link(), &options).unwrap_err().to_string();
-        assert!(message.starts_with("ZENOH_SESSION_CONFIG_URI: found `/nowhere/zenoh.json5`"), "{message}");
+        assert!(
+            message.starts_with("ZENOH_SESSION_CONFIG_URI: found `/nowhere/zenoh.json5`"),
+            "{message}"
+        );
     }
 
     #[test]

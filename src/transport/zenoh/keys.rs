@@ -146,7 +146,14 @@ mod tests {
     }
 
     fn endpoint(link: &str, type_name: &str, side: Side, qos: &str) -> Endpoint {
-        Endpoint::new(&node(), 3, side, &link.parse().unwrap(), type_support(type_name).unwrap(), qos)
+        Endpoint::new(
+            &node(),
+            3,
+            side,
+            &link.parse().unwrap(),
+            type_support(type_name).unwrap(),
+            qos,
+        )
     }
 
     #[test]
@@ -173,7 +180,9 @@ mod tests {
         assert_eq!(endpoint.key, format!("7/prediction/raw/{name}/{hash}"));
         assert_eq!(
             endpoint.token,
-            format!("@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%raw/{name}/{hash}/2::,64:,:,:,,")
+            format!(
+                "@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%raw/{name}/{hash}/2::,64:,:,:,,"
+            )
         );
         assert_eq!(endpoint.others, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*");
     }
@@ -205,7 +214,8 @@ mod tests {
     fn the_gid_is_the_hash_of_the_token_in_little_endian() {
         let token = "@ros2_lv/0/1234567890abcdef1234567890abcdef/0/0/NN/%/%/eddy_node";
         let expected = [
-            0xf5, 0xa6, 0x5f, 0x2e, 0x0b, 0xe1, 0xaf, 0xc6, 0x33, 0x30, 0xca, 0x65, 0x3a, 0x17, 0xde, 0xff
+            0xf5, 0xa6, 0x5f, 0x2e, 0x0b, 0xe1, 0xaf, 0xc6, 0x33, 0x30, 0xca, 0x65, 0x3a, 0x17,
+            0xde, 0xff,
         ];
         assert_eq!(gid(token), expected);
     }

@@ -23,7 +23,10 @@ mod subscriber;
 
 use std::{
     fmt::Display,
-    sync::atomic::{AtomicUsize, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::Duration,
 };
 
@@ -57,25 +60,25 @@ impl ZenohNode {
     }
 
     pub(super) fn publisher(
-        &self,
+        self: &Arc<Self>,
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
     ) -> Result<ZenohPublisher, TransportError> {
         let qos = keys::publisher_qos(reliability);
         let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
-        ZenohPublisher::open(&self.session, endpoint, reliability)
+        ZenohPublisher::open(self, endpoint, reliability)
     }
 
     pub(super) fn subscriber(
-        &self,
+        self: &Arc<Self>,
         link: &Link,
         support: &TypeSupport,
     ) -> Result<ZenohSubscriber, TransportError> {
         let qos = keys::subscriber_qos(subscriber::DEPTH);
         let endpoint =
             Endpoint::new(&self.node, self.id(), Side::Subscription, link, support, &qos);
-        ZenohSubscriber::open(&self.session, endpoint, self.patience)
+        ZenohSubscriber::open(self, endpoint)
     }
 
     fn id(&self) -> usize {

@@ -1,10 +1,14 @@
 //! Publishes one topic.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::{
+    sync::Arc,
+    time::{SystemTime, UNIX_EPOCH},
+};
 
-use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
+use zenoh::{Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
 
 use super::{
+    ZenohNode,
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
@@ -24,14 +28,17 @@ pub(in crate::transport) struct ZenohPublisher {
     sequence: i64,
     graph: Graph,
     _token: LivelinessToken,
+    /// The session ends with its last user.
+    _node: Arc<ZenohNode>,
 }
 
 impl ZenohPublisher {
     pub(super) fn open(
-        session: &Session,
+        node: &Arc<ZenohNode>,
         endpoint: Endpoint,
         reliability: Reliability,
     ) -> Result<Self, TransportError> {
+        let session = &node.session;
         let graph = Graph::watch(session, &endpoint)
             .map_err(|error| middleware(&endpoint.link, "watch the subscribers", &error))?;
         let gid = endpoint.gid();
@@ -47,7 +54,8 @@ impl ZenohPublisher {
             .map_err(|error| middleware(&link, "declare the publisher", &error))?;
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
-        Ok(Self { link, type_name, publisher, gid, sequence: 0, graph, _token: token })
+        let _node = Arc::clone(node);
+        Ok(Self { link, type_name, publisher, gid, sequence: 0, graph, _token: token, _node })
     }
 
     fn publish(&mut self, bytes: Vec<u8>) -> Result<(), TransportError> {

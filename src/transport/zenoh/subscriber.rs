@@ -9,11 +9,10 @@ use std::{
     time::Duration,
 };
 
-use zenoh::{
-    Session, Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl, sample::Sample,
-};
+use zenoh::{Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl, sample::Sample};
 
 use super::{
+    ZenohNode,
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
@@ -31,14 +30,13 @@ pub(in crate::transport) struct ZenohSubscriber {
     _graph: Graph,
     _token: LivelinessToken,
     _subscriber: pubsub::Subscriber<()>,
+    /// The session ends with its last user.
+    _node: Arc<ZenohNode>,
 }
 
 impl ZenohSubscriber {
-    pub(super) fn open(
-        session: &Session,
-        endpoint: Endpoint,
-        patience: Duration,
-    ) -> Result<Self, TransportError> {
+    pub(super) fn open(node: &Arc<ZenohNode>, endpoint: Endpoint) -> Result<Self, TransportError> {
+        let (session, patience) = (&node.session, node.patience);
         let graph = Graph::watch(session, &endpoint)
             .map_err(|error| middleware(&endpoint.link, "watch the publishers", &error))?;
         let Endpoint { link, key, token, .. } = endpoint;
@@ -57,7 +55,8 @@ impl ZenohSubscriber {
         // After the subscription: whoever sees the token can be sure that messages arrive.
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
-        Ok(Self { intake, _graph: graph, _token: token, _subscriber: subscriber })
+        let _node = Arc::clone(node);
+        Ok(Self { intake, _graph: graph, _token: token, _subscriber: subscriber, _node })
     }
 }
 
@@ -90,8 +89,7 @@ impl Intake {
     /// Puts a message into the queue. Waiting for room blocks zenoh's thread, that stops the reading of
     /// the link, and that holds a blocking publisher back; messages sent to be dropped never wait.
     fn take(&self, sample: &Sample) {
-        let attachment =
-            sample.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()));
+        let attachment = sample.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()));
         if let Some(attachment) = attachment {
             let lost = self.gaps.lock().unwrap_or_else(PoisonError::into_inner).count(&attachment);
             self.lost.fetch_add(lost, Ordering::Relaxed);
@@ -118,7 +116,9 @@ impl Gaps {
             self.0.clear();
         }
         match self.0.insert(message.gid, message.sequence) {
-            Some(last) => u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0),
+            Some(last) => {
+                u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0)
+            }
             None => 0,
         }
     }

@@ -28,7 +28,8 @@ impl Process {
     /// Starts `role` on `link`, with the same ports as `options`.
     pub(super) fn start(role: &str, link: &Link, options: &TransportOptions) -> Self {
         let ports = &options.zenoh.ports;
-        let task = format!("{role} {link} {} {} {}", ports.start(), ports.end(), options.zenoh.router);
+        let task =
+            format!("{role} {link} {} {} {}", ports.start(), ports.end(), options.zenoh.router);
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--ignored", "--exact", "transport::child::main", "--nocapture"])
             .env(VARIABLE, task)
@@ -44,7 +45,8 @@ impl Process {
         let start = Instant::now();
         loop {
             let left = DEADLINE.saturating_sub(start.elapsed());
-            let line = self.lines.recv_timeout(left).unwrap_or_else(|_| panic!("nobody said `{text}`"));
+            let line =
+                self.lines.recv_timeout(left).unwrap_or_else(|_| panic!("nobody said `{text}`"));
             if line.contains(text) {
                 return line;
             }

@@ -1,6 +1,9 @@
 //! Shared memory: killed processes, and services that other programs make.
 
-use std::{thread, time::{Duration, Instant}};
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
 
 use eddy::transport::{Reliability, Transports};
 use iceoryx2::prelude::*;
@@ -30,7 +33,10 @@ fn a_killed_subscriber_frees_the_publisher_that_waits_for_it() {
     });
     // Longer than it takes to fill the buffer.
     thread::sleep(Duration::from_millis(300));
-    assert!(!publishing.is_finished(), "the publisher did not wait for a subscriber that reads nothing");
+    assert!(
+        !publishing.is_finished(),
+        "the publisher did not wait for a subscriber that reads nothing"
+    );
     stalled.kill();
     let (mut publisher, waited) = publishing.join().unwrap();
     assert!(waited < patience, "waited {waited:?} for a dead subscriber");
@@ -140,7 +146,8 @@ fn a_service_made_by_another_program_is_used_as_it_is() {
 
     // That program wakes nobody.
     let mut sample = foreign_publisher.loan_slice_uninit(2).unwrap();
-    *sample.user_header_mut() = FrameHeader { dt: 0.016, sequence: 77, upper: [1.0; 2], ..Default::default() };
+    *sample.user_header_mut() =
+        FrameHeader { dt: 0.016, sequence: 77, upper: [1.0; 2], ..Default::default() };
     let particle = |index| Particle { x: index as f32, y: 0.25, vx: 0.0, vy: -1.0, material: 3 };
     sample.write_from_fn(particle).send().unwrap();
     let received = next_frame(&mut *subscriber);

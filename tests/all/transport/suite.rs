@@ -11,8 +11,8 @@ use eddy::{
 };
 
 use super::{
-    DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame, link, next_frame,
-    options,
+    DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame,
+    link, next_frame, options,
 };
 
 const PARTICLES: usize = 2_500;
@@ -62,6 +62,10 @@ macro_rules! every_transport {
             #[test]
             fn frames_of_any_size_share_a_topic() {
                 super::frames_of_any_size_share_a_topic(NAME);
+            }
+            #[test]
+            fn publishers_and_subscribers_outlive_what_opened_them() {
+                super::publishers_and_subscribers_outlive_what_opened_them(NAME);
             }
             #[test]
             fn only_topics_of_frames_take_frames() {
@@ -225,17 +229,29 @@ fn frames_of_any_size_share_a_topic(transport: &str) {
     }
 }
 
+fn publishers_and_subscribers_outlive_what_opened_them(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    drop((here, there));
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(0, 1)).unwrap();
+    expect_frame(&mut *subscriber, &frame(0, 1));
+}
+
 fn only_topics_of_frames_take_frames(transport: &str) {
     let ([here, _], link) = (ends(transport, options()), link(transport));
-    let mut publisher =
-        here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).unwrap();
+    let mut publisher = here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).unwrap();
     let message = publisher.publish_frame(&frame(0, 1)).unwrap_err().to_string();
     let expected = "found message type eddy_msgs/msg/ParticleFrame, expected diagnostic_msgs/msg/DiagnosticArray";
     assert_eq!(message, format!("{link}: {expected}"));
 }
 
 fn an_unknown_type_is_named(transport: &str) {
-    let error = Transports::new(options()).subscriber(&link(transport), "std_msgs/msg/Nothing").err().unwrap();
+    let error = Transports::new(options())
+        .subscriber(&link(transport), "std_msgs/msg/Nothing")
+        .err()
+        .unwrap();
     assert!(matches!(error, TransportError::Type(_)), "{error}");
     assert!(error.to_string().contains("found std_msgs/msg/Nothing"), "{error}");
 }
@@ -246,9 +262,9 @@ fn a_topic_of_another_type_is_refused_with_both_types() {
     for transport in ["memory", "shm"] {
         let ([here, there], link) = (ends(transport, options()), link(transport));
         let _strings = there.subscriber(&link, RosString::TYPE).unwrap();
-        let error =
-            here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).err().unwrap();
-        let expected = "found message type std_msgs/msg/String, expected diagnostic_msgs/msg/DiagnosticArray";
+        let error = here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).err().unwrap();
+        let expected =
+            "found message type std_msgs/msg/String, expected diagnostic_msgs/msg/DiagnosticArray";
         assert_eq!(error.to_string(), format!("{link}: {expected}"));
     }
 }
@@ -263,10 +279,12 @@ fn a_blocking_publisher_gives_up_on_a_stalled_subscriber_when_its_patience_ends(
         let mut publisher = frames_publisher(&here, &link, Reliability::Block);
         let stalled = (0..).map(|n| publisher.publish_frame(&frame(n, 10))).find_map(Result::err);
         let message = stalled.unwrap().to_string();
-        assert!(message.starts_with(&format!("{link}: found a subscriber that took nothing for 0.1 s")), "{message}");
+        assert!(
+            message.starts_with(&format!("{link}: found a subscriber that took nothing for 0.1 s")),
+            "{message}"
+        );
         // The publisher stays usable.
         assert!(is_frame(&subscriber.receive(DEADLINE).unwrap().unwrap()));
         publisher.publish_frame(&frame(99, 10)).unwrap();
     }
 }
-

@@ -106,7 +106,8 @@ fn messages_with_any_attachment_arrive_and_gaps_are_counted() {
     let attachment = |sequence: i64| {
         [&sequence.to_le_bytes()[..], &0i64.to_le_bytes(), &[16], &[7; 16]].concat()
     };
-    let attachments = [Some(vec![]), Some(vec![1; 32]), None, Some(attachment(3)), Some(attachment(6))];
+    let attachments =
+        [Some(vec![]), Some(vec![1; 32]), None, Some(attachment(3)), Some(attachment(6))];
     for (sequence, attachment) in (0..).zip(attachments) {
         publisher.put(frame(sequence, 2).to_cdr()).attachment(attachment).wait().unwrap();
         expect_frame(&mut *subscriber, &frame(sequence, 2));
@@ -121,7 +122,11 @@ fn a_topic_of_another_type_is_a_warning_with_both_types() {
     let _publisher = frames_publisher(&transports, &link, Reliability::Drop);
     let strings = Process::start("strings", &link, &options);
     let warning = strings.says("found message type");
-    assert!(warning.contains(&format!("{link}: found message type eddy_msgs/msg/ParticleFrame (RIHS01_")), "{warning}");
+    assert!(
+        warning
+            .contains(&format!("{link}: found message type eddy_msgs/msg/ParticleFrame (RIHS01_")),
+        "{warning}"
+    );
     assert!(warning.contains("expected std_msgs/msg/String (RIHS01_df668c74"), "{warning}");
 }
 
@@ -131,7 +136,8 @@ fn a_busy_port_is_named() {
     let port = taken.local_addr().unwrap().port();
     let (mut options, link) = (options(), link("zenoh"));
     options.zenoh.overrides = format!(r#"listen/endpoints=["tcp/127.0.0.1:{port}"]"#);
-    let message = Transports::new(options).subscriber(&link, ParticleFrame::TYPE).err().unwrap().to_string();
+    let message =
+        Transports::new(options).subscriber(&link, ParticleFrame::TYPE).err().unwrap().to_string();
     assert!(message.starts_with(&format!("{link}: open the zenoh session")), "{message}");
     assert!(message.contains(&port.to_string()), "{message}");
 }

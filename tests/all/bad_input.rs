@@ -1,0 +1,180 @@
+//! What the program says when something is wrong: exit code 1, and the file, the field, what was
+//! found and what was expected. Nothing already there is lost.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use eddy::{
+    bag::{BagWriter, WriterOptions},
+    checkpoint::Checkpoint,
+    frame::Stamp,
+    msg::{Message, RosString, cdr},
+};
+use tempfile::TempDir;
+
+use crate::support::{fail, simulate, succeed};
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn join(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+/// Fails if `message` lacks one of `words`.
+fn says(message: &str, words: &[&str]) {
+    for word in words {
+        assert!(message.contains(word), "`{word}` is not in: {message}");
+    }
+}
+
+fn predict(folder: &Folder, bag: &str) -> String {
+    fail(1, ["predict", "--input", bag, "--output", &folder.path("out")])
+}
+
+#[test]
+fn a_bag_that_is_not_there_is_named() {
+    let folder = Folder::new();
+    says(&predict(&folder, &folder.path("nowhere")), &["nowhere"]);
+}
+
+#[test]
+fn a_truncated_bag_is_named_and_what_is_whole_is_predicted() {
+    let folder = Folder::new();
+    simulate(&folder.join("truth"), 1, 0.5);
+    let file = folder.join("truth/scene_0000/scene_0000_0.mcap");
+    let bytes = fs::read(&file).unwrap();
+    fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+
+    let bag = folder.path("truth/scene_0000");
+    says(&fail(1, ["bag", "check", &bag]), &["scene_0000_0.mcap"]);
+    says(&predict(&folder, &bag), &["scene_0000_0.mcap", "expected"]);
+}
+
+#[test]
+fn a_bag_without_frames_is_named_with_the_topics_it_has() {
+    let folder = Folder::new();
+    let mut bag = BagWriter::create(&folder.join("words"), WriterOptions::default()).unwrap();
+    let topic = bag.topic("/words", RosString::TYPE).unwrap();
+    let word = cdr::encode(&RosString { data: "hello".into() });
+    bag.write(topic, Stamp(1), Stamp(1), &word).unwrap();
+    bag.finish().unwrap();
+
+    let bag = folder.path("words");
+    says(&predict(&folder, &bag), &["words", "/particles", "/words"]);
+    let output = folder.path("model");
+    says(&fail(1, ["train", "--data", &bag, "--output", &output]), &["words", "/particles"]);
+    assert!(!Path::new(&output).exists());
+}
+
+#[test]
+fn a_topic_of_another_type_is_named_with_both_types() {
+    let folder = Folder::new();
+    let mut bag = BagWriter::create(&folder.join("wrong"), WriterOptions::default()).unwrap();
+    let topic = bag.topic("/particles", RosString::TYPE).unwrap();
+    let word = cdr::encode(&RosString { data: "hello".into() });
+    bag.write(topic, Stamp(1), Stamp(1), &word).unwrap();
+    bag.finish().unwrap();
+    says(
+        &predict(&folder, &folder.path("wrong")),
+        &["wrong", "/particles", "std_msgs/msg/String", "eddy_msgs/msg/ParticleFrame"],
+    );
+}
+
+#[test]
+fn a_checkpoint_that_does_not_fit_is_refused_before_anything_is_written() {
+    let folder = Folder::new();
+    simulate(&folder.join("truth"), 1, 0.3);
+    let bag = folder.path("truth/scene_0000");
+    let model = folder.join("model");
+    Checkpoint::shipped().unwrap().save(&model).unwrap();
+    let description = fs::read_to_string(model.join("model.toml")).unwrap();
+    let weights = fs::read(model.join("model.safetensors")).unwrap();
+    let refused = |description: &str, weights: &[u8]| {
+        fs::write(model.join("model.toml"), description).unwrap();
+        fs::write(model.join("model.safetensors"), weights).unwrap();
+        let output = folder.path("out");
+        let model = model.to_str().unwrap();
+        let message =
+            fail(1, ["predict", "--checkpoint", model, "--input", &bag, "--output", &output]);
+        assert!(!Path::new(&output).exists(), "a bag was begun");
+        message
+    };
+    let other = |from: &str, to: &str| {
+        assert!(description.contains(from), "{description}");
+        description.replacen(from, to, 1)
+    };
+    says(
+        &refused(&other("format_version = 1", "format_version = 99"), &weights),
+        &["model.toml", "format_version", "99", "expected 1"],
+    );
+    let hidden = other("\nhidden = ", "\nhidden = 1");
+    says(&refused(&hidden, &weights), &["model.safetensors", "found", "expected"]);
+    says(&refused(&other("dt = ", "depth = 3\ndt = "), &weights), &["model.toml", "depth"]);
+    says(&refused(&description, &weights[..weights.len() / 2]), &["model.safetensors"]);
+}
+
+#[test]
+fn an_unknown_config_key_is_named_with_its_file() {
+    let folder = Folder::new();
+    fs::write(folder.join("node.toml"), "horizont = 3\n").unwrap();
+    says(&fail(1, ["node", "--config", &folder.path("node.toml")]), &["node.toml", "horizont"]);
+
+    simulate(&folder.join("truth"), 2, 0.8);
+    fs::write(folder.join("train.toml"), "[windows]\nbatches = 3\n").unwrap();
+    let (data, output, config) =
+        (folder.path("truth"), folder.path("model"), folder.path("train.toml"));
+    let message = fail(1, ["train", "--data", &data, "--output", &output, "--config", &config]);
+    says(&message, &["train.toml", "batches"]);
+}
+
+#[test]
+fn a_busy_port_is_named() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let output = crate::support::eddy()
+        .args(["node", "--input", "zenoh:/busy/particles", "--output", "zenoh:/busy/prediction"])
+        .env("ZENOH_CONFIG_OVERRIDE", format!("listen/endpoints=[\"tcp/127.0.0.1:{port}\"]"))
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    says(&String::from_utf8_lossy(&output.stderr), &["zenoh:/busy/particles", &port.to_string()]);
+}
+
+#[test]
+fn an_existing_bag_is_never_written_over() {
+    let folder = Folder::new();
+    simulate(&folder.join("truth"), 1, 0.3);
+    let bag = folder.path("truth/scene_0000");
+    succeed(["predict", "--input", &bag, "--output", &folder.path("out")]);
+    let before = fs::read(folder.join("out/out_0.mcap")).unwrap();
+    says(&predict(&folder, &bag), &["out"]);
+    let link = ["record", "memory:/particles", "--output", &folder.path("out")].map(str::to_owned);
+    says(&fail(1, link), &["out"]);
+    assert_eq!(fs::read(folder.join("out/out_0.mcap")).unwrap(), before);
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    says(&fail(2, ["node", "--input", "tcp:/particles"]), &["found `tcp`", "memory, shm or zenoh"]);
+    says(&fail(2, ["simulate"]), &["--output"]);
+}
+
+#[test]
+fn an_unstable_number_of_substeps_is_refused_with_the_limit() {
+    let folder = Folder::new();
+    let output = folder.path("truth");
+    let message = fail(1, ["simulate", "--substeps", "20", "--output", &output]);
+    says(&message, &["substeps", "20", "at least"]);
+}
