@@ -3,12 +3,12 @@
 //! A checkpoint is a directory with two files:
 //!
 //! 1. `model.toml`, the [`Description`]: what the network is, what it was trained on, how its numbers
-//!    are scaled ([`description`]).
+//!    are scaled (`description`).
 //! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
-//!    that [`layout`] derives from the description.
+//!    that `layout` derives from the description.
 //!
-//! [`files`] writes and reads the two so that a crash between any two system calls leaves a whole
-//! checkpoint, the old one or the new one. [`error`] says why something is no checkpoint.
+//! `files` writes and reads the two so that a crash between any two system calls leaves a whole
+//! checkpoint, the old one or the new one. `error` says why something is no checkpoint.
 
 mod description;
 mod error;

@@ -130,8 +130,8 @@ mod tests {
                 Tensor::<1>::from_floats(flat.as_slice(), &device).reshape([particles.len(), 2])
             };
             let fallen = twin.step(rows(|p| [p.0, p.1]), rows(|p| [p.2, p.3]));
-            let position: Vec<f32> = fallen.position.into_data().to_vec().unwrap();
-            let velocity: Vec<f32> = fallen.velocity.into_data().to_vec().unwrap();
+            let position: Vec<f32> = fallen.position.into_data().try_to_vec().unwrap();
+            let velocity: Vec<f32> = fallen.velocity.into_data().try_to_vec().unwrap();
             for (i, p) in particles.iter().enumerate() {
                 let (x, v) = STEP.step([p.0, p.1], [p.2, p.3]);
                 for axis in 0..2 {

@@ -66,6 +66,7 @@ impl Dropout {
 
 /// A network, ready to compute.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one of them lives as long as the process")]
 pub(crate) enum Network {
     Frame(FrameModel),
     Particle(ParticleModel),

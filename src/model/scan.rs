@@ -78,12 +78,13 @@ mod tests {
                 Tensor::stack(states, 0)
             };
             let gradients = states.clone().square().sum().backward();
-            let numbers = |t: Option<Tensor<3>>| t.unwrap().into_data().to_vec::<f32>().unwrap();
+            let numbers =
+                |t: Option<Tensor<3>>| t.unwrap().into_data().try_to_vec::<f32>().unwrap();
             vec![
-                states.inner().into_data().to_vec().unwrap(),
+                states.inner().into_data().try_to_vec().unwrap(),
                 numbers(a.grad(&gradients)),
                 numbers(b.grad(&gradients)),
-                start.grad(&gradients).unwrap().into_data().to_vec().unwrap(),
+                start.grad(&gradients).unwrap().into_data().try_to_vec().unwrap(),
             ]
         })
     }
@@ -114,8 +115,8 @@ mod tests {
         let a = Tensor::<3>::full([5, ROWS, HIDDEN], 0.5, &device);
         let b = Tensor::<3>::ones([5, ROWS, HIDDEN], &device);
         let zero = Tensor::<2>::zeros([ROWS, HIDDEN], &device);
-        let with = scan(a.clone(), b.clone(), Some(zero)).into_data().to_vec::<f32>().unwrap();
-        let without = scan(a, b, None).into_data().to_vec::<f32>().unwrap();
+        let with = scan(a.clone(), b.clone(), Some(zero)).into_data().try_to_vec::<f32>().unwrap();
+        let without = scan(a, b, None).into_data().try_to_vec::<f32>().unwrap();
         assert_eq!(with, without);
         assert_eq!(without[4 * ROWS * HIDDEN], 1.9375);
     }

@@ -99,7 +99,7 @@ fn track(frames: &[Frame], device: &Device) -> Track {
 }
 
 fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
-    tensor.clone().into_data().to_vec().unwrap()
+    tensor.clone().into_data().try_to_vec().unwrap()
 }
 
 fn largest_difference(a: &[f32], b: &[f32]) -> f32 {

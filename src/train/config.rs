@@ -284,8 +284,9 @@ impl TrainConfig {
         if !(0.0..=1.0).contains(&self.optimizer.final_share) {
             return Err(setting("optimizer.final_share", self.optimizer.final_share, "0 to 1"));
         }
-        if !(self.optimizer.clip > 0.0) {
-            return Err(setting("optimizer.clip", self.optimizer.clip, "a positive number"));
+        let clip = self.optimizer.clip;
+        if clip.is_nan() || clip <= 0.0 {
+            return Err(setting("optimizer.clip", clip, "a positive number"));
         }
         Ok(())
     }

@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn every_particle_is_deposited_whole() {
         let maps = density_maps(positions(&POSITIONS, &Device::flex()), 2, GRID, Domain::UNIT);
-        let masses: Vec<f32> = maps.sum_dim(2).sum_dim(1).into_data().to_vec().unwrap();
+        let masses: Vec<f32> = maps.sum_dim(2).sum_dim(1).into_data().try_to_vec().unwrap();
         for mass in masses {
             assert!((mass - (GRID * GRID) as f32).abs() < 1e-4, "{mass}");
         }
@@ -73,7 +73,7 @@ mod tests {
         let device = Device::flex().autodiff();
         let leaf = positions(&POSITIONS, &device).require_grad();
         let gradients = weighted(density_maps(leaf.clone(), 2, GRID, Domain::UNIT)).backward();
-        let gradient: Vec<f32> = leaf.grad(&gradients).unwrap().into_data().to_vec().unwrap();
+        let gradient: Vec<f32> = leaf.grad(&gradients).unwrap().into_data().try_to_vec().unwrap();
         let step = 2e-3;
         for (index, gradient) in gradient.iter().enumerate() {
             let moved = |by: f32| {

@@ -1,14 +1,14 @@
 //! Fits a network to recorded trajectories.
 //!
-//! 1. [`config`]: everything that can be chosen, with defaults for each architecture.
-//! 2. [`window`]: draws pieces of trajectories, some particles of each.
-//! 3. [`weigh`]: how much each particle's error counts.
-//! 4. [`batch`]: windows as tensors.
-//! 5. [`loss`], [`density`]: the network observes the warm-up, predicts the rest from its own output; what
+//! 1. `config`: everything that can be chosen, with defaults for each architecture.
+//! 2. `window`: draws pieces of trajectories, some particles of each.
+//! 3. `weigh`: how much each particle's error counts.
+//! 4. `batch`: windows as tensors.
+//! 5. `loss`, `density`: the network observes the warm-up, predicts the rest from its own output; what
 //!    that costs.
-//! 6. [`schedule`]: learning rate and length of unroll over the run.
-//! 7. [`validate`]: free rollouts over streams that are not trained on.
-//! 8. [`monitor`]: progress bar, lines, `metrics.csv`.
+//! 6. `schedule`: learning rate and length of unroll over the run.
+//! 7. `validate`: free rollouts over streams that are not trained on.
+//! 8. `monitor`: progress bar, lines, `metrics.csv`.
 //!
 //! [`train`] is the loop.
 

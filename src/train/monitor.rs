@@ -66,7 +66,7 @@ impl Monitor {
 
     /// One batch is done.
     pub(super) fn batch(&self, epoch: u32, loss: f32) {
-        self.bar.set_message(format!("epoch {epoch}, loss {loss:.4}"));
+        self.bar.set_message(format!("epoch {epoch}, loss {loss:.3e}"));
         self.bar.inc(1);
     }
 
@@ -76,14 +76,14 @@ impl Monitor {
         let Epoch { first_skill, last_skill, learning_rate, best, .. } = epoch;
         writeln!(
             self.metrics,
-            "{number},{samples},{unroll},{training_loss:.6},{validation_loss:.6},{first_skill:.4},{last_skill:.4},{learning_rate:.3e}"
+            "{number},{samples},{unroll},{training_loss:.5e},{validation_loss:.6},{first_skill:.4},{last_skill:.4},{learning_rate:.3e}"
         )
         .and_then(|()| self.metrics.flush())
         .map_err(|reason| TrainError::Metrics { file: self.file.clone(), reason })?;
         if !self.quiet {
             let star = if *best { "  best" } else { "" };
             self.line(&format!(
-                "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.4}  validation {validation_loss:.4}  skill {first_skill:.2} at 1, {last_skill:.2} at {horizon}{star}"
+                "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first_skill:.2} at 1, {last_skill:.2} at {horizon}{star}"
             ));
         }
         Ok(())
