@@ -35,9 +35,4 @@ impl Interrupt {
     pub fn flag(&self) -> &AtomicBool {
         &self.0
     }
-
-    /// Ends the loops as a signal would.
-    pub fn request(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }

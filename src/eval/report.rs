@@ -2,7 +2,7 @@
 
 use std::{fmt::Write as _, fs, io, path::Path};
 
-use comfy_table::{Table, presets::UTF8_BORDERS_ONLY_CONDENSED};
+use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 use serde::Serialize;
 
 use super::{ErrorSums, Errors, Judgement};
@@ -167,7 +167,7 @@ impl Report {
         let shown: Vec<usize> = SHOWN.into_iter().filter(|&ahead| ahead <= self.horizon).collect();
         let table = |title: &str| {
             let mut table = Table::new();
-            table.load_style(UTF8_BORDERS_ONLY_CONDENSED);
+            table.load_style(UTF8_BORDERS_ONLY);
             let frames = shown.iter().map(|ahead| format!("frame {ahead}"));
             table.set_header(std::iter::once(title.to_owned()).chain(frames));
             table
