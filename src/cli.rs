@@ -19,7 +19,12 @@ pub struct Cli {
     pub quiet: bool,
 
     /// What is logged to standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug`.
-    #[arg(long, global = true, default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error", env = "EDDY_LOG")]
+    #[arg(
+        long,
+        global = true,
+        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error",
+        env = "EDDY_LOG"
+    )]
     pub log_level: String,
 
     #[command(subcommand)]

@@ -165,6 +165,12 @@ pub enum InvalidFrame {
         /// Its material number.
         found: u8,
     },
+    /// No frame can follow this one.
+    #[error("sequence: found {found}, expected a number that can be followed")]
+    Sequence {
+        /// The sequence number.
+        found: u64,
+    },
     /// The frame interval is no positive number.
     #[error("dt: found {found} s, expected a positive number")]
     Interval {
@@ -224,6 +230,9 @@ impl Frame {
                     particles,
                 });
             }
+        }
+        if self.sequence == u64::MAX {
+            return Err(InvalidFrame::Sequence { found: self.sequence });
         }
         let Domain { lower, upper } = self.domain;
         let whole = (0..2).all(|axis| {

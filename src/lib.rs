@@ -16,10 +16,11 @@
 //! | L3 | `dataset` |
 //! | L2 | `bag`, `transport`, `model` |
 //! | L1 | `msg`, `mpm`, `checkpoint` |
-//! | L0 | `frame` |
+//! | L0 | `clock`, `frame` |
 
 pub mod bag;
 pub mod checkpoint;
+pub mod clock;
 pub mod config;
 pub mod dataset;
 pub mod eval;

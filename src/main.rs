@@ -22,7 +22,10 @@ fn main() -> ExitCode {
     match run(Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            #[expect(clippy::print_stderr, reason = "the one place where an error reaches the user")]
+            #[expect(
+                clippy::print_stderr,
+                reason = "the one place where an error reaches the user"
+            )]
             {
                 eprintln!("eddy: {error:#}");
             }

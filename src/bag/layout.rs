@@ -103,6 +103,10 @@ fn children(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), BagError> 
     for entry in fs::read_dir(directory).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
+        if entry.file_name().as_encoded_bytes().starts_with(b".") {
+            // Hidden: among others the scenes that `eddy simulate` is still writing.
+            continue;
+        }
         if kind.is_dir() {
             directories.push(path);
         } else if is_mcap(&path) {

@@ -200,3 +200,12 @@ fn a_writer_killed_between_the_renames_leaves_the_new_checkpoint() {
     checkpoint().save(folder.path()).unwrap();
     assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint());
 }
+
+#[test]
+fn the_shipped_model_is_a_trained_particle_model() {
+    let shipped = Checkpoint::shipped().unwrap();
+    let training = &shipped.description.training;
+    assert_eq!(shipped.description.architecture, Architecture::Particle);
+    assert!(training.command.starts_with("eddy train"), "{training:?}");
+    assert!(training.best_epoch > 0 && training.samples > 0, "{training:?}");
+}

@@ -14,16 +14,13 @@ use super::{Interrupt, eval::judge_one, live::Live, node::summary, progress_bar,
 use crate::cli::DemoArgs;
 use eddy::{
     bag::{BagSummary, BagWriter, TopicId, WriterOptions},
+    clock::{self, Clock},
     dataset,
     eval::Settings,
     model::{Ballistic, DeviceKind},
     mpm::{self, Preset, Scene, Simulation},
-    msg::{DiagnosticArray, Message, ParticleFrame, PredictionStatus, cdr},
-    node::{
-        FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode,
-        clock::{self, Clock},
-        drive,
-    },
+    msg::{Message, ParticleFrame, PredictionStatus, cdr},
+    node::{FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode, drive},
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
@@ -48,15 +45,14 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     println!("simulating {} s of truth, predicting each next frame", args.seconds);
 
     let transports = Transports::new(TransportOptions::from_env(NAME)?);
-    let recorder =
-        Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
+    let recorder = Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
     let mut wires = Wires::open(&transports, recorder)?;
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
     let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
 
     thread::scope(|scope| -> anyhow::Result<()> {
         let truth = scope.spawn(|| {
-            let outcome = simulate(simulation, wires.truth.as_mut(), interrupt);
+            let outcome = simulate(simulation, wires.truth.as_mut(), interrupt, &stop);
             truth_ended.store(true, Ordering::Relaxed);
             outcome
         });
@@ -71,6 +67,10 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
             if live_line { Printer::Line } else { Printer::Lines { quiet } },
         );
         stop.store(true, Ordering::Relaxed);
+        if watched.is_err() {
+            // Nobody records any more: read on, so that the others end without waiting for us.
+            wires.watch.discard(&truth_ended);
+        }
         for outcome in [join(truth), join(predictor).map_err(Into::into)] {
             outcome?;
         }
@@ -79,6 +79,10 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let recorded = wires.watch.finish()?;
     println!("{}", summary(node.counters()));
     println!("bag:    {} ({} messages)", bag.display(), recorded.messages);
+    if interrupt.requested() {
+        println!("interrupted: not judged");
+        return Ok(());
+    }
     report(&node, &folder, &bag, quiet)
 }
 
@@ -120,8 +124,7 @@ impl Recorded {
 
 impl Wires {
     fn open(transports: &Transports, mut recorder: Recorder) -> anyhow::Result<Self> {
-        let listen =
-            |topic: &str, kind: &str| transports.subscriber(&Link::memory(topic), kind);
+        let listen = |topic: &str, kind: &str| transports.subscriber(&Link::memory(topic), kind);
         let publish = |topic: &str, kind: &str| {
             transports.publisher(&Link::memory(topic), kind, Reliability::Block)
         };
@@ -139,7 +142,7 @@ impl Wires {
             outputs: Outputs {
                 prediction: publish("/prediction", ParticleFrame::TYPE)?,
                 status: publish("/prediction/status", PredictionStatus::TYPE)?,
-                diagnostics: publish("/diagnostics", DiagnosticArray::TYPE)?,
+                diagnostics: None,
             },
         })
     }
@@ -150,9 +153,10 @@ fn simulate(
     mut simulation: Simulation,
     publisher: &mut dyn Publisher,
     interrupt: &Interrupt,
+    stop: &AtomicBool,
 ) -> anyhow::Result<()> {
     let clock = Clock::start();
-    while !interrupt.requested() {
+    while !interrupt.requested() && !stop.load(Ordering::Relaxed) {
         let Some(frame) = simulation.next_frame()? else { break };
         let due = Duration::from_secs_f64(frame.stamp.seconds());
         thread::sleep(due.saturating_sub(clock.now()));
@@ -209,6 +213,16 @@ impl Watch {
         Ok(())
     }
 
+    /// Reads and forgets until the truth has ended.
+    fn discard(&mut self, truth_ended: &AtomicBool) {
+        while !truth_ended.load(Ordering::Relaxed) {
+            for topic in [&mut self.prediction, &mut self.status, &mut self.truth] {
+                while let Ok(Some(_)) = topic.subscriber.receive(Duration::ZERO) {}
+            }
+            thread::sleep(PATIENCE);
+        }
+    }
+
     /// Records what the node published last, and closes the bag.
     fn finish(mut self) -> anyhow::Result<BagSummary> {
         for topic in [&mut self.prediction, &mut self.status] {
@@ -236,6 +250,12 @@ impl Printer {
 fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyhow::Result<()> {
     let streams = dataset::load_streams(&[bag.to_owned()])?;
     let settings = Settings { horizon: 20, starts: 10 };
+    let longest = streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0);
+    let needed = node.surrogate().description().warm_up as usize + settings.horizon;
+    if longest < needed {
+        println!("not judged: found {longest} frames, expected at least {needed}");
+        return Ok(());
+    }
     let bar = progress_bar(settings.starts as u64, "rollouts", quiet);
     let digest = dataset::digest(&streams);
     let name = "demo".to_owned();

@@ -1,37 +1,37 @@
 //! `eddy eval`: judges checkpoints by free rollouts over bags.
 
-use anyhow::Context;
+use std::{borrow::Cow, path::PathBuf};
+
+use anyhow::{Context, bail, ensure};
 use indicatif::ProgressBar;
 
 use super::{Interrupt, progress_bar, surrogate};
 use crate::cli::EvalArgs;
 use eddy::{
     checkpoint::Checkpoint,
-    dataset::{self, Dataset, Stream},
+    dataset::{self, Stream},
     eval::{Report, Settings, judge},
     model::Surrogate,
 };
 
 /// Judges each checkpoint, prints its tables and writes its report.
 pub fn run(args: EvalArgs, quiet: bool, _interrupt: &Interrupt) -> anyhow::Result<()> {
-    let settings = Settings { horizon: args.horizon.max(1), starts: args.starts.max(1) };
-    let several = args.checkpoint.len() > 1;
+    ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
+    ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
+    let settings = Settings { horizon: args.horizon, starts: args.starts };
+    let folders = folders(&args)?;
     let streams = dataset::load_streams(&args.data)?;
     let digest = dataset::digest(&streams);
-    for path in &args.checkpoint {
+    for (path, folder) in args.checkpoint.iter().zip(&folders) {
         let name = path.display().to_string();
         let checkpoint = surrogate::checkpoint(Some(path))?;
-        let unseen = unseen(&checkpoint, &args, &digest, &streams)?;
+        let unseen = unseen(&checkpoint, &digest, &streams);
         let surrogate = Surrogate::load(&checkpoint, args.device).context(name.clone())?;
         let bar = progress_bar((unseen.len() * settings.starts) as u64, "rollouts", quiet);
         let report = judge_one(&surrogate, name, &digest, &unseen, settings, &bar)?;
         bar.finish_and_clear();
 
-        let folder = match path.file_name() {
-            Some(last) if several => args.output.join(last),
-            _ => args.output.clone(),
-        };
-        report.save(&folder).with_context(|| format!("cannot write to {}", folder.display()))?;
+        report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
         println!(
             "{} ({} free rollouts of {} frames over {} streams, {} diverged)",
             report.checkpoint,
@@ -63,16 +63,30 @@ pub(super) fn judge_one(
 }
 
 /// All streams, but only the test part where the checkpoint has learned from these very bags.
-fn unseen(
-    checkpoint: &Checkpoint,
-    args: &EvalArgs,
-    digest: &str,
-    streams: &[Stream],
-) -> anyhow::Result<Vec<Stream>> {
+fn unseen<'a>(checkpoint: &Checkpoint, digest: &str, streams: &'a [Stream]) -> Cow<'a, [Stream]> {
     if checkpoint.description.data != digest {
-        return Ok(streams.to_vec());
+        return Cow::Borrowed(streams);
     }
-    let test = Dataset::load(&args.data)?.test;
     println!("this is what the checkpoint was trained on: only its test part is judged");
-    Ok(test)
+    Cow::Owned(dataset::test_part(streams))
+}
+
+/// Where each report goes: the output itself for one checkpoint, a folder of the checkpoint's name
+/// within it for several.
+fn folders(args: &EvalArgs) -> anyhow::Result<Vec<PathBuf>> {
+    if let [_] = args.checkpoint.as_slice() {
+        return Ok(vec![args.output.clone()]);
+    }
+    let mut folders = Vec::new();
+    for path in &args.checkpoint {
+        let folder = args.output.join(path.file_name().unwrap_or_default());
+        if folders.contains(&folder) {
+            bail!(
+                "--checkpoint: found two that end in {}, expected different names for their reports",
+                path.file_name().unwrap_or_default().display()
+            );
+        }
+        folders.push(folder);
+    }
+    Ok(folders)
 }

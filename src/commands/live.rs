@@ -26,6 +26,8 @@ type SquaredErrors = [f64; 1 + Baseline::ALL.len()];
 pub(super) struct Live {
     ballistic: Ballistic,
     last: Option<Frame>,
+    /// What waits for its counterpart, by sequence: whichever of truth and prediction came first.
+    truths: BTreeMap<u64, (State, Frame)>,
     predicted: BTreeMap<u64, Frame>,
     recent: VecDeque<SquaredErrors>,
     monitor: Monitor,
@@ -37,6 +39,7 @@ impl Live {
         Self {
             ballistic,
             last: None,
+            truths: BTreeMap::new(),
             predicted: BTreeMap::new(),
             recent: VecDeque::new(),
             monitor: Monitor::start(now),
@@ -46,6 +49,7 @@ impl Live {
     /// A prediction came.
     pub(super) fn prediction(&mut self, frame: Frame) {
         self.predicted.insert(frame.sequence, frame);
+        self.compare();
     }
 
     /// A prediction was published so long after its frame had arrived.
@@ -53,12 +57,20 @@ impl Live {
         self.monitor.published(1, latency);
     }
 
-    /// The truth came: how well was it predicted?
+    /// The truth came.
     pub(super) fn truth(&mut self, frame: Frame) {
-        let predicted = self.predicted.remove(&frame.sequence);
-        self.predicted = self.predicted.split_off(&frame.sequence);
-        if let (Some(predicted), Some(last)) = (predicted, self.last.replace(frame.clone())) {
+        if let Some(last) = self.last.replace(frame.clone()) {
             let before = State { position: last.position, velocity: last.velocity };
+            self.truths.insert(frame.sequence, (before, frame));
+        }
+        self.compare();
+    }
+
+    /// Compares what has both sides, and forgets what will never have.
+    fn compare(&mut self) {
+        while let Some((&sequence, _)) = self.predicted.first_key_value() {
+            let Some((before, frame)) = self.truths.remove(&sequence) else { break };
+            let Some(predicted) = self.predicted.remove(&sequence) else { break };
             let baseline = |baseline: Baseline| {
                 let after = baseline.roll_out(&before, 1, &self.ballistic);
                 mean_squared_distance(&after[0].position, &frame.position)
@@ -69,6 +81,12 @@ impl Live {
             if self.recent.len() > AVERAGED {
                 self.recent.pop_front();
             }
+        }
+        while self.truths.len() > AVERAGED {
+            self.truths.pop_first();
+        }
+        while self.predicted.len() > AVERAGED {
+            self.predicted.pop_first();
         }
     }
 
@@ -96,12 +114,7 @@ impl Live {
             .zip((1..).map(mean))
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .unwrap_or((Baseline::Persistence, f64::NAN));
-        line += &format!(
-            " | error {:.1e}, {} {:.1e}",
-            mean(0).sqrt(),
-            best.name(),
-            error.sqrt()
-        );
+        line += &format!(" | error {:.1e}, {} {:.1e}", mean(0).sqrt(), best.name(), error.sqrt());
         // Where everything rests the best baseline is exact, and a ratio to it says nothing.
         if error.sqrt() > AT_REST {
             line += &format!(", skill {:+.2}", 1.0 - mean(0) / error);

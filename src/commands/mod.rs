@@ -17,7 +17,18 @@ mod surrogate;
 
 pub use interrupt::Interrupt;
 
+use anyhow::ensure;
+use eddy::transport::{Link, TransportKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Refuses a link on which no other process can be met.
+pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
+    ensure!(
+        link.transport != TransportKind::Memory,
+        "{link}: found memory, expected shm or zenoh: memory links stay within one process"
+    );
+    Ok(())
+}
 
 /// A progress bar with the time left; hidden without a terminal or when `quiet`.
 pub(crate) fn progress_bar(length: u64, what: &str, quiet: bool) -> ProgressBar {

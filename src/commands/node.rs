@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use serde::Deserialize;
 
-use super::{Interrupt, surrogate};
+use super::{Interrupt, leaves_the_process, surrogate};
 use crate::cli::NodeArgs;
 use eddy::{
     config,
@@ -48,6 +48,7 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let input = args.input.or(file.input).unwrap_or(Link::zenoh("/particles"));
     let outputs = [args.output, file.output, vec![Link::zenoh("/prediction")]];
     let outputs = outputs.into_iter().find(|links| !links.is_empty()).unwrap_or_default();
+    outputs.iter().chain([&input]).try_for_each(leaves_the_process)?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
@@ -59,11 +60,16 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let mut subscriber = transports
         .subscriber(&input, ParticleFrame::TYPE)
         .with_context(|| format!("cannot subscribe to {input}"))?;
-    let mut publishers = outputs
-        .iter()
-        .map(|link| open(&transports, link, reliability))
-        .collect::<Result<Vec<_>, _>>()
-        .context("cannot publish")?;
+    let mut publishers = Vec::new();
+    for (index, link) in outputs.iter().enumerate() {
+        anyhow::ensure!(
+            !outputs[..index].contains(link),
+            "output: found {link} twice, expected once"
+        );
+        // One `/diagnostics` is enough for a transport.
+        let first = outputs[..index].iter().all(|other| other.transport != link.transport);
+        publishers.push(open(&transports, link, reliability, first).context("cannot publish")?);
+    }
 
     if !quiet {
         let digest = &node.surrogate().digest()[..12];
@@ -82,16 +88,16 @@ fn open(
     transports: &Transports,
     link: &Link,
     reliability: Reliability,
+    with_diagnostics: bool,
 ) -> Result<Outputs, TransportError> {
+    let diagnostics = link.with_topic("/diagnostics");
+    let diagnostics = with_diagnostics
+        .then(|| transports.publisher(&diagnostics, DiagnosticArray::TYPE, Reliability::Drop));
     let status = link.with_topic(&format!("{}/status", link.topic));
     Ok(Outputs {
         prediction: transports.publisher(link, ParticleFrame::TYPE, reliability)?,
         status: transports.publisher(&status, PredictionStatus::TYPE, reliability)?,
-        diagnostics: transports.publisher(
-            &link.with_topic("/diagnostics"),
-            DiagnosticArray::TYPE,
-            Reliability::Drop,
-        )?,
+        diagnostics: diagnostics.transpose()?,
     })
 }
 

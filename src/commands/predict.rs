@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{anyhow, ensure};
 
 use super::{Interrupt, node::summary, surrogate};
 use crate::cli::PredictArgs;
@@ -28,11 +28,21 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     let messages = reader.messages_of(&args.topic, ParticleFrame::TYPE)?;
     let mut writer = BagWriter::create(&args.output, WriterOptions::default())?;
     let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
+    let mut failure = None;
     for message in messages {
         if interrupt.requested() {
+            failure = Some(anyhow!("{}: interrupted", args.output.display()));
             break;
         }
-        let frame = Frame::from_cdr(&message?.data);
+        let message = match message {
+            Ok(message) => message,
+            // What was predicted so far is kept.
+            Err(error) => {
+                failure = Some(error.into());
+                break;
+            }
+        };
+        let frame = Frame::from_cdr(&message.data);
         let predictions = match node.on_frame(frame, Duration::ZERO) {
             Ok(predictions) => predictions,
             Err(refusal) => {
@@ -50,11 +60,13 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     if !quiet {
         println!("{}: {}", args.output.display(), summary(node.counters()));
     }
-    if node.counters().published == 0 {
-        bail!(
-            "{}: found no frame that could be predicted from, expected at least one",
-            args.input.display()
-        );
+    if let Some(failure) = failure {
+        return Err(failure);
     }
+    ensure!(
+        node.counters().published > 0,
+        "{}: found no frame that could be predicted from, expected at least one",
+        args.input.display()
+    );
     Ok(())
 }

@@ -10,19 +10,17 @@ use std::{
     time::Duration,
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::Interrupt;
+use super::{Interrupt, leaves_the_process};
 use crate::cli::{CompressionArg, RecordArgs};
 use eddy::{
     bag::{BagError, BagSummary, BagWriter, Compression, TopicId, WriterOptions},
+    clock::{self, Clock},
     frame::Stamp,
     msg::topic_type,
-    node::{
-        Recorder,
-        clock::{self, Clock},
-    },
+    node::Recorder,
     transport::{Payload, Subscriber, TransportError, TransportOptions, Transports},
 };
 
@@ -45,6 +43,12 @@ pub fn run(args: RecordArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     if let Some(twice) = args.links.iter().find(|link| !topics.insert(&link.topic)) {
         bail!("{twice}: found topic {} twice, expected each topic once in a bag", twice.topic);
     }
+    args.links.iter().try_for_each(leaves_the_process)?;
+    ensure!(
+        args.max_duration.is_none_or(|seconds| seconds.is_finite() && seconds > 0.0),
+        "--max-duration: found {}, expected a positive number of seconds",
+        args.max_duration.unwrap_or_default()
+    );
     let transports = Transports::new(TransportOptions::from_env("eddy_record")?);
     let subscribers = args
         .links

@@ -1,16 +1,17 @@
 //! `eddy replay`: a bag onto topics, at its recorded pace.
 
-use std::{collections::HashMap, thread, time::Duration};
+use std::{collections::HashMap, sync::Arc, thread, time::Duration};
 
 use anyhow::{Context, bail};
 use indicatif::HumanCount;
 
-use super::Interrupt;
+use super::{Interrupt, leaves_the_process};
 use crate::cli::ReplayArgs;
 use eddy::{
     bag::{BagMessage, BagReader},
+    clock::Clock,
     msg::type_support,
-    node::{Due, Player, PlayerOptions, clock::Clock},
+    node::{Due, Player, PlayerOptions},
     transport::{Link, Publisher, TransportError, TransportOptions, Transports},
 };
 
@@ -88,9 +89,12 @@ fn playable(bag: &BagReader, wanted: &[String]) -> anyhow::Result<Vec<String>> {
     Ok(topics)
 }
 
-/// The publishers, by the topics of the bag.
+/// A topic's name and type: a bag may hold a name with two types.
+type TopicKey = (Arc<str>, Arc<str>);
+
+/// The publishers of the topics of the bag.
 struct Outputs {
-    publishers: HashMap<String, (Link, Box<dyn Publisher>)>,
+    publishers: HashMap<TopicKey, (Link, Box<dyn Publisher>)>,
     sent: u64,
     /// Messages that the transport cannot carry because they are no frames.
     refused: u64,
@@ -116,16 +120,19 @@ fn open(
     for topic in bag.topics().iter().filter(|topic| topics.contains(&topic.name)) {
         let name = renamed.get(topic.name.as_str()).copied().unwrap_or(&topic.name);
         let link: Link = format!("{}:{name}", args.to).parse()?;
+        leaves_the_process(&link)?;
         let publisher = transports.publisher(&link, &topic.type_name, args.reliability)?;
         println!("publishing {} on {link} ({})", topic.name, topic.type_name);
-        publishers.insert(topic.name.clone(), (link, publisher));
+        let key = (topic.name.as_str().into(), topic.type_name.as_str().into());
+        publishers.insert(key, (link, publisher));
     }
     Ok(Outputs { publishers, sent: 0, refused: 0 })
 }
 
 impl Outputs {
     fn publish(&mut self, message: &BagMessage) -> anyhow::Result<()> {
-        let Some((_, publisher)) = self.publishers.get_mut(&*message.topic) else { return Ok(()) };
+        let key = (message.topic.clone(), message.type_name.clone());
+        let Some((_, publisher)) = self.publishers.get_mut(&key) else { return Ok(()) };
         match publisher.publish_cdr(&message.data) {
             Ok(()) => self.sent += 1,
             Err(error @ TransportError::Frame { .. }) => {

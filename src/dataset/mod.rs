@@ -136,6 +136,12 @@ fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
     Ok(())
 }
 
+/// The streams among `streams` that a training on all of them sets aside.
+pub fn test_part(streams: &[Stream]) -> Vec<Stream> {
+    let ids = split::distinct_ids(streams);
+    streams.iter().filter(|stream| split::part_of(&ids, stream) == Part::Test).cloned().collect()
+}
+
 /// SHA-256 over ids, materials and states of all streams, hexadecimal.
 pub fn digest(streams: &[Stream]) -> String {
     let mut hasher = Sha256::new();

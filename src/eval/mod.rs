@@ -96,8 +96,7 @@ pub fn judge(
     let description = surrogate.description();
     let warm_up = description.warm_up as usize;
     let (lower, upper) = walls_around(streams);
-    let ballistic =
-        Ballistic { gravity: description.gravity, dt: description.dt, lower, upper };
+    let ballistic = Ballistic { gravity: description.gravity, dt: description.dt, lower, upper };
     let sums = || ErrorSums::new(settings.horizon, &description.normalization);
     let mut judgement = Judgement {
         model: sums(),
@@ -117,8 +116,7 @@ pub fn judge(
             judgement.diverged += usize::from(rollout.diverged);
             judgement.model.add(&stream.material, &rollout.states, truth);
             for (baseline, errors) in &mut judgement.baselines {
-                let states =
-                    baseline.roll_out(&stream.states[start], settings.horizon, &ballistic);
+                let states = baseline.roll_out(&stream.states[start], settings.horizon, &ballistic);
                 errors.add(&stream.material, &states, truth);
             }
             progress();
@@ -164,4 +162,27 @@ fn ranges(normalization: &Normalization) -> [f64; 4] {
     std::array::from_fn(|f| {
         f64::from(normalization.maximum[f] - normalization.minimum[f]).max(f64::EPSILON)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{checkpoint::Checkpoint, dataset::load_streams, model::DeviceKind};
+
+    #[test]
+    fn a_future_of_nan_changes_no_rollout() {
+        let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
+        let stream = load_streams(&[sample.into()]).unwrap().remove(0);
+        let surrogate = Surrogate::load(&Checkpoint::shipped().unwrap(), DeviceKind::Flex).unwrap();
+        let (start, horizon) = (8, 10);
+        let mut blind = stream.clone();
+        for state in &mut blind.states[start + 1..] {
+            state.position.fill([f32::NAN; 2]);
+            state.velocity.fill([f32::NAN; 2]);
+        }
+        let seeing = predict(&surrogate, &stream, start, horizon).unwrap();
+        assert_eq!(predict(&surrogate, &blind, start, horizon).unwrap(), seeing);
+        assert!(!seeing.diverged);
+        assert_ne!(seeing.states[0], seeing.states[horizon - 1], "nothing moved at all");
+    }
 }

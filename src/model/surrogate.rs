@@ -100,13 +100,12 @@ impl Surrogate {
         &self.digest
     }
 
-    /// An empty memory for the particles of `frame`. It has not observed `frame`; that is
-    /// [`Surrogate::step`]'s part.
+    /// Whether the network can predict such a frame.
     ///
     /// # Errors
-    /// [`ModelError`] when the network cannot predict such a frame: another number of particles
-    /// (frame model only), a material, interval or domain it was not trained on.
-    pub fn start(&self, frame: &Frame) -> Result<Memory, ModelError> {
+    /// [`ModelError`] when it cannot: another number of particles (frame model only), a material,
+    /// interval or domain it was not trained on.
+    pub fn fits(&self, frame: &Frame) -> Result<(), ModelError> {
         let Description { sizes, materials, dt, domain, .. } = &self.description;
         if let Some(expected) = sizes.particles
             && expected != frame.len()
@@ -133,6 +132,16 @@ impl Surrogate {
                 expected: format!("{:?}, {:?}", domain.lower, domain.upper),
             });
         }
+        Ok(())
+    }
+
+    /// An empty memory for the particles of `frame`. It has not observed `frame`; that is
+    /// [`Surrogate::step`]'s part.
+    ///
+    /// # Errors
+    /// As [`Surrogate::fits`].
+    pub fn start(&self, frame: &Frame) -> Result<Memory, ModelError> {
+        self.fits(frame)?;
         let material = one_hot(frame.material.iter().copied(), &self.device.device());
         Ok(Memory { hidden: Hidden::default(), material })
     }

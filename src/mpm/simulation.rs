@@ -203,10 +203,7 @@ fn diverged(particles: &[super::Particle], particle: usize, time: f64) -> MpmErr
 mod tests {
     use rayon::prelude::*;
 
-    use super::{
-        super::{error::Limit, stability::CFL},
-        *,
-    };
+    use super::{super::error::Limit, *};
 
     fn settings(duration: f64) -> Settings {
         Settings { duration: Some(duration), ..Settings::default() }

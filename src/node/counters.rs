@@ -1,24 +1,16 @@
 //! Everything that was not used, and why.
 
-use crate::{frame::InvalidFrame, msg::BadFrame};
+use crate::{frame::InvalidFrame, model::ModelError, msg::BadFrame};
 
 /// Why a frame was not used.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum Refusal {
     /// It is no whole frame.
     #[error(transparent)]
     Bad(#[from] BadFrame),
-    /// Its interval is not the checkpoint's.
-    #[error("dt: found {found} s, expected {expected} s within 0.1 % as in the checkpoint")]
-    Interval {
-        /// The frame's interval (s).
-        found: f32,
-        /// The checkpoint's interval (s).
-        expected: f32,
-    },
-    /// The model cannot take these particles.
-    #[error("{0}")]
-    Model(String),
+    /// The model cannot predict such a frame.
+    #[error(transparent)]
+    Model(#[from] ModelError),
     /// It came a second time, or after a later one.
     #[error("stream {stream}: sequence: found {found}, expected at least {expected}")]
     Late {
@@ -56,7 +48,7 @@ pub struct Counters {
     pub not_finite: u64,
     /// Frames whose `dt` is not the checkpoint's.
     pub wrong_interval: u64,
-    /// Frames whose particles do not fit the model.
+    /// Frames whose particles or domain do not fit the model.
     pub wrong_particles: u64,
     /// Duplicates and frames that came late.
     pub late: u64,
@@ -72,8 +64,12 @@ pub struct Counters {
     pub evicted_streams: u64,
     /// Frames that were dropped because the node was slow.
     pub dropped_from_queue: u64,
+    /// Messages that the transport had to give up before they reached the node.
+    pub lost_in_transport: u64,
     /// Predictions that were not finite, and not published.
     pub diverged: u64,
+    /// Predictions that an output could not take.
+    pub unpublished: u64,
 }
 
 impl Counters {
@@ -83,7 +79,7 @@ impl Counters {
             Refusal::Bad(BadFrame::Cdr(_)) => &mut self.undecodable,
             Refusal::Bad(BadFrame::Invalid(InvalidFrame::NotFinite { .. })) => &mut self.not_finite,
             Refusal::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
-            Refusal::Interval { .. } => &mut self.wrong_interval,
+            Refusal::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
             Refusal::Model(_) => &mut self.wrong_particles,
             Refusal::Late { .. } => &mut self.late,
             Refusal::FreeRunning { .. } => &mut self.ignored_in_free_run,
@@ -92,7 +88,7 @@ impl Counters {
     }
 
     /// Every counter with its name, in the order of the fields.
-    pub fn named(&self) -> [(&'static str, u64); 15] {
+    pub fn named(&self) -> [(&'static str, u64); 17] {
         [
             ("received", self.received),
             ("published", self.published),
@@ -108,7 +104,9 @@ impl Counters {
             ("resets", self.resets),
             ("evicted_streams", self.evicted_streams),
             ("dropped_from_queue", self.dropped_from_queue),
+            ("lost_in_transport", self.lost_in_transport),
             ("diverged", self.diverged),
+            ("unpublished", self.unpublished),
         ]
     }
 
@@ -119,5 +117,12 @@ impl Counters {
             + self.not_finite
             + self.wrong_interval
             + self.wrong_particles
+    }
+
+    /// Frames that did not arrive, or not in time, and predictions that did not leave.
+    pub fn lost(&self) -> u64 {
+        [self.late, self.missing, self.filled, self.dropped_from_queue, self.lost_in_transport]
+            .into_iter()
+            .fold(self.unpublished, u64::saturating_add)
     }
 }

@@ -109,12 +109,11 @@ impl Monitor {
     }
 
     fn verdict(&self, counters: &Counters) -> (Level, String) {
-        let lost = |c: &Counters| c.bad() + c.late + c.missing + c.filled + c.dropped_from_queue;
         if counters.diverged > self.last.diverged {
             (Level::Error, "a prediction was not finite: its stream was reset".to_owned())
         } else if let Some(reason) = &self.refusal {
             (Level::Warn, format!("frame refused: {reason}"))
-        } else if lost(counters) > lost(&self.last) {
+        } else if counters.lost() > self.last.lost() {
             (Level::Warn, "frames were lost on the way".to_owned())
         } else {
             (Level::Ok, "predicting".to_owned())

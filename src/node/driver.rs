@@ -1,23 +1,22 @@
 //! Connects a [`SurrogateNode`] with its topics.
 
 use std::{
-    sync::atomic::{AtomicBool, Ordering},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     thread,
     time::Duration,
 };
 
-use super::{
-    FrameQueue, Prediction, SurrogateNode,
-    clock::{self, Clock},
-    diagnostics::Monitor,
-};
+use super::{FrameQueue, Prediction, Refusal, SurrogateNode, diagnostics::Monitor};
 use crate::{
+    clock::{self, Clock},
     msg::cdr,
     transport::{Publisher, Subscriber, TransportError},
 };
 
 /// How long a wait may last before the stop flag is looked at.
 const PATIENCE: Duration = Duration::from_millis(100);
+/// How long messages that had arrived at the end are still taken, and predicted from.
+const LAST_ARRIVALS: Duration = Duration::from_secs(1);
 /// Time between two diagnostics.
 const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -27,11 +26,12 @@ pub struct Outputs {
     pub prediction: Box<dyn Publisher>,
     /// How each prediction came to be.
     pub status: Box<dyn Publisher>,
-    /// The state of the node, once a second.
-    pub diagnostics: Box<dyn Publisher>,
+    /// The state of the node, once a second. One of several outputs on the same transport has it.
+    pub diagnostics: Option<Box<dyn Publisher>>,
 }
 
-/// Receives, predicts and publishes until `stop` is raised; then predicts what has arrived by then.
+/// Receives, predicts and publishes until `stop` is raised, then for at most two seconds what had
+/// arrived by then.
 ///
 /// # Errors
 /// [`TransportError`] when the input fails. An output that fails is logged, and the node goes on.
@@ -44,23 +44,24 @@ pub fn drive(
     stop: &AtomicBool,
 ) -> Result<(), TransportError> {
     let clock = Clock::start();
+    let lost = AtomicU64::new(0);
     thread::scope(|scope| {
-        let receiver = scope.spawn(|| {
-            let outcome = receive(input, queue, &clock, stop);
-            queue.close();
-            outcome
-        });
-        let mut loop_ = Loop { node, name, outputs, clock, monitor: Monitor::start(clock.now()) };
+        let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
+        // Whatever ends the loop, a panic included, the receiver must not wait for room for ever.
+        let _closing = Closing(queue);
+        let monitor = Monitor::start(clock.now());
+        let mut work = Work { node, name, outputs, queue, lost: &lost, clock, monitor };
         let mut reported = clock.now();
         while !receiver.is_finished() {
-            loop_.step(queue);
+            work.step();
             if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
                 reported = clock.now();
-                loop_.report(queue);
+                work.report();
             }
         }
-        while loop_.step(queue) {}
-        loop_.report(queue);
+        let end = clock.now() + LAST_ARRIVALS;
+        while clock.now() < end && work.step() {}
+        work.report();
         match receiver.join() {
             Ok(outcome) => outcome,
             Err(panic) => std::panic::resume_unwind(panic),
@@ -68,41 +69,65 @@ pub fn drive(
     })
 }
 
-/// Fills the queue until `stop` is raised.
+/// Closes the queue when it goes.
+struct Closing<'a>(&'a FrameQueue);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
+/// Fills the queue until `stop` is raised, then with what had arrived by then. Keeps `lost` at what
+/// the transport gave up.
 fn receive(
     input: &mut dyn Subscriber,
     queue: &FrameQueue,
     clock: &Clock,
     stop: &AtomicBool,
+    lost: &AtomicU64,
 ) -> Result<(), TransportError> {
-    while !stop.load(Ordering::Relaxed) {
-        if let Some(payload) = input.receive(PATIENCE)?
-            && !queue.push(clock.now(), payload)
-        {
-            break;
+    let mut end = None;
+    while !queue.is_closed() && end.is_none_or(|end| clock.now() < end) {
+        if end.is_none() && stop.load(Ordering::Relaxed) {
+            end = Some(clock.now() + LAST_ARRIVALS);
         }
+        let patience = if end.is_some() { Duration::ZERO } else { PATIENCE };
+        match input.receive(patience)? {
+            Some(payload) => {
+                queue.push(clock.now(), payload);
+            }
+            None if end.is_some() => break,
+            None => {}
+        }
+        lost.store(input.refused(), Ordering::Relaxed);
     }
     Ok(())
 }
 
-struct Loop<'a> {
+/// Everything the predicting side works with.
+struct Work<'a> {
     node: &'a mut SurrogateNode,
     name: &'a str,
     outputs: &'a mut [Outputs],
+    queue: &'a FrameQueue,
+    lost: &'a AtomicU64,
     clock: Clock,
     monitor: Monitor,
 }
 
-impl Loop<'_> {
+impl Work<'_> {
     /// Predicts from one message or one tick. Returns whether there was a message.
-    fn step(&mut self, queue: &FrameQueue) -> bool {
+    fn step(&mut self) -> bool {
         let now = self.clock.now();
         let until_tick = self.node.next_tick().map(|due| due.saturating_sub(now));
-        let message = queue.pop(until_tick.unwrap_or(PATIENCE).min(PATIENCE));
+        let message = self.queue.pop(until_tick.unwrap_or(PATIENCE).min(PATIENCE));
         let had_message = message.is_some();
         if let Some((arrived, payload)) = message {
             match self.node.on_frame(payload.into_frame(), arrived) {
                 Ok(predictions) => self.publish(&predictions, arrived),
+                // A stream that runs free is meant to ignore its source.
+                Err(Refusal::FreeRunning { .. }) => {}
                 Err(refusal) => {
                     tracing::debug!("frame refused: {refusal}");
                     self.monitor.refused(refusal.to_string());
@@ -120,20 +145,30 @@ impl Loop<'_> {
             return;
         }
         let digest = self.node.surrogate().digest();
+        let (mut published, mut unpublished) = (0, 0);
         for prediction in predictions {
+            let status = cdr::encode(&prediction.status(self.clock.now() - arrived, digest));
             for output in self.outputs.iter_mut() {
-                log_failure(output.prediction.publish_frame(&prediction.frame));
-                let status = prediction.status(self.clock.now() - arrived, digest);
-                log_failure(output.status.publish_cdr(&cdr::encode(&status)));
+                match output.prediction.publish_frame(&prediction.frame) {
+                    Ok(()) => published += 1,
+                    Err(error) => {
+                        tracing::warn!("{error}");
+                        unpublished += 1;
+                    }
+                }
+                log_failure(output.status.publish_cdr(&status));
             }
         }
-        let count = predictions.len() as u64;
-        self.node.counters_mut().published += count;
-        self.monitor.published(count, self.clock.now() - arrived);
+        let counters = self.node.counters_mut();
+        counters.published += published;
+        counters.unpublished += unpublished;
+        self.monitor.published(predictions.len() as u64, self.clock.now() - arrived);
     }
 
-    fn report(&mut self, queue: &FrameQueue) {
-        self.node.counters_mut().dropped_from_queue = queue.dropped();
+    fn report(&mut self) {
+        let counters = self.node.counters_mut();
+        counters.dropped_from_queue = self.queue.dropped();
+        counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
         let digest = self.node.surrogate().digest().to_owned();
         let report = self.monitor.report(
             self.clock.now(),
@@ -143,8 +178,8 @@ impl Loop<'_> {
             self.node.counters(),
         );
         let bytes = cdr::encode(&report);
-        for output in self.outputs.iter_mut() {
-            log_failure(output.diagnostics.publish_cdr(&bytes));
+        for diagnostics in self.outputs.iter_mut().filter_map(|o| o.diagnostics.as_mut()) {
+            log_failure(diagnostics.publish_cdr(&bytes));
         }
     }
 }

@@ -8,9 +8,7 @@
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
 //! 7. `recorder`: what arrives into a bag.
 //! 8. `player`: a bag as it was recorded: which message is due when.
-//! 9. [`clock`]: the one place that asks the system for the time.
 
-pub mod clock;
 mod counters;
 pub mod diagnostics;
 mod driver;

@@ -1,91 +1,73 @@
-//! A bounded queue between the thread that receives and the node that predicts.
+//! Messages that wait for the node.
 
 use std::{
-    collections::VecDeque,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    sync::atomic::{AtomicBool, Ordering},
     time::Duration,
 };
 
-use crate::transport::{Payload, Reliability};
+use crate::transport::{Payload, Queue, Reliability};
+
+/// How long a receiver waits for room before it looks whether the queue is closed.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 /// A message with its time of arrival.
 type Arrived = (Duration, Payload);
 
-/// Messages that wait for the node. When it is full, [`Reliability::Block`] lets the receiver wait
-/// and [`Reliability::Drop`] gives up the oldest message.
+/// A bounded queue between the thread that receives and the node that predicts. When it is full,
+/// [`Reliability::Block`] lets the receiver wait and [`Reliability::Drop`] gives up the oldest
+/// message.
 #[derive(Debug)]
 pub struct FrameQueue {
-    capacity: usize,
+    messages: Queue<Arrived>,
     reliability: Reliability,
-    waiting: Mutex<Waiting>,
-    changed: Condvar,
-}
-
-#[derive(Debug, Default)]
-struct Waiting {
-    messages: VecDeque<Arrived>,
-    dropped: u64,
-    closed: bool,
+    closed: AtomicBool,
 }
 
 impl FrameQueue {
     /// An empty queue for `capacity` messages, at least one.
     pub fn new(capacity: usize, reliability: Reliability) -> Self {
-        Self {
-            capacity: capacity.max(1),
-            reliability,
-            waiting: Mutex::default(),
-            changed: Condvar::new(),
-        }
+        let messages = Queue::new(capacity.max(1));
+        Self { messages, reliability, closed: AtomicBool::new(false) }
     }
 
     /// Adds a message. Returns whether the queue is still open.
     pub fn push(&self, arrived: Duration, payload: Payload) -> bool {
-        let mut waiting = self.lock();
-        while waiting.messages.len() >= self.capacity && !waiting.closed {
+        let mut message = (arrived, payload);
+        loop {
+            if self.is_closed() {
+                return false;
+            }
             match self.reliability {
                 Reliability::Drop => {
-                    waiting.messages.pop_front();
-                    waiting.dropped += 1;
+                    self.messages.push_or_replace(message);
+                    return true;
                 }
-                Reliability::Block => {
-                    waiting = self.changed.wait(waiting).unwrap_or_else(PoisonError::into_inner);
-                }
+                Reliability::Block => match self.messages.push_or_wait(message, PATIENCE) {
+                    Ok(()) => return true,
+                    Err(back) => message = back,
+                },
             }
         }
-        if !waiting.closed {
-            waiting.messages.push_back((arrived, payload));
-            self.changed.notify_all();
-        }
-        !waiting.closed
     }
 
     /// The oldest message, or `None` when there is none within `timeout`.
     pub fn pop(&self, timeout: Duration) -> Option<Arrived> {
-        let waiting = self.lock();
-        let (mut waiting, _) = self
-            .changed
-            .wait_timeout_while(waiting, timeout, |w| w.messages.is_empty() && !w.closed)
-            .unwrap_or_else(PoisonError::into_inner);
-        let message = waiting.messages.pop_front();
-        self.changed.notify_all();
-        message
+        self.messages.pop(timeout)
     }
 
     /// Messages given up so far.
     pub fn dropped(&self) -> u64 {
-        self.lock().dropped
+        self.messages.dropped()
     }
 
-    /// Lets nobody wait any more: pushing ends, what is there can still be popped.
+    /// Takes no more messages; what is there can still be popped.
     pub fn close(&self) {
-        self.lock().closed = true;
-        self.changed.notify_all();
+        self.closed.store(true, Ordering::Relaxed);
     }
 
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
-        // A thread that panicked while it held the lock left whole messages behind.
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Whether nobody wants messages any more.
+    pub fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Relaxed)
     }
 }
 
@@ -118,10 +100,10 @@ mod tests {
             scope.spawn(|| {
                 (0..100).for_each(|number| {
                     queue.push(Duration::ZERO, message(number));
-                })
+                });
             });
             for number in 0..100 {
-                let (_, payload) = queue.pop(Duration::from_secs(10)).unwrap();
+                let (_, payload) = queue.pop(Duration::from_secs(60)).unwrap();
                 assert_eq!(payload, message(number));
             }
         });

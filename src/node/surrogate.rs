@@ -4,16 +4,13 @@ use std::{collections::BTreeMap, time::Duration};
 
 use super::{
     Counters, InvalidSettings, NodeSettings, Publish, Refusal,
-    track::{Follows, Track},
+    track::{Follows, StreamTrack},
 };
 use crate::{
     frame::Frame,
-    model::{Memory, Surrogate},
+    model::Surrogate,
     msg::{BadFrame, Header, PredictionStatus, StreamState},
 };
-
-/// Relative difference of `dt` up to which a frame fits the checkpoint.
-const INTERVAL_TOLERANCE: f32 = 1e-3;
 
 /// A predicted frame, with how it came to be.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +46,9 @@ impl Prediction {
 pub struct SurrogateNode {
     surrogate: Surrogate,
     settings: NodeSettings,
-    streams: BTreeMap<u64, Track>,
+    streams: BTreeMap<u64, StreamTrack>,
+    /// Counted up with every use of a stream: which was used last must not depend on the time.
+    uses: u64,
     counters: Counters,
 }
 
@@ -60,7 +59,8 @@ impl SurrogateNode {
     /// [`InvalidSettings`] when a setting is out of its range.
     pub fn new(surrogate: Surrogate, settings: NodeSettings) -> Result<Self, InvalidSettings> {
         settings.check()?;
-        Ok(Self { surrogate, settings, streams: BTreeMap::new(), counters: Counters::default() })
+        let (streams, counters) = (BTreeMap::new(), Counters::default());
+        Ok(Self { surrogate, settings, streams, uses: 0, counters })
     }
 
     /// The surrogate that predicts.
@@ -111,7 +111,8 @@ impl SurrogateNode {
             }
             let next = self.surrogate.step(&mut track.memory, &track.predicted);
             let frame = std::mem::replace(&mut track.predicted, next);
-            track.used = now;
+            self.uses += 1;
+            track.used = self.uses;
             track.free_run_due = Some(when + interval(&frame));
             if frame.check().is_err() {
                 diverged.push(stream);
@@ -136,25 +137,23 @@ impl SurrogateNode {
         self.streams.values().filter_map(|track| track.free_run_due).min()
     }
 
-    /// Forgets every stream.
-    pub fn reset(&mut self) {
-        self.counters.resets += self.streams.len() as u64;
-        self.streams.clear();
-    }
-
     fn observe(&mut self, frame: &Frame, now: Duration) -> Result<Vec<Prediction>, Refusal> {
-        self.check_interval(frame)?;
+        // Before anything is touched: a bad frame must not cost its stream.
+        self.surrogate.fits(frame)?;
         let mut track = match self.streams.remove(&frame.stream) {
-            Some(track) if track.free_run_due.is_some() => {
+            Some(track)
+                if track.free_run_due.is_some() && track.follows(frame) != Follows::Restart =>
+            {
                 let refusal = Refusal::FreeRunning { stream: frame.stream, found: frame.sequence };
                 self.streams.insert(frame.stream, track);
                 return Err(refusal);
             }
-            Some(track) => self.follow(track, frame, now)?,
-            None => self.begin(frame, now)?,
+            Some(track) => self.follow(track, frame)?,
+            None => self.begin(frame)?,
         };
         track.observed += 1;
-        (track.sequence, track.stamp, track.used) = (frame.sequence, frame.stamp, now);
+        self.uses += 1;
+        (track.sequence, track.stamp, track.used) = (frame.sequence, frame.stamp, self.uses);
 
         let warm_up = u64::from(self.surrogate.description().warm_up);
         let predictions =
@@ -176,33 +175,24 @@ impl SurrogateNode {
         Ok(predictions)
     }
 
-    fn check_interval(&self, frame: &Frame) -> Result<(), Refusal> {
-        let expected = self.surrogate.description().dt;
-        if (frame.dt - expected).abs() > INTERVAL_TOLERANCE * expected {
-            return Err(Refusal::Interval { found: frame.dt, expected });
-        }
-        Ok(())
-    }
-
     /// A stream whose first frame is `frame`.
-    fn begin(&self, frame: &Frame, now: Duration) -> Result<Track, Refusal> {
-        let mut memory: Memory =
-            self.surrogate.start(frame).map_err(|error| Refusal::Model(error.to_string()))?;
+    fn begin(&self, frame: &Frame) -> Result<StreamTrack, Refusal> {
+        let mut memory = self.surrogate.start(frame)?;
         let predicted = self.surrogate.step(&mut memory, frame);
-        Ok(Track {
+        Ok(StreamTrack {
             memory,
             predicted,
             sequence: frame.sequence,
             stamp: frame.stamp,
             observed: 0,
             free_run_due: None,
-            used: now,
+            used: self.uses,
         })
     }
 
     /// The stream after `frame`: stepped, filled up and stepped, or begun anew. A late frame leaves
     /// the stream as it was.
-    fn follow(&mut self, mut track: Track, frame: &Frame, now: Duration) -> Result<Track, Refusal> {
+    fn follow(&mut self, mut track: StreamTrack, frame: &Frame) -> Result<StreamTrack, Refusal> {
         match track.follows(frame) {
             Follows::After { gap } if gap <= self.settings.max_gap => {
                 for _ in 0..gap {
@@ -213,13 +203,13 @@ impl SurrogateNode {
                 Ok(track)
             }
             Follows::After { gap } => {
-                self.counters.missing += gap;
+                self.counters.missing = self.counters.missing.saturating_add(gap);
                 self.counters.resets += 1;
-                self.begin(frame, now)
+                self.begin(frame)
             }
             Follows::Restart => {
                 self.counters.resets += 1;
-                self.begin(frame, now)
+                self.begin(frame)
             }
             Follows::Late => {
                 let expected = track.sequence + 1;
@@ -230,31 +220,27 @@ impl SurrogateNode {
     }
 
     /// Predicts up to the horizon, beyond the first frame from a copy of the stream's state.
-    fn look_ahead(&self, track: &Track) -> Vec<Prediction> {
+    fn look_ahead(&self, track: &StreamTrack) -> Vec<Prediction> {
         let Self { surrogate, settings, .. } = self;
-        let mut frames = vec![track.predicted.clone()];
+        let prediction = |frame, horizon| Prediction {
+            frame,
+            source_sequence: track.sequence,
+            horizon,
+            state: StreamState::Tracking,
+        };
+        let mut predictions = vec![prediction(track.predicted.clone(), 1)];
         if settings.horizon > 1 {
             let mut memory = track.memory.clone();
-            for ahead in 1..settings.horizon as usize {
-                let next = surrogate.step(&mut memory, &frames[ahead - 1]);
-                frames.push(next);
+            let mut frame = track.predicted.clone();
+            for ahead in 2..=settings.horizon {
+                frame = surrogate.step(&mut memory, &frame);
+                if settings.publish == Publish::Last {
+                    predictions.clear();
+                }
+                predictions.push(prediction(frame.clone(), ahead));
             }
         }
-        let skipped = match settings.publish {
-            Publish::All => 0,
-            Publish::Last => settings.horizon - 1,
-        };
-        frames
-            .into_iter()
-            .zip(1..)
-            .skip(skipped as usize)
-            .map(|(frame, horizon)| Prediction {
-                frame,
-                source_sequence: track.sequence,
-                horizon,
-                state: StreamState::Tracking,
-            })
-            .collect()
+        predictions
     }
 
     fn diverge(&mut self, stream: u64) {

@@ -11,7 +11,7 @@ use crate::{
 const RESTART_INTERVALS: u32 = 16;
 
 /// One stream: its hidden state and where it stands.
-pub(super) struct Track {
+pub(super) struct StreamTrack {
     /// The model's hidden state, after the last frame or the frame it filled in.
     pub memory: Memory,
     /// The model's prediction from that state: the next frame.
@@ -24,8 +24,8 @@ pub(super) struct Track {
     pub observed: u64,
     /// When the next frame of a free run is due; `None` while frames are observed.
     pub free_run_due: Option<Duration>,
-    /// When the stream was used last.
-    pub used: Duration,
+    /// The node's count of uses when the stream was used last.
+    pub used: u64,
 }
 
 /// How a frame follows the stream's last one.
@@ -42,12 +42,13 @@ pub(super) enum Follows {
     Restart,
 }
 
-impl Track {
+impl StreamTrack {
     /// How `frame` follows. A change of the particles, or a stamp more than 16 intervals in the past,
     /// begins the stream anew.
     pub(super) fn follows(&self, frame: &Frame) -> Follows {
-        let oldest = Stamp(2 * self.stamp.0 - self.stamp.advance(frame.dt, RESTART_INTERVALS).0);
-        if self.material() != frame.material || frame.stamp < oldest {
+        let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
+        let restarted = frame.stamp < Stamp(self.stamp.0.saturating_sub(reach));
+        if self.material() != frame.material || restarted {
             return Follows::Restart;
         }
         match frame.sequence.checked_sub(self.sequence + 1) {

@@ -108,6 +108,10 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         common: Vec::new(),
     };
 
+    for stage in &config.unroll {
+        // Streams too short for a later stage are better refused now than in an hour.
+        sampler_for(config, dataset, stage.frames)?;
+    }
     let per_epoch = config.batches();
     let batches = (per_epoch * config.epochs as usize) as u64;
     let mut monitor = Monitor::new(run.output, batches, run.quiet)?;

@@ -19,6 +19,8 @@ mod queue;
 mod shm;
 mod zenoh;
 
+pub(crate) use queue::Queue;
+
 pub use link::{InvalidLink, Link, TransportKind};
 pub use opener::{TransportOptions, Transports, ZenohOptions};
 
@@ -97,7 +99,7 @@ pub trait Subscriber: Send {
     ///
     /// # Errors
     /// [`TransportError`] when the transport failed. A message that is no frame is not such a
-    /// failure: it is delivered as it is, or counted in [`Subscriber::refused`].
+    /// failure: it is delivered as CDR bytes, for the receiver to judge.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError>;
 
     /// Messages that the transport could not deliver, since the start.

@@ -1,4 +1,4 @@
-//! The bounded queue between a transport's thread and a subscriber.
+//! The bounded queue between a thread that receives and whoever works on what came.
 
 use std::{
     collections::VecDeque,
@@ -8,7 +8,7 @@ use std::{
 
 /// A first-in-first-out queue of bounded length, with both ways to meet a full one.
 #[derive(Debug)]
-pub(super) struct Queue<T> {
+pub(crate) struct Queue<T> {
     state: Mutex<State<T>>,
     arrived: Condvar,
     freed: Condvar,
@@ -23,14 +23,14 @@ struct State<T> {
 }
 
 impl<T> Queue<T> {
-    pub(super) fn new(capacity: usize) -> Self {
+    pub(crate) fn new(capacity: usize) -> Self {
         let state = State { items: VecDeque::new(), dropped: 0, closed: false };
         Self { state: Mutex::new(state), arrived: Condvar::new(), freed: Condvar::new(), capacity }
     }
 
     /// Adds `item` when there is room, waiting `patience` for it at most. Gives the item back when
     /// there never was. Once closed, items vanish: nobody waits for them any more.
-    pub(super) fn push_or_wait(&self, item: T, patience: Duration) -> Result<(), T> {
+    pub(crate) fn push_or_wait(&self, item: T, patience: Duration) -> Result<(), T> {
         let full = |state: &mut State<T>| state.items.len() >= self.capacity && !state.closed;
         let (mut state, wait) = self
             .freed
@@ -44,7 +44,7 @@ impl<T> Queue<T> {
     }
 
     /// Adds `item` at once; a full queue gives up its oldest item, which is counted.
-    pub(super) fn push_or_replace(&self, item: T) {
+    pub(crate) fn push_or_replace(&self, item: T) {
         let mut state = self.lock();
         if state.items.len() >= self.capacity {
             state.items.pop_front();
@@ -61,7 +61,7 @@ impl<T> Queue<T> {
     }
 
     /// The oldest item, or `None` when none came within `timeout`.
-    pub(super) fn pop(&self, timeout: Duration) -> Option<T> {
+    pub(crate) fn pop(&self, timeout: Duration) -> Option<T> {
         let (mut state, _) = self
             .arrived
             .wait_timeout_while(self.lock(), timeout, |state| state.items.is_empty())
@@ -72,12 +72,12 @@ impl<T> Queue<T> {
     }
 
     /// Items given up by [`Queue::push_or_replace`].
-    pub(super) fn dropped(&self) -> u64 {
+    pub(crate) fn dropped(&self) -> u64 {
         self.lock().dropped
     }
 
     /// Frees whoever waits for room, now and later.
-    pub(super) fn close(&self) {
+    pub(crate) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
         state.items.clear();

@@ -7,14 +7,14 @@ use std::{
 };
 
 use eddy::{
-    bag::{BagWriter, WriterOptions},
+    bag::{BagReader, BagWriter, WriterOptions},
     checkpoint::Checkpoint,
     frame::Stamp,
     msg::{Message, RosString, cdr},
 };
 use tempfile::TempDir;
 
-use crate::support::{fail, simulate, succeed};
+use crate::support::{fail, simulate, succeed, unique};
 
 struct Folder(TempDir);
 
@@ -60,6 +60,8 @@ fn a_truncated_bag_is_named_and_what_is_whole_is_predicted() {
     let bag = folder.path("truth/scene_0000");
     says(&fail(1, ["bag", "check", &bag]), &["scene_0000", "findings"]);
     says(&predict(&folder, &bag), &["scene_0000_0.mcap", "expected"]);
+    let predicted = BagReader::open(&folder.join("out")).unwrap();
+    assert!(predicted.message_count() > 5, "what could be read was predicted and kept");
 }
 
 #[test]
@@ -160,9 +162,18 @@ fn an_existing_bag_is_never_written_over() {
     succeed(["predict", "--input", &bag, "--output", &folder.path("out")]);
     let before = fs::read(folder.join("out/out_0.mcap")).unwrap();
     says(&predict(&folder, &bag), &["out"]);
-    let link = ["record", "memory:/particles", "--output", &folder.path("out")].map(str::to_owned);
-    says(&fail(1, link), &["out"]);
+    let link = format!("shm:/{}/particles", unique("bad_input"));
+    says(&fail(1, ["record", &link, "--output", &folder.path("out")]), &["out"]);
     assert_eq!(fs::read(folder.join("out/out_0.mcap")).unwrap(), before);
+}
+
+#[test]
+fn a_link_that_no_other_process_can_meet_is_refused() {
+    let folder = Folder::new();
+    let record =
+        ["record", "memory:/particles", "--output", &folder.path("out")].map(str::to_owned);
+    says(&fail(1, record), &["memory:/particles", "expected shm or zenoh"]);
+    says(&fail(1, ["node", "--input", "memory:/particles"]), &["memory:/particles"]);
 }
 
 #[test]

@@ -7,11 +7,10 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 6] = [
+const CONFINED: [(&str, &[&str]); 5] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
-    ("hiroz_protocol", &["transport/zenoh"]),
     ("iceoryx2", &["transport/shm"]),
     ("comfy_table", &["eval", "commands"]),
 ];

@@ -2,7 +2,10 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::frame::{Domain, Frame, InvalidFrame, Material, Stamp};
+use crate::{
+    frame::{Domain, Frame, InvalidFrame, Material, Stamp},
+    msg::{Header, ParticleFrame},
+};
 
 /// One particle, 20 bytes.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
@@ -52,6 +55,23 @@ impl From<&Frame> for FrameHeader {
 pub(super) fn particle(frame: &Frame, index: usize) -> Particle {
     let ([x, y], [vx, vy]) = (frame.position[index], frame.velocity[index]);
     Particle { x, y, vx, vy, material: frame.material[index] as u32 }
+}
+
+/// What lies in shared memory as a message, unchecked. Material numbers that do not fit its bytes
+/// are saturated, so that they stay unknown.
+pub(super) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleFrame {
+    let material = |p: &Particle| u8::try_from(p.material).unwrap_or(u8::MAX);
+    ParticleFrame {
+        header: Header::world(Stamp(header.stamp_ns)),
+        stream: header.stream,
+        sequence: header.sequence,
+        dt: header.dt,
+        lower: header.lower.to_vec(),
+        upper: header.upper.to_vec(),
+        position: particles.iter().flat_map(|p| [p.x, p.y]).collect(),
+        velocity: particles.iter().flat_map(|p| [p.vx, p.vy]).collect(),
+        material: particles.iter().map(material).collect(),
+    }
 }
 
 /// The frame in shared memory, checked.

@@ -70,7 +70,7 @@ impl ShmNode {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<Particle, FrameHeader>(link, type_name)?;
-            Box::new(FrameSubscriber::new(Inlet::open(link, &topic, &events, cleaner)?))
+            Box::new(FrameSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
             Box::new(BytesSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })

@@ -15,7 +15,10 @@ use super::{
     layout::{self, FrameHeader, Particle},
     service::{Cleaner, Events, Ipc, Topic, middleware},
 };
-use crate::transport::{Link, Payload, Subscriber, TransportError};
+use crate::{
+    msg::cdr,
+    transport::{Link, Payload, Subscriber, TransportError},
+};
 
 /// How often a reader looks for messages whose publisher does not wake it.
 const POLL: Duration = Duration::from_millis(100);
@@ -95,36 +98,26 @@ where
     }
 }
 
-/// Reads a topic of frames. One that is refused ends the wait, so that a publisher of nothing else
-/// cannot hold the reader for good.
+/// Reads a topic of frames.
 pub(super) struct FrameSubscriber {
-    inlet: Inlet<Particle, FrameHeader>,
-    refused: u64,
-}
-
-impl FrameSubscriber {
-    pub(super) fn new(inlet: Inlet<Particle, FrameHeader>) -> Self {
-        Self { inlet, refused: 0 }
-    }
+    pub(super) inlet: Inlet<Particle, FrameHeader>,
 }
 
 impl Subscriber for FrameSubscriber {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let Some(sample) = self.inlet.receive(timeout)? else {
-            return Ok(None);
-        };
-        match layout::frame(sample.user_header(), sample.payload()) {
-            Ok(frame) => Ok(Some(Payload::Frame(frame))),
-            Err(reason) => {
-                self.refused += 1;
-                tracing::warn!(link = %self.inlet.link, %reason, "a frame was refused");
-                Ok(None)
+        let sample = self.inlet.receive(timeout)?;
+        Ok(sample.map(|sample| {
+            let (header, particles) = (sample.user_header(), sample.payload());
+            match layout::frame(header, particles) {
+                Ok(frame) => Payload::Frame(frame),
+                Err(_) => Payload::Cdr(cdr::encode(&layout::message(header, particles))),
             }
-        }
+        }))
     }
 
+    /// None: what other programs write is delivered, frame or not.
     fn refused(&self) -> u64 {
-        self.refused
+        0
     }
 }
 

@@ -1,9 +1,6 @@
 //! Publishes one topic.
 
-use std::{
-    sync::Arc,
-    time::{SystemTime, UNIX_EPOCH},
-};
+use std::sync::Arc;
 
 use zenoh::{Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
 
@@ -15,6 +12,7 @@ use super::{
     middleware,
 };
 use crate::{
+    clock,
     frame::Frame,
     transport::{Link, Publisher, Reliability, TransportError, opener},
 };
@@ -61,19 +59,13 @@ impl ZenohPublisher {
     fn publish(&mut self, bytes: Vec<u8>) -> Result<(), TransportError> {
         self.sequence += 1;
         let attachment =
-            Attachment { sequence: self.sequence, source_time: wall_clock(), gid: self.gid };
+            Attachment { sequence: self.sequence, source_time: clock::wall().0, gid: self.gid };
         self.publisher
             .put(bytes)
             .attachment(attachment.to_bytes())
             .wait()
             .map_err(|error| middleware(&self.link, "publish", &error))
     }
-}
-
-/// Nanoseconds since the epoch. ROS tools show it as the message's source time; eddy never reads it.
-fn wall_clock() -> i64 {
-    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
 impl Publisher for ZenohPublisher {
