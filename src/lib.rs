@@ -15,8 +15,8 @@
 //! | L4 | `eval` |
 //! | L3 | `dataset` |
 //! | L2 | `bag`, `transport`, `model` |
-//! | L1 | `msg`, `mpm`, `checkpoint` |
-//! | L0 | `clock`, `frame` |
+//! | L1 | `checkpoint`, `clock`, `mpm`, `msg` |
+//! | L0 | `frame` |
 
 pub mod bag;
 pub mod checkpoint;
