@@ -4,6 +4,7 @@
 mod bad_input;
 mod bag;
 mod graph;
+mod launch_configs;
 mod layers;
 mod mpm;
 mod pipeline;

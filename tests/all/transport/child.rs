@@ -94,7 +94,7 @@ fn main() {
     let transports = Transports::new(options);
     match role {
         "publish" => publish(&transports, &link),
-        "subscribe" => subscribe(&transports, &link, u64::MAX - 1),
+        "subscribe" => subscribe(&transports, &link, u64::MAX),
         "stall" => subscribe(&transports, &link, 1),
         "strings" => {
             let mut subscriber = transports.subscriber(&link, RosString::TYPE).unwrap();
