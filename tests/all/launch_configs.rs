@@ -23,8 +23,9 @@ fn the_node_runs_with_its_settings() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
+    let mut printed = BufReader::new(node.stdout.take().unwrap());
     let mut line = String::new();
-    BufReader::new(node.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    printed.read_line(&mut line).unwrap();
     assert!(line.starts_with("predicting shm:"), "{line}");
     let id = node.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
