@@ -144,10 +144,9 @@ fn echo(transports: &Transports, link: &Link) {
     }
 }
 
-/// The median way of a frame to another process and half of its way back, which is the same.
-/// Printed with `--nocapture`; the bound only catches a transport that polls where it should wake.
+/// Prints, with `--nocapture`, half of the median time that a frame takes there and back.
 #[test]
-fn a_frame_reaches_another_process_within_milliseconds() {
+fn frames_go_to_another_process_and_come_back() {
     const ROUNDS: u64 = 200;
     for transport in ["shm", "zenoh"] {
         let (options, link) = (options(), super::link(transport));
@@ -169,6 +168,5 @@ fn a_frame_reaches_another_process_within_milliseconds() {
         ways.sort_unstable();
         let median = ways[ways.len() / 2];
         println!("{transport}: {PARTICLES} particles one way in {median:?} (median of {ROUNDS})");
-        assert!(median < Duration::from_millis(50), "{transport}: {median:?}");
     }
 }

@@ -39,7 +39,7 @@ fn ports() -> RangeInclusive<u16> {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     const BLOCK: u16 = 4;
     // Below the ports that the system hands out by itself.
-    let first = 10_000 + (std::process::id() % 200) as u16 * 100;
+    let first = 10_000 + (std::process::id() % 100) as u16 * 200;
     let start = first + NEXT.fetch_add(1, Ordering::Relaxed) * BLOCK;
     start..=start + BLOCK - 1
 }
