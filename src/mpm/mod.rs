@@ -56,8 +56,3 @@ pub const FRAME_INTERVAL: f32 = 0.016;
 
 /// Acceleration in -y (domain lengths per s^2).
 pub const GRAVITY: f32 = 9.8;
-
-/// How near to an edge of the domain particles come in practice (domain lengths).
-pub fn wall_margin(preset: Preset) -> f32 {
-    preset.wall_margin()
-}

@@ -4,7 +4,6 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::grid::WALL_CELLS;
 
 /// Particles of every scene.
 pub const PARTICLES: usize = 2500;
@@ -64,12 +63,6 @@ impl Preset {
             Self::MultiMaterial => Length { shortest: 10.0, longest: 10.0, rest: 0.0 },
             Self::Fluid => Length { shortest: 5.0, longest: 25.0, rest: 1e-3 },
         }
-    }
-
-    /// How near to an edge of the domain particles come in practice (domain lengths): to the last
-    /// wall node, two cells. Seen were 1.9 cells in splashes; solids stay up to a cell further away.
-    pub fn wall_margin(self) -> f32 {
-        (WALL_CELLS - 1) as f32 * self.dx()
     }
 }
 
