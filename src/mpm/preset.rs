@@ -4,7 +4,6 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-
 /// Particles of every scene.
 pub const PARTICLES: usize = 2500;
 
