@@ -63,7 +63,7 @@ pub struct DemoArgs {
     #[arg(long, default_value_t = 8.0)]
     pub seconds: f64,
     /// Seed of the scene.
-    #[arg(long, default_value_t = 7)]
+    #[arg(long, default_value_t = 3)]
     pub seed: u64,
     /// The surrogate; the shipped particle model if not given.
     #[arg(long)]

@@ -26,6 +26,8 @@ use eddy::{
 
 /// The node's name in diagnostics.
 const NAME: &str = "eddy_demo";
+/// Liquid and jelly: lively, and cheap enough to simulate in real time.
+const SCENE: u64 = 6;
 /// How long the watcher waits for a frame before it looks at everything else.
 const PATIENCE: Duration = Duration::from_millis(20);
 
@@ -33,7 +35,7 @@ const PATIENCE: Duration = Duration::from_millis(20);
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let surrogate = surrogate::load(args.checkpoint.as_deref(), DeviceKind::Flex)?;
     let ballistic = Ballistic::of(surrogate.description());
-    let scene = Scene::generate(Preset::MultiMaterial, args.seed, 0);
+    let scene = Scene::generate(Preset::MultiMaterial, args.seed, SCENE);
     let settings = mpm::Settings { duration: Some(args.seconds), ..mpm::Settings::default() };
     let simulation = Simulation::new(scene, &settings)?;
     let mut node = SurrogateNode::new(surrogate, NodeSettings::default())?;
