@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path, process::Command};
 use eddy::{bag::BagReader, frame::Frame, transport::TransportKind};
 use tempfile::TempDir;
 
-use crate::support::{Process, eddy, free_port, simulate, succeed, unique, wait_for};
+use crate::support::{Process, free_port, simulate, succeed, talking_eddy, unique, wait_for};
 
 /// One scene, what `eddy predict` says of it, and a place in the world of its own.
 struct World {
@@ -53,7 +53,7 @@ impl World {
         let listen = endpoint(&self.ports[role as usize]);
         let others = self.ports.iter().filter(|&&port| port != self.ports[role as usize]);
         let connect = others.map(endpoint).collect::<Vec<_>>().join(",");
-        let mut command = eddy();
+        let mut command = talking_eddy();
         command.env(
             "ZENOH_CONFIG_OVERRIDE",
             format!("listen/endpoints=[{listen}];connect/endpoints=[{connect}]"),
@@ -61,28 +61,20 @@ impl World {
         command
     }
 
+    /// A node that listens.
     fn node(&self) -> Process {
-        Process::start(self.eddy(Role::Node).args([
-            "node",
-            "--reliability=block",
-            "--input",
-            &self.link("/particles"),
-            "--output",
-            &self.link("/prediction"),
-        ]))
+        let (input, output) = (self.link("/particles"), self.link("/prediction"));
+        let mut command = self.eddy(Role::Node);
+        command.args(["node", "--reliability=block", "--input", &input, "--output", &output]);
+        Process::start_until(&mut command, "predicting")
     }
 
+    /// A recorder that listens.
     fn record(&self, bag: &str, messages: usize) -> Process {
-        Process::start(self.eddy(Role::Recorder).args([
-            "record",
-            // Predictions first: whoever sees a subscriber of the frames knows that this one is there.
-            &self.link("/prediction"),
-            &self.link("/particles"),
-            "--output",
-            &self.path(bag),
-            "--max-messages",
-            &messages.to_string(),
-        ]))
+        let mut command = self.eddy(Role::Recorder);
+        command.args(["record", &self.link("/particles"), &self.link("/prediction")]);
+        command.args(["--output", &self.path(bag), "--max-messages", &messages.to_string()]);
+        Process::start_until(&mut command, "recording")
     }
 
     /// Replays the scene once node and recorder listen.

@@ -1,12 +1,8 @@
 //! The settings in `launch_configs/` are what the program takes.
 
-use std::{
-    io::{BufRead, BufReader},
-    path::Path,
-    process::{Command, Stdio},
-};
+use std::path::Path;
 
-use crate::support::{fail, unique};
+use crate::support::{Process, fail, talking_eddy, unique};
 
 fn file(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs");
@@ -16,20 +12,13 @@ fn file(name: &str) -> String {
 #[test]
 fn the_node_runs_with_its_settings() {
     let prefix = unique("launch");
-    let mut node = Command::new(env!("CARGO_BIN_EXE_eddy"))
-        .args(["node", "--config", &file("node_lookahead.toml")])
-        .args(["--input", &format!("shm:/{prefix}/particles")])
-        .args(["--output", &format!("shm:/{prefix}/prediction")])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut printed = BufReader::new(node.stdout.take().unwrap());
-    let mut line = String::new();
-    printed.read_line(&mut line).unwrap();
-    assert!(line.starts_with("predicting shm:"), "{line}");
-    let id = node.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-    assert!(node.wait().unwrap().success());
+    let mut command = talking_eddy();
+    command.args(["node", "--config", &file("node_lookahead.toml")]);
+    command.args(["--input", &format!("shm:/{prefix}/particles")]);
+    command.args(["--output", &format!("shm:/{prefix}/prediction")]);
+    let mut node = Process::start_until(&mut command, "predicting shm:");
+    node.interrupt();
+    assert!(node.wait().success());
 }
 
 #[test]

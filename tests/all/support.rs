@@ -1,9 +1,10 @@
 //! The program as its users run it, with everything it needs for itself: folders, ports, topics.
 
 use std::{
+    io::{BufRead as _, BufReader},
     net::TcpListener,
     path::Path,
-    process::{Child, Command, ExitStatus, Output, Stdio},
+    process::{Child, ChildStdout, Command, ExitStatus, Output, Stdio},
     sync::atomic::{AtomicU32, Ordering},
     thread,
     time::{Duration, Instant},
@@ -14,8 +15,15 @@ pub const DEADLINE: Duration = Duration::from_secs(120);
 
 /// The program.
 pub fn eddy() -> Command {
+    let mut command = talking_eddy();
+    command.arg("--quiet");
+    command
+}
+
+/// The program as it talks.
+pub fn talking_eddy() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_eddy"));
-    command.arg("--quiet").stdin(Stdio::null());
+    command.stdin(Stdio::null());
     command
 }
 
@@ -43,41 +51,58 @@ fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Out
 }
 
 /// A process that ends with the test, whatever happens.
-pub struct Process(Child);
+pub struct Process {
+    child: Child,
+    printed: BufReader<ChildStdout>,
+}
 
 impl Process {
     /// Starts it in the background.
     pub fn start(command: &mut Command) -> Self {
-        Self(command.stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap())
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap();
+        let printed = BufReader::new(child.stdout.take().unwrap());
+        Self { child, printed }
+    }
+
+    /// Starts it and waits until it has printed a line that begins so.
+    pub fn start_until(command: &mut Command, beginning: &str) -> Self {
+        let mut process = Self::start(command);
+        let mut line = String::new();
+        while !line.starts_with(beginning) {
+            line.clear();
+            let read = process.printed.read_line(&mut line).unwrap();
+            assert!(read > 0, "the process ended before it printed `{beginning}`");
+        }
+        process
     }
 
     /// Asks it to end, as Ctrl-C does.
     pub fn interrupt(&self) {
-        let id = self.0.id().to_string();
+        let id = self.child.id().to_string();
         assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
     }
 
     /// Ends it without notice (SIGKILL).
     pub fn kill(mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
     }
 
     /// Waits for its end.
     pub fn wait(&mut self) -> ExitStatus {
-        wait_for("the process ends", || self.0.try_wait().unwrap())
+        wait_for("the process ends", || self.child.try_wait().unwrap())
     }
 
     /// Whether it runs.
     pub fn is_running(&mut self) -> bool {
-        self.0.try_wait().unwrap().is_none()
+        self.child.try_wait().unwrap().is_none()
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
