@@ -90,6 +90,14 @@ pub struct Domain {
 impl Domain {
     /// The unit square of the paper.
     pub const UNIT: Self = Self { lower: [0.0; 2], upper: [1.0; 2] };
+
+    /// Whether the corners are finite and `lower` is below `upper` on both axes.
+    pub fn is_whole(&self) -> bool {
+        let Self { lower, upper } = self;
+        (0..2).all(|axis| {
+            lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
+        })
+    }
 }
 
 /// All particles at one instant. `N` is the number of particles.
@@ -234,12 +242,8 @@ impl Frame {
         if self.sequence == u64::MAX {
             return Err(InvalidFrame::Sequence { found: self.sequence });
         }
-        let Domain { lower, upper } = self.domain;
-        let whole = (0..2).all(|axis| {
-            lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
-        });
-        if !whole {
-            return Err(InvalidFrame::Domain { found: [lower, upper] });
+        if !self.domain.is_whole() {
+            return Err(InvalidFrame::Domain { found: [self.domain.lower, self.domain.upper] });
         }
         if !(self.dt.is_finite() && self.dt > 0.0) {
             return Err(InvalidFrame::Interval { found: self.dt });

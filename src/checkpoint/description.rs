@@ -205,12 +205,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let found = sizes.particles.map_or("nothing".to_owned(), |n| n.to_string());
         return Err(field(file, "sizes.particles", found, expected));
     }
-    let whole = (0..2).all(|axis| {
-        domain.lower[axis].is_finite()
-            && domain.upper[axis].is_finite()
-            && domain.lower[axis] < domain.upper[axis]
-    });
-    if !whole {
+    if !domain.is_whole() {
         let found = format!("{:?}, {:?}", domain.lower, domain.upper);
         return Err(field(file, "domain", found, "finite corners with lower < upper"));
     }

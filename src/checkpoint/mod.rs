@@ -103,7 +103,7 @@ impl Checkpoint {
         let mut hash = Sha256::new();
         hash.update(self.render_description());
         hash.update(self.render_weights());
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        format!("{:x}", hash.finalize())
     }
 
     /// The first twelve digits of [`Checkpoint::digest`], for people.

@@ -23,12 +23,11 @@ use super::{
 use crate::cli::SimulateArgs;
 use eddy::{
     bag::{BagWriter, WriterOptions},
+    dataset::TRUTH_TOPIC,
     mpm::{Scene, Settings, Simulation},
     msg::{Message, ParticleFrame},
 };
 
-/// The topic of the frames.
-const TOPIC: &str = "/particles";
 /// Where scenes are written until they are finished.
 const INCOMPLETE: &str = ".incomplete";
 
@@ -160,7 +159,7 @@ impl Job<'_> {
     fn record(&self, planned: &Planned, bag: &Path) -> anyhow::Result<Option<Finished>> {
         let mut simulation = set_up(&self.request, planned.start.id)?;
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
-        let topic = writer.topic(TOPIC, ParticleFrame::TYPE)?;
+        let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
         let mut digest = Sha256::new();
         let mut frames = 0;
         while !self.interrupt.requested() {

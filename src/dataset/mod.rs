@@ -148,5 +148,5 @@ pub fn digest(streams: &[Stream]) -> String {
     for stream in streams {
         stream.update(&mut hasher);
     }
-    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    format!("{:x}", hasher.finalize())
 }

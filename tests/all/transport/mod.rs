@@ -10,7 +10,7 @@ mod zenoh;
 
 use std::{
     ops::RangeInclusive,
-    sync::atomic::{AtomicU16, AtomicU32, Ordering},
+    sync::atomic::{AtomicU16, Ordering},
     time::{Duration, Instant},
 };
 
@@ -20,14 +20,10 @@ use eddy::{
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
+use crate::support::unique;
+
 /// How long anything may take here before the test fails.
 const DEADLINE: Duration = Duration::from_secs(30);
-
-/// A name that no other test and no other process uses.
-fn unique(name: &str) -> String {
-    static NEXT: AtomicU32 = AtomicU32::new(0);
-    format!("{name}_{}_{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed))
-}
 
 /// A topic of this test only.
 fn link(transport: &str) -> Link {
