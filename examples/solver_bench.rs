@@ -7,7 +7,8 @@ use std::{env, error::Error, fmt::Write, fs, path::Path, time::Instant};
 
 use clap::ValueEnum;
 use eddy::mpm::{
-    FRAME_INTERVAL, GRAVITY, Particle, Preset, Scene, Settings, Simulation, Solver, SolverSettings,
+    FRAME_INTERVAL, GRAVITY, GridShape, Law, Materials, Particle, Preset, Scene, Settings,
+    Simulation, Solver, SolverSettings,
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -17,18 +18,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let (preset, folder) = (Preset::from_str(preset, false)?, Path::new(folder));
     let scene = Scene::generate(preset, 1, id.parse()?);
-    let stiffness = Settings::default().stiffness;
+    let materials = Materials { law: Law::Taichi, ..Materials::default() };
     let per_frame = Simulation::new(scene.clone(), &Settings::default())?.substeps_per_frame();
     let dt = FRAME_INTERVAL / per_frame as f32;
-    let settings = SolverSettings { cells: preset.cells(), stiffness, dt, gravity: GRAVITY };
+    let settings =
+        SolverSettings { grid: GridShape::unit(preset.cells()), stiffness, dt, gravity: GRAVITY };
     let start = || {
         Solver::new(scene.particles.clone(), settings)
             .map_err(|particle| format!("particle {particle} is outside the grid"))
     };
     let run = |solver: &mut Solver, substeps: u32| {
-        (0..substeps).try_for_each(|_| {
-            solver.substep().map_err(|particle| format!("particle {particle} left the grid"))
-        })
+        solver.run(substeps).map_err(|particle| format!("particle {particle} left the grid"))
     };
 
     let mut solver = start()?;
@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!(
         "{}",
         serde_json::json!({
-            "microseconds": microseconds, "cells": preset.cells(), "stiffness": stiffness,
+            "microseconds": microseconds, "cells": preset.cells(), "stiffness": materials.stiffness,
             "dt": dt, "gravity": GRAVITY,
         })
     );

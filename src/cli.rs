@@ -6,7 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use eddy::{
     model::{Architecture, Core, DeviceKind},
-    mpm::Preset,
+    mpm::{Law, Preset},
     transport::{Link, Reliability, TransportKind},
 };
 
@@ -94,6 +94,12 @@ pub struct SimulateArgs {
     /// Stiffness: Young's modulus E of every material (density x velocity^2).
     #[arg(long, default_value_t = 1e3)]
     pub stiffness: f32,
+    /// How liquids resist: as water, or by the law of Taichi's mpm128.
+    #[arg(long, value_enum, default_value_t = Law::Water)]
+    pub law: Law,
+    /// Kinematic viscosity of water (domain lengths^2 per s).
+    #[arg(long, default_value_t = 0.0)]
+    pub viscosity: f32,
     /// Where the bags go: one directory a scene.
     #[arg(long, short)]
     pub output: PathBuf,

@@ -24,7 +24,7 @@ use crate::cli::SimulateArgs;
 use eddy::{
     bag::{BagWriter, WriterOptions},
     dataset::TRUTH_TOPIC,
-    mpm::{Scene, Settings, Simulation},
+    mpm::{Materials, Scene, Settings, Simulation},
     msg::{Message, ParticleFrame},
 };
 
@@ -34,12 +34,16 @@ const INCOMPLETE: &str = ".incomplete";
 /// Simulates the scenes that are not there yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     ensure!(args.scenes > 0, "scenes: found 0, expected at least 1");
-    let SimulateArgs { stiffness, substeps, duration, .. } = args;
+    let SimulateArgs { stiffness, law, viscosity, substeps, duration, .. } = args;
     let request = Request {
         eddy: env!("CARGO_PKG_VERSION").into(),
         preset: args.preset,
         seed: args.seed,
-        settings: Settings { stiffness, substeps, duration },
+        settings: Settings {
+            materials: Materials { stiffness, law, viscosity },
+            substeps,
+            duration,
+        },
     };
     let manifest = Manifest::open(&args.output, request.clone())?;
     let planned = plan(&args, &request, &manifest)?;

@@ -6,7 +6,7 @@
 //! (Stomakhin et al. 2012, "Energetically Consistent Invertible Elasticity").
 
 use super::{
-    material::{Lame, SNOW_STRETCH, hardening},
+    material::{Lame, Law, Moduli, SNOW_STRETCH, hardening},
     matrix::Matrix2,
     particle::Particle,
     polar::{self, Parts},
@@ -16,15 +16,21 @@ use crate::frame::Material;
 /// Moves the deformation of one particle `dt` seconds on and returns its Kirchhoff stress
 /// (density x velocity^2).
 #[inline]
-pub(super) fn advance(particle: &mut Particle, lame: Lame, dt: f32) -> Matrix2 {
+pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matrix2 {
     let trial = (Matrix2::IDENTITY + particle.affine * dt) * particle.deformation;
     let factor = hardening(particle.material, particle.plastic);
-    let lame = Lame { mu: lame.mu * factor, lambda: lame.lambda * factor };
+    let lame = Lame { mu: moduli.lame.mu * factor, lambda: moduli.lame.lambda * factor };
     match particle.material {
         Material::Liquid => {
             let area = trial.determinant();
             particle.deformation = Matrix2::diagonal(area.sqrt());
-            Matrix2::diagonal(pressure(lame, area))
+            match moduli.law {
+                Law::Taichi => Matrix2::diagonal(pressure(lame, area)),
+                Law::Water => {
+                    Matrix2::diagonal(-area * tait(lame, area))
+                        + deviator(particle.affine) * (2.0 * moduli.viscosity * area)
+                }
+            }
         }
         Material::Snow => {
             let (elastic, flow) = yielded(trial);
@@ -49,6 +55,22 @@ pub(super) fn stress(deformation: Matrix2, lame: Lame) -> Matrix2 {
 /// The volumetric part of the stress, positive in tension.
 fn pressure(lame: Lame, area: f32) -> f32 {
     lame.lambda * area * (area - 1.0)
+}
+
+/// Pressure of weakly compressible water with the bulk modulus lambda, none in tension: Tait's
+/// equation with the exponent 7 (Becker and Teschner 2007, "Weakly compressible SPH for free surface
+/// flows", equation 7).
+fn tait(lame: Lame, area: f32) -> f32 {
+    let packed = 1.0 / area;
+    let squared = packed * packed;
+    (lame.lambda / 7.0 * (squared * squared * squared * packed - 1.0)).max(0.0)
+}
+
+/// The part of the rate of deformation that keeps the area: `sym(C) - tr(C)/2 I`.
+fn deviator(gradient: Matrix2) -> Matrix2 {
+    let shear = 0.5 * (gradient.xy + gradient.yx);
+    let stretch = 0.5 * (gradient.xx - gradient.yy);
+    Matrix2::new(stretch, shear, shear, -stretch)
 }
 
 /// The elastic part of a trial deformation of snow, whose singular values are clamped to
@@ -129,7 +151,8 @@ mod tests {
     fn a_liquid_keeps_its_area_and_forgets_its_shape() {
         let mut particle = Particle::at_rest([0.5, 0.5], Material::Liquid);
         particle.affine = Matrix2::new(2.0, 3.0, -1.0, 1.0);
-        let stress = advance(&mut particle, LAME, 0.1);
+        let moduli = Moduli { lame: LAME, law: Law::Taichi, viscosity: 0.0 };
+        let stress = advance(&mut particle, &moduli, 0.1);
         let area = 1.2 * 1.1 + 0.3 * 0.1;
         assert!((particle.deformation.determinant() - area).abs() < 1e-6);
         assert_eq!((particle.deformation.xy, particle.deformation.yx), (0.0, 0.0));

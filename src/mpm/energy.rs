@@ -1,7 +1,7 @@
 //! The energy that the solver should conserve, in double precision: what tests hold it against.
 
 use super::{
-    material::{DENSITY, Lame, hardening},
+    material::{DENSITY, Lame, Law, Moduli, hardening},
     matrix::Matrix2,
     particle::Particle,
 };
@@ -15,6 +15,12 @@ fn elastic(f: [[f64; 2]; 2], mu: f64, lambda: f64) -> f64 {
     let r = 0.5 * (xx - yy).hypot(yx + xy);
     let area = xx * yy - xy * yx;
     mu * ((q + r - 1.0).powi(2) + (q - r - 1.0).powi(2)) + 0.5 * lambda * (area - 1.0).powi(2)
+}
+
+/// Energy per area of water: the work of Tait's pressure, `K/7 (J^-6/6 + J - 7/6)`, none in tension.
+fn tait([[xx, xy], [yx, yy]]: [[f64; 2]; 2], bulk_modulus: f64) -> f64 {
+    let area = (xx * yy - xy * yx).min(1.0);
+    bulk_modulus / 7.0 * (area.powi(-6) / 6.0 + area - 7.0 / 6.0)
 }
 
 fn double(f: Matrix2) -> [[f64; 2]; 2] {
@@ -42,7 +48,13 @@ pub(super) fn kirchhoff_by_differences(f: Matrix2, lame: Lame) -> Matrix2 {
 
 /// Kinetic energy with its affine part, elastic energy and potential energy of particles of one
 /// `volume` on a grid of width `dx`.
-pub(super) fn total(particles: &[Particle], lame: Lame, volume: f32, dx: f32, gravity: f32) -> f64 {
+pub(super) fn total(
+    particles: &[Particle],
+    moduli: &Moduli,
+    volume: f32,
+    dx: f32,
+    gravity: f32,
+) -> f64 {
     let volume = f64::from(volume);
     let mass = f64::from(DENSITY) * volume;
     let inertia = f64::from(dx).powi(2) / 4.0;
@@ -53,10 +65,14 @@ pub(super) fn total(particles: &[Particle], lame: Lame, volume: f32, dx: f32, gr
             let affine: f64 = double(particle.affine).as_flattened().iter().map(|c| c * c).sum();
             let kinetic = 0.5 * mass * (u * u + v * v + inertia * affine);
             let factor = f64::from(hardening(particle.material, particle.plastic));
-            let mu = if particle.material == Material::Liquid { 0.0 } else { f64::from(lame.mu) };
-            let lambda = f64::from(lame.lambda);
-            let stored =
-                volume * elastic(double(particle.deformation), mu * factor, lambda * factor);
+            let f = double(particle.deformation);
+            let (mu, lambda) = (f64::from(moduli.lame.mu), f64::from(moduli.lame.lambda));
+            let stored = volume
+                * match (particle.material, moduli.law) {
+                    (Material::Liquid, Law::Water) => tait(f, lambda),
+                    (Material::Liquid, Law::Taichi) => elastic(f, 0.0, lambda),
+                    _ => elastic(f, mu * factor, lambda * factor),
+                };
             kinetic + stored + mass * f64::from(gravity) * f64::from(particle.position[1])
         })
         .sum()

@@ -36,7 +36,7 @@ pub enum MpmError {
     },
     /// A particle has left the grid, or its position is no number.
     #[error(
-        "particle {particle} ({}): found position {position:?} at {time:.4} s, expected one inside the walls; \
+        "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls; \
          more substeps or a smaller stiffness may help",
         material.name()
     )]
@@ -47,7 +47,8 @@ pub enum MpmError {
         material: Material,
         /// Where it is.
         position: [f32; 2],
-        /// Simulated time since the scene was set up, the time before the recording included (s).
+        /// Begin of the frame interval in which it happened: simulated time since the scene was set
+        /// up, the time before the recording included (s).
         time: f64,
     },
     /// The state is no whole frame: a velocity is no number.

@@ -15,12 +15,33 @@ pub(super) fn lanes(number: impl FnMut(usize) -> f32) -> Node {
 /// Thickness of the walls on each side (cells).
 pub(super) const WALL_CELLS: usize = 3;
 
-/// `(cells + 1)^2` nodes over the unit square; node (i, j) lies at (i, j) dx.
+/// How many cells a grid has, and how wide they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridShape {
+    /// Cells along x and y.
+    pub cells: [u32; 2],
+    /// Cell width (domain lengths).
+    pub dx: f32,
+}
+
+impl GridShape {
+    /// The unit square with so many cells on a side.
+    pub fn unit(cells: u32) -> Self {
+        Self { cells: [cells; 2], dx: 1.0 / cells as f32 }
+    }
+
+    /// Width and height (domain lengths).
+    pub fn size(&self) -> [f32; 2] {
+        self.cells.map(|cells| cells as f32 * self.dx)
+    }
+}
+
+/// `(cells + 1)` nodes on each axis; node (i, j) lies at (i, j) dx.
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
     nodes: Vec<Node>,
-    /// Nodes on a side.
-    side: usize,
+    /// Nodes along x and y.
+    sides: [usize; 2],
     /// Cell width (domain lengths).
     dx: f32,
     /// Cells per domain length.
@@ -28,11 +49,11 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// An empty grid with so many cells on a side.
-    pub(super) fn new(cells: usize) -> Self {
-        let side = cells + 1;
-        let inverse_dx = cells as f32;
-        Self { nodes: vec![[0.0; 4]; side * side], side, dx: 1.0 / inverse_dx, inverse_dx }
+    /// An empty grid.
+    pub(super) fn new(shape: GridShape) -> Self {
+        let sides = shape.cells.map(|cells| cells as usize + 1);
+        let nodes = vec![[0.0; 4]; sides[0] * sides[1]];
+        Self { nodes, sides, dx: shape.dx, inverse_dx: 1.0 / shape.dx }
     }
 
     /// Cell width (domain lengths).
@@ -48,24 +69,23 @@ impl Grid {
     /// Whether all nine nodes around a position exist. False for NaN.
     #[inline]
     pub(super) fn contains(&self, position: [f32; 2]) -> bool {
-        let last = self.side as f32 - 1.5;
-        position.iter().all(|x| {
-            let cell = x * self.inverse_dx;
-            cell >= 0.5 && cell < last
+        (0..2).all(|axis| {
+            let cell = position[axis] * self.inverse_dx;
+            cell >= 0.5 && cell < self.sides[axis] as f32 - 1.5
         })
     }
 
     /// The three nodes of a stencil in its row `i` (0..3), with y ascending.
     #[inline]
     pub(super) fn row(&self, stencil: &Stencil, i: usize) -> &[Node] {
-        let start = (stencil.base[0] + i) * self.side + stencil.base[1];
+        let start = (stencil.base[0] + i) * self.sides[1] + stencil.base[1];
         &self.nodes[start..start + 3]
     }
 
     /// As [`Grid::row`], to write.
     #[inline]
     pub(super) fn row_mut(&mut self, stencil: &Stencil, i: usize) -> &mut [Node] {
-        let start = (stencil.base[0] + i) * self.side + stencil.base[1];
+        let start = (stencil.base[0] + i) * self.sides[1] + stencil.base[1];
         &mut self.nodes[start..start + 3]
     }
 
@@ -83,8 +103,8 @@ impl Grid {
     /// Turns momentum into velocity and moves it `dt` seconds on: gravity in -y (domain lengths per
     /// s^2), the attractor if there is one, then the walls.
     pub(super) fn update(&mut self, dt: f32, gravity: f32, attractor: Option<&Attractor>) {
-        let (side, dx) = (self.side, self.dx);
-        for (i, row) in self.nodes.chunks_exact_mut(side).enumerate() {
+        let (sides, dx) = (self.sides, self.dx);
+        for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node[2] > 0.0) {
                 // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
                 // mass, and the same rounding of its inverse everywhere would let momentum drift.
@@ -93,8 +113,8 @@ impl Grid {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];
                 }
-                node[0] = walled(velocity[0], i, side);
-                node[1] = walled(velocity[1], j, side);
+                node[0] = walled(velocity[0], i, sides[0]);
+                node[1] = walled(velocity[1], j, sides[1]);
             }
         }
     }
@@ -130,10 +150,12 @@ mod tests {
 
     #[test]
     fn positions_without_nine_nodes_are_outside() {
-        let grid = Grid::new(64);
+        let grid = Grid::new(GridShape::unit(64));
         assert!(grid.contains([0.5, 0.5]));
         assert!(!grid.contains([0.5, 0.4 / 64.0]));
         assert!(!grid.contains([1.0 - 0.4 / 64.0, 0.5]));
         assert!(!grid.contains([f32::NAN, 0.5]));
+        let wide = Grid::new(GridShape { cells: [128, 64], dx: 1.0 / 64.0 });
+        assert!(wide.contains([1.9, 0.5]) && !wide.contains([0.5, 1.1]));
     }
 }

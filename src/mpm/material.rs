@@ -4,6 +4,8 @@
 //! Squares Material Point Method", ACM TOG 37(4), 2018, and, for snow, Stomakhin et al., "A Material
 //! Point Method for Snow Simulation", ACM TOG 32(4), 2013.
 
+use serde::{Deserialize, Serialize};
+
 use crate::frame::Material;
 
 /// Mass per area of every material (1 unit of mass per domain length^2).
@@ -22,6 +24,37 @@ const SNOW_HARDENING_RANGE: [f32; 2] = [0.1, 5.0];
 
 /// Elastic stretches that snow bears before it yields, smallest and largest.
 pub(super) const SNOW_STRETCH: [f32; 2] = [1.0 - 2.5e-2, 1.0 + 4.5e-3];
+
+/// How liquids resist.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Law {
+    /// Weakly compressible water: Tait's pressure, none in tension, and viscosity.
+    #[default]
+    Water,
+    /// That of Taichi's `mpm128`: the volumetric part of the solids' law, which also pulls.
+    Taichi,
+}
+
+/// What can be chosen about the materials of a simulation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Materials {
+    /// Young's modulus E of every material (density x velocity^2); 1000 by default.
+    pub stiffness: f32,
+    /// How liquids resist.
+    pub law: Law,
+    /// Kinematic viscosity of liquids (domain lengths^2 per s); 0 by default.
+    pub viscosity: f32,
+}
+
+impl Default for Materials {
+    fn default() -> Self {
+        Self { stiffness: 1e3, law: Law::default(), viscosity: 0.0 }
+    }
+}
 
 /// The Lame parameters of a stiffness, before hardening.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,6 +85,25 @@ impl Lame {
             Material::Rope => (self.lambda + 2.0 * self.mu) * ROPE_STIFFNESS,
         };
         (modulus / DENSITY).sqrt()
+    }
+}
+
+/// [`Materials`] as the constitutive law takes them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Moduli {
+    /// The parameters before hardening.
+    pub(super) lame: Lame,
+    /// How liquids resist.
+    pub(super) law: Law,
+    /// Dynamic viscosity of liquids (density x domain lengths^2 per s).
+    pub(super) viscosity: f32,
+}
+
+impl Moduli {
+    /// The moduli of these materials.
+    pub(super) fn of(materials: &Materials) -> Self {
+        let Materials { stiffness, law, viscosity } = *materials;
+        Self { lame: Lame::of(stiffness), law, viscosity: viscosity * DENSITY }
     }
 }
 

@@ -43,6 +43,8 @@ mod stability;
 pub use attractor::Attractor;
 pub use body::{Body, Shape};
 pub use error::{Limit, MpmError};
+pub use grid::GridShape;
+pub use material::{Law, Materials};
 pub use matrix::Matrix2;
 pub use particle::Particle;
 pub use preset::{Length, PARTICLES, Preset};

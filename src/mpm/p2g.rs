@@ -3,7 +3,7 @@
 use super::{
     constitutive,
     grid::{Grid, lanes},
-    material::{DENSITY, Lame},
+    material::{DENSITY, Moduli},
     particle::Particle,
     spline::Stencil,
 };
@@ -15,7 +15,7 @@ use super::{
 pub(super) fn scatter(
     particles: &mut [Particle],
     grid: &mut Grid,
-    lame: Lame,
+    moduli: &Moduli,
     volume: f32,
     dt: f32,
 ) {
@@ -23,7 +23,7 @@ pub(super) fn scatter(
     let mass = DENSITY * volume;
     let impulse = -dt * volume * 4.0 * inverse_dx * inverse_dx;
     for particle in particles {
-        let stress = constitutive::advance(particle, lame, dt);
+        let stress = constitutive::advance(particle, moduli, dt);
         let affine = (stress * impulse + particle.affine * mass) * dx;
         let stencil = Stencil::at(particle.position, inverse_dx);
         let [fx, fy] = stencil.offset;

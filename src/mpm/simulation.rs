@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::{
     FRAME_INTERVAL, GRAVITY,
     error::MpmError,
+    grid::GridShape,
+    material::Materials,
     preset::Preset,
     scene::Scene,
     solver::{Solver, SolverSettings},
@@ -16,21 +18,15 @@ use crate::frame::{Domain, Frame, Material, Stamp, decimal};
 const STIFFEST: f32 = 1e9;
 
 /// What can be chosen about a simulation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Young's modulus E of every material (density x velocity^2); 1000 by default.
-    pub stiffness: f32,
+    /// What the particles are made of.
+    pub materials: Materials,
     /// Substeps a frame; as many as stability needs if not given.
     pub substeps: Option<u32>,
     /// Simulated time (s); as the preset has it if not given.
     pub duration: Option<f64>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self { stiffness: 1e3, substeps: None, duration: None }
-    }
 }
 
 /// A running simulation.
@@ -57,7 +53,8 @@ impl Simulation {
     /// [`MpmError::Setting`] for a setting out of range, [`MpmError::Unstable`] for too few
     /// substeps, [`MpmError::Diverged`] for a particle outside the grid.
     pub fn new(scene: Scene, settings: &Settings) -> Result<Self, MpmError> {
-        let stiffness = settings.stiffness;
+        let materials = settings.materials;
+        let stiffness = materials.stiffness;
         if !(stiffness > 0.0 && stiffness <= STIFFEST) {
             let expected = "a positive number, at most 1e9";
             return Err(MpmError::Setting {
@@ -68,17 +65,24 @@ impl Simulation {
         }
         let (fewest_frames, most_frames) = frames(scene.preset, settings.duration)?;
         let cells = scene.preset.cells();
+        let dx = scene.preset.dx();
         let speed = scene.fastest(GRAVITY, FRAME_INTERVAL);
         let interval = decimal(FRAME_INTERVAL);
         let (minimum, limit) =
-            minimum_substeps(&scene.materials(), stiffness, cells, speed, interval);
+            minimum_substeps(&scene.materials(), &materials, dx, speed, interval);
         let substeps = settings.substeps.unwrap_or(minimum);
         if substeps < minimum {
             let requested = substeps;
             return Err(MpmError::Unstable { requested, minimum, limit, stiffness, cells });
         }
         let dt = (interval / f64::from(substeps)) as f32;
-        let solver = SolverSettings { cells, stiffness, dt, gravity: GRAVITY };
+        let solver = SolverSettings {
+            grid: GridShape::unit(cells),
+            spacing: scene.preset.spacing(),
+            materials,
+            dt,
+            gravity: GRAVITY,
+        };
         let solver = Solver::new(scene.particles.clone(), solver)
             .map_err(|particle| diverged(&scene.particles, particle, 0.0))?;
         let (sequence, ended) = (0, false);
@@ -117,12 +121,11 @@ impl Simulation {
 
     /// Runs the substeps of so many frame intervals.
     fn substeps(&mut self, frames: u32) -> Result<(), MpmError> {
-        for substep in 0..frames * self.substeps {
-            self.solver.substep().map_err(|particle| {
+        for frame in 0..frames {
+            self.solver.run(self.substeps).map_err(|particle| {
                 let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
-                let frames = if self.sequence > 0 { before as u64 + self.sequence - 1 } else { 0 };
-                let time = frames as f64 * decimal(FRAME_INTERVAL)
-                    + f64::from(substep) * f64::from(self.solver.dt());
+                let begun = if self.sequence > 0 { before as u64 + self.sequence - 1 } else { 0 };
+                let time = (begun + u64::from(frame)) as f64 * decimal(FRAME_INTERVAL);
                 diverged(self.solver.particles(), particle, time)
             })?;
         }
@@ -294,7 +297,8 @@ mod tests {
     fn the_substeps_of_the_paper_carry_a_soft_jelly() {
         let mut scene = Scene::generate(Preset::MultiMaterial, 1, 8);
         scene.attractor = None;
-        let settings = Settings { stiffness: 250.0, substeps: Some(20), duration: Some(0.5) };
+        let materials = Materials { stiffness: 250.0, ..Materials::default() };
+        let settings = Settings { materials, substeps: Some(20), duration: Some(0.5) };
         assert_eq!(frames_of(scene, &settings).len(), 31);
     }
 
@@ -304,7 +308,10 @@ mod tests {
             let scene = Scene::generate(Preset::Fluid, 1, 0);
             Simulation::new(scene, &settings).unwrap_err().to_string()
         };
-        let message = refused(Settings { stiffness: -1.0, ..Settings::default() });
+        let message = refused(Settings {
+            materials: Materials { stiffness: -1.0, ..Materials::default() },
+            ..Settings::default()
+        });
         assert_eq!(message, "stiffness: found -1, expected a positive number, at most 1e9");
         let message = refused(settings(f64::NAN));
         assert_eq!(
@@ -323,7 +330,14 @@ mod tests {
         for particle in &mut still {
             particle.velocity = [0.0; 2];
         }
-        let settings = SolverSettings { cells: 128, stiffness: 1.0, dt: 1e-7, gravity: 0.0 };
+        let grid = GridShape::unit(128);
+        let settings = SolverSettings {
+            grid,
+            spacing: 0.5 * grid.dx,
+            materials: Materials { stiffness: 1.0, ..Materials::default() },
+            dt: 1e-7,
+            gravity: 0.0,
+        };
         simulation.solver = Solver::new(still, settings).unwrap();
         simulation.scene.attractor = None;
         assert!(simulation.next_frame().unwrap().is_some());

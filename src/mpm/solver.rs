@@ -1,14 +1,23 @@
 //! One explicit MLS-MPM substep after the other.
 
-use super::{attractor::Attractor, g2p, grid::Grid, material::Lame, p2g, particle::Particle};
+use super::{
+    attractor::Attractor,
+    g2p,
+    grid::{Grid, GridShape},
+    material::{Materials, Moduli},
+    p2g,
+    particle::Particle,
+};
 
 /// What a [`Solver`] computes with.
 #[derive(Clone, Copy, Debug)]
 pub struct SolverSettings {
-    /// Cells on a side of the unit square.
-    pub cells: u32,
-    /// Young's modulus E of every material (density x velocity^2).
-    pub stiffness: f32,
+    /// The background grid.
+    pub grid: GridShape,
+    /// Distance between neighbouring particles of an undeformed body (domain lengths).
+    pub spacing: f32,
+    /// What the particles are made of.
+    pub materials: Materials,
     /// Length of a substep (s). Nothing checks it here: see [`minimum_substeps`](super::minimum_substeps).
     pub dt: f32,
     /// Acceleration in -y (domain lengths per s^2).
@@ -20,8 +29,8 @@ pub struct SolverSettings {
 pub struct Solver {
     particles: Vec<Particle>,
     grid: Grid,
-    lame: Lame,
-    /// Area of an undeformed particle: four to a cell (domain lengths^2).
+    moduli: Moduli,
+    /// Area of an undeformed particle (domain lengths^2).
     volume: f32,
     dt: f32,
     gravity: f32,
@@ -30,35 +39,39 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// A solver at the state of these particles, which stand half a cell apart when undeformed.
+    /// A solver at the state of these particles.
     ///
     /// # Errors
     /// The index of the first particle that is not inside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
-        let grid = Grid::new(settings.cells as usize);
+        let grid = Grid::new(settings.grid);
         if let Some(outside) = particles.iter().position(|p| !grid.contains(p.position)) {
             return Err(outside);
         }
-        let volume = (0.5 * grid.dx()) * (0.5 * grid.dx());
         Ok(Self {
             particles,
             grid,
-            lame: Lame::of(settings.stiffness),
-            volume,
+            moduli: Moduli::of(&settings.materials),
+            volume: settings.spacing * settings.spacing,
             dt: settings.dt,
             gravity: settings.gravity,
             attractor: None,
         })
     }
 
-    /// Moves everything one substep on.
+    /// Moves everything so many substeps on.
     ///
     /// # Errors
-    /// The index of the first particle that left the grid or has a position that is no number; the
-    /// state is of no use then.
-    pub fn substep(&mut self) -> Result<(), usize> {
+    /// The index of a particle that left the grid or has a position that is no number; the state is
+    /// of no use then.
+    pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
+        (0..substeps).try_for_each(|_| self.substep())
+    }
+
+    /// Moves everything one substep on.
+    fn substep(&mut self) -> Result<(), usize> {
         self.grid.clear();
-        p2g::scatter(&mut self.particles, &mut self.grid, self.lame, self.volume, self.dt);
+        p2g::scatter(&mut self.particles, &mut self.grid, &self.moduli, self.volume, self.dt);
         self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
         g2p::gather(&mut self.particles, &self.grid, self.dt)
     }
@@ -87,13 +100,19 @@ impl Solver {
 #[cfg(test)]
 mod tests {
     use super::{
-        super::{GRAVITY, energy, material::DENSITY, matrix::Matrix2, minimum_substeps},
+        super::{
+            GRAVITY, energy,
+            material::{DENSITY, Law},
+            matrix::Matrix2,
+            minimum_substeps,
+        },
         *,
     };
     use crate::frame::Material;
 
     const CELLS: u32 = 64;
-    const STIFFNESS: f32 = 1e3;
+    /// Taichi's law conserves energy in tension too.
+    const MATERIALS: Materials = Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0 };
 
     /// A square of 20 x 20 particles around the middle of the domain.
     fn square(material: Material) -> Vec<Particle> {
@@ -107,14 +126,10 @@ mod tests {
     }
 
     fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
-        let settings = SolverSettings { cells: CELLS, stiffness: STIFFNESS, dt, gravity };
+        let grid = GridShape::unit(CELLS);
+        let settings =
+            SolverSettings { grid, spacing: 0.5 * grid.dx, materials: MATERIALS, dt, gravity };
         Solver::new(particles, settings).unwrap()
-    }
-
-    fn run(solver: &mut Solver, substeps: usize) {
-        for _ in 0..substeps {
-            solver.substep().unwrap();
-        }
     }
 
     /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
@@ -136,7 +151,7 @@ mod tests {
     #[test]
     fn the_grid_carries_the_mass_of_the_particles() {
         let mut solver = solver(square(Material::Jelly), 1e-4, 0.0);
-        run(&mut solver, 1);
+        solver.run(1).unwrap();
         let found: f64 = solver.grid.nodes().iter().map(|node| f64::from(node[2])).sum();
         let expected = 400.0 * f64::from(DENSITY * solver.volume);
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
@@ -154,7 +169,7 @@ mod tests {
             }
             let mut solver = solver(particles, 1e-4, 0.0);
             let (linear, angular) = momenta(&solver);
-            run(&mut solver, 1000);
+            solver.run(1000).unwrap();
             let (linear_after, angular_after) = momenta(&solver);
             for axis in 0..2 {
                 let drift = (linear_after[axis] / linear[axis] - 1.0).abs();
@@ -170,7 +185,7 @@ mod tests {
         let (dt, substeps) = (1e-4, 200);
         let start = square(Material::Rope);
         let mut solver = solver(start.clone(), dt, GRAVITY);
-        run(&mut solver, substeps);
+        solver.run(substeps).unwrap();
         let n = substeps as f32;
         let fallen = GRAVITY * dt * dt * n * (n + 1.0) / 2.0;
         for (before, after) in start.iter().zip(solver.particles()) {
@@ -188,15 +203,16 @@ mod tests {
                 particle.velocity[1] = -2.0;
             }
             let interval = 0.016;
-            let (substeps, _) = minimum_substeps(&[material], STIFFNESS, CELLS, 4.0, interval);
+            let (substeps, _) =
+                minimum_substeps(&[material], &MATERIALS, 1.0 / CELLS as f32, 4.0, interval);
             let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
             let energy = |solver: &Solver| {
-                let (lame, volume) = (solver.lame, solver.volume);
-                energy::total(solver.particles(), lame, volume, solver.grid.dx(), GRAVITY)
+                let (moduli, volume) = (&solver.moduli, solver.volume);
+                energy::total(solver.particles(), moduli, volume, solver.grid.dx(), GRAVITY)
             };
             let start = energy(&solver);
             for _ in 0..30 {
-                run(&mut solver, substeps as usize);
+                solver.run(substeps).unwrap();
                 let now = energy(&solver);
                 assert!(now <= 1.01 * start, "{material:?}: from {start} to {now}");
             }
@@ -208,6 +224,6 @@ mod tests {
         let mut particles = square(Material::Jelly);
         particles[17].deformation.xx = f32::NAN;
         let mut solver = solver(particles, 1e-4, GRAVITY);
-        assert!(solver.substep().is_err());
+        assert!(solver.run(1).is_err());
     }
 }

@@ -1,6 +1,9 @@
 //! How many substeps a frame needs.
 
-use super::{error::Limit, material::Lame};
+use super::{
+    error::Limit,
+    material::{Lame, Materials},
+};
 use crate::frame::Material;
 
 /// Largest Courant number of sound in solids: cells that a pressure wave crosses in a substep. They
@@ -12,24 +15,24 @@ pub const LIQUID_CFL: f64 = 0.25;
 /// Cells that a particle may cross in a substep.
 const TRAVEL: f64 = 0.5;
 
-/// The fewest substeps in `interval` seconds that keep `materials` of Young's modulus `stiffness`
-/// stable on a grid of `cells` cells a side, with particles of up to `speed` (domain lengths per
+/// The fewest substeps in `interval` seconds that keep the materials that are
+/// present stable on a grid of cell width `dx` (domain lengths), with particles of up to `speed` (domain lengths per
 /// second), and what sets them.
 pub fn minimum_substeps(
-    materials: &[Material],
-    stiffness: f32,
-    cells: u32,
+    present: &[Material],
+    materials: &Materials,
+    dx: f32,
     speed: f32,
     interval: f64,
 ) -> (u32, Limit) {
-    let lame = Lame::of(stiffness);
-    let cells_crossed = |speed: f32| f64::from(speed) * interval * f64::from(cells);
+    let lame = Lame::of(materials.stiffness);
+    let cells_crossed = |speed: f32| f64::from(speed) * interval / f64::from(dx);
     let travel = (cells_crossed(speed) / TRAVEL, Limit::Speed(speed));
     let sound = |material: Material| {
         let courant = if material == Material::Liquid { LIQUID_CFL } else { CFL };
         (cells_crossed(lame.sound_speed(material)) / courant, Limit::Sound(material))
     };
-    let (substeps, limit) = materials
+    let (substeps, limit) = present
         .iter()
         .map(|&material| sound(material))
         .fold(travel, |most, next| if next.0 > most.0 { next } else { most });
@@ -43,7 +46,9 @@ mod tests {
 
     #[test]
     fn substeps_follow_the_fastest_sound_present() {
-        let substeps = |materials: &[Material]| minimum_substeps(materials, 1e3, 64, 1.0, 0.016).0;
+        let materials = Materials::default();
+        let substeps =
+            |present: &[Material]| minimum_substeps(present, &materials, 1.0 / 64.0, 1.0, 0.016).0;
         // c = sqrt(5 (lambda + 2 mu)) = 74.54, 74.54 * 0.016 * 64 / 0.5 = 152.7
         assert_eq!(substeps(&[Material::Liquid, Material::Snow]), 153);
         // c = sqrt(lambda) = 16.67, 16.67 * 0.016 * 64 / 0.25 = 68.3
@@ -53,7 +58,9 @@ mod tests {
 
     #[test]
     fn a_soft_material_that_flies_fast_is_bound_by_its_speed() {
-        let (substeps, limit) = minimum_substeps(&[Material::Liquid], 1.0, 64, 10.0, 0.016);
+        let soft = Materials { stiffness: 1.0, ..Materials::default() };
+        let (substeps, limit) =
+            minimum_substeps(&[Material::Liquid], &soft, 1.0 / 64.0, 10.0, 0.016);
         assert_eq!((substeps, limit), (21, Limit::Speed(10.0)));
     }
 }
