@@ -7,7 +7,7 @@
 //! | `water`: vortices decay | amplitude exp(-2 nu k^2 t), Taylor and Green 1937 | 5 % of the rate |
 //! | `water`: the front of a broken dam | Martin and Moyce 1952, table 2, but for the delay of their dam | times 5 %, speed 10 % |
 //! | the same | Ritter 1892: at most 2 sqrt(g H) | bound |
-//! | `water`: a pool after a splash | its density is 1 | 6 % |
+//! | `water`: a pool after a splash | its density is 1 | 5 % |
 //! | `water`: energy, also of viscous water | does not grow | 1 %, viscous 0.1 % |
 //! | `water`: comes apart | without tension it flies on | 10 % of its speed |
 //! | `rope`: hangs | strain rho g L / 2E' in the mean | 1 % of its length, one piece |
