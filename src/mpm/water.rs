@@ -5,6 +5,10 @@
 //! lowest rows by a half, with a cut-off tension as with Taichi's law, and J capped at 1 made other
 //! pools swell by a tenth. So J is drawn to what the density on the grid says, slowly against sound
 //! and fast against that drift.
+//!
+//! The bulk modulus is the first Lame parameter of E. At E = 1000 sound runs at 16.7 domain lengths per
+//! second, four times as fast as the flow; ten times the modulus moved the front of a broken dam by 1.6 %
+//! at most.
 
 use super::{
     material::{DENSITY, Moduli},
@@ -16,8 +20,8 @@ use super::{
 /// to slosh by itself from 1.05.
 const LOOSEST: f32 = 1.02;
 
-/// Time in which J forgets (s). With 0.03 to 0.1 s pools kept their density within 2.5 %; 0.3 s was
-/// too slow for viscous splashes.
+/// Time in which J forgets (s): settled pools kept their density within 2.5 %. 0.3 s was too slow for
+/// viscous splashes.
 const MEMORY: f32 = 0.1;
 
 /// The area ratio J after the motion `gradient` (1/s) of `dt` seconds.
