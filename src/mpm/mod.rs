@@ -25,6 +25,7 @@ mod constitutive;
 #[cfg(test)]
 mod energy;
 mod error;
+mod fast;
 mod g2p;
 mod grid;
 mod material;

@@ -82,6 +82,7 @@ impl Simulation {
             materials,
             dt,
             gravity: GRAVITY,
+            threads: 1,
         };
         let solver = Solver::new(scene.particles.clone(), solver)
             .map_err(|particle| diverged(&scene.particles, particle, 0.0))?;
@@ -337,6 +338,7 @@ mod tests {
             materials: Materials { stiffness: 1.0, ..Materials::default() },
             dt: 1e-7,
             gravity: 0.0,
+            threads: 1,
         };
         simulation.solver = Solver::new(still, settings).unwrap();
         simulation.scene.attractor = None;
