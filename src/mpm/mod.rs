@@ -44,6 +44,7 @@ mod stability;
 pub use attractor::Attractor;
 pub use body::{Body, Shape};
 pub use error::{Limit, MpmError};
+pub use fast::multiply_and_add;
 pub use grid::GridShape;
 pub use material::{Law, Materials};
 pub use matrix::Matrix2;

@@ -51,12 +51,11 @@ impl Solver {
     /// The index of the first particle that is not inside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
         let grid = Grid::new(settings.grid);
-        let level = Level::present().pop().unwrap_or(Level::Portable);
         let mut solver = Self {
             particles: Vec::new(),
             shape: settings.grid,
             grid,
-            fast: Fast::new(settings.grid, settings.threads, level),
+            fast: Fast::new(settings.grid, settings.threads, Level::widest()),
             moduli: Moduli::of(&settings.materials),
             volume: settings.spacing * settings.spacing,
             dt: settings.dt,

@@ -6,6 +6,7 @@ use super::{
         grid::{GridShape, WALL_CELLS},
     },
     chunk::Chunk,
+    level::Work,
     simd::Simd,
 };
 
@@ -108,28 +109,41 @@ impl Forces {
         Self { walls, rows, dx: shape.dx, dt, gravity, attractor }
     }
 
-    /// Computes row `i` of the field from the patches that cover it.
-    ///
+    /// What an attractor adds to the velocities of a row in a substep.
+    fn pull(&self, attractor: &Attractor, row: usize, velocity: &mut [[f32; 2]]) {
+        for (j, velocity) in velocity.iter_mut().enumerate() {
+            let pull = attractor.acceleration([row as f32 * self.dx, j as f32 * self.dx]);
+            *velocity = [self.dt * pull[0], self.dt * pull[1]];
+        }
+    }
+}
+
+/// The update of one row of the field from the patches that cover it.
+pub(super) struct Update<'a> {
+    pub(super) forces: &'a Forces,
+    /// Number of the row.
+    pub(super) row: usize,
+    pub(super) chunks: &'a [Chunk],
+    /// The row's nodes.
+    pub(super) velocity: &'a mut [[f32; 2]],
+    /// Room to add up.
+    pub(super) sum: &'a mut Sum,
+}
+
+impl Work for Update<'_> {
+    type Output = ();
+
     /// Nodes without mass get a velocity too; nobody is near enough to feel it.
     #[inline(always)]
-    pub(super) fn update<S: Simd>(
-        &self,
-        simd: S,
-        i: usize,
-        chunks: &[Chunk],
-        velocity: &mut [[f32; 2]],
-        sum: &mut Sum,
-    ) {
-        let Some([from, to]) = sum.add_up(i, chunks) else { return };
-        if let Some(attractor) = &self.attractor {
-            for (j, pull) in sum.pull.iter_mut().enumerate() {
-                let [x, y] = attractor.acceleration([i as f32 * self.dx, j as f32 * self.dx]);
-                *pull = [self.dt * x, self.dt * y];
-            }
+    fn run<S: Simd>(self, simd: S) {
+        let Self { forces, row, chunks, velocity, sum } = self;
+        let Some([from, to]) = sum.add_up(row, chunks) else { return };
+        if let Some(attractor) = &forces.attractor {
+            forces.pull(attractor, row, &mut sum.pull);
         }
-        let at_wall = usize::from(i >= WALL_CELLS) + usize::from(i + WALL_CELLS >= self.rows);
-        let Walls { least, most } = &self.walls[at_wall];
-        let fall = simd.repeat(&[0.0, self.dt * self.gravity]);
+        let at_wall = usize::from(row >= WALL_CELLS) + usize::from(row + WALL_CELLS >= forces.rows);
+        let Walls { least, most } = &forces.walls[at_wall];
+        let fall = simd.repeat(&[0.0, forces.dt * forces.gravity]);
         let lightest = simd.splat_pairs(f32::MIN_POSITIVE);
         let fours = groups(&sum.momentum[from..])
             .zip(groups(&sum.mass[from..]))
@@ -163,7 +177,7 @@ fn groups<T>(nodes: &[T]) -> impl Iterator<Item = &[T; GROUP]> {
 pub(super) struct Sum {
     momentum: Vec<[f32; 2]>,
     mass: Vec<f32>,
-    /// Acceleration by the attractor; zero without one.
+    /// What the attractor adds to the velocity; zero without one.
     pull: Vec<[f32; 2]>,
 }
 

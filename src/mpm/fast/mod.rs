@@ -10,12 +10,14 @@
 //! 3. [`field`]: the patches are added up to the velocities of all nodes; gravity and walls act.
 //!
 //! [`level`] chooses the vector instructions, [`team`] holds the threads. The bits depend on neither.
+//! [`peak`] is what the speed is measured against.
 
 mod chunk;
 mod field;
 mod law;
 mod level;
 mod pack;
+mod peak;
 mod simd;
 mod sort;
 mod team;
@@ -26,16 +28,18 @@ mod transfer;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use chunk::Chunk;
-use field::{Field, Sum, Velocities};
+use field::{Field, Sum, Update, Velocities};
 use pack::Pack;
 use simd::LANES;
 use sort::{Order, chunk_sizes};
 use team::{Barrier, Shared, Team, share};
+use transfer::Pass;
 
 use super::{grid::GridShape, particle::Particle};
 
 pub(super) use field::Forces;
 pub(super) use level::Level;
+pub use peak::multiply_and_add;
 pub(super) use transfer::Step;
 
 /// Substeps after which particles are sorted anew even if none has drifted off: by then neighbours
@@ -173,14 +177,14 @@ impl Fast {
                 // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.
                 let (mine, velocities) =
                     unsafe { (chunks.part(share(parts.1, thread, threads)), nodes.whole()) };
-                let velocities = Velocities { nodes: velocities, stride };
+                let field = Velocities { nodes: velocities, stride };
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
                     if first && substep == 0 {
-                        level.pass::<false, true>(chunk, packs, velocities, step);
+                        level.run(Pass::<false, true> { chunk, packs, field, step });
                     } else {
-                        level.pass::<true, true>(chunk, packs, velocities, step);
+                        level.run(Pass::<true, true> { chunk, packs, field, step });
                     }
                 }
                 barrier.wait();
@@ -191,8 +195,9 @@ impl Fast {
                 }
                 for row in share(rows, thread, threads) {
                     // SAFETY: each row belongs to one thread; nobody reads nodes.
-                    let row_nodes = unsafe { nodes.part(row * stride..(row + 1) * stride) };
-                    level.update(forces, row, all, row_nodes, &mut sum);
+                    let velocity = unsafe { nodes.part(row * stride..(row + 1) * stride) };
+                    let sum = &mut sum;
+                    level.run(Update { forces, row, chunks: all, velocity, sum });
                 }
                 let drifted = all.iter().any(|chunk| chunk.drifted);
                 barrier.wait();
@@ -212,10 +217,10 @@ impl Fast {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(particles, step);
         }
-        let velocities = Velocities { nodes: &self.field.velocity, stride: self.field.stride };
+        let field = Velocities { nodes: &self.field.velocity, stride: self.field.stride };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs[chunk.packs()];
-            self.level.pass::<true, false>(chunk, packs, velocities, step);
+            self.level.run(Pass::<true, false> { chunk, packs, field, step });
         }
     }
 

@@ -9,6 +9,7 @@ use super::{
     chunk::Chunk,
     field::Velocities,
     law,
+    level::Work,
     pack::Pack,
     simd::{LANES, Lanes, Simd, Vectors},
 };
@@ -135,49 +136,56 @@ impl Scratch {
     };
 }
 
-/// Runs the pass. Without `GATHER` the particles stay where they are and only give their momentum;
-/// without `SCATTER` they only move.
-#[inline(always)]
-pub(super) fn pass<S: Simd, const GATHER: bool, const SCATTER: bool>(
-    simd: S,
-    chunk: &mut Chunk,
-    packs: &mut [Pack],
-    field: Velocities<'_>,
-    step: &Step,
-) {
-    let weights = Weights::new(simd);
-    if SCATTER {
-        chunk.clear();
-    }
-    let mut held = Held::nothing(simd);
-    let mut scratch = Scratch::EMPTY;
-    let mut left = chunk.particles();
-    for pack in packs {
-        let lanes = left.min(LANES);
-        left -= lanes;
-        if GATHER {
-            gather(simd, &weights, pack, lanes, field, step, &mut scratch);
+/// The pass over the particles of a chunk. Without `GATHER` they stay where they are and only give
+/// their momentum; without `SCATTER` they only move.
+pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool> {
+    pub(super) chunk: &'a mut Chunk,
+    /// The chunk's packs.
+    pub(super) packs: &'a mut [Pack],
+    pub(super) field: Velocities<'a>,
+    pub(super) step: &'a Step,
+}
+
+impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { chunk, packs, field, step } = self;
+        let weights = Weights::new(simd);
+        if SCATTER {
+            chunk.clear();
         }
-        let inverse_dx = simd.splat(step.inverse_dx);
-        let [x, y] = &pack.position;
-        let cell = [simd.load(x) * inverse_dx, simd.load(y) * inverse_dx];
-        let (inside, near) = chunk.holds(simd, cell);
-        if !inside {
-            chunk.lost = true;
-            return;
-        }
-        if !near {
-            chunk.drifted = true;
+        let mut held = Held::nothing(simd);
+        let mut scratch = Scratch::EMPTY;
+        let mut left = chunk.particles();
+        for pack in packs {
+            let lanes = left.min(LANES);
+            left -= lanes;
+            if GATHER {
+                gather(simd, &weights, pack, lanes, field, step, &mut scratch);
+            }
+            let inverse_dx = simd.splat(step.inverse_dx);
+            let [x, y] = &pack.position;
+            let cell = [simd.load(x) * inverse_dx, simd.load(y) * inverse_dx];
+            let (inside, near) = chunk.holds(simd, cell);
+            if !inside {
+                chunk.lost = true;
+                return;
+            }
+            if !near {
+                chunk.drifted = true;
+            }
+            if SCATTER {
+                let stress = law::advance(simd, pack, &step.moduli, step.dt);
+                let stencils = Stencils::of(simd, cell);
+                spread(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
+                scatter(simd, &weights, &scratch, lanes, chunk, &mut held);
+            }
         }
         if SCATTER {
-            let stress = law::advance(simd, pack, &step.moduli, step.dt);
-            let stencils = Stencils::of(simd, cell);
-            spread(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
-            scatter(simd, &weights, &scratch, lanes, chunk, &mut held);
+            held.give(simd, chunk);
         }
-    }
-    if SCATTER {
-        held.give(simd, chunk);
     }
 }
 
