@@ -10,8 +10,8 @@
 //! One substep ([`solver`]), in the order of the method:
 //!
 //! 1. [`grid`] is cleared.
-//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`], with [`polar`] and
-//!    [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
+//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`] and [`water`], with
+//!    [`polar`] and [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
 //! 3. [`grid`]: momentum becomes velocity; gravity and walls act.
 //! 4. [`g2p`]: velocity and its gradient return to the particles, which move.
 //!
@@ -40,6 +40,7 @@ mod simulation;
 mod solver;
 mod spline;
 mod stability;
+mod water;
 
 pub use attractor::Attractor;
 pub use body::{Body, Shape};

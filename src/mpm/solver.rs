@@ -113,7 +113,7 @@ impl Solver {
         self.grid.clear();
         p2g::scatter(&mut self.particles, &mut self.grid, &self.moduli, self.volume, self.dt);
         self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
-        g2p::gather(&mut self.particles, &self.grid, self.dt)
+        g2p::gather(&mut self.particles, &self.grid, &self.moduli, self.dt)
     }
 
     /// Takes other vector instructions than the widest of this processor.
