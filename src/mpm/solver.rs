@@ -94,6 +94,7 @@ impl Solver {
             dx,
             inverse_dx,
             impulse: -self.dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
+            crowd: self.shape.dx * self.shape.dx / self.volume,
             moduli: self.moduli,
         };
         let forces = Forces::new(self.shape, self.dt, self.gravity, self.attractor);

@@ -10,11 +10,13 @@ use super::{
     simd::Simd,
 };
 
-/// Velocities of `sides[0] * sides[1]` nodes.
+/// Velocities and masses of `sides[0] * sides[1]` nodes, row (x) by row.
 #[derive(Clone, Debug)]
 pub(super) struct Field {
-    /// Velocities, row (x) by row (domain lengths per s).
+    /// Velocities (domain lengths per s).
     pub(super) velocity: Vec<[f32; 2]>,
+    /// Masses, in masses of a particle.
+    pub(super) mass: Vec<f32>,
     /// Nodes along x and y.
     pub(super) sides: [usize; 2],
     /// Nodes from one row to the next.
@@ -29,32 +31,45 @@ impl Field {
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let stride = sides[1] + GROUP;
         let inverse_dx = 1.0 / shape.dx;
-        Self { velocity: vec![[0.0; 2]; sides[0] * stride], sides, stride, inverse_dx }
+        let nodes = sides[0] * stride;
+        Self { velocity: vec![[0.0; 2]; nodes], mass: vec![0.0; nodes], sides, stride, inverse_dx }
     }
 }
 
-/// The velocities while particles read them.
+/// The nodes while particles read them.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Velocities<'a> {
+pub(super) struct Nodes<'a> {
     /// Velocities, row (x) by row (domain lengths per s).
-    pub(super) nodes: &'a [[f32; 2]],
+    pub(super) velocity: &'a [[f32; 2]],
+    /// Masses, in masses of a particle.
+    pub(super) mass: &'a [f32],
     /// Nodes from one row to the next.
     pub(super) stride: usize,
 }
 
-impl<'a> Velocities<'a> {
-    /// Four nodes in each of the three rows of the stencil with the lowest node `at`.
+impl<'a> Nodes<'a> {
+    /// Velocities of four nodes in each row of the stencil with the lowest node `at`.
     #[inline(always)]
-    pub(super) fn rows(self, at: usize) -> [&'a [[f32; 2]; 4]; 3] {
-        [self.row(at), self.row(at + self.stride), self.row(at + 2 * self.stride)]
+    pub(super) fn velocities(self, at: usize) -> [&'a [[f32; 2]; GROUP]; 3] {
+        rows(self.velocity, at, self.stride)
     }
 
+    /// As [`Nodes::velocities`], the masses.
     #[inline(always)]
-    fn row(self, at: usize) -> &'a [[f32; 2]; 4] {
-        match self.nodes[at..].first_chunk() {
-            Some(row) => row,
-            None => unreachable!("the chunk has seen that the stencil lies in the grid"),
-        }
+    pub(super) fn masses(self, at: usize) -> [&'a [f32; GROUP]; 3] {
+        rows(self.mass, at, self.stride)
+    }
+}
+
+#[inline(always)]
+fn rows<T>(nodes: &[T], at: usize, stride: usize) -> [&[T; GROUP]; 3] {
+    match (
+        nodes[at..].first_chunk(),
+        nodes[at + stride..].first_chunk(),
+        nodes[at + 2 * stride..].first_chunk(),
+    ) {
+        (Some(a), Some(b), Some(c)) => [a, b, c],
+        _ => unreachable!("the chunk has seen that the stencil lies in the grid"),
     }
 }
 
@@ -124,8 +139,10 @@ pub(super) struct Update<'a> {
     /// Number of the row.
     pub(super) row: usize,
     pub(super) chunks: &'a [Chunk],
-    /// The row's nodes.
+    /// Velocities of the row's nodes.
     pub(super) velocity: &'a mut [[f32; 2]],
+    /// Masses of the row's nodes.
+    pub(super) mass: &'a mut [f32],
     /// Room to add up.
     pub(super) sum: &'a mut Sum,
 }
@@ -136,8 +153,9 @@ impl Work for Update<'_> {
     /// Nodes without mass get a velocity too; nobody is near enough to feel it.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { forces, row, chunks, velocity, sum } = self;
+        let Self { forces, row, chunks, velocity, mass, sum } = self;
         let Some([from, to]) = sum.add_up(row, chunks) else { return };
+        mass[from..to].copy_from_slice(&sum.mass[from..to]);
         if let Some(attractor) = &forces.attractor {
             forces.pull(attractor, row, &mut sum.pull);
         }

@@ -1,10 +1,14 @@
-//! The constitutive law for sixteen particles at once: [`constitutive`](super::super::constitutive)
+//! The constitutive law for sixteen particles at once: [`constitutive`](super::super::constitutive) and
+//! [`water`](super::super::water)
 //! without branches.
 
 use super::{
-    super::material::{
-        JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
-        SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
+    super::{
+        material::{
+            JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
+            SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
+        },
+        water::LOOSEST,
     },
     pack::Pack,
     simd::{LANES, Lanes, Simd},
@@ -88,14 +92,14 @@ fn liquid<S: Simd>(
 ) -> (Matrices<S>, Stress<S>) {
     let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
     let area = *xx * *yy - *xy * *yx;
-    let side = simd.sqrt(area);
-    let deformation = [side, zero, zero, side];
-    let stress = match moduli.law {
+    let (area, stress) = match moduli.law {
         Law::Taichi => {
             let tension = simd.splat(moduli.lame.lambda) * area * (area - one);
-            [tension, zero, tension]
+            (area, [tension, zero, tension])
         }
         Law::Water => {
+            let loosest = simd.splat(LOOSEST);
+            let area = simd.select(simd.less(loosest, area), loosest, area);
             let packed = one / area;
             let squared = packed * packed;
             let seventh = squared * squared * squared * packed;
@@ -106,10 +110,11 @@ fn liquid<S: Simd>(
             let half = simd.splat(0.5);
             let stretch = viscous * (half * (affine[0] - affine[3]));
             let shear = viscous * (half * (affine[1] + affine[2]));
-            [stretch - pressure, shear, zero - stretch - pressure]
+            (area, [stretch - pressure, shear, zero - stretch - pressure])
         }
     };
-    (deformation, stress)
+    let side = simd.sqrt(area);
+    ([side, zero, zero, side], stress)
 }
 
 /// Cosine and sine of the rotation of the polar decomposition, and the length `q` of the conformal

@@ -28,7 +28,7 @@ mod transfer;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use chunk::Chunk;
-use field::{Field, Sum, Update, Velocities};
+use field::{Field, Nodes, Sum, Update};
 use pack::Pack;
 use simd::LANES;
 use sort::{Order, chunk_sizes};
@@ -165,19 +165,22 @@ impl Fast {
     fn substeps(&mut self, first: bool, most: u32, step: &Step, forces: &Forces) -> u32 {
         let (level, stride) = (self.level, self.field.stride);
         let rows = self.field.sides[0];
-        let parts = (self.packs.len(), self.chunks.len());
+        let parts = self.chunks.len();
         let packs = Shared::new(&mut self.packs);
         let chunks = Shared::new(&mut self.chunks);
-        let nodes = Shared::new(&mut self.field.velocity);
+        let velocities = Shared::new(&mut self.field.velocity);
+        let masses = Shared::new(&mut self.field.mass);
         let threads = self.team.threads();
         let done = AtomicU32::new(0);
         self.team.run(|thread, barrier: &Barrier| {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
                 // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.
-                let (mine, velocities) =
-                    unsafe { (chunks.part(share(parts.1, thread, threads)), nodes.whole()) };
-                let field = Velocities { nodes: velocities, stride };
+                let (mine, velocity, mass) = unsafe {
+                    let mine = chunks.part(share(parts, thread, threads));
+                    (mine, velocities.whole(), masses.whole())
+                };
+                let field = Nodes { velocity, mass, stride };
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
@@ -194,10 +197,12 @@ impl Fast {
                     break;
                 }
                 for row in share(rows, thread, threads) {
+                    let nodes = row * stride..(row + 1) * stride;
                     // SAFETY: each row belongs to one thread; nobody reads nodes.
-                    let velocity = unsafe { nodes.part(row * stride..(row + 1) * stride) };
+                    let (velocity, mass) =
+                        unsafe { (velocities.part(nodes.clone()), masses.part(nodes)) };
                     let sum = &mut sum;
-                    level.run(Update { forces, row, chunks: all, velocity, sum });
+                    level.run(Update { forces, row, chunks: all, velocity, mass, sum });
                 }
                 let drifted = all.iter().any(|chunk| chunk.drifted);
                 barrier.wait();
@@ -217,7 +222,8 @@ impl Fast {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(particles, step);
         }
-        let field = Velocities { nodes: &self.field.velocity, stride: self.field.stride };
+        let Field { velocity, mass, stride, .. } = &self.field;
+        let field = Nodes { velocity, mass, stride: *stride };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs[chunk.packs()];
             self.level.run(Pass::<true, false> { chunk, packs, field, step });

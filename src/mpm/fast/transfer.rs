@@ -5,14 +5,18 @@
 //! the same mass, so that weights are spread instead of masses, and momentum per mass.
 
 use super::{
-    super::material::Moduli,
+    super::{
+        material::{Law, Moduli},
+        water::{LOOSEST, MEMORY},
+    },
     chunk::Chunk,
-    field::Velocities,
+    field::Nodes,
     law,
     level::Work,
     pack::Pack,
     simd::{LANES, Lanes, Simd, Vectors},
 };
+use crate::frame::Material;
 
 /// What is the same for all particles in a substep.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +29,8 @@ pub(in super::super) struct Step {
     pub(in super::super) inverse_dx: f32,
     /// `-dt 4 / (dx^2 rho)`: from Kirchhoff stress to the affine part of the velocity.
     pub(in super::super) impulse: f32,
+    /// Particles to a cell in an undeformed body.
+    pub(in super::super) crowd: f32,
     /// What the particles are made of.
     pub(in super::super) moduli: Moduli,
 }
@@ -122,6 +128,8 @@ struct Scratch {
     weight: [Lanes; 3],
     /// Weights times the distance along x (cells).
     moment: [Lanes; 3],
+    /// Mass around each particle, in masses of a particle.
+    mass: Lanes,
     /// Three vectors of each particle.
     vectors: [Vectors; 3],
 }
@@ -132,6 +140,7 @@ impl Scratch {
         offset: [0.0; LANES],
         weight: [[0.0; LANES]; 3],
         moment: [[0.0; LANES]; 3],
+        mass: [0.0; LANES],
         vectors: [[[0.0; 2]; LANES]; 3],
     };
 }
@@ -142,7 +151,7 @@ pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool> {
     pub(super) chunk: &'a mut Chunk,
     /// The chunk's packs.
     pub(super) packs: &'a mut [Pack],
-    pub(super) field: Velocities<'a>,
+    pub(super) field: Nodes<'a>,
     pub(super) step: &'a Step,
 }
 
@@ -163,7 +172,7 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
             let lanes = left.min(LANES);
             left -= lanes;
             if GATHER {
-                gather(simd, &weights, pack, lanes, field, step, &mut scratch);
+                gather(simd, &weights, pack, field, step, &mut scratch);
             }
             let inverse_dx = simd.splat(step.inverse_dx);
             let [x, y] = &pack.position;
@@ -195,8 +204,7 @@ fn gather<S: Simd>(
     simd: S,
     weights: &Weights<S>,
     pack: &mut Pack,
-    lanes: usize,
-    field: Velocities<'_>,
+    field: Nodes<'_>,
     step: &Step,
     scratch: &mut Scratch,
 ) {
@@ -212,9 +220,13 @@ fn gather<S: Simd>(
         simd.store(stencils.weight[i] * distance, &mut scratch.moment[i]);
     }
     simd.store(stencils.offset[1], &mut scratch.offset);
-    let Scratch { node, offset, weight, moment, vectors } = scratch;
-    for l in 0..lanes {
-        let [a, b, c] = field.rows(node[l] as usize);
+    if step.moduli.law == Law::Water {
+        recall(simd, weights, pack, field, step, scratch);
+    }
+    let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
+    // The lanes behind the last particle hold copies of another one, which move with it.
+    for l in 0..LANES {
+        let [a, b, c] = field.velocities(node[l] as usize);
         let (a, b, c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
         let straight = simd.splat_pairs(weight[0][l]) * a
             + simd.splat_pairs(weight[1][l]) * b
@@ -240,6 +252,44 @@ fn gather<S: Simd>(
         simd.store(scale * along_x[axis], &mut pack.affine[2 * axis]);
         simd.store(scale * along_y[axis], &mut pack.affine[2 * axis + 1]);
         simd.store(position[axis] + dt * velocity[axis], &mut pack.position[axis]);
+    }
+}
+
+/// Draws the area that water remembers to what the mass of the nodes says, as
+/// [`water::recalled`](super::super::water).
+#[inline(always)]
+fn recall<S: Simd>(
+    simd: S,
+    weights: &Weights<S>,
+    pack: &mut Pack,
+    field: Nodes<'_>,
+    step: &Step,
+    scratch: &mut Scratch,
+) {
+    let liquid = simd.splat(f32::from(Material::Liquid as u8));
+    let wet = simd.equal(simd.load(&pack.material), liquid);
+    if simd.count(wet) == 0 {
+        return;
+    }
+    let Scratch { node, offset, weight, mass, .. } = scratch;
+    for l in 0..LANES {
+        let [a, b, c] = field.masses(node[l] as usize);
+        let (a, b, c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
+        let straight = simd.splat_ones(weight[0][l]) * a
+            + simd.splat_ones(weight[1][l]) * b
+            + simd.splat_ones(weight[2][l]) * c;
+        mass[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
+    }
+    let loosest = simd.splat(LOOSEST);
+    let side = simd.load(&pack.deformation[0]);
+    let area = side * simd.load(&pack.deformation[3]);
+    let room = simd.splat(step.crowd) / simd.load(mass);
+    let room = simd.select(simd.less(loosest, room), loosest, room);
+    let area = area + (room - area) * simd.splat((step.dt / MEMORY).min(1.0));
+    let side = simd.sqrt(area);
+    for k in [0, 3] {
+        let kept = simd.load(&pack.deformation[k]);
+        simd.store(simd.select(wet, side, kept), &mut pack.deformation[k]);
     }
 }
 

@@ -225,6 +225,14 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn sum_ones(self, Ones(ones): Ones) -> f32 {
+        // SAFETY: see the module.
+        unsafe {
+            let halves = _mm_add_ps(ones, _mm_movehl_ps(ones, ones));
+            _mm_cvtss_f32(_mm_add_ss(halves, _mm_movehdup_ps(halves)))
+        }
+    }
+    #[inline(always)]
     fn twice(self, Ones(ones): Ones) -> Pairs {
         // SAFETY: see the module.
         Pairs(unsafe {

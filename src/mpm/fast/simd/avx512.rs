@@ -171,6 +171,10 @@ impl Simd for Avx512 {
         self.0.sums(rows)
     }
     #[inline(always)]
+    fn sum_ones(self, ones: Self::Ones) -> f32 {
+        self.0.sum_ones(ones)
+    }
+    #[inline(always)]
     fn twice(self, ones: Self::Ones) -> Self::Pairs {
         self.0.twice(ones)
     }

@@ -76,6 +76,8 @@ pub(super) trait Simd: Copy {
     /// The sum over the four nodes of each of three rows: `(0 + 2) + (1 + 3)`.
     fn sums(self, rows: [Self::Pairs; 3]) -> [[f32; 2]; 3];
 
+    /// The sum over the four nodes: `(0 + 2) + (1 + 3)`.
+    fn sum_ones(self, ones: Self::Ones) -> f32;
     /// One number of each node, for both of its numbers.
     fn twice(self, ones: Self::Ones) -> Self::Pairs;
     /// The same number for each node.

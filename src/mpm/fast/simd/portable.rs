@@ -140,6 +140,10 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    fn sum_ones(self, Numbers(ones): Self::Ones) -> f32 {
+        (ones[0] + ones[2]) + (ones[1] + ones[3])
+    }
+    #[inline(always)]
     fn twice(self, ones: Self::Ones) -> Self::Pairs {
         Numbers(array::from_fn(|k| ones.0[k / 2]))
     }
