@@ -44,9 +44,7 @@ pub enum ConfigError {
 /// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
 /// wrong type.
 pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
-    let settings = Overrides::read(file)?;
-    let table = Value::Table(settings.table.clone());
-    T::deserialize(table).map_err(|error| settings.key_error(&error, ""))
+    Overrides::read(file)?.alone()
 }
 
 /// A settings file, not yet typed.
@@ -62,11 +60,18 @@ impl Overrides {
     /// # Errors
     /// [`ConfigError::Read`], [`ConfigError::Syntax`].
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
+        match fs::read_to_string(file) {
+            Ok(text) => Self::parse(file, &text),
+            Err(reason) => Err(ConfigError::Read { file: file.to_owned(), reason }),
+        }
+    }
+
+    /// The settings in the text of a file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Syntax`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigError> {
         let file = file.to_owned();
-        let text = match fs::read_to_string(&file) {
-            Ok(text) => text,
-            Err(reason) => return Err(ConfigError::Read { file, reason }),
-        };
         match text.parse() {
             Ok(table) => Ok(Self { file, table }),
             Err(error) => {
@@ -84,6 +89,15 @@ impl Overrides {
             value.clone().try_into().map_err(|error: toml::de::Error| self.key_error(&error, key))
         };
         self.table.get(key).map(typed).transpose()
+    }
+
+    /// The settings of this file alone: what is not said there has the default of its type.
+    ///
+    /// # Errors
+    /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
+    pub fn alone<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        let table = Value::Table(self.table.clone());
+        T::deserialize(table).map_err(|error| self.key_error(&error, ""))
     }
 
     /// `defaults` with this file's values in their places.
