@@ -44,7 +44,31 @@ pub enum ConfigError {
 /// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
 /// wrong type.
 pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
-    Overrides::read(file)?.alone()
+    parse(file, &read(file)?)
+}
+
+/// The settings in the text of a file.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigError> {
+    // In two steps, so that what is no TOML is told from what is TOML of the wrong kind.
+    table(file, text)?;
+    toml::from_str(text).map_err(|error| ConfigError::Key {
+        file: file.to_owned(),
+        reason: error.to_string().trim_end().to_owned(),
+    })
+}
+
+fn read(file: &Path) -> Result<String, ConfigError> {
+    fs::read_to_string(file).map_err(|reason| ConfigError::Read { file: file.to_owned(), reason })
+}
+
+fn table(file: &Path, text: &str) -> Result<Table, ConfigError> {
+    text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+        file: file.to_owned(),
+        reason: error.to_string().trim_end().to_owned(),
+    })
 }
 
 /// A settings file, not yet typed.
@@ -60,24 +84,7 @@ impl Overrides {
     /// # Errors
     /// [`ConfigError::Read`], [`ConfigError::Syntax`].
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        match fs::read_to_string(file) {
-            Ok(text) => Self::parse(file, &text),
-            Err(reason) => Err(ConfigError::Read { file: file.to_owned(), reason }),
-        }
-    }
-
-    /// The settings in the text of a file.
-    ///
-    /// # Errors
-    /// [`ConfigError::Syntax`].
-    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigError> {
-        let file = file.to_owned();
-        match text.parse() {
-            Ok(table) => Ok(Self { file, table }),
-            Err(error) => {
-                Err(ConfigError::Syntax { file, reason: error.to_string().trim_end().to_owned() })
-            }
-        }
+        Ok(Self { file: file.to_owned(), table: table(file, &read(file)?)? })
     }
 
     /// The value of one key at the top, where it decides which defaults hold.
@@ -89,15 +96,6 @@ impl Overrides {
             value.clone().try_into().map_err(|error: toml::de::Error| self.key_error(&error, key))
         };
         self.table.get(key).map(typed).transpose()
-    }
-
-    /// The settings of this file alone: what is not said there has the default of its type.
-    ///
-    /// # Errors
-    /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
-    pub fn alone<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
-        let table = Value::Table(self.table.clone());
-        T::deserialize(table).map_err(|error| self.key_error(&error, ""))
     }
 
     /// `defaults` with this file's values in their places.

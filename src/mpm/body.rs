@@ -46,6 +46,13 @@ impl Body {
         points.iter().map(|[x, y]| [x0 + cos * x - sin * y, y0 + sin * x + cos * y]).collect()
     }
 
+    /// Whether a position is in its outline.
+    pub(super) fn contains(&self, position: [f32; 2]) -> bool {
+        let (sin, cos) = f64::from(self.angle_degrees).to_radians().sin_cos();
+        let [x, y] = [0, 1].map(|k| f64::from(position[k]) - f64::from(self.position[k]));
+        self.shape.contains([cos * x + sin * y, cos * y - sin * x])
+    }
+
     /// About how many particles it has.
     pub(super) fn estimate(&self, spacing: f32) -> f64 {
         let filled = self.shape.estimate(spacing);
@@ -71,5 +78,6 @@ mod tests {
         let positions = body.positions(0.1);
         assert_eq!(positions.len(), 2);
         assert!(near(positions[0], [0.5, 0.15]) && near(positions[1], [0.5, 0.25]));
+        assert!(body.contains([0.5, 0.15]) && !body.contains([0.4, 0.25]));
     }
 }

@@ -32,16 +32,14 @@ pub enum MpmError {
     },
     /// Two bodies are in the same place.
     #[error(
-        "bodies[{}]: found a particle at {position:?} in bodies[{}], expected at least {reach} \
-         (half a spacing) between them; move one or make it smaller", bodies[1], bodies[0]
+        "bodies[{}] and bodies[{}]: found both near {position:?}, expected bodies that do not overlap; \
+         move one or make it smaller", bodies[0], bodies[1]
     )]
     Overlap {
         /// Numbers of the two bodies, from 0.
         bodies: [usize; 2],
-        /// Where a particle of the second is (domain lengths).
+        /// Where a particle of the first is (domain lengths).
         position: [f32; 2],
-        /// How far apart particles of two bodies have to be (domain lengths).
-        reach: f32,
     },
     /// The substeps asked for are too few for the scene to stay stable.
     #[error(
@@ -63,7 +61,7 @@ pub enum MpmError {
     /// A particle has left the grid, or its position is no number.
     #[error(
         "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls; \
-         more substeps or a smaller stiffness may help",
+         more substeps or another stiffness may help",
         material.name()
     )]
     Diverged {

@@ -1,6 +1,7 @@
 //! Which places are free: bodies start inside the walls and not in each other.
 
 use super::{
+    body::Body,
     error::MpmError,
     grid::{GridShape, WALL_CELLS},
     particle::Particle,
@@ -9,8 +10,8 @@ use super::{
 /// Cells that stay free between two random bodies, and between a body and a wall.
 const GAP_CELLS: usize = 1;
 
-/// Particles of two bodies nearer than this part of their spacing are in each other's bodies.
-const NEAREST: f32 = 0.5;
+/// No place inside a body is further from its nearest particle: half the diagonal of a spacing.
+const REACH: f32 = 0.71;
 
 /// The corners of the room between the walls of a grid, lower first (domain lengths).
 pub(super) fn room(grid: GridShape) -> [[f32; 2]; 2] {
@@ -23,12 +24,13 @@ pub(super) fn inside([lower, upper]: [[f32; 2]; 2], position: [f32; 2]) -> bool 
     (0..2).all(|axis| position[axis] >= lower[axis] && position[axis] <= upper[axis])
 }
 
-/// Checks that all particles are between the walls, and that those of different bodies are apart.
+/// Checks that all particles are between the walls, and that those of one body are in no other.
 /// `owners` says which body each particle is of, ascending.
 ///
 /// # Errors
 /// [`MpmError::Outside`], [`MpmError::Overlap`].
 pub(super) fn check(
+    bodies: &[Body],
     particles: &[Particle],
     owners: &[usize],
     grid: GridShape,
@@ -42,29 +44,36 @@ pub(super) fn check(
     if owners.first() == owners.last() {
         return Ok(());
     }
-    let reach = NEAREST * spacing;
-    let cell = |particle: &Particle| particle.position.map(|x| (x / reach) as u32);
+    let reach = REACH * spacing;
+    let cell = |position: [f32; 2]| position.map(|x| (x / reach) as u32);
     let mut sorted: Vec<([u32; 2], usize)> =
-        particles.iter().enumerate().map(|(index, particle)| (cell(particle), index)).collect();
+        particles.iter().enumerate().map(|(index, p)| (cell(p.position), index)).collect();
     sorted.sort_unstable();
-    for (particle, &owner) in particles.iter().zip(owners) {
-        let [i, j] = cell(particle);
+    for (&Particle { position, .. }, &owner) in particles.iter().zip(owners) {
+        let [i, j] = cell(position);
         // Particles are inside the walls: no cell is the first one.
         for column in i - 1..=i + 1 {
             let from = sorted.partition_point(|(cell, _)| *cell < [column, j - 1]);
-            for &(_, other) in
-                sorted[from..].iter().take_while(|(cell, _)| *cell <= [column, j + 1])
-            {
-                let [x, y] = particles[other].position;
-                let distance = (x - particle.position[0]).hypot(y - particle.position[1]);
-                if owners[other] > owner && distance < reach {
-                    let bodies = [owner, owners[other]];
-                    return Err(MpmError::Overlap { bodies, position: [x, y], reach });
+            let near = sorted[from..].iter().take_while(|(cell, _)| *cell <= [column, j + 1]);
+            for other in near.map(|&(_, other)| other).filter(|&other| owners[other] > owner) {
+                let other_position = particles[other].position;
+                // Outlines that only touch may have particles close together along the seam, and a
+                // body need not fill its outline: both sides count.
+                let close = distance(position, other_position) < reach;
+                if close
+                    && (bodies[owners[other]].contains(position)
+                        || bodies[owner].contains(other_position))
+                {
+                    return Err(MpmError::Overlap { bodies: [owner, owners[other]], position });
                 }
             }
         }
     }
     Ok(())
+}
+
+fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 /// The cells of the grid that are taken.
@@ -114,7 +123,7 @@ impl Placement {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::shape::Shape, *};
     use crate::frame::Material;
 
     #[test]
@@ -128,20 +137,53 @@ mod tests {
         assert!(!placement.take(&[[0.94, 0.5]]));
     }
 
-    #[test]
-    fn particles_in_walls_or_in_other_bodies_are_found() {
+    /// What is said of rectangles of so many spacings, at positions, turned by so many degrees.
+    fn checked(rectangles: &[([f32; 2], [f32; 2], f32)]) -> Result<(), MpmError> {
         let (grid, spacing) = (GridShape::unit(64), 1.0 / 128.0);
-        let check = |positions: &[[f32; 2]]| {
-            let particles: Vec<Particle> =
-                positions.iter().map(|&x| Particle::at_rest(x, Material::Snow)).collect();
-            let owners: Vec<usize> = (0..particles.len()).collect();
-            check(&particles, &owners, grid, spacing)
+        let body = |&(sides, position, angle_degrees): &([f32; 2], [f32; 2], f32)| Body {
+            material: Material::Snow,
+            shape: Shape::Rectangle { size: sides.map(|side| side * spacing) },
+            position,
+            angle_degrees,
+            velocity: [0.0; 2],
+            particles: None,
         };
-        assert_eq!(check(&[[0.5, 0.5], [0.5 + spacing, 0.5], [0.5, 0.5 - 0.6 * spacing]]), Ok(()));
-        let error = check(&[[0.2, 0.2], [0.5, 0.5], [0.5 - 0.3 * spacing, 0.5 + 0.3 * spacing]]);
-        assert!(matches!(error, Err(MpmError::Overlap { bodies: [1, 2], .. })), "{error:?}");
-        let error = check(&[[0.5, 0.5], [0.5, 0.046]]);
-        assert!(matches!(error, Err(MpmError::Outside { body: 1, .. })), "{error:?}");
-        assert!(check(&[[f32::NAN, 0.5]]).is_err());
+        let bodies: Vec<Body> = rectangles.iter().map(body).collect();
+        let (mut particles, mut owners) = (Vec::new(), Vec::new());
+        for (index, body) in bodies.iter().enumerate() {
+            for position in body.positions(spacing) {
+                particles.push(Particle::at_rest(position, body.material));
+                owners.push(index);
+            }
+        }
+        check(&bodies, &particles, &owners, grid, spacing)
+    }
+
+    #[test]
+    fn bodies_may_touch_but_not_overlap() {
+        let square = [10.0, 10.0];
+        let beside = |spacings: f32, degrees| {
+            checked(&[
+                (square, [0.5, 0.5], degrees),
+                (square, [0.5 + spacings / 128.0, 0.5], degrees),
+            ])
+        };
+        assert_eq!(beside(10.0, 0.0), Ok(()));
+        for (spacings, degrees) in [(9.0, 0.0), (5.5, 0.0), (5.0, 45.0), (0.0, 30.0)] {
+            let found = beside(spacings, degrees);
+            assert!(matches!(found, Err(MpmError::Overlap { bodies: [0, 1], .. })), "{found:?}");
+        }
+        // Half a spacing off on both axes no particle is near to one of the other body.
+        let found = checked(&[(square, [0.5, 0.5], 0.0), (square, [0.50390625, 0.50390625], 0.0)]);
+        assert!(found.is_err());
+    }
+
+    #[test]
+    fn particles_in_walls_are_found() {
+        let small = [1.0, 1.0];
+        assert_eq!(checked(&[(small, [0.5, 0.047], 0.0)]), Ok(()));
+        let found = checked(&[(small, [0.5, 0.5], 0.0), (small, [0.5, 0.046], 0.0)]);
+        assert!(matches!(found, Err(MpmError::Outside { body: 1, .. })), "{found:?}");
+        assert!(checked(&[(small, [f32::NAN, 0.5], 0.0)]).is_err());
     }
 }

@@ -242,7 +242,7 @@ impl Scene {
                 ..Particle::at_rest(position, body.material)
             }));
         }
-        placement::check(&particles, &owners, self.grid()?, self.spacing())?;
+        placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
         Ok(particles)
     }
 

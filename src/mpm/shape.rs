@@ -76,11 +76,11 @@ impl Shape {
         }
     }
 
-    /// Whether a point of the box around it is in it.
-    fn contains(&self, point: [f64; 2]) -> bool {
+    /// Whether a point is in it.
+    pub(super) fn contains(&self, point: [f64; 2]) -> bool {
         match self {
             Self::Disc { radius } => point[0].hypot(point[1]) <= f64::from(*radius),
-            Self::Rectangle { .. } => true,
+            Self::Rectangle { size } => (0..2).all(|k| 2.0 * point[k].abs() < f64::from(size[k])),
             Self::Polygon { corners } => {
                 // A ray to the right crosses the outline an odd number of times.
                 let crossings = edges(corners.iter().chain(corners.first()))

@@ -74,6 +74,8 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
 /// What was asked for.
 struct Job {
     source: Source,
+    /// How errors name the scene, if there is only one.
+    name: Option<String>,
     request: Request,
     /// How many scenes.
     scenes: u32,
@@ -88,6 +90,11 @@ impl Job {
             "scenes: found {}, expected 1: a scene that is written down is always the same",
             args.scenes
         );
+        let name = match (&source, &args.scene) {
+            (_, Some(file)) => Some(file.display().to_string()),
+            (Source::Written(_), None) => Some(args.preset.clone()),
+            (Source::Random(_), None) => None,
+        };
         let SimulateArgs { stiffness, law, viscosity, substeps, duration, .. } = *args;
         let scene = match &args.scene {
             Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
@@ -99,7 +106,7 @@ impl Job {
             seed: args.seed,
             settings: Settings { stiffness, law, viscosity, substeps, duration },
         };
-        Ok(Self { source, request, scenes: args.scenes })
+        Ok(Self { source, name, request, scenes: args.scenes })
     }
 
     /// The scene with this id, as it will be simulated.
@@ -109,10 +116,7 @@ impl Job {
 
     /// How errors name a scene.
     fn name(&self, id: u64) -> String {
-        match self.source {
-            Source::Random(_) => format!("scene {id}"),
-            Source::Written(_) => self.request.scene.clone(),
-        }
+        self.name.clone().unwrap_or_else(|| format!("scene {id}"))
     }
 
     /// A planned scene at its start.

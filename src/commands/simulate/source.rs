@@ -9,7 +9,7 @@ use clap::{
 
 use crate::cli::SimulateArgs;
 use eddy::{
-    config::Overrides,
+    config,
     mpm::{Preset, Scene},
 };
 
@@ -47,14 +47,14 @@ impl Source {
     /// What was asked for.
     pub(super) fn of(args: &SimulateArgs) -> anyhow::Result<Self> {
         if let Some(file) = &args.scene {
-            return Ok(Self::Written(Box::new(Overrides::read(file)?.alone()?)));
+            return Ok(Self::Written(Box::new(config::load(file)?)));
         }
         if let Ok(preset) = Preset::from_str(&args.preset, false) {
             return Ok(Self::Random(preset));
         }
         let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
         let text = shipped.map_or("", |(_, text)| text);
-        Ok(Self::Written(Box::new(Overrides::parse(Path::new(&args.preset), text)?.alone()?)))
+        Ok(Self::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
     }
 
     /// The scene with this id.

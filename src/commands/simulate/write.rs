@@ -54,7 +54,8 @@ fn report(
 ) -> anyhow::Result<()> {
     let frames: u64 = finished(outcomes).map(|scene| scene.frames).sum();
     let made = finished(outcomes).count();
-    println!("{made} scenes, {frames} frames: {}", archive.output().display());
+    let plural = if made == 1 { "" } else { "s" };
+    println!("{made} scene{plural}, {frames} frames: {}", archive.output().display());
     let failures: Vec<&anyhow::Error> =
         outcomes.iter().filter_map(|outcome| outcome.as_ref().err()).collect();
     if failures.is_empty() {
@@ -64,14 +65,14 @@ fn report(
     for failure in &failures {
         message += &format!("{failure:#}\n");
     }
-    if failures.iter().any(|failure| disk_is_full(failure)) {
-        message += "no room left: make some, or choose another --output\n";
-    }
     let whole = present + made;
-    bail!(
-        "{message}{whole} of {} scenes are finished and kept; the same command makes the others",
-        job.scenes
-    );
+    message += &format!("{whole} of {} scenes are finished and kept", job.scenes);
+    if failures.iter().any(|failure| disk_is_full(failure)) {
+        message += "; no room is left: make some, and the same command makes the others";
+    } else if !failures.iter().all(|failure| failure.is::<MpmError>()) {
+        message += "; the same command makes the others";
+    }
+    bail!(message);
 }
 
 /// What the threads share.
