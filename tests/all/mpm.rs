@@ -239,3 +239,21 @@ fn an_interrupt_keeps_what_is_finished_and_the_same_command_goes_on() {
     let said = succeed(arguments);
     assert!(said.contains(&format!("{finished} of 30 scenes are in")), "{said}");
 }
+
+#[test]
+fn a_killed_simulation_is_taken_up_by_the_same_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let arguments = simulate(output, &["--scenes", "8", "--duration", "0.32", "--threads", "2"]);
+    let process = Process::start(eddy().args(&arguments));
+    wait_for("a scene is finished", || output.join("manifest.json").exists().then_some(()));
+    process.kill();
+    assert!(output.join(".incomplete").exists());
+    succeed(&arguments);
+    let manifest = manifest(output);
+    assert_eq!(manifest["scenes"].as_array().unwrap().len(), 8);
+    for id in 0..8 {
+        assert_eq!(frames(&output.join(format!("scene_000{id}"))).len(), 20);
+    }
+    assert_eq!(fs::read_dir(output).unwrap().count(), 9, "eight bags and the manifest");
+}

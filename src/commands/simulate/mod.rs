@@ -109,9 +109,9 @@ impl Job {
         Ok(Self { source, name, request, scenes: args.scenes })
     }
 
-    /// The scene with this id, as it will be simulated.
-    fn scene(&self, id: u64) -> mpm::Scene {
-        self.request.settings.over(self.source.scene(self.request.seed, id))
+    /// Scene number `index`, as it will be simulated.
+    fn scene(&self, index: u64) -> mpm::Scene {
+        self.request.settings.over(self.source.scene(self.request.seed, index))
     }
 
     /// How errors name a scene.

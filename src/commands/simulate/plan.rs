@@ -10,7 +10,7 @@ use super::{
     manifest::{Manifest, Start},
     memory,
 };
-use eddy::mpm::{Settings, Simulation};
+use eddy::mpm::{Scene, Settings, Simulation};
 
 /// A scene that has to be made.
 pub(super) struct Planned {
@@ -32,9 +32,10 @@ impl Job {
         let at_once = at_once.min(self.scenes as usize);
         let planned: Vec<Option<Planned>> = (0..u64::from(self.scenes))
             .into_par_iter()
-            .map(|id| {
-                let planned =
-                    self.plan_one(id, at_once, available).with_context(|| self.name(id))?;
+            .map(|index| {
+                let scene = self.scene(index);
+                let id = scene.id;
+                let planned = plan(scene, at_once, available).with_context(|| self.name(id))?;
                 let Some((output, manifest)) = manifest else { return Ok(Some(planned)) };
                 let directory = output.join(directory(id));
                 if fs::symlink_metadata(&directory).is_err() {
@@ -52,12 +53,11 @@ impl Job {
             .collect::<anyhow::Result<_>>()?;
         Ok(planned.into_iter().flatten().collect())
     }
+}
 
-    fn plan_one(&self, id: u64, at_once: usize, available: u64) -> anyhow::Result<Planned> {
-        let scene = self.scene(id);
-        memory::check(&scene, at_once, available)?;
-        let simulation = Simulation::new(scene, &Settings::default())?;
-        let start = Start::of(&simulation);
-        Ok(Planned { start, most_frames: simulation.most_frames() })
-    }
+fn plan(scene: Scene, at_once: usize, available: u64) -> anyhow::Result<Planned> {
+    memory::check(&scene, at_once, available)?;
+    let simulation = Simulation::new(scene, &Settings::default())?;
+    let start = Start::of(&simulation);
+    Ok(Planned { start, most_frames: simulation.most_frames() })
 }

@@ -57,11 +57,11 @@ impl Source {
         Ok(Self::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
     }
 
-    /// The scene with this id.
-    pub(super) fn scene(&self, seed: u64, id: u64) -> Scene {
+    /// Scene number `index` of those asked for; one that is written down has its own id.
+    pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
         match self {
-            Self::Random(preset) => Scene::generate(*preset, seed, id),
-            Self::Written(scene) => Scene { id, ..Scene::clone(scene) },
+            Self::Random(preset) => Scene::generate(*preset, seed, index),
+            Self::Written(scene) => Scene::clone(scene),
         }
     }
 }
