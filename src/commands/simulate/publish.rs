@@ -18,6 +18,9 @@ use eddy::{
     transport::{Link, Publisher, TransportError, TransportOptions, Transports},
 };
 
+/// Frames of a scene that are too few to say whether the machine keeps the pace.
+const LATE_FRAMES: u32 = 30;
+
 /// Publishes the planned scenes; records them too where there is an archive.
 pub(super) fn run(
     job: &Job,
@@ -62,7 +65,9 @@ pub(super) fn run(
         if !quiet {
             let real = clock.now().as_secs_f64();
             let simulated = f64::from(frames) * f64::from(scene.start.scene.frames.interval);
-            println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s");
+            let slow = real > 1.1 * simulated / rate && frames > LATE_FRAMES;
+            let slow = if slow { ", slower than asked for" } else { "" };
+            println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}");
         }
         if !whole && archive.is_some() {
             bail!("interrupted: {name} is not finished and was not kept");

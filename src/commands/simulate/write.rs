@@ -24,6 +24,9 @@ pub(super) fn run(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
+    if planned.is_empty() {
+        return Ok(());
+    }
     let frames = planned.iter().map(|scene| scene.most_frames).sum();
     let bar = progress_bar(frames, "frames", quiet);
     let work = Work { job, archive, bar, interrupt, hopeless: AtomicBool::new(false) };
