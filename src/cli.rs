@@ -52,6 +52,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Looks into bags.
     Bag(BagArgs),
+    /// Measures what this machine carries.
+    Bench(BenchArgs),
 }
 
 /// `eddy demo`
@@ -122,7 +124,8 @@ pub struct SimulateArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
     pub reliability: Reliability,
-    /// Scenes simulated at once; as many as there are cores if not given.
+    /// Threads: one a scene; those left over share the work within the scenes. As many as there are
+    /// cores if not given.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
 }
@@ -317,4 +320,40 @@ pub enum BagCommand {
         /// The bag: a directory with metadata.yaml, or an MCAP file.
         bag: PathBuf,
     },
+}
+
+/// `eddy bench`
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    pub command: BenchCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Times substeps of the Material Point Method by particles and threads.
+    Solver(BenchSolverArgs),
+}
+
+/// `eddy bench solver`
+#[derive(Debug, Args)]
+pub struct BenchSolverArgs {
+    /// Particles: some of 1000, 2500, 10000, 100000, 1000000; all if not given.
+    #[arg(long, value_delimiter = ',')]
+    pub particles: Vec<usize>,
+    /// Numbers of threads.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    pub threads: Vec<usize>,
+    /// How liquids resist: as water, or by the law of Taichi's mpm128.
+    #[arg(long, value_enum, default_value_t = Law::Water)]
+    pub law: Law,
+    /// About how long each case is timed (s).
+    #[arg(long, default_value_t = 1.0)]
+    pub seconds: f64,
+    /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
+    #[arg(long, short)]
+    pub output: Option<PathBuf>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
 }

@@ -10,7 +10,7 @@
 //! | layer | modules |
 //! |---|---|
 //! | L7 | `cli`, `commands` |
-//! | L6 | `config` |
+//! | L6 | `bench`, `config` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval` |
 //! | L3 | `dataset` |
@@ -19,6 +19,7 @@
 //! | L0 | `frame` |
 
 pub mod bag;
+pub mod bench;
 pub mod checkpoint;
 pub mod clock;
 pub mod config;

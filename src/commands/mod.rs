@@ -1,6 +1,7 @@
 //! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
 
 pub mod bag;
+pub mod bench;
 pub mod demo;
 pub mod eval;
 pub mod node;

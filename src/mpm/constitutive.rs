@@ -1,8 +1,8 @@
 //! From the local motion of a particle to its stress: elastic trial, plastic correction, Kirchhoff
 //! stress of the fixed-corotated law.
 //!
-//! `F <- (I + dt C) F`, snow returns to its yield surface, liquid forgets its shape, and
-//! `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
+//! `F <- (I + dt C) F`, snow returns to its yield surface, liquid forgets its shape ([`water`] has its
+//! own law), and `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
 //! (Stomakhin et al. 2012, "Energetically Consistent Invertible Elasticity").
 
 use super::{
@@ -10,6 +10,7 @@ use super::{
     matrix::Matrix2,
     particle::Particle,
     polar::{self, Parts},
+    water,
 };
 use crate::frame::Material;
 
@@ -22,15 +23,19 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
     let lame = Lame { mu: moduli.lame.mu * factor, lambda: moduli.lame.lambda * factor };
     match particle.material {
         Material::Liquid => {
-            let area = trial.determinant();
-            particle.deformation = Matrix2::diagonal(area.sqrt());
-            match moduli.law {
-                Law::Taichi => Matrix2::diagonal(pressure(lame, area)),
-                Law::Water => {
-                    Matrix2::diagonal(-area * tait(lame, area))
-                        + deviator(particle.affine) * (2.0 * moduli.viscosity * area)
+            let (area, stress) = match moduli.law {
+                Law::Taichi => {
+                    let area = trial.determinant();
+                    (area, Matrix2::diagonal(pressure(lame, area)))
                 }
-            }
+                Law::Water => {
+                    let area =
+                        water::moved(particle.deformation.determinant(), particle.affine, dt);
+                    (area, water::stress(area, particle.affine, moduli))
+                }
+            };
+            particle.deformation = Matrix2::diagonal(area.sqrt());
+            stress
         }
         Material::Snow => {
             let (elastic, flow) = yielded(trial);
@@ -45,6 +50,16 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
     }
 }
 
+/// Tells a particle, once it has moved for `dt` seconds, the density (mass per domain length^2) that
+/// the grid has seen around it. Only water heeds it.
+#[inline]
+pub(super) fn recall(particle: &mut Particle, density: f32, moduli: &Moduli, dt: f32) {
+    if particle.material == Material::Liquid && moduli.law == Law::Water {
+        let area = water::recalled(particle.deformation.determinant(), density, dt);
+        particle.deformation = Matrix2::diagonal(area.sqrt());
+    }
+}
+
 /// Kirchhoff stress of the fixed-corotated law.
 pub(super) fn stress(deformation: Matrix2, lame: Lame) -> Matrix2 {
     let strain = deformation + polar::rotation(deformation) * -1.0;
@@ -55,22 +70,6 @@ pub(super) fn stress(deformation: Matrix2, lame: Lame) -> Matrix2 {
 /// The volumetric part of the stress, positive in tension.
 fn pressure(lame: Lame, area: f32) -> f32 {
     lame.lambda * area * (area - 1.0)
-}
-
-/// Pressure of weakly compressible water with the bulk modulus lambda, none in tension: Tait's
-/// equation with the exponent 7 (Becker and Teschner 2007, "Weakly compressible SPH for free surface
-/// flows", equation 7).
-fn tait(lame: Lame, area: f32) -> f32 {
-    let packed = 1.0 / area;
-    let squared = packed * packed;
-    (lame.lambda / 7.0 * (squared * squared * squared * packed - 1.0)).max(0.0)
-}
-
-/// The part of the rate of deformation that keeps the area: `sym(C) - tr(C)/2 I`.
-fn deviator(gradient: Matrix2) -> Matrix2 {
-    let shear = 0.5 * (gradient.xy + gradient.yx);
-    let stretch = 0.5 * (gradient.xx - gradient.yy);
-    Matrix2::new(stretch, shear, shear, -stretch)
 }
 
 /// The elastic part of a trial deformation of snow, whose singular values are clamped to

@@ -23,6 +23,13 @@ fn tait([[xx, xy], [yx, yy]]: [[f64; 2]; 2], bulk_modulus: f64) -> f64 {
     bulk_modulus / 7.0 * (area.powi(-6) / 6.0 + area - 7.0 / 6.0)
 }
 
+/// Slope of [`tait`] over the area, by central differences.
+pub(super) fn tait_slope(area: f64, bulk_modulus: f64) -> f64 {
+    const STEP: f64 = 1e-6;
+    let energy = |area: f64| tait([[area, 0.0], [0.0, 1.0]], bulk_modulus);
+    (energy(area + STEP) - energy(area - STEP)) / (2.0 * STEP)
+}
+
 fn double(f: Matrix2) -> [[f64; 2]; 2] {
     [[f.xx.into(), f.xy.into()], [f.yx.into(), f.yy.into()]]
 }

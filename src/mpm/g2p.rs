@@ -1,7 +1,9 @@
 //! Grid to particles: velocity and its gradient come back (APIC), positions move.
 
 use super::{
+    constitutive,
     grid::{Grid, lanes},
+    material::Moduli,
     matrix::Matrix2,
     particle::Particle,
     spline::Stencil,
@@ -11,7 +13,12 @@ use super::{
 ///
 /// # Errors
 /// The index of the first particle that leaves the grid or has a position that is no number.
-pub(super) fn gather(particles: &mut [Particle], grid: &Grid, dt: f32) -> Result<(), usize> {
+pub(super) fn gather(
+    particles: &mut [Particle],
+    grid: &Grid,
+    moduli: &Moduli,
+    dt: f32,
+) -> Result<(), usize> {
     let inverse_dx = grid.inverse_dx();
     for (index, particle) in particles.iter_mut().enumerate() {
         let stencil = Stencil::at(particle.position, inverse_dx);
@@ -22,6 +29,7 @@ pub(super) fn gather(particles: &mut [Particle], grid: &Grid, dt: f32) -> Result
         };
         let (moment_weight_x, moment_weight_y) =
             (moment_weight(weight_x, fx), moment_weight(weight_y, fy));
+        // Velocity, then mass.
         let mut velocity = [0.0; 4];
         // Velocity times the distance to the node along x and y (cells).
         let (mut moment_x, mut moment_y) = ([0.0; 4], [0.0; 4]);
@@ -40,6 +48,7 @@ pub(super) fn gather(particles: &mut [Particle], grid: &Grid, dt: f32) -> Result
         particle.velocity = [velocity[0], velocity[1]];
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
+        constitutive::recall(particle, velocity[2] * inverse_dx * inverse_dx, moduli, dt);
         if !grid.contains(particle.position) {
             return Err(index);
         }

@@ -11,8 +11,8 @@
 //! One substep ([`solver`]), in the order of the method:
 //!
 //! 1. [`grid`] is cleared.
-//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`], with [`polar`] and
-//!    [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
+//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`] and [`water`], with
+//!    [`polar`] and [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
 //! 3. [`grid`]: momentum becomes velocity; gravity and walls act.
 //! 4. [`g2p`]: velocity and its gradient return to the particles, which move.
 //!
@@ -26,6 +26,7 @@ mod constitutive;
 #[cfg(test)]
 mod energy;
 mod error;
+mod fast;
 mod flow;
 mod g2p;
 mod generate;
@@ -43,10 +44,12 @@ mod simulation;
 mod solver;
 mod spline;
 mod stability;
+mod water;
 
 pub use attractor::Attractor;
 pub use body::Body;
 pub use error::{Limit, MpmError};
+pub use fast::multiply_and_add;
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
 pub use material::{Law, Materials};

@@ -20,11 +20,11 @@ const FEWEST_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
 /// Largest stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 const STIFFEST: f64 = 1e9;
-/// Memory of a particle (bytes): its state twice while a scene is set up, sorted for the check of
-/// overlaps, then as a frame, its message and a part of the bag's chunk.
-const PARTICLE_BYTES: f64 = 256.0;
-/// Memory of a node of the grid (bytes).
-const NODE_BYTES: f64 = 16.0;
+/// Memory of a particle (bytes): its state in the scene, in the solver and in two sets of packs, then
+/// as a frame, its message and a part of the bag's chunk.
+const PARTICLE_BYTES: f64 = 384.0;
+/// Memory of a node (bytes): of the grid of the plain path, the fields of the fast one and its chunks.
+const NODE_BYTES: f64 = 64.0;
 /// Longest simulated time (s).
 const LONGEST: f64 = 1e6;
 

@@ -51,7 +51,6 @@ impl Settings {
 pub struct Simulation {
     scene: Scene,
     solver: Solver,
-    solver_settings: SolverSettings,
     /// What comes in and goes out, if anything does.
     flow: Option<Flow>,
     /// Substeps a frame.
@@ -72,6 +71,15 @@ impl Simulation {
     /// # Errors
     /// What [`Scene::particles`] refuses; [`MpmError::Unstable`] for too few substeps.
     pub fn new(scene: Scene, settings: &Settings) -> Result<Self, MpmError> {
+        Self::on_threads(scene, settings, 1)
+    }
+
+    /// As [`Simulation::new`], with so many threads (at least 1) that share the work. Their number
+    /// changes no bit.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn on_threads(scene: Scene, settings: &Settings, threads: usize) -> Result<Self, MpmError> {
         let scene = settings.over(scene);
         let mut particles = scene.particles()?;
         let flows = !(scene.emitters.is_empty() && scene.drains.is_empty());
@@ -84,24 +92,16 @@ impl Simulation {
             materials: scene.materials,
             dt: (decimal(scene.frames.interval) / f64::from(substeps)) as f32,
             gravity: scene.solver.gravity,
+            threads,
         };
-        let solver = new_solver(particles, solver_settings, 0.0)?;
+        let solver = Solver::new(particles.clone(), solver_settings)
+            .map_err(|particle| diverged(&particles, particle, 0.0))?;
         let intervals =
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
         let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
         let (sequence, ended) = (0, false);
-        Ok(Self {
-            scene,
-            solver,
-            solver_settings,
-            flow,
-            substeps,
-            fewest_frames,
-            most_frames,
-            sequence,
-            ended,
-        })
+        Ok(Self { scene, solver, flow, substeps, fewest_frames, most_frames, sequence, ended })
     }
 
     /// The next frame, one interval after the last; `None` when the scene is over. The first one is
@@ -158,7 +158,9 @@ impl Simulation {
         let Some(flow) = &mut self.flow else { return Ok(()) };
         if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
             let time = self.sequence as f64 * self.interval();
-            self.solver = new_solver(particles, self.solver_settings, time)?;
+            self.solver
+                .set_particles(particles.clone())
+                .map_err(|particle| diverged(&particles, particle, time))?;
         }
         Ok(())
     }
@@ -226,15 +228,6 @@ fn substeps(scene: &Scene) -> Result<u32, MpmError> {
         }
         requested => Ok(requested.unwrap_or(minimum)),
     }
-}
-
-fn new_solver(
-    particles: Vec<Particle>,
-    settings: SolverSettings,
-    time: f64,
-) -> Result<Solver, MpmError> {
-    Solver::new(particles.clone(), settings)
-        .map_err(|particle| diverged(&particles, particle, time))
 }
 
 fn diverged(particles: &[Particle], particle: usize, time: f64) -> MpmError {
@@ -417,6 +410,7 @@ mod tests {
             materials: Materials { stiffness: 1.0, ..Materials::default() },
             dt: 1e-7,
             gravity: 0.0,
+            threads: 1,
         };
         simulation.solver = Solver::new(still, settings).unwrap();
         simulation.scene.attractor = None;

@@ -2,9 +2,10 @@
 
 use super::{
     attractor::Attractor,
+    fast::{Fast, Forces, Level, Step},
     g2p,
     grid::{Grid, GridShape},
-    material::{Materials, Moduli},
+    material::{DENSITY, Materials, Moduli},
     p2g,
     particle::Particle,
 };
@@ -22,13 +23,18 @@ pub struct SolverSettings {
     pub dt: f32,
     /// Acceleration in -y (domain lengths per s^2).
     pub gravity: f32,
+    /// Threads that share the work of a substep, at least 1.
+    pub threads: usize,
 }
 
 /// Particles and the grid that they interact through.
 #[derive(Clone, Debug)]
 pub struct Solver {
     particles: Vec<Particle>,
+    shape: GridShape,
+    /// The plain path's grid.
     grid: Grid,
+    fast: Fast,
     moduli: Moduli,
     /// Area of an undeformed particle (domain lengths^2).
     volume: f32,
@@ -45,26 +51,61 @@ impl Solver {
     /// The index of the first particle that is not inside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
         let grid = Grid::new(settings.grid);
-        if let Some(outside) = particles.iter().position(|p| !grid.contains(p.position)) {
-            return Err(outside);
-        }
-        Ok(Self {
-            particles,
+        let mut solver = Self {
+            particles: Vec::new(),
+            shape: settings.grid,
             grid,
+            fast: Fast::new(settings.grid, settings.threads, Level::widest()),
             moduli: Moduli::of(&settings.materials),
             volume: settings.spacing * settings.spacing,
             dt: settings.dt,
             gravity: settings.gravity,
             attractor: None,
-        })
+        };
+        solver.set_particles(particles)?;
+        Ok(solver)
     }
 
-    /// Moves everything so many substeps on.
+    /// Puts other particles in the place of those that are there: a state that was kept, or one with
+    /// particles added or taken away.
     ///
     /// # Errors
-    /// The index of a particle that left the grid or has a position that is no number; the state is
-    /// of no use then.
+    /// As [`Solver::new`]; the solver keeps what it had.
+    pub fn set_particles(&mut self, particles: Vec<Particle>) -> Result<(), usize> {
+        match particles.iter().position(|p| !self.grid.contains(p.position)) {
+            Some(outside) => Err(outside),
+            None => {
+                self.particles = particles;
+                Ok(())
+            }
+        }
+    }
+
+    /// Moves everything so many substeps on. The bits depend on the particles and on the number of
+    /// substeps, not on threads or the processor.
+    ///
+    /// # Errors
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
+    /// position that is no number; the state is of no use then.
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
+        let (dx, inverse_dx) = (self.shape.dx, 1.0 / self.shape.dx);
+        let step = Step {
+            dt: self.dt,
+            dx,
+            inverse_dx,
+            impulse: -self.dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
+            crowd: self.shape.dx * self.shape.dx / self.volume,
+            moduli: self.moduli,
+        };
+        let forces = Forces::new(self.shape, self.dt, self.gravity, self.attractor);
+        self.fast.run(&mut self.particles, substeps, &step, &forces)
+    }
+
+    /// As [`Solver::run`], one particle and one node after the other: the reference.
+    ///
+    /// # Errors
+    /// As [`Solver::run`], but for particles that move further than a cell.
+    pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
         (0..substeps).try_for_each(|_| self.substep())
     }
 
@@ -73,7 +114,14 @@ impl Solver {
         self.grid.clear();
         p2g::scatter(&mut self.particles, &mut self.grid, &self.moduli, self.volume, self.dt);
         self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
-        g2p::gather(&mut self.particles, &self.grid, self.dt)
+        g2p::gather(&mut self.particles, &self.grid, &self.moduli, self.dt)
+    }
+
+    /// Takes other vector instructions than the widest of this processor.
+    #[cfg(test)]
+    pub(super) fn with_level(mut self, level: Level, threads: usize) -> Self {
+        self.fast = Fast::new(self.shape, threads, level);
+        self
     }
 
     /// The particles, in the order they were given.
@@ -127,8 +175,14 @@ mod tests {
 
     fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
         let grid = GridShape::unit(CELLS);
-        let settings =
-            SolverSettings { grid, spacing: 0.5 * grid.dx, materials: MATERIALS, dt, gravity };
+        let settings = SolverSettings {
+            grid,
+            spacing: 0.5 * grid.dx,
+            materials: MATERIALS,
+            dt,
+            gravity,
+            threads: 1,
+        };
         Solver::new(particles, settings).unwrap()
     }
 
@@ -151,7 +205,7 @@ mod tests {
     #[test]
     fn the_grid_carries_the_mass_of_the_particles() {
         let mut solver = solver(square(Material::Jelly), 1e-4, 0.0);
-        solver.run(1).unwrap();
+        solver.run_plain(1).unwrap();
         let found: f64 = solver.grid.nodes().iter().map(|node| f64::from(node[2])).sum();
         let expected = 400.0 * f64::from(DENSITY * solver.volume);
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");

@@ -49,6 +49,11 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         Some((output, manifest)) => Some(Archive::open(output, &job.request, manifest)?),
         None => None,
     };
+    // What scenes leave over is shared within each.
+    let job = Job {
+        threads: (pool.current_num_threads() / at_once.min(planned.len().max(1))).max(1),
+        ..job
+    };
     let outcome = match &args.publish {
         Some(link) => {
             ensure!(
@@ -79,6 +84,8 @@ struct Job {
     request: Request,
     /// How many scenes.
     scenes: u32,
+    /// Threads that share the work of one scene.
+    threads: usize,
 }
 
 impl Job {
@@ -106,7 +113,7 @@ impl Job {
             seed: args.seed,
             settings: Settings { stiffness, law, viscosity, substeps, duration },
         };
-        Ok(Self { source, name, request, scenes: args.scenes })
+        Ok(Self { source, name, request, scenes: args.scenes, threads: 1 })
     }
 
     /// Scene number `index`, as it will be simulated.
@@ -121,7 +128,8 @@ impl Job {
 
     /// A planned scene at its start.
     fn start(&self, planned: &Planned) -> Result<Simulation, mpm::MpmError> {
-        Simulation::new(planned.start.scene.clone(), &Settings::default())
+        let scene = planned.start.scene.clone();
+        Simulation::on_threads(scene, &Settings::default(), self.threads)
     }
 }
 
