@@ -8,6 +8,7 @@ mod launch_configs;
 mod layers;
 mod mpm;
 mod pipeline;
+mod scenes;
 mod support;
 mod train;
 mod transport;

@@ -2,8 +2,8 @@ use proptest::prelude::*;
 
 use super::{
     super::{
-        FRAME_INTERVAL, GRAVITY, GridShape, Law, Materials, Particle, Preset, Scene, Solver,
-        SolverSettings, minimum_substeps,
+        FRAME_INTERVAL, GRAVITY, Law, Materials, Particle, Preset, Scene, Solver, SolverSettings,
+        minimum_substeps,
     },
     Level,
 };
@@ -12,18 +12,18 @@ use crate::frame::Material;
 /// A solver at the start of a scene, and the particles that it starts from.
 fn solver(scene: &Scene, law: Law) -> Solver {
     let materials = Materials { law, viscosity: 1e-3, ..Materials::default() };
-    let speed = scene.fastest(GRAVITY, FRAME_INTERVAL);
-    let dx = scene.preset.dx();
-    let (substeps, _) = minimum_substeps(&scene.materials(), &materials, dx, speed, 0.016);
+    let grid = scene.grid().unwrap();
+    let (substeps, _) =
+        minimum_substeps(&scene.materials(), &materials, grid.dx, scene.fastest(), 0.016);
     let settings = SolverSettings {
-        grid: GridShape::unit(scene.preset.cells()),
-        spacing: scene.preset.spacing(),
+        grid,
+        spacing: scene.spacing(),
         materials,
         dt: FRAME_INTERVAL / substeps as f32,
         gravity: GRAVITY,
         threads: 1,
     };
-    Solver::new(scene.particles.clone(), settings).unwrap()
+    Solver::new(scene.particles().unwrap(), settings).unwrap()
 }
 
 /// The largest difference of a coordinate, and of a velocity.
@@ -93,9 +93,12 @@ fn a_solver_made_from_the_particles_goes_on_with_the_same_bits() {
 
 #[test]
 fn a_particle_that_moves_further_than_a_cell_is_an_error_that_names_it() {
-    let scene = Scene::generate(Preset::MultiMaterial, 1, 5);
+    let mut scene = Scene::generate(Preset::MultiMaterial, 1, 5);
+    for body in &mut scene.bodies {
+        body.material = Material::Snow;
+    }
     let mut fast = solver(&scene, Law::Water);
-    let mut particles = scene.particles;
+    let mut particles = scene.particles().unwrap();
     for particle in &mut particles[40..60] {
         particle.velocity = [1e4, 0.0];
     }
