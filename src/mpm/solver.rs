@@ -149,7 +149,7 @@ impl Solver {
 mod tests {
     use super::{
         super::{
-            GRAVITY, energy,
+            Energy, GRAVITY,
             material::{DENSITY, Law},
             matrix::Matrix2,
             minimum_substeps,
@@ -173,17 +173,19 @@ mod tests {
             .collect()
     }
 
-    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
-        let grid = GridShape::unit(CELLS);
-        let settings = SolverSettings {
+    fn settings(grid: GridShape, dt: f32, gravity: f32) -> SolverSettings {
+        SolverSettings {
             grid,
             spacing: 0.5 * grid.dx,
             materials: MATERIALS,
             dt,
             gravity,
             threads: 1,
-        };
-        Solver::new(particles, settings).unwrap()
+        }
+    }
+
+    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
+        Solver::new(particles, settings(GridShape::unit(CELLS), dt, gravity)).unwrap()
     }
 
     /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
@@ -261,8 +263,9 @@ mod tests {
                 minimum_substeps(&[material], &MATERIALS, 1.0 / CELLS as f32, 4.0, interval);
             let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
             let energy = |solver: &Solver| {
-                let (moduli, volume) = (&solver.moduli, solver.volume);
-                energy::total(solver.particles(), moduli, volume, solver.grid.dx(), GRAVITY)
+                let grid = GridShape::unit(CELLS);
+                let settings = settings(grid, solver.dt(), GRAVITY);
+                Energy::of(solver.particles(), &settings).total()
             };
             let start = energy(&solver);
             for _ in 0..30 {

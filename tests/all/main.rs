@@ -7,6 +7,7 @@ mod graph;
 mod launch_configs;
 mod layers;
 mod mpm;
+mod physics;
 mod pipeline;
 mod scenes;
 mod support;
