@@ -1,5 +1,7 @@
 //! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
 
+mod bag;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -9,6 +11,8 @@ use eddy::{
     mpm::Preset,
     transport::{Link, Reliability, TransportKind},
 };
+
+pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -268,25 +272,4 @@ pub struct EvalArgs {
     /// What computes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
-}
-
-/// `eddy bag`
-#[derive(Debug, Args)]
-pub struct BagArgs {
-    #[command(subcommand)]
-    pub command: BagCommand,
-}
-
-#[derive(Debug, Subcommand)]
-pub enum BagCommand {
-    /// Prints what is in a bag.
-    Info {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
-    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
-    Check {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
 }
