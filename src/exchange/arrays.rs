@@ -148,9 +148,8 @@ impl Archive {
         let place = Place { path: &self.path, name };
         let header = place.header(&mut entry)?;
         let shape = place.shape(header.shape())?;
-        let plain = Plain::of(&header.dtype()).ok_or_else(|| {
-            place.fault(format!("{}", header.dtype().descr()), "an array of plain numbers")
-        })?;
+        let plain = Plain::of(&header.dtype())
+            .ok_or_else(|| place.fault(header.dtype().descr(), "an array of plain numbers"))?;
         let values = place.numbers(&mut entry, &plain, &shape)?;
         place.end(&mut entry)?;
         Ok(Some(Array { shape, values }))

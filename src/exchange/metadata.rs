@@ -146,8 +146,15 @@ pub(super) struct Statistics {
     velocity: Moments,
     acceleration: Moments,
     radius: f64,
-    /// Positions and velocities (a frame) of the last frame of the trajectory.
-    last: Option<(Vec<[f32; 2]>, Option<Vec<[f32; 2]>>)>,
+    last: Option<Last>,
+}
+
+/// The last frame of a trajectory.
+#[derive(Debug)]
+struct Last {
+    position: Vec<[f32; 2]>,
+    /// Differences from the frame before, if there was one.
+    velocity: Option<Vec<[f32; 2]>>,
 }
 
 impl Statistics {
@@ -161,17 +168,16 @@ impl Statistics {
         if self.radius == 0.0 {
             self.radius = connectivity_radius(&frame.position);
         }
-        let now = frame.position.clone();
-        let Some((before, velocity_before)) = self.last.take() else {
-            self.last = Some((now, None));
-            return;
-        };
-        let velocity = differences(&before, &now);
-        self.velocity.add(&velocity);
-        if let Some(before) = velocity_before {
-            self.acceleration.add(&differences(&before, &velocity));
-        }
-        self.last = Some((now, Some(velocity)));
+        let position = frame.position.clone();
+        let velocity = self.last.take().map(|last| {
+            let velocity = differences(&last.position, &position);
+            self.velocity.add(&velocity);
+            if let Some(before) = last.velocity {
+                self.acceleration.add(&differences(&before, &velocity));
+            }
+            velocity
+        });
+        self.last = Some(Last { position, velocity });
     }
 }
 

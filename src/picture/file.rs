@@ -143,7 +143,7 @@ impl Animation {
         let Self { path, writer } = self;
         match writer {
             Writer::Gif { encoder, .. } => {
-                let mut file = encoder.into_inner().map_err(|error| of_gif(&path, error.into()))?;
+                let mut file = encoder.into_inner().map_err(|error| of_gif(&path, error))?;
                 let action = "writing";
                 file.flush().map_err(|reason| PictureError::Io { path, action, reason })
             }

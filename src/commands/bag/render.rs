@@ -139,7 +139,8 @@ fn evenly(frames: usize, count: usize) -> Vec<usize> {
 /// How many pictures an animation has, and how long each is shown (hundredths of a second).
 fn pace(track: &Track, rate: f64) -> (usize, u16) {
     let seconds = (track.last.seconds() - track.first.seconds()) / rate;
-    let pictures = ((seconds * PICTURES).ceil() as usize + 1).min(track.frames);
+    let last = (seconds * PICTURES).ceil().clamp(0.0, (track.frames - 1) as f64);
+    let pictures = last as usize + 1;
     let delay = 100.0 * seconds / pictures.saturating_sub(1).max(1) as f64;
     (pictures, delay.round().max(SHORTEST_DELAY) as u16)
 }
