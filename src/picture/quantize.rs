@@ -8,10 +8,10 @@ use super::{
 use crate::frame::Material;
 
 /// Shares of a colour over white at the edge of a disc.
-const SHARES: usize = 6;
+const SHARES: usize = 4;
 
 /// Shades of speed.
-const SHADES: usize = 32;
+const SHADES: usize = 56;
 
 /// Bits a channel by which nearest colours are remembered.
 const BITS: usize = 5;
