@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod bag;
+mod exchange;
 mod graph;
 mod launch_configs;
 mod layers;
