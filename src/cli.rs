@@ -1,14 +1,21 @@
 //! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
 
-use std::path::PathBuf;
+mod bag;
+mod bench;
+
+use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::commands::simulate;
 use eddy::{
     model::{Architecture, Core, DeviceKind},
-    mpm::{Law, Preset},
+    mpm::Law,
     transport::{Link, Reliability, TransportKind},
 };
+
+pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchSolverArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -51,6 +58,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Looks into bags.
     Bag(BagArgs),
+    /// Measures what this machine carries.
+    Bench(BenchArgs),
 }
 
 /// `eddy demo`
@@ -76,33 +85,55 @@ pub struct DemoArgs {
 /// `eddy simulate`
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
-    /// Which kind of scenes.
-    #[arg(long, value_enum, default_value_t = Preset::MultiMaterial)]
-    pub preset: Preset,
-    /// How many scenes, with the ids 0, 1, 2, ...
+    /// Which random scenes, or which of the scenes that come with eddy.
+    #[arg(long, value_parser = simulate::source::presets(), default_value = "multi-material")]
+    pub preset: String,
+    /// A scene of your own: a TOML file (launch_configs/scenes/ has examples).
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "scenes", "seed"])]
+    pub scene: Option<PathBuf>,
+    /// How many random scenes, with the ids 0, 1, 2, ...
     #[arg(long, default_value_t = 1)]
     pub scenes: u32,
-    /// Seed: the same seed gives the same bytes.
+    /// Seed of random scenes: the same seed gives the same bytes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Length of a scene (simulated seconds); the preset's own if not given.
+    /// Length of a scene (simulated seconds); its own if not given.
     #[arg(long)]
     pub duration: Option<f64>,
     /// Substeps a frame; from the CFL rule if not given. An unstable number is refused.
     #[arg(long)]
     pub substeps: Option<u32>,
-    /// Stiffness: Young's modulus E of every material (density x velocity^2).
-    #[arg(long, default_value_t = 1e3)]
-    pub stiffness: f32,
-    /// How liquids resist: as water, or by the law of Taichi's mpm128.
-    #[arg(long, value_enum, default_value_t = Law::Water)]
-    pub law: Law,
-    /// Kinematic viscosity of water (domain lengths^2 per s).
-    #[arg(long, default_value_t = 0.0)]
-    pub viscosity: f32,
+    /// Stiffness: Young's modulus E of every material (density x velocity^2); the scene's own if
+    /// not given (1000, preset stiff: 1e5).
+    #[arg(long)]
+    pub stiffness: Option<f32>,
+    /// How liquids resist: as water, or by the law of Taichi's mpm128; the scene's own (water) if not
+    /// given.
+    #[arg(long, value_enum)]
+    pub law: Option<Law>,
+    /// Kinematic viscosity of water (domain lengths^2 per s); the scene's own (0) if not given.
+    #[arg(long)]
+    pub viscosity: Option<f32>,
     /// Where the bags go: one directory a scene.
-    #[arg(long, short)]
-    pub output: PathBuf,
+    #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
+    pub output: Option<PathBuf>,
+    /// Publish the frames at the pace of real time, for example on zenoh:/particles; the clock goes
+    /// to /clock of the same transport.
+    #[arg(long, value_name = "LINK")]
+    pub publish: Option<Link>,
+    /// How much faster than real time they are published.
+    #[arg(long, default_value_t = 1.0, requires = "publish")]
+    pub rate: f64,
+    /// Wait for so many subscribers before the first frame (at most 30 s).
+    #[arg(long, default_value_t = 0, requires = "publish")]
+    pub wait_for: usize,
+    /// What happens when a subscriber cannot keep up.
+    #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
+    pub reliability: Reliability,
+    /// Threads: one a scene; those left over share the work within the scenes. As many as there are
+    /// cores if not given.
+    #[arg(long)]
+    pub threads: Option<NonZeroUsize>,
 }
 
 /// `eddy record`
@@ -274,25 +305,4 @@ pub struct EvalArgs {
     /// What computes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
-}
-
-/// `eddy bag`
-#[derive(Debug, Args)]
-pub struct BagArgs {
-    #[command(subcommand)]
-    pub command: BagCommand,
-}
-
-#[derive(Debug, Subcommand)]
-pub enum BagCommand {
-    /// Prints what is in a bag.
-    Info {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
-    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
-    Check {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
 }

@@ -44,9 +44,31 @@ pub enum ConfigError {
 /// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
 /// wrong type.
 pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
-    let settings = Overrides::read(file)?;
-    let table = Value::Table(settings.table.clone());
-    T::deserialize(table).map_err(|error| settings.key_error(&error, ""))
+    parse(file, &read(file)?)
+}
+
+/// The settings in the text of a file.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigError> {
+    // In two steps, so that what is no TOML is told from what is TOML of the wrong kind.
+    table(file, text)?;
+    toml::from_str(text).map_err(|error| ConfigError::Key {
+        file: file.to_owned(),
+        reason: error.to_string().trim_end().to_owned(),
+    })
+}
+
+fn read(file: &Path) -> Result<String, ConfigError> {
+    fs::read_to_string(file).map_err(|reason| ConfigError::Read { file: file.to_owned(), reason })
+}
+
+fn table(file: &Path, text: &str) -> Result<Table, ConfigError> {
+    text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+        file: file.to_owned(),
+        reason: error.to_string().trim_end().to_owned(),
+    })
 }
 
 /// A settings file, not yet typed.
@@ -62,17 +84,7 @@ impl Overrides {
     /// # Errors
     /// [`ConfigError::Read`], [`ConfigError::Syntax`].
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        let file = file.to_owned();
-        let text = match fs::read_to_string(&file) {
-            Ok(text) => text,
-            Err(reason) => return Err(ConfigError::Read { file, reason }),
-        };
-        match text.parse() {
-            Ok(table) => Ok(Self { file, table }),
-            Err(error) => {
-                Err(ConfigError::Syntax { file, reason: error.to_string().trim_end().to_owned() })
-            }
-        }
+        Ok(Self { file: file.to_owned(), table: table(file, &read(file)?)? })
     }
 
     /// The value of one key at the top, where it decides which defaults hold.

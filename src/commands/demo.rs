@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::Context;
 
-use super::{Interrupt, eval::judge_one, live::Live, node::summary, progress_bar, surrogate};
+use super::{Interrupt, eval::judge_one, live::Live, node::summary, pace, progress_bar, surrogate};
 use crate::cli::DemoArgs;
 use eddy::{
     bag::{BagSummary, BagWriter, TopicId, WriterOptions},
@@ -27,7 +27,7 @@ use eddy::{
 /// The node's name in diagnostics.
 const NAME: &str = "eddy_demo";
 /// Liquid and jelly: lively, and cheap enough to simulate in real time.
-const SCENE: u64 = 6;
+const SCENE: u64 = 4;
 /// How long the watcher waits for a frame before it looks at everything else.
 const PATIENCE: Duration = Duration::from_millis(20);
 
@@ -37,7 +37,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let ballistic = Ballistic::of(surrogate.description());
     let scene = Scene::generate(Preset::MultiMaterial, args.seed, SCENE);
     let settings = mpm::Settings { duration: Some(args.seconds), ..mpm::Settings::default() };
-    let simulation = Simulation::new(scene, &settings)?;
+    let mut simulation = Simulation::new(scene, &settings)?;
     let mut node = SurrogateNode::new(surrogate, NodeSettings::default())?;
 
     let folder = unused(&args.output);
@@ -54,9 +54,12 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 
     thread::scope(|scope| -> anyhow::Result<()> {
         let truth = scope.spawn(|| {
-            let outcome = simulate(simulation, wires.truth.as_mut(), interrupt, &stop);
+            let ends = || interrupt.requested() || stop.load(Ordering::Relaxed);
+            let outcome = pace::run(&mut simulation, 1.0, ends, |frame, _| {
+                Ok(wires.truth.publish_frame(frame)?)
+            });
             truth_ended.store(true, Ordering::Relaxed);
-            outcome
+            outcome.map(|_| ())
         });
         let queue = FrameQueue::new(16, Reliability::Block);
         let outputs = std::slice::from_mut(&mut wires.outputs);
@@ -148,23 +151,6 @@ impl Wires {
             },
         })
     }
-}
-
-/// Publishes the scene frame by frame, in real time where the machine is fast enough.
-fn simulate(
-    mut simulation: Simulation,
-    publisher: &mut dyn Publisher,
-    interrupt: &Interrupt,
-    stop: &AtomicBool,
-) -> anyhow::Result<()> {
-    let clock = Clock::start();
-    while !interrupt.requested() && !stop.load(Ordering::Relaxed) {
-        let Some(frame) = simulation.next_frame()? else { break };
-        let due = Duration::from_secs_f64(frame.stamp.seconds());
-        thread::sleep(due.saturating_sub(clock.now()));
-        publisher.publish_frame(&frame)?;
-    }
-    Ok(())
 }
 
 /// How the live line is shown.

@@ -1,6 +1,7 @@
 //! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
 
 pub mod bag;
+pub mod bench;
 pub mod demo;
 pub mod eval;
 pub mod node;
@@ -12,13 +13,18 @@ pub mod train;
 
 mod interrupt;
 mod live;
-mod manifest;
+mod pace;
 mod surrogate;
 
 pub use interrupt::Interrupt;
 
-use anyhow::ensure;
-use eddy::transport::{Link, TransportKind};
+use std::{thread, time::Duration};
+
+use anyhow::{bail, ensure};
+use eddy::{
+    clock::Clock,
+    transport::{Link, Publisher, TransportKind},
+};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Refuses a link on which no other process can be met.
@@ -28,6 +34,32 @@ pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
         "{link}: found memory, expected shm or zenoh: memory links stay within one process"
     );
     Ok(())
+}
+
+/// How long subscribers are waited for.
+const WAIT_LIMIT: Duration = Duration::from_secs(30);
+/// Time between two looks at how many there are.
+const WAIT_NAP: Duration = Duration::from_millis(20);
+
+/// Waits until a topic has `wanted` subscribers. `false` when a signal came first.
+pub(crate) fn wait_for_subscribers(
+    link: &Link,
+    publisher: &dyn Publisher,
+    wanted: usize,
+    interrupt: &Interrupt,
+) -> anyhow::Result<bool> {
+    let clock = Clock::start();
+    while publisher.subscribers() < wanted {
+        if interrupt.requested() {
+            return Ok(false);
+        }
+        if clock.now() > WAIT_LIMIT {
+            let found = publisher.subscribers();
+            bail!("{link}: found {found} subscribers after 30 s, expected {wanted}");
+        }
+        thread::sleep(WAIT_NAP);
+    }
+    Ok(true)
 }
 
 /// A progress bar with the time left; hidden without a terminal or when `quiet`.

@@ -5,7 +5,7 @@ use std::{collections::HashMap, sync::Arc, thread, time::Duration};
 use anyhow::{Context, bail};
 use indicatif::HumanCount;
 
-use super::{Interrupt, leaves_the_process};
+use super::{Interrupt, leaves_the_process, wait_for_subscribers};
 use crate::cli::ReplayArgs;
 use eddy::{
     bag::{BagMessage, BagReader},
@@ -17,8 +17,6 @@ use eddy::{
 
 /// Longest sleep, so that a signal ends the replay soon.
 const NAP: Duration = Duration::from_millis(20);
-/// How long subscribers are waited for.
-const WAIT_LIMIT: Duration = Duration::from_secs(30);
 
 /// Publishes the bag's messages until its end or a signal.
 pub fn run(args: ReplayArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -147,17 +145,9 @@ impl Outputs {
 
 /// Waits until every topic has `wanted` subscribers. `false` when a signal came first.
 fn wait_for(outputs: &Outputs, wanted: usize, interrupt: &Interrupt) -> anyhow::Result<bool> {
-    let clock = Clock::start();
     for (link, publisher) in outputs.publishers.values() {
-        while publisher.subscribers() < wanted {
-            if interrupt.requested() {
-                return Ok(false);
-            }
-            if clock.now() > WAIT_LIMIT {
-                let found = publisher.subscribers();
-                bail!("{link}: found {found} subscribers after 30 s, expected {wanted}");
-            }
-            thread::sleep(NAP);
+        if !wait_for_subscribers(link, publisher.as_ref(), wanted, interrupt)? {
+            return Ok(false);
         }
     }
     Ok(true)

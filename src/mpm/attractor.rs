@@ -8,6 +8,7 @@ const CORE: f32 = 0.05;
 
 /// A point attractor: the same pull everywhere, towards one point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Attractor {
     /// The point (domain lengths).
     pub centre: [f32; 2],

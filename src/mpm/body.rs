@@ -1,76 +1,63 @@
-//! Bodies: so many particles of one material in one shape, on a square lattice.
+//! Bodies: one material in one shape, on a square lattice of particles.
 
 use serde::{Deserialize, Serialize};
 
+use super::shape::Shape;
 use crate::frame::Material;
 
-/// The outline of a body. Its size follows from the number of particles and their spacing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Shape {
-    /// A disc.
-    Disc,
-    /// A rectangle so many particles thick; the last column may be shorter.
-    Rectangle {
-        /// Particles across.
-        rows: usize,
-    },
-}
-
 /// What one body is, and where it starts.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Body {
     /// What it is made of.
     pub material: Material,
     /// Its outline.
     pub shape: Shape,
-    /// How many particles it has.
-    pub particles: usize,
-    /// Its middle (domain lengths).
-    pub centre: [f32; 2],
-    /// Angle of its long side with x (rad).
-    pub angle: f32,
-    /// Its velocity (domain lengths per second).
+    /// Where its middle, or the origin of its points, is (domain lengths).
+    pub position: [f32; 2],
+    /// How far it is turned counter-clockwise about its position (degrees); 0 by default.
+    #[serde(default)]
+    pub angle_degrees: f32,
+    /// Its velocity (domain lengths per second); at rest by default.
+    #[serde(default)]
     pub velocity: [f32; 2],
+    /// Exactly so many particles, the first of those that fill the shape; all of them by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub particles: Option<usize>,
 }
 
 impl Body {
     /// Where the particles start, `spacing` apart (domain lengths).
     pub fn positions(&self, spacing: f32) -> Vec<[f32; 2]> {
-        let (sin, cos) = self.angle.sin_cos();
-        lattice(self.shape, self.particles)
-            .into_iter()
-            .map(|[x, y]| {
-                let (x, y) = (x * spacing, y * spacing);
-                [self.centre[0] + cos * x - sin * y, self.centre[1] + sin * x + cos * y]
-            })
-            .collect()
+        self.placed(&self.lattice(spacing))
     }
-}
 
-/// Exactly `particles` points of the unit square lattice in a shape around the origin.
-fn lattice(shape: Shape, particles: usize) -> Vec<[f32; 2]> {
-    match shape {
-        Shape::Disc => disc(particles),
-        Shape::Rectangle { rows } => {
-            let columns = particles.div_ceil(rows);
-            let middle = |count: usize| 0.5 * (count as f32 - 1.0);
-            (0..particles)
-                .map(|k| [(k / rows) as f32 - middle(columns), (k % rows) as f32 - middle(rows)])
-                .collect()
-        }
+    /// The particles as seen from the body, not turned.
+    pub(super) fn lattice(&self, spacing: f32) -> Vec<[f32; 2]> {
+        let mut points = self.shape.lattice(spacing);
+        points.truncate(self.particles.unwrap_or(usize::MAX));
+        points
     }
-}
 
-/// The lattice points nearest to the origin.
-fn disc(particles: usize) -> Vec<[f32; 2]> {
-    let radius = (particles as f32 / std::f32::consts::PI).sqrt() as i32 + 2;
-    let mut points: Vec<(i32, i32, i32)> = (-radius..=radius)
-        .flat_map(|i| (-radius..=radius).map(move |j| (i * i + j * j, i, j)))
-        .collect();
-    points.sort_unstable();
-    points.truncate(particles);
-    points.into_iter().map(|(_, i, j)| [i as f32, j as f32]).collect()
+    /// Points as seen from the body, turned and moved to where the body is.
+    pub(super) fn placed(&self, points: &[[f32; 2]]) -> Vec<[f32; 2]> {
+        let (sin, cos) = self.angle_degrees.to_radians().sin_cos();
+        let [x0, y0] = self.position;
+        points.iter().map(|[x, y]| [x0 + cos * x - sin * y, y0 + sin * x + cos * y]).collect()
+    }
+
+    /// Whether a position is in its outline.
+    pub(super) fn contains(&self, position: [f32; 2]) -> bool {
+        let (sin, cos) = f64::from(self.angle_degrees).to_radians().sin_cos();
+        let [x, y] = [0, 1].map(|k| f64::from(position[k]) - f64::from(self.position[k]));
+        self.shape.contains([cos * x + sin * y, cos * y - sin * x])
+    }
+
+    /// About how many particles it has.
+    pub(super) fn estimate(&self, spacing: f32) -> f64 {
+        let filled = self.shape.estimate(spacing);
+        self.particles.map_or(filled, |particles| filled.min(particles as f64))
+    }
 }
 
 #[cfg(test)]
@@ -78,17 +65,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shapes_have_exactly_the_particles_they_are_asked_for() {
-        for particles in [1, 2, 7, 625, 2500] {
-            assert_eq!(disc(particles).len(), particles);
-            assert_eq!(lattice(Shape::Rectangle { rows: 6 }, particles).len(), particles);
-        }
-    }
-
-    #[test]
-    fn a_disc_is_round() {
-        let radius = (2500.0 / std::f32::consts::PI).sqrt();
-        let farthest = disc(2500).iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f32::max);
-        assert!((farthest - radius).abs() < 1.0, "found {farthest}, expected about {radius}");
+    fn a_body_is_turned_about_its_position_and_cut_to_its_number_of_particles() {
+        let body = Body {
+            material: Material::Jelly,
+            shape: Shape::Rectangle { size: [0.3, 0.1] },
+            position: [0.5, 0.25],
+            angle_degrees: 90.0,
+            velocity: [0.0; 2],
+            particles: Some(2),
+        };
+        let near = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-6;
+        let positions = body.positions(0.1);
+        assert_eq!(positions.len(), 2);
+        assert!(near(positions[0], [0.5, 0.15]) && near(positions[1], [0.5, 0.25]));
+        assert!(body.contains([0.5, 0.15]) && !body.contains([0.4, 0.25]));
     }
 }

@@ -7,20 +7,44 @@ use crate::frame::{InvalidFrame, Material};
 /// Why a simulation cannot start or go on.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MpmError {
-    /// A setting is out of its range.
+    /// A field of a scene is out of its range.
     #[error("{field}: found {found}, expected {expected}")]
-    Setting {
-        /// The setting.
-        field: &'static str,
+    Field {
+        /// The field, as a file names it.
+        field: String,
         /// Its value.
-        found: f64,
+        found: String,
         /// What it should be.
-        expected: &'static str,
+        expected: String,
+    },
+    /// A body reaches into a wall or out of the domain.
+    #[error(
+        "bodies[{body}]: found a particle at {position:?}, expected all between the walls, {:?} to {:?}; \
+         move the body, make it smaller or the domain larger", room[0], room[1]
+    )]
+    Outside {
+        /// Number of the body, from 0.
+        body: usize,
+        /// Where the first such particle is (domain lengths).
+        position: [f32; 2],
+        /// The corners of the room between the walls (domain lengths).
+        room: [[f32; 2]; 2],
+    },
+    /// Two bodies are in the same place.
+    #[error(
+        "bodies[{}] and bodies[{}]: found both near {position:?}, expected bodies that do not overlap; \
+         move one or make it smaller", bodies[0], bodies[1]
+    )]
+    Overlap {
+        /// Numbers of the two bodies, from 0.
+        bodies: [usize; 2],
+        /// Where a particle of the first is (domain lengths).
+        position: [f32; 2],
     },
     /// The substeps asked for are too few for the scene to stay stable.
     #[error(
         "substeps: found {requested}, expected at least {minimum} a frame because of {limit} \
-         (E = {stiffness}, grid {cells}x{cells})"
+         (E = {stiffness}, grid {}x{}); ask for more, or leave them out", cells[0], cells[1]
     )]
     Unstable {
         /// Substeps a frame that were asked for.
@@ -31,13 +55,13 @@ pub enum MpmError {
         limit: Limit,
         /// Young's modulus E (density x velocity^2).
         stiffness: f32,
-        /// Cells on a side of the grid.
-        cells: u32,
+        /// Cells of the grid along x and y.
+        cells: [u32; 2],
     },
     /// A particle has left the grid, or its position is no number.
     #[error(
         "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls; \
-         more substeps or a smaller stiffness may help",
+         more substeps or another stiffness may help",
         material.name()
     )]
     Diverged {

@@ -1,10 +1,11 @@
 //! Ground truth: the Moving Least Squares Material Point Method in two dimensions.
 //!
-//! From a seed to frames:
+//! From a seed, or a file, to frames:
 //!
-//! 1. [`preset`]: the two kinds of scenes and the numbers they share.
-//! 2. [`scene`], with [`body`] and [`placement`]: random bodies, places, velocities, from seed and id.
-//! 3. [`simulation`]: settings checked ([`stability`]), substeps run, frames handed out;
+//! 1. [`scene`]: everything that a simulation starts from: bodies ([`body`], [`shape`]), what comes
+//!    in and goes out ([`flow`]), checked so that nothing overlaps ([`placement`]).
+//! 2. [`generate`]: random scenes from a seed and an id, of the kinds in [`preset`].
+//! 3. [`simulation`]: a scene made stable ([`stability`]), substeps run, frames handed out;
 //!    [`attractor`] pulls before the first of them.
 //!
 //! One substep ([`solver`]), in the order of the method:
@@ -19,14 +20,17 @@
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
 //! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the law and its numbers as in Taichi's
-//! `mpm99` and `mpm128`. Lengths are domain lengths (the unit square), density is 1.
+//! `mpm99` and `mpm128`. Lengths are domain lengths (the side of the presets' unit square), density is 1.
 
 mod attractor;
 mod body;
 mod constitutive;
 mod energy;
 mod error;
+mod fast;
+mod flow;
 mod g2p;
+mod generate;
 mod grid;
 mod material;
 mod matrix;
@@ -36,6 +40,7 @@ mod placement;
 mod polar;
 mod preset;
 mod scene;
+mod shape;
 mod simulation;
 mod solver;
 mod spline;
@@ -43,15 +48,18 @@ mod stability;
 mod water;
 
 pub use attractor::Attractor;
-pub use body::{Body, Shape};
+pub use body::Body;
 pub use energy::Energy;
 pub use error::{Limit, MpmError};
+pub use fast::multiply_and_add;
+pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
 pub use material::{Law, Materials};
 pub use matrix::Matrix2;
 pub use particle::Particle;
-pub use preset::{Length, PARTICLES, Preset};
-pub use scene::Scene;
+pub use preset::{PARTICLES, Preset};
+pub use scene::{Frames, Scene, SolverChoices};
+pub use shape::Shape;
 pub use simulation::{Settings, Simulation};
 pub use solver::{Solver, SolverSettings};
 pub use stability::{CFL, LIQUID_CFL, minimum_substeps};

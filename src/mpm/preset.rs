@@ -1,32 +1,27 @@
-//! The two kinds of scenes, with the numbers that all scenes of a kind share.
+//! The kinds of random scenes, with the numbers that all scenes of a kind share.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Particles of every scene.
+use super::{
+    material::Materials,
+    scene::{Frames, Scene},
+};
+
+/// Particles of every random scene.
 pub const PARTICLES: usize = 2500;
 
-/// A kind of scenes.
+/// A kind of random scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// Bodies of one or two of the four materials, 64 x 64 cells, 10 s.
+    /// Bodies of two of the four materials, 64 x 64 cells, 10 s.
     MultiMaterial,
     /// Bodies of liquid, 128 x 128 cells, 5 to 25 s: until little moves.
     Fluid,
-}
-
-/// How long the scenes of a preset last when nothing else is asked for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Length {
-    /// No scene is shorter (s).
-    pub shortest: f64,
-    /// No scene is longer (s).
-    pub longest: f64,
-    /// In between, a scene ends when its mean kinetic energy per mass, `|v|^2 / 2`, falls below
-    /// this (domain lengths^2 per s^2).
-    pub rest: f64,
+    /// The multi-material scenes a hundred times as stiff (E = 1e5).
+    Stiff,
 }
 
 impl Preset {
@@ -35,13 +30,14 @@ impl Preset {
         match self {
             Self::MultiMaterial => "multi-material",
             Self::Fluid => "fluid",
+            Self::Stiff => "stiff",
         }
     }
 
     /// Cells on a side of the grid.
     pub fn cells(self) -> u32 {
         match self {
-            Self::MultiMaterial => 64,
+            Self::MultiMaterial | Self::Stiff => 64,
             Self::Fluid => 128,
         }
     }
@@ -56,12 +52,17 @@ impl Preset {
         0.5 * self.dx()
     }
 
-    /// How long scenes last.
-    pub fn length(self) -> Length {
-        match self {
-            Self::MultiMaterial => Length { shortest: 10.0, longest: 10.0, rest: 0.0 },
-            Self::Fluid => Length { shortest: 5.0, longest: 25.0, rest: 1e-3 },
-        }
+    /// What all scenes of the preset share; no bodies yet.
+    pub(super) fn empty_scene(self) -> Scene {
+        let frames = match self {
+            Self::MultiMaterial | Self::Stiff => Frames::default(),
+            Self::Fluid => Frames { duration: 25.0, shortest: Some(5.0), ..Frames::default() },
+        };
+        let materials = match self {
+            Self::MultiMaterial | Self::Fluid => Materials::default(),
+            Self::Stiff => Materials { stiffness: 1e5, ..Materials::default() },
+        };
+        Scene { cell_width: self.dx(), frames, materials, ..Scene::default() }
     }
 }
 

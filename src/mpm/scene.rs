@@ -1,267 +1,305 @@
-//! Scenes: which bodies, how large, where and how fast, all from a seed and a scene id.
+//! A scene: everything that a simulation starts from, as people write it and programs draw it.
 
-use rand::{RngExt, SeedableRng, seq::SliceRandom};
-use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 use super::{
+    FRAME_INTERVAL, GRAVITY,
     attractor::Attractor,
-    body::{Body, Shape},
+    body::Body,
+    error::MpmError,
+    flow::{Drain, Emitter},
+    grid::{GridShape, WALL_CELLS},
+    material::Materials,
     particle::Particle,
-    placement::Placement,
-    preset::{PARTICLES, Preset},
+    placement,
 };
 use crate::frame::Material;
 
-use Material::{Jelly, Liquid, Rope, Snow};
+/// Cells that a domain has at least on each side: two walls and as much between them.
+const FEWEST_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
-/// The materials of a multi-material scene, by `id % 10`: all ten pairs, so ordered that any six
-/// neighbours hold every material.
-const PAIRS: [[Material; 2]; 10] = [
-    [Liquid, Snow],
-    [Jelly, Rope],
-    [Liquid, Liquid],
-    [Snow, Jelly],
-    [Liquid, Rope],
-    [Snow, Snow],
-    [Liquid, Jelly],
-    [Snow, Rope],
-    [Jelly, Jelly],
-    [Rope, Rope],
-];
+/// Largest stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
+const STIFFEST: f64 = 1e9;
+/// Memory of a particle (bytes): its state in the scene, in the solver and in two sets of packs, then
+/// as a frame, its message and a part of the bag's chunk.
+const PARTICLE_BYTES: f64 = 384.0;
+/// Memory of a node (bytes): of the grid of the plain path, the fields of the fast one and its chunks.
+const NODE_BYTES: f64 = 64.0;
+/// Longest simulated time (s).
+const LONGEST: f64 = 1e6;
 
-/// Part of the particles that the first of two materials gets, smallest and largest.
-const SHARE: [f32; 2] = [0.3, 0.7];
-/// Bodies of one material are split no more unevenly than this.
-const SPLIT: [f32; 2] = [0.35, 0.65];
-/// Long side of a rectangle by its short side, smallest and largest.
-const ASPECT: [f32; 2] = [1.0, 3.0];
-/// Particles across a rope: four are two cells.
-const ROPE_ROWS: [usize; 2] = [5, 8];
-/// Particles of the longest rope that still finds a place: more are cut into several ropes.
-const ROPE_PARTICLES: usize = 640;
-/// Largest velocity of a body along x and y (domain lengths per second).
-const SPEED: f32 = 1.5;
-/// Pull of an attractor, smallest and largest (domain lengths per s^2).
-const PULL: [f32; 2] = [5.0, 20.0];
-/// How long an attractor acts, shortest and longest, in frame intervals.
-const PULL_FRAMES: [u32; 2] = [3, 12];
-/// Tries to find a place for a body before all bodies are drawn anew.
-const TRIES: usize = 200;
-
-/// Everything that a simulation starts from.
-#[derive(Clone, Debug, PartialEq)]
+/// Everything that a simulation starts from. What a file does not say has its default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Scene {
-    /// The kind of scene.
-    pub preset: Preset,
-    /// Number of the scene; the stream of its frames.
+    /// Number of the scene: the stream of its frames; 0 by default.
     pub id: u64,
+    /// Width and height (domain lengths), whole cells; 1 x 1 by default. The outermost three cells
+    /// are walls.
+    pub domain: [f32; 2],
+    /// Width of a cell of the grid (domain lengths); 1/64 by default.
+    pub cell_width: f32,
+    /// Distance between neighbouring particles (domain lengths); half a cell by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f32>,
+    /// How it is solved.
+    pub solver: SolverChoices,
+    /// When frames are taken.
+    pub frames: Frames,
+    /// What the particles are made of.
+    pub materials: Materials,
+    /// What pulls before the recording starts; nothing by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attractor: Option<Attractor>,
     /// The bodies, in the order of their particles.
     pub bodies: Vec<Body>,
-    /// What pulls before the recording starts, in about half of the scenes.
-    pub attractor: Option<Attractor>,
-    /// All particles: [`PARTICLES`] of them.
-    pub particles: Vec<Particle>,
+    /// Where particles come in; nowhere by default.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub emitters: Vec<Emitter>,
+    /// Where particles go out; nowhere by default.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub drains: Vec<Drain>,
+}
+
+/// How a scene is solved.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SolverChoices {
+    /// Acceleration in -y (domain lengths per s^2); 9.8 by default.
+    pub gravity: f32,
+    /// Substeps a frame; as many as stability needs by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub substeps: Option<u32>,
+}
+
+/// When frames are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Frames {
+    /// Time between two frames (s); 0.016 by default.
+    pub interval: f32,
+    /// Simulated time after which the scene ends (s); 10 by default.
+    pub duration: f64,
+    /// Simulated time after which it ends as soon as it rests (s); the duration by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shortest: Option<f64>,
+    /// It rests when the mean kinetic energy per mass, `|v|^2 / 2`, is below this (domain
+    /// lengths^2 per s^2); 0.001 by default.
+    pub rest: f64,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            id: 0,
+            domain: [1.0; 2],
+            cell_width: 1.0 / 64.0,
+            spacing: None,
+            solver: SolverChoices::default(),
+            frames: Frames::default(),
+            materials: Materials::default(),
+            attractor: None,
+            bodies: Vec::new(),
+            emitters: Vec::new(),
+            drains: Vec::new(),
+        }
+    }
+}
+
+impl Default for SolverChoices {
+    fn default() -> Self {
+        Self { gravity: GRAVITY, substeps: None }
+    }
+}
+
+impl Default for Frames {
+    fn default() -> Self {
+        Self { interval: FRAME_INTERVAL, duration: 10.0, shortest: None, rest: 1e-3 }
+    }
 }
 
 impl Scene {
-    /// The scene `id` of a preset. The same arguments give the same scene, bit by bit.
-    pub fn generate(preset: Preset, seed: u64, id: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(id);
-        // Bodies fill at most a fifth of the room between the walls, so this ends: of the first
-        // thousand scenes none needs more than a few draws.
-        let (bodies, particles) = loop {
-            if let Some(found) = arrange(preset, id, &mut rng) {
-                break found;
+    /// Distance between neighbouring particles (domain lengths).
+    pub fn spacing(&self) -> f32 {
+        self.spacing.unwrap_or(0.5 * self.cell_width)
+    }
+
+    /// The grid that covers the domain.
+    ///
+    /// # Errors
+    /// [`MpmError::Field`] for a domain, cell width or spacing that no grid fits.
+    pub fn grid(&self) -> Result<GridShape, MpmError> {
+        let Self { domain, cell_width: dx, .. } = *self;
+        positive("cell_width", dx.into(), f64::MAX)?;
+        let cells = domain.map(|side| f64::from(side) / f64::from(dx));
+        let whole = |cells: f64| (cells - cells.round()).abs() < 1e-3 && cells < 65_536.0;
+        if !cells.into_iter().all(|cells| whole(cells) && cells.round() >= FEWEST_CELLS) {
+            let next = cells.map(|cells| cells.round().max(FEWEST_CELLS) as f32 * dx);
+            return Err(MpmError::Field {
+                field: "domain".into(),
+                found: format!("{domain:?}"),
+                expected: format!(
+                    "{FEWEST_CELLS} to 65535 whole cells of {dx} on each side, for example {next:?}"
+                ),
+            });
+        }
+        let spacing = self.spacing();
+        if !(spacing > 0.0 && spacing <= dx) {
+            return Err(MpmError::Field {
+                field: "spacing".into(),
+                found: spacing.to_string(),
+                expected: format!("more than 0 and at most a cell ({dx})"),
+            });
+        }
+        Ok(GridShape { cells: cells.map(|cells| cells.round() as u32), dx })
+    }
+
+    /// Checks every number on its own. Whether bodies fit is found out by [`Scene::particles`].
+    ///
+    /// # Errors
+    /// [`MpmError::Field`] with the first field that is out of its range.
+    pub fn check(&self) -> Result<(), MpmError> {
+        self.grid()?;
+        finite("solver.gravity", self.solver.gravity.into())?;
+        let Frames { interval, duration, shortest, rest } = self.frames;
+        positive("frames.interval", interval.into(), LONGEST)?;
+        positive("frames.duration", duration, LONGEST)?;
+        positive("frames.shortest", shortest.unwrap_or(duration), duration)?;
+        finite("frames.rest", rest)?;
+        let Materials { stiffness, viscosity, .. } = self.materials;
+        positive("materials.stiffness", stiffness.into(), STIFFEST)?;
+        if viscosity != 0.0 {
+            positive("materials.viscosity", viscosity.into(), STIFFEST)?;
+        }
+        if let Some(Attractor { centre, strength, .. }) = self.attractor {
+            for (name, number) in
+                [("centre", centre[0]), ("centre", centre[1]), ("strength", strength)]
+            {
+                finite(&format!("attractor.{name}"), number.into())?;
             }
-        };
-        let attractor = rng.random_bool(0.5).then(|| Attractor {
-            centre: [rng.random_range(0.2..0.8), rng.random_range(0.2..0.8)],
-            strength: rng.random_range(PULL[0]..PULL[1]),
-            frames: rng.random_range(PULL_FRAMES[0]..=PULL_FRAMES[1]),
-        });
-        Self { preset, id, bodies, attractor, particles }
+        }
+        for (index, body) in self.bodies.iter().enumerate() {
+            let [x, y] = body.position;
+            let [u, v] = body.velocity;
+            let field = |name: &str| format!("bodies[{index}].{name}");
+            if let Some((name, found, expected)) = body.shape.fault() {
+                return Err(MpmError::Field {
+                    field: field(name),
+                    found,
+                    expected: expected.into(),
+                });
+            }
+            for (name, number) in [
+                ("position", x),
+                ("position", y),
+                ("angle_degrees", body.angle_degrees),
+                ("velocity", u),
+                ("velocity", v),
+            ] {
+                finite(&field(name), number.into())?;
+            }
+        }
+        for (index, emitter) in self.emitters.iter().enumerate() {
+            emitter.check(&format!("emitters[{index}]"), self)?;
+        }
+        for (index, drain) in self.drains.iter().enumerate() {
+            drain.check(&format!("drains[{index}]"))?;
+        }
+        if self.bodies.is_empty() && self.emitters.is_empty() {
+            return Err(MpmError::Field {
+                field: "bodies".into(),
+                found: "none".into(),
+                expected: "at least one body or emitter".into(),
+            });
+        }
+        Ok(())
+    }
+
+    /// The particles of the bodies, at the start.
+    ///
+    /// # Errors
+    /// As [`Scene::check`]; [`MpmError::Field`] for a body without particles,
+    /// [`MpmError::Outside`] and [`MpmError::Overlap`] for bodies in a wall or in each other.
+    pub fn particles(&self) -> Result<Vec<Particle>, MpmError> {
+        self.check()?;
+        let mut particles = Vec::new();
+        let mut owners = Vec::new();
+        for (index, body) in self.bodies.iter().enumerate() {
+            let positions = body.positions(self.spacing());
+            let least = body.particles.unwrap_or(1).max(1);
+            if positions.len() < least {
+                return Err(MpmError::Field {
+                    field: format!("bodies[{index}].shape"),
+                    found: format!("room for {} particles", positions.len()),
+                    expected: format!(
+                        "for at least {least}: make it larger, or the spacing smaller"
+                    ),
+                });
+            }
+            owners.resize(particles.len() + positions.len(), index);
+            particles.extend(positions.into_iter().map(|position| Particle {
+                velocity: body.velocity,
+                ..Particle::at_rest(position, body.material)
+            }));
+        }
+        placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
+        Ok(particles)
+    }
+
+    /// The most particles that it will hold, about; none are made to find out.
+    pub fn estimate(&self) -> f64 {
+        let bodies: f64 = self.bodies.iter().map(|body| body.estimate(self.spacing())).sum();
+        let emitted: f64 = self.emitters.iter().map(|emitter| f64::from(emitter.particles)).sum();
+        bodies + emitted
+    }
+
+    /// About how much memory a simulation of it takes (bytes).
+    ///
+    /// # Errors
+    /// As [`Scene::grid`].
+    pub fn memory(&self) -> Result<u64, MpmError> {
+        let nodes: f64 = self.grid()?.cells.map(|cells| f64::from(cells) + 1.0).iter().product();
+        // The cast saturates.
+        Ok((self.estimate() * PARTICLE_BYTES + nodes * NODE_BYTES) as u64)
     }
 
     /// The materials that occur, in the order of their numbers.
     pub fn materials(&self) -> Vec<Material> {
-        let occurs = |material: &Material| self.bodies.iter().any(|b| b.material == *material);
+        let occurs = |material: &Material| {
+            self.bodies.iter().any(|body| body.material == *material)
+                || self.emitters.iter().any(|emitter| emitter.material == *material)
+        };
         Material::ALL.into_iter().filter(occurs).collect()
     }
 
-    /// The speed of the fastest body: the start, the pull of the attractor, and a fall through the
-    /// whole domain added up (domain lengths per second). Jets of a splash were seen to be 3.2 times
-    /// as fast.
-    pub fn fastest(&self, gravity: f32, interval: f32) -> f32 {
-        let start =
-            self.particles.iter().map(|p| p.velocity[0].hypot(p.velocity[1])).fold(0.0, f32::max);
-        let pulled = self.attractor.map_or(0.0, |a| a.strength * a.frames as f32 * interval);
-        start + pulled + (2.0 * gravity).sqrt()
+    /// A bound on the speed of bodies: the fastest start, the pull of the attractor, and a fall
+    /// through the whole domain added up (domain lengths per second). Jets of a splash were seen to
+    /// be 3.2 times as fast.
+    pub fn fastest(&self) -> f32 {
+        let speed = |[u, v]: [f32; 2]| u.hypot(v);
+        let bodies = self.bodies.iter().map(|body| speed(body.velocity));
+        let emitters = self.emitters.iter().map(|emitter| speed(emitter.velocity));
+        let start = bodies.chain(emitters).fold(0.0, f32::max);
+        let pulled =
+            self.attractor.map_or(0.0, |a| a.strength * a.frames as f32 * self.frames.interval);
+        start + pulled + (2.0 * self.solver.gravity.abs() * self.domain[1]).sqrt()
     }
 }
 
-/// Draws bodies and places for them; `None` if they found no place.
-fn arrange(preset: Preset, id: u64, rng: &mut ChaCha8Rng) -> Option<(Vec<Body>, Vec<Particle>)> {
-    let mut bodies = match preset {
-        Preset::MultiMaterial => mixed_bodies(PAIRS[(id % PAIRS.len() as u64) as usize], rng),
-        Preset::Fluid => {
-            let parts = rng.random_range(1..=3);
-            bodies_of(Liquid, PARTICLES, parts, rng)
-        }
-    };
-    let mut placement = Placement::new(preset);
-    let mut particles = Vec::with_capacity(PARTICLES);
-    for body in &mut bodies {
-        let placed = (0..TRIES).any(|_| {
-            body.centre = [rng.random_range(0.0..1.0), rng.random_range(0.0..1.0)];
-            body.angle = rng.random_range(0.0..std::f32::consts::PI);
-            placement.take(&body.positions(preset.spacing()))
-        });
-        if !placed {
-            return None;
-        }
-        particles.extend(body.positions(preset.spacing()).into_iter().map(|position| Particle {
-            velocity: body.velocity,
-            ..Particle::at_rest(position, body.material)
-        }));
+/// Refuses what is not above zero, or above `most`.
+pub(super) fn positive(field: &str, found: f64, most: f64) -> Result<(), MpmError> {
+    if found > 0.0 && found <= most {
+        return Ok(());
     }
-    Some((bodies, particles))
+    let expected = format!("a positive number, at most {most:e}");
+    Err(MpmError::Field { field: field.into(), found: found.to_string(), expected })
 }
 
-/// One to three bodies of one or two materials (more where ropes are cut).
-fn mixed_bodies([first, second]: [Material; 2], rng: &mut ChaCha8Rng) -> Vec<Body> {
-    if first == second {
-        let parts = rng.random_range(1..=3);
-        return bodies_of(first, PARTICLES, parts, rng);
+/// Refuses NaN and the infinities.
+pub(super) fn finite(field: &str, found: f64) -> Result<(), MpmError> {
+    if found.is_finite() {
+        return Ok(());
     }
-    let share = part_of(PARTICLES, SHARE, rng);
-    let parts = *[[1, 1], [1, 2], [2, 1]].get(rng.random_range(0..3)).unwrap_or(&[1, 1]);
-    let mut bodies = bodies_of(first, share, parts[0], rng);
-    bodies.extend(bodies_of(second, PARTICLES - share, parts[1], rng));
-    bodies.shuffle(rng);
-    bodies
-}
-
-/// `parts` bodies of one material with `particles` in all, not yet placed.
-fn bodies_of(
-    material: Material,
-    particles: usize,
-    parts: usize,
-    rng: &mut ChaCha8Rng,
-) -> Vec<Body> {
-    let parts =
-        if material == Rope { parts.max(particles.div_ceil(ROPE_PARTICLES)) } else { parts };
-    let mut left = particles;
-    (0..parts)
-        .rev()
-        .map(|others| {
-            let particles = match others {
-                0 => left,
-                1 if material != Rope => part_of(left, SPLIT, rng),
-                _ => left / (others + 1),
-            };
-            left -= particles;
-            Body {
-                material,
-                shape: shape_of(material, particles, rng),
-                particles,
-                centre: [0.5; 2],
-                angle: 0.0,
-                velocity: [rng.random_range(-SPEED..SPEED), rng.random_range(-SPEED..SPEED)],
-            }
-        })
-        .collect()
-}
-
-fn shape_of(material: Material, particles: usize, rng: &mut ChaCha8Rng) -> Shape {
-    if material == Rope {
-        return Shape::Rectangle { rows: rng.random_range(ROPE_ROWS[0]..=ROPE_ROWS[1]) };
-    }
-    if rng.random_bool(0.5) {
-        return Shape::Disc;
-    }
-    let aspect = rng.random_range(ASPECT[0]..ASPECT[1]);
-    Shape::Rectangle { rows: (particles as f32 / aspect).sqrt() as usize }
-}
-
-/// A random part of `whole`.
-fn part_of(whole: usize, [smallest, largest]: [f32; 2], rng: &mut ChaCha8Rng) -> usize {
-    (whole as f32 * rng.random_range(smallest..largest)) as usize
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PRESETS: [Preset; 2] = [Preset::MultiMaterial, Preset::Fluid];
-
-    #[test]
-    fn the_same_seed_and_id_give_the_same_scene_and_others_another() {
-        for preset in PRESETS {
-            let scene = Scene::generate(preset, 1, 3);
-            assert_eq!(scene, Scene::generate(preset, 1, 3));
-            assert_ne!(scene.bodies, Scene::generate(preset, 1, 13).bodies);
-            assert_ne!(scene.bodies, Scene::generate(preset, 2, 3).bodies);
-        }
-    }
-
-    #[test]
-    fn every_scene_has_2500_particles_a_spacing_apart_inside_the_walls() {
-        for (preset, id) in PRESETS.into_iter().flat_map(|p| (0..100).map(move |id| (p, id))) {
-            let scene = Scene::generate(preset, 1, id);
-            assert_eq!(scene.particles.len(), PARTICLES);
-            assert_eq!(scene.bodies.iter().map(|b| b.particles).sum::<usize>(), PARTICLES);
-            let positions: Vec<[f32; 2]> = scene.particles.iter().map(|p| p.position).collect();
-            let wall = 3.0 * preset.dx();
-            assert!(positions.as_flattened().iter().all(|x| (wall..=1.0 - wall).contains(x)));
-            let nearest = nearest_neighbours(&positions);
-            assert!(nearest > 0.999 * preset.spacing(), "{preset} {id}: {nearest}");
-        }
-    }
-
-    /// The smallest distance between two points.
-    fn nearest_neighbours(points: &[[f32; 2]]) -> f32 {
-        let mut sorted = points.to_vec();
-        sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        let mut nearest = f32::INFINITY;
-        for (k, a) in sorted.iter().enumerate() {
-            for b in &sorted[k + 1..] {
-                if b[0] - a[0] > nearest {
-                    break;
-                }
-                nearest = nearest.min((b[0] - a[0]).hypot(b[1] - a[1]));
-            }
-        }
-        nearest
-    }
-
-    #[test]
-    fn ten_scenes_hold_every_pair_of_materials() {
-        let mut found: Vec<Vec<Material>> =
-            (0..10).map(|id| Scene::generate(Preset::MultiMaterial, 1, id).materials()).collect();
-        found.sort();
-        found.dedup();
-        assert_eq!(found.len(), 10);
-        assert_eq!(found.iter().filter(|materials| materials.len() == 1).count(), 4);
-    }
-
-    #[test]
-    fn ropes_are_at_least_two_cells_thick_and_longer_than_thick() {
-        for id in 0..40 {
-            for body in Scene::generate(Preset::MultiMaterial, 1, id).bodies {
-                if let (Rope, shape) = (body.material, body.shape) {
-                    let Shape::Rectangle { rows } = shape else { panic!("a rope is a {shape:?}") };
-                    assert!(rows >= 4 && body.particles >= 3 * rows * rows);
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn some_scenes_are_pulled_and_some_are_not() {
-        let pulled = (0..100)
-            .filter(|&id| Scene::generate(Preset::Fluid, 1, id).attractor.is_some())
-            .count();
-        assert!((30..=70).contains(&pulled), "{pulled} of 100");
-    }
+    let expected = "a finite number".into();
+    Err(MpmError::Field { field: field.into(), found: found.to_string(), expected })
 }

@@ -3,30 +3,48 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FRAME_INTERVAL, GRAVITY,
+    energy::Energy,
     error::MpmError,
+    flow::Flow,
     grid::GridShape,
-    material::Materials,
-    preset::Preset,
+    material::Law,
+    particle::Particle,
     scene::Scene,
     solver::{Solver, SolverSettings},
     stability::minimum_substeps,
 };
-use crate::frame::{Domain, Frame, Material, Stamp, decimal};
+use crate::frame::{Domain, Frame, Stamp, decimal};
 
-/// Largest stiffness that is accepted (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
-const STIFFEST: f32 = 1e9;
-
-/// What can be chosen about a simulation.
+/// What takes the place of a scene's own numbers, where it is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// What the particles are made of.
-    pub materials: Materials,
-    /// Substeps a frame; as many as stability needs if not given.
+    /// Young's modulus E of every material (density x velocity^2).
+    pub stiffness: Option<f32>,
+    /// How liquids resist.
+    pub law: Option<Law>,
+    /// Kinematic viscosity of liquids (domain lengths^2 per s).
+    pub viscosity: Option<f32>,
+    /// Substeps a frame.
     pub substeps: Option<u32>,
-    /// Simulated time (s); as the preset has it if not given.
+    /// Simulated time (s); the scene does not end before it then.
     pub duration: Option<f64>,
+}
+
+impl Settings {
+    /// The scene with these numbers in the places of its own.
+    pub fn over(&self, mut scene: Scene) -> Scene {
+        let Self { stiffness, law, viscosity, substeps, duration } = *self;
+        let materials = &mut scene.materials;
+        materials.stiffness = stiffness.unwrap_or(materials.stiffness);
+        materials.law = law.unwrap_or(materials.law);
+        materials.viscosity = viscosity.unwrap_or(materials.viscosity);
+        scene.solver.substeps = substeps.or(scene.solver.substeps);
+        if let Some(duration) = duration {
+            (scene.frames.duration, scene.frames.shortest) = (duration, None);
+        }
+        scene
+    }
 }
 
 /// A running simulation.
@@ -34,63 +52,61 @@ pub struct Settings {
 pub struct Simulation {
     scene: Scene,
     solver: Solver,
+    /// What comes in and goes out, if anything does.
+    flow: Option<Flow>,
     /// Substeps a frame.
     substeps: u32,
-    /// Frames that every such scene has.
+    /// Frames that the scene has at least.
     fewest_frames: u64,
     /// Frames after which it ends whatever moves.
     most_frames: u64,
     /// Number of the next frame.
     sequence: u64,
-    /// Set when little moves, or after an error.
+    /// Set when little moves, when nothing is left, or after an error.
     ended: bool,
 }
 
 impl Simulation {
-    /// Sets a scene up.
+    /// Sets a scene up, with `settings` in the places of its own numbers.
     ///
     /// # Errors
-    /// [`MpmError::Setting`] for a setting out of range, [`MpmError::Unstable`] for too few
-    /// substeps, [`MpmError::Diverged`] for a particle outside the grid.
+    /// What [`Scene::particles`] refuses; [`MpmError::Unstable`] for too few substeps.
     pub fn new(scene: Scene, settings: &Settings) -> Result<Self, MpmError> {
-        let materials = settings.materials;
-        let stiffness = materials.stiffness;
-        if !(stiffness > 0.0 && stiffness <= STIFFEST) {
-            let expected = "a positive number, at most 1e9";
-            return Err(MpmError::Setting {
-                field: "stiffness",
-                found: stiffness.into(),
-                expected,
-            });
-        }
-        let (fewest_frames, most_frames) = frames(scene.preset, settings.duration)?;
-        let cells = scene.preset.cells();
-        let dx = scene.preset.dx();
-        let speed = scene.fastest(GRAVITY, FRAME_INTERVAL);
-        let interval = decimal(FRAME_INTERVAL);
-        let (minimum, limit) =
-            minimum_substeps(&scene.materials(), &materials, dx, speed, interval);
-        let substeps = settings.substeps.unwrap_or(minimum);
-        if substeps < minimum {
-            let requested = substeps;
-            return Err(MpmError::Unstable { requested, minimum, limit, stiffness, cells });
-        }
-        let dt = (interval / f64::from(substeps)) as f32;
-        let solver = SolverSettings {
-            grid: GridShape::unit(cells),
-            spacing: scene.preset.spacing(),
-            materials,
-            dt,
-            gravity: GRAVITY,
-        };
-        let solver = Solver::new(scene.particles.clone(), solver)
-            .map_err(|particle| diverged(&scene.particles, particle, 0.0))?;
-        let (sequence, ended) = (0, false);
-        Ok(Self { scene, solver, substeps, fewest_frames, most_frames, sequence, ended })
+        Self::on_threads(scene, settings, 1)
     }
 
-    /// The next frame, [`FRAME_INTERVAL`] after the last; `None` when the scene is over. The first
-    /// one is the state at the start of the recording, when the attractor has let go.
+    /// As [`Simulation::new`], with so many threads (at least 1) that share the work. Their number
+    /// changes no bit.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn on_threads(scene: Scene, settings: &Settings, threads: usize) -> Result<Self, MpmError> {
+        let scene = settings.over(scene);
+        let mut particles = scene.particles()?;
+        let flows = !(scene.emitters.is_empty() && scene.drains.is_empty());
+        let mut flow = flows.then(|| Flow::new(&scene));
+        particles = flow.as_mut().and_then(|flow| flow.apply(0, &particles)).unwrap_or(particles);
+        let (grid, substeps) = (scene.grid()?, substeps(&scene)?);
+        let solver_settings = SolverSettings {
+            grid,
+            spacing: scene.spacing(),
+            materials: scene.materials,
+            dt: (decimal(scene.frames.interval) / f64::from(substeps)) as f32,
+            gravity: scene.solver.gravity,
+            threads,
+        };
+        let solver = Solver::new(particles.clone(), solver_settings)
+            .map_err(|particle| diverged(&particles, particle, 0.0))?;
+        let intervals =
+            |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
+        let most_frames = intervals(scene.frames.duration);
+        let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
+        let (sequence, ended) = (0, false);
+        Ok(Self { scene, solver, flow, substeps, fewest_frames, most_frames, sequence, ended })
+    }
+
+    /// The next frame, one interval after the last; `None` when the scene is over. The first one is
+    /// the state at the start of the recording, when the attractor has let go.
     ///
     /// # Errors
     /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is no number any more. The
@@ -99,9 +115,14 @@ impl Simulation {
         if self.ended || self.sequence == self.most_frames {
             return Ok(None);
         }
-        let frame = self.advance().and_then(|()| self.frame());
+        let moved = self.advance();
+        if moved.is_ok() && self.solver.particles().is_empty() {
+            self.ended = true;
+            return Ok(None);
+        }
+        let frame = moved.and_then(|()| self.frame());
         self.sequence += 1;
-        let rest = self.scene.preset.length().rest;
+        let rest = self.scene.frames.rest;
         let settled = self.sequence >= self.fewest_frames && self.solver.kinetic_energy() < rest;
         self.ended = frame.is_err() || settled;
         frame.map(Some)
@@ -110,24 +131,37 @@ impl Simulation {
     /// Moves to the instant of the next frame.
     fn advance(&mut self) -> Result<(), MpmError> {
         if self.sequence > 0 {
-            return self.substeps(1);
+            self.run(1)?;
+            return self.exchange();
         }
         let Some(attractor) = self.scene.attractor else { return Ok(()) };
         self.solver.attractor = Some(attractor);
-        let done = self.substeps(attractor.frames);
+        let done = self.run(attractor.frames);
         self.solver.attractor = None;
         done
     }
 
     /// Runs the substeps of so many frame intervals.
-    fn substeps(&mut self, frames: u32) -> Result<(), MpmError> {
-        for frame in 0..frames {
+    fn run(&mut self, intervals: u32) -> Result<(), MpmError> {
+        for interval in 0..intervals {
             self.solver.run(self.substeps).map_err(|particle| {
                 let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
                 let begun = if self.sequence > 0 { before as u64 + self.sequence - 1 } else { 0 };
-                let time = (begun + u64::from(frame)) as f64 * decimal(FRAME_INTERVAL);
+                let time = (begun + u64::from(interval)) as f64 * self.interval();
                 diverged(self.solver.particles(), particle, time)
             })?;
+        }
+        Ok(())
+    }
+
+    /// Takes out and puts in the particles that leave and come with the next frame.
+    fn exchange(&mut self) -> Result<(), MpmError> {
+        let Some(flow) = &mut self.flow else { return Ok(()) };
+        if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
+            let time = self.sequence as f64 * self.interval();
+            self.solver
+                .set_particles(particles.clone())
+                .map_err(|particle| diverged(&particles, particle, time))?;
         }
         Ok(())
     }
@@ -135,13 +169,14 @@ impl Simulation {
     /// The present state as a frame.
     fn frame(&self) -> Result<Frame, MpmError> {
         let particles = self.solver.particles();
-        // A scene has at most 25 s / 16 ms frames by default; a longer one saturates after 795 days.
+        let interval = self.scene.frames.interval;
+        // Frames beyond 2^32 would need more than two years of simulated time.
         let steps = u32::try_from(self.sequence).unwrap_or(u32::MAX);
         Ok(Frame::new(
             self.scene.id,
             self.sequence,
-            Stamp(0).advance(FRAME_INTERVAL, steps),
-            FRAME_INTERVAL,
+            Stamp(0).advance(interval, steps),
+            interval,
             self.domain(),
             particles.iter().map(|p| p.position).collect(),
             particles.iter().map(|p| p.velocity).collect(),
@@ -149,7 +184,7 @@ impl Simulation {
         )?)
     }
 
-    /// The scene as it was set up.
+    /// The scene, with everything that was chosen for it.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
@@ -164,41 +199,40 @@ impl Simulation {
         self.most_frames
     }
 
-    /// The materials that occur.
-    pub fn materials(&self) -> Vec<Material> {
-        self.scene.materials()
-    }
-
-    /// Cells on a side of the grid.
-    pub fn cells(&self) -> u32 {
-        self.scene.preset.cells()
+    /// The energy now.
+    pub fn energy(&self) -> Energy {
+        self.solver.energy()
     }
 
     /// The box that holds the particles.
     pub fn domain(&self) -> Domain {
-        Domain::UNIT
+        Domain { lower: [0.0; 2], upper: self.scene.domain }
+    }
+
+    /// Time between two frames (s).
+    fn interval(&self) -> f64 {
+        decimal(self.scene.frames.interval)
     }
 }
 
-/// The fewest and the most frames of a scene. A `duration` (s) is kept to the nearest frame, whatever
-/// moves; it has as many frames as intervals fit, the first one at time zero.
-fn frames(preset: Preset, duration: Option<f64>) -> Result<(u64, u64), MpmError> {
-    let intervals = |seconds: f64| ((seconds / decimal(FRAME_INTERVAL)).round() as u64).max(1);
-    match duration {
-        None => {
-            let length = preset.length();
-            Ok((intervals(length.shortest), intervals(length.longest)))
+/// The substeps of a frame: what was asked for, if that is stable.
+fn substeps(scene: &Scene) -> Result<u32, MpmError> {
+    let GridShape { cells, dx } = scene.grid()?;
+    let materials = &scene.materials;
+    let interval = decimal(scene.frames.interval);
+    let (minimum, limit) =
+        minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
+    match scene.solver.substeps {
+        Some(requested) if requested < minimum => {
+            let stiffness = materials.stiffness;
+            Err(MpmError::Unstable { requested, minimum, limit, stiffness, cells })
         }
-        Some(seconds) if seconds > 0.0 && seconds <= 1e6 => Ok((u64::MAX, intervals(seconds))),
-        Some(found) => {
-            let expected = "a positive number of seconds, at most 1e6";
-            Err(MpmError::Setting { field: "duration", found, expected })
-        }
+        requested => Ok(requested.unwrap_or(minimum)),
     }
 }
 
-fn diverged(particles: &[super::Particle], particle: usize, time: f64) -> MpmError {
-    let super::Particle { position, material, .. } = particles[particle];
+fn diverged(particles: &[Particle], particle: usize, time: f64) -> MpmError {
+    let Particle { position, material, .. } = particles[particle];
     MpmError::Diverged { particle, material, position, time }
 }
 
@@ -206,10 +240,18 @@ fn diverged(particles: &[super::Particle], particle: usize, time: f64) -> MpmErr
 mod tests {
     use rayon::prelude::*;
 
-    use super::{super::error::Limit, *};
+    use super::{
+        super::{Drain, Emitter, FRAME_INTERVAL, Preset, error::Limit, material::Materials},
+        *,
+    };
+    use crate::frame::Material;
 
     fn settings(duration: f64) -> Settings {
         Settings { duration: Some(duration), ..Settings::default() }
+    }
+
+    fn positions(scene: &Scene) -> Vec<[f32; 2]> {
+        scene.particles().unwrap().iter().map(|particle| particle.position).collect()
     }
 
     fn frames_of(scene: Scene, settings: &Settings) -> Vec<Frame> {
@@ -260,7 +302,7 @@ mod tests {
             .map(|id| Scene::generate(Preset::MultiMaterial, 1, id))
             .find(|scene| scene.attractor.is_none())
             .unwrap();
-        let expected: Vec<[f32; 2]> = scene.particles.iter().map(|p| p.position).collect();
+        let expected = positions(&scene);
         assert_eq!(frames_of(scene, &settings(0.016))[0].position, expected);
     }
 
@@ -270,7 +312,7 @@ mod tests {
             .map(|id| Scene::generate(Preset::MultiMaterial, 1, id))
             .find(|scene| scene.attractor.is_some())
             .unwrap();
-        let start: Vec<[f32; 2]> = scene.particles.iter().map(|p| p.position).collect();
+        let start = positions(&scene);
         let mut simulation = Simulation::new(scene, &Settings::default()).unwrap();
         let first = simulation.next_frame().unwrap().unwrap();
         assert_ne!(first.position, start);
@@ -285,7 +327,7 @@ mod tests {
         assert_eq!(
             error.to_string(),
             "substeps: found 20, expected at least 153 a frame because of sound in snow \
-             (E = 1000, grid 64x64)"
+             (E = 1000, grid 64x64); ask for more, or leave them out"
         );
         assert!(matches!(error, MpmError::Unstable { limit: Limit::Sound(_), .. }));
         // What the message asks for is accepted.
@@ -295,11 +337,24 @@ mod tests {
 
     #[test]
     fn the_substeps_of_the_paper_carry_a_soft_jelly() {
-        let mut scene = Scene::generate(Preset::MultiMaterial, 1, 8);
+        let mut scene = Scene::generate(Preset::MultiMaterial, 1, 1);
         scene.attractor = None;
-        let materials = Materials { stiffness: 250.0, ..Materials::default() };
-        let settings = Settings { materials, substeps: Some(20), duration: Some(0.5) };
+        for body in &mut scene.bodies {
+            body.material = Material::Jelly;
+        }
+        let settings = Settings { stiffness: Some(250.0), substeps: Some(20), ..settings(0.5) };
         assert_eq!(frames_of(scene, &settings).len(), 31);
+    }
+
+    #[test]
+    fn settings_take_the_place_of_the_scenes_own_numbers() {
+        let scene = Scene::generate(Preset::Stiff, 1, 0);
+        let same = Settings::default().over(scene.clone());
+        assert_eq!(same, scene);
+        let settings = Settings { stiffness: Some(500.0), ..settings(1.0) };
+        let scene = settings.over(Scene::generate(Preset::Fluid, 1, 0));
+        assert_eq!(scene.materials.stiffness, 500.0);
+        assert_eq!((scene.frames.duration, scene.frames.shortest), (1.0, None));
     }
 
     #[test]
@@ -308,21 +363,40 @@ mod tests {
             let scene = Scene::generate(Preset::Fluid, 1, 0);
             Simulation::new(scene, &settings).unwrap_err().to_string()
         };
-        let message = refused(Settings {
-            materials: Materials { stiffness: -1.0, ..Materials::default() },
-            ..Settings::default()
-        });
-        assert_eq!(message, "stiffness: found -1, expected a positive number, at most 1e9");
-        let message = refused(settings(f64::NAN));
         assert_eq!(
-            message,
-            "duration: found NaN, expected a positive number of seconds, at most 1e6"
+            refused(Settings { stiffness: Some(-1.0), ..Settings::default() }),
+            "materials.stiffness: found -1, expected a positive number, at most 1e9"
+        );
+        assert_eq!(
+            refused(settings(f64::NAN)),
+            "frames.duration: found NaN, expected a positive number, at most 1e6"
         );
     }
 
     #[test]
+    fn particles_come_in_and_go_out_between_frames() {
+        let spacing = 1.0 / 128.0;
+        let emitter = Emitter {
+            material: Material::Liquid,
+            position: [0.5, 0.3],
+            width: 4.0 * spacing,
+            velocity: [0.0, -1.0],
+            particles: 60,
+        };
+        let drain = Drain { lower: [0.0; 2], upper: [1.0, 0.2] };
+        let mut scene = Scene { emitters: vec![emitter], drains: vec![drain], ..Scene::default() };
+        scene.frames.duration = 1.0;
+        let frames = frames_of(scene, &Settings::default());
+        let counts: Vec<usize> = frames.iter().map(Frame::len).collect();
+        assert_eq!(counts[0], 4, "the first row is there at once");
+        assert!(counts.iter().any(|&count| count > 30), "{counts:?}");
+        assert!(frames.len() < 40, "the scene ends when nothing is left");
+        assert!(frames.iter().all(|f| f.position.iter().all(|x| x[1] > 0.2)));
+    }
+
+    #[test]
     fn a_fluid_scene_ends_when_little_moves() {
-        let rest = Preset::Fluid.length().rest;
+        let rest = 1e-3;
         let scene = Scene::generate(Preset::Fluid, 1, 0);
         let mut simulation = Simulation::new(scene, &Settings::default()).unwrap();
         simulation.fewest_frames = 2;
@@ -337,6 +411,7 @@ mod tests {
             materials: Materials { stiffness: 1.0, ..Materials::default() },
             dt: 1e-7,
             gravity: 0.0,
+            threads: 1,
         };
         simulation.solver = Solver::new(still, settings).unwrap();
         simulation.scene.attractor = None;

@@ -2,6 +2,8 @@
 
 use super::{
     attractor::Attractor,
+    energy::Energy,
+    fast::{Fast, Level},
     g2p,
     grid::{Grid, GridShape},
     material::{Materials, Moduli},
@@ -22,18 +24,23 @@ pub struct SolverSettings {
     pub dt: f32,
     /// Acceleration in -y (domain lengths per s^2).
     pub gravity: f32,
+    /// Threads that share the work of a substep, at least 1.
+    pub threads: usize,
 }
 
-/// Particles and the grid that they interact through.
+impl SolverSettings {
+    /// Area of an undeformed particle (domain lengths^2).
+    pub(super) fn volume(&self) -> f32 {
+        self.spacing * self.spacing
+    }
+}
+
+/// Particles that interact through a grid.
 #[derive(Clone, Debug)]
 pub struct Solver {
     particles: Vec<Particle>,
-    grid: Grid,
-    moduli: Moduli,
-    /// Area of an undeformed particle (domain lengths^2).
-    volume: f32,
-    dt: f32,
-    gravity: f32,
+    settings: SolverSettings,
+    fast: Fast,
     /// Pulls while it is set.
     pub attractor: Option<Attractor>,
 }
@@ -44,36 +51,59 @@ impl Solver {
     /// # Errors
     /// The index of the first particle that is not inside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
-        let grid = Grid::new(settings.grid);
-        if let Some(outside) = particles.iter().position(|p| !grid.contains(p.position)) {
-            return Err(outside);
-        }
-        Ok(Self {
-            particles,
-            grid,
-            moduli: Moduli::of(&settings.materials),
-            volume: settings.spacing * settings.spacing,
-            dt: settings.dt,
-            gravity: settings.gravity,
-            attractor: None,
-        })
+        let fast = Fast::new(settings.grid, settings.threads, Level::widest());
+        let mut solver = Self { particles: Vec::new(), settings, fast, attractor: None };
+        solver.set_particles(particles)?;
+        Ok(solver)
     }
 
-    /// Moves everything so many substeps on.
+    /// Puts other particles in the place of those that are there: a state that was kept, or one with
+    /// particles added or taken away.
     ///
     /// # Errors
-    /// The index of a particle that left the grid or has a position that is no number; the state is
-    /// of no use then.
-    pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
-        (0..substeps).try_for_each(|_| self.substep())
+    /// As [`Solver::new`]; the solver keeps what it had.
+    pub fn set_particles(&mut self, particles: Vec<Particle>) -> Result<(), usize> {
+        match particles.iter().position(|p| !self.settings.grid.contains(p.position)) {
+            Some(outside) => Err(outside),
+            None => {
+                self.particles = particles;
+                Ok(())
+            }
+        }
     }
 
-    /// Moves everything one substep on.
-    fn substep(&mut self) -> Result<(), usize> {
-        self.grid.clear();
-        p2g::scatter(&mut self.particles, &mut self.grid, &self.moduli, self.volume, self.dt);
-        self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
-        g2p::gather(&mut self.particles, &self.grid, &self.moduli, self.dt)
+    /// Moves everything so many substeps on. The bits depend on the particles and on the number of
+    /// substeps, not on threads or the processor.
+    ///
+    /// # Errors
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
+    /// position that is no number; the state is of no use then.
+    pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
+        self.fast.run(&mut self.particles, substeps, &self.settings, self.attractor)
+    }
+
+    /// As [`Solver::run`], one particle and one node after the other: the reference.
+    ///
+    /// # Errors
+    /// As [`Solver::run`], but for particles that move further than a cell.
+    pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
+        let SolverSettings { dt, gravity, .. } = self.settings;
+        let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
+        let mut grid = Grid::new(self.settings.grid);
+        for _ in 0..substeps {
+            grid.clear();
+            p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
+            grid.update(dt, gravity, self.attractor.as_ref());
+            g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
+        }
+        Ok(())
+    }
+
+    /// Takes other vector instructions than the widest of this processor.
+    #[cfg(test)]
+    pub(super) fn with_level(mut self, level: Level, threads: usize) -> Self {
+        self.fast = Fast::new(self.settings.grid, threads, level);
+        self
     }
 
     /// The particles, in the order they were given.
@@ -81,9 +111,14 @@ impl Solver {
         &self.particles
     }
 
-    /// Length of a substep (s).
-    pub fn dt(&self) -> f32 {
-        self.dt
+    /// What it computes with.
+    pub fn settings(&self) -> &SolverSettings {
+        &self.settings
+    }
+
+    /// The energy of the particles.
+    pub fn energy(&self) -> Energy {
+        Energy::of(&self.particles, &self.settings)
     }
 
     /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).
@@ -126,7 +161,14 @@ mod tests {
     }
 
     fn settings(grid: GridShape, dt: f32, gravity: f32) -> SolverSettings {
-        SolverSettings { grid, spacing: 0.5 * grid.dx, materials: MATERIALS, dt, gravity }
+        SolverSettings {
+            grid,
+            spacing: 0.5 * grid.dx,
+            materials: MATERIALS,
+            dt,
+            gravity,
+            threads: 1,
+        }
     }
 
     fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
@@ -136,7 +178,7 @@ mod tests {
     /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
     /// APIC keeps in C (`x x v + dx^2/4 (C_yx - C_xy)`).
     fn momenta(solver: &Solver) -> ([f64; 2], f64) {
-        let inertia = f64::from(solver.grid.dx()).powi(2) / 4.0;
+        let inertia = f64::from(solver.settings.grid.dx).powi(2) / 4.0;
         let mut linear = [0.0; 2];
         let mut angular = 0.0;
         for particle in solver.particles() {
@@ -151,10 +193,12 @@ mod tests {
 
     #[test]
     fn the_grid_carries_the_mass_of_the_particles() {
-        let mut solver = solver(square(Material::Jelly), 1e-4, 0.0);
-        solver.run(1).unwrap();
-        let found: f64 = solver.grid.nodes().iter().map(|node| f64::from(node[2])).sum();
-        let expected = 400.0 * f64::from(DENSITY * solver.volume);
+        let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
+        let mut grid = Grid::new(settings.grid);
+        let moduli = Moduli::of(&settings.materials);
+        p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
+        let found: f64 = grid.nodes().iter().map(|node| f64::from(node[2])).sum();
+        let expected = 400.0 * f64::from(DENSITY * settings.volume());
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
     }
 
@@ -209,7 +253,7 @@ mod tests {
             let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
             let energy = |solver: &Solver| {
                 let grid = GridShape::unit(CELLS);
-                let settings = settings(grid, solver.dt(), GRAVITY);
+                let settings = settings(grid, solver.settings.dt, GRAVITY);
                 Energy::of(solver.particles(), &settings).total()
             };
             let start = energy(&solver);

@@ -18,11 +18,11 @@ use super::{
 /// Largest J: water that has come apart claims no more room than this, so that it resists soon when
 /// it meets again. Settled pools had the same density with 1.02 as with 1.2, but a pool at rest began
 /// to slosh by itself from 1.05.
-const LOOSEST: f32 = 1.02;
+pub(super) const LOOSEST: f32 = 1.02;
 
 /// Time in which J forgets (s): settled pools kept their density within 2.5 %. 0.3 s was too slow for
 /// viscous splashes.
-const MEMORY: f32 = 0.1;
+pub(super) const MEMORY: f32 = 0.1;
 
 /// The area ratio J after the motion `gradient` (1/s) of `dt` seconds.
 #[inline]

@@ -3,12 +3,14 @@
 
 mod bad_input;
 mod bag;
+mod exchange;
 mod graph;
 mod launch_configs;
 mod layers;
 mod mpm;
 mod physics;
 mod pipeline;
+mod scenes;
 mod support;
 mod train;
 mod transport;

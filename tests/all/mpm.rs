@@ -1,12 +1,21 @@
 //! `eddy simulate`: what it leaves on disk, and what it refuses.
 
-use std::{fs, path::Path};
+use std::{collections::BTreeSet, fs, path::Path, process::Command, time::Duration};
 
-use crate::support::{Process, eddy, fail, succeed, wait_for};
+use eddy::{
+    bag::BagReader,
+    frame::{Frame, Stamp},
+    msg::{self, Message, ParticleFrame, cdr},
+    transport::{Link, TransportOptions, Transports},
+};
+
+use crate::support::{DEADLINE, Process, eddy, fail, succeed, talking_eddy, unique, wait_for};
 
 fn simulate(output: &Path, more: &[&str]) -> Vec<String> {
-    let mut arguments = vec!["simulate", "--duration", "0.032", "--output"];
-    arguments.push(output.to_str().unwrap());
+    let mut arguments = vec!["simulate", "--output", output.to_str().unwrap()];
+    if !more.contains(&"--duration") {
+        arguments.extend(["--duration", "0.032"]);
+    }
     arguments.extend(more);
     arguments.into_iter().map(str::to_owned).collect()
 }
@@ -29,6 +38,149 @@ fn the_same_seed_writes_the_same_bags() {
     assert_eq!(manifest(&first), manifest(&second));
     assert_eq!(manifest(&first)["scenes"][2]["frames"], 2);
     assert_eq!(fs::read_dir(&first).unwrap().count(), 4, "three bags and the manifest");
+}
+
+#[test]
+fn the_manifest_says_what_every_scene_is_and_how_its_energy_went() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    succeed(simulate(output, &["--scenes", "2", "--duration", "0.8", "--stiffness", "500"]));
+    let manifest = manifest(output);
+    assert_eq!(manifest["request"]["seed"], 1);
+    for (id, scene) in manifest["scenes"].as_array().unwrap().iter().enumerate() {
+        assert_eq!(scene["id"], id);
+        assert_eq!(scene["materials"].as_array().unwrap().len(), 2);
+        assert!(scene["substeps"].as_u64().unwrap() > 50);
+        assert_eq!(scene["scene"]["materials"]["stiffness"], 500.0);
+        assert_eq!(scene["frames"], 50);
+        assert_eq!(scene["sha256"].as_str().unwrap().len(), 64);
+        let time = scene["energy"]["time"].as_array().unwrap();
+        let kinetic = scene["energy"]["kinetic"].as_array().unwrap();
+        assert_eq!((time.len(), kinetic.len()), (33, 33));
+        assert_eq!((&time[0], &time[32]), (&0.0.into(), &0.784.into()));
+        // The energy of the last frame, as its bag has it.
+        let last = frames(&output.join(format!("scene_000{id}"))).pop().unwrap();
+        let squares: f64 = last.velocity.as_flattened().iter().map(|&v| f64::from(v * v)).sum();
+        let expected = 0.5 * squares / last.len() as f64;
+        let found = kinetic[32].as_f64().unwrap();
+        assert!((found / expected - 1.0).abs() < 1e-4, "{found}, {expected}");
+    }
+}
+
+fn frames(bag: &Path) -> Vec<Frame> {
+    BagReader::open(bag).unwrap().frames("/particles").unwrap().map(Result::unwrap).collect()
+}
+
+#[test]
+fn threads_change_nothing_but_the_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let digests = ["1", "3"].map(|threads| {
+        let output = folder.path().join(threads);
+        succeed(simulate(&output, &["--scenes", "3", "--threads", threads]));
+        let manifest = manifest(&output);
+        let scenes = manifest["scenes"].as_array().unwrap().clone();
+        scenes.iter().map(|scene| scene["sha256"].to_string()).collect::<Vec<_>>()
+    });
+    assert_eq!(digests[0], digests[1]);
+    assert_eq!(digests[0].iter().collect::<BTreeSet<_>>().len(), 3, "three scenes");
+}
+
+#[test]
+fn a_scene_that_fails_leaves_the_others_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    // So soft that the liquid of some scenes collapses.
+    let said =
+        fail(1, simulate(output, &["--scenes", "6", "--duration", "0.5", "--stiffness", "0.01"]));
+    let failed = said.lines().filter(|line| line.contains("expected one inside the walls")).count();
+    assert!((1..6).contains(&failed), "{said}");
+    let manifest = manifest(output);
+    let finished = manifest["scenes"].as_array().unwrap();
+    assert_eq!(finished.len() + failed, 6, "{said}");
+    assert!(said.contains(&format!("{} of 6 scenes are finished and kept", finished.len())));
+    for scene in finished {
+        let bag = output.join(format!("scene_000{}", scene["id"]));
+        assert_eq!(frames(&bag).len(), 31);
+    }
+    assert_eq!(fs::read_dir(output).unwrap().count(), finished.len() + 1, "no half a bag is left");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_keeps_what_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let arguments = |scenes: &str| simulate(output, &["--scenes", scenes, "--duration", "0.32"]);
+    succeed(arguments("2"));
+    let before = manifest(output);
+
+    // What the system says of a file over the limit reaches the program as that of a full disk does.
+    let mut limited = Command::new("sh");
+    limited.args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$@\"", "sh"]);
+    let limited = limited.arg(eddy().get_program()).args(arguments("4")).output().unwrap();
+    let said = String::from_utf8_lossy(&limited.stderr);
+    assert_eq!(limited.status.code(), Some(1), "{said}");
+    assert!(said.contains("2 of 4 scenes are finished and kept"), "{said}");
+    assert!(said.contains("no room is left: make some"), "{said}");
+    assert_eq!(manifest(output), before);
+    assert_eq!(fs::read_dir(output).unwrap().count(), 3, "two bags and the manifest");
+
+    assert!(succeed(arguments("4")).contains("2 of 4 scenes are in"));
+}
+
+#[test]
+fn a_live_source_publishes_every_frame_in_time_and_the_clock_before_it() {
+    let topic = format!("/{}/particles", unique("live"));
+    let [frames_link, clock_link] =
+        [&topic, "/clock"].map(|topic| format!("shm:{topic}").parse::<Link>().unwrap());
+    let transports = Transports::new(TransportOptions::new("test_live"));
+    let mut particles = transports.subscriber(&frames_link, ParticleFrame::TYPE).unwrap();
+    let mut clock = transports.subscriber(&clock_link, msg::Clock::TYPE).unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let started = std::time::Instant::now();
+    let link = frames_link.to_string();
+    let more = ["--duration", "0.8", "--publish", &link, "--rate", "0.5", "--wait-for", "1"];
+    let mut source = Process::start(eddy().args(simulate(output, &more)));
+    let (mut received, mut times): (Vec<Frame>, BTreeSet<Stamp>) = Default::default();
+    while received.len() < 50 && started.elapsed() < DEADLINE {
+        if let Some(payload) = particles.receive(Duration::from_millis(20)).unwrap() {
+            let frame = payload.into_frame().unwrap();
+            let due = Duration::from_secs_f64(frame.stamp.seconds() / 0.5);
+            assert!(started.elapsed() >= due, "frame {} came too early", frame.sequence);
+            received.push(frame);
+        }
+        while let Some(payload) = clock.receive(Duration::ZERO).unwrap() {
+            let message: msg::Clock = cdr::decode(&payload.into_cdr()).unwrap();
+            times.insert(message.clock.into());
+        }
+    }
+    assert!(source.wait().success());
+    assert_eq!(received, frames(&output.join("scene_0000")), "what was published is recorded");
+    assert!(received.iter().all(|frame| times.contains(&frame.stamp)), "{times:?}");
+}
+
+#[test]
+fn an_interrupt_ends_a_live_source_cleanly() {
+    let link = format!("shm:/{}/particles", unique("live"));
+    let mut command = talking_eddy();
+    command.args(["simulate", "--publish", &link, "--duration", "1000", "--reliability", "drop"]);
+    let mut source = Process::start_until(&mut command, "publishing on shm:");
+    source.interrupt();
+    assert!(source.wait().success());
+}
+
+#[test]
+fn a_live_source_that_cannot_be_is_refused() {
+    let refused = |more: &[&str], code: i32| fail(code, [&["simulate"], more].concat());
+    assert!(refused(&["--publish", "memory:/x"], 1).contains("expected shm or zenoh"));
+    let said = refused(&["--publish", "shm:/x", "--rate", "0"], 1);
+    assert!(said.contains("rate: found 0, expected a positive number"), "{said}");
+    assert!(refused(&["--rate", "2", "--output", "x"], 2).contains("--publish"));
+    assert!(
+        refused(&["--scene", "x.toml", "--scenes", "2", "--output", "x"], 2).contains("--scene")
+    );
 }
 
 #[test]
@@ -57,7 +209,7 @@ fn a_directory_of_other_scenes_is_left_as_it_is() {
     let foreign = output.join("foreign");
     fs::create_dir_all(foreign.join("scene_0000")).unwrap();
     let said = fail(1, simulate(&foreign, &["--scenes", "1"]));
-    assert!(said.contains("a directory that the manifest does not have"), "{said}");
+    assert!(said.contains("a directory that is not this scene by the manifest"), "{said}");
 }
 
 #[test]
@@ -86,4 +238,22 @@ fn an_interrupt_keeps_what_is_finished_and_the_same_command_goes_on() {
     assert_eq!(fs::read_dir(output).unwrap().count(), finished + 1, "bags and the manifest");
     let said = succeed(arguments);
     assert!(said.contains(&format!("{finished} of 30 scenes are in")), "{said}");
+}
+
+#[test]
+fn a_killed_simulation_is_taken_up_by_the_same_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let arguments = simulate(output, &["--scenes", "8", "--duration", "0.32", "--threads", "2"]);
+    let process = Process::start(eddy().args(&arguments));
+    wait_for("a scene is finished", || output.join("manifest.json").exists().then_some(()));
+    process.kill();
+    assert!(output.join(".incomplete").exists());
+    succeed(&arguments);
+    let manifest = manifest(output);
+    assert_eq!(manifest["scenes"].as_array().unwrap().len(), 8);
+    for id in 0..8 {
+        assert_eq!(frames(&output.join(format!("scene_000{id}"))).len(), 20);
+    }
+    assert_eq!(fs::read_dir(output).unwrap().count(), 9, "eight bags and the manifest");
 }

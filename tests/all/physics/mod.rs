@@ -38,7 +38,7 @@ const INTERVAL: f64 = 0.016;
 fn settings(grid: GridShape, material: Material, materials: Materials) -> SolverSettings {
     let (substeps, _) = minimum_substeps(&[material], &materials, grid.dx, 5.0, INTERVAL);
     let dt = (INTERVAL / f64::from(substeps)) as f32;
-    SolverSettings { grid, spacing: 0.5 * grid.dx, materials, dt, gravity: GRAVITY }
+    SolverSettings { grid, spacing: 0.5 * grid.dx, materials, dt, gravity: GRAVITY, threads: 1 }
 }
 
 /// A rectangle of `columns` x `rows` particles that rest, column by column, from its lower left corner.
@@ -56,7 +56,7 @@ fn block(
 
 /// Moves everything about so many seconds on.
 fn run_for(solver: &mut Solver, seconds: f32) {
-    solver.run((seconds / solver.dt()).round() as u32).unwrap();
+    solver.run((seconds / solver.settings().dt).round() as u32).unwrap();
 }
 
 /// How many particles the largest piece has: those that hang together over gaps of at most `link`.

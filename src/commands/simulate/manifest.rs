@@ -10,22 +10,25 @@ use serde::{Deserialize, Serialize};
 
 use eddy::{
     frame::Material,
-    mpm::{Attractor, Body, Preset, Settings, Simulation},
+    mpm::{Energy, Scene, Settings, Simulation},
 };
 
 /// The file's name.
 const NAME: &str = "manifest.json";
+/// The most points of an energy curve.
+const CURVE_POINTS: usize = 33;
 
 /// What all scenes of a directory were asked to be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Request {
     /// Version of the program.
     pub(super) eddy: String,
-    /// The kind of scenes.
-    pub(super) preset: Preset,
-    /// Their seed.
+    /// The preset, or the name of the scene's file.
+    pub(super) scene: String,
+    /// The seed of random scenes.
     pub(super) seed: u64,
-    /// Stiffness, substeps and duration.
+    /// What took the place of the scenes' own numbers.
     pub(super) settings: Settings,
 }
 
@@ -36,12 +39,10 @@ pub(super) struct Start {
     pub(super) id: u64,
     /// The materials that occur.
     pub(super) materials: Vec<Material>,
-    /// The bodies.
-    pub(super) bodies: Vec<Body>,
-    /// What pulled before the recording started.
-    pub(super) attractor: Option<Attractor>,
     /// Substeps a frame.
     pub(super) substeps: u32,
+    /// The scene itself, as a file of a scene would have it.
+    pub(super) scene: Scene,
 }
 
 impl Start {
@@ -51,9 +52,46 @@ impl Start {
         Self {
             id: scene.id,
             materials: scene.materials(),
-            bodies: scene.bodies.clone(),
-            attractor: scene.attractor,
             substeps: simulation.substeps_per_frame(),
+            scene: scene.clone(),
+        }
+    }
+}
+
+/// How much energy the particles had, at times spread evenly over a scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EnergyCurve {
+    /// When (s of simulated time).
+    time: Vec<f64>,
+    /// Kinetic energy (density x domain lengths^4 per s^2, like the others).
+    kinetic: Vec<f32>,
+    /// Elastic energy.
+    elastic: Vec<f32>,
+    /// Potential energy, that of height above the floor of the domain.
+    potential: Vec<f32>,
+}
+
+impl EnergyCurve {
+    /// Adds the energy of the next frame.
+    pub(super) fn push(&mut self, time: f64, energy: Energy) {
+        self.time.push(time);
+        self.kinetic.push(energy.kinetic as f32);
+        self.elastic.push(energy.elastic as f32);
+        self.potential.push(energy.potential as f32);
+    }
+
+    /// The curve with at most [`CURVE_POINTS`] points, the first and the last among them.
+    pub(super) fn thinned(&self) -> Self {
+        let last = self.time.len().saturating_sub(1);
+        let points = self.time.len().min(CURVE_POINTS);
+        let chosen: Vec<usize> = (0..points).map(|k| k * last / (points - 1).max(1)).collect();
+        let thin = |curve: &[f32]| chosen.iter().map(|&k| curve[k]).collect();
+        Self {
+            time: chosen.iter().map(|&k| self.time[k]).collect(),
+            kinetic: thin(&self.kinetic),
+            elastic: thin(&self.elastic),
+            potential: thin(&self.potential),
         }
     }
 }
@@ -66,6 +104,8 @@ pub(super) struct Finished {
     pub(super) start: Start,
     /// How many frames were recorded.
     pub(super) frames: u64,
+    /// The energy over time.
+    pub(super) energy: EnergyCurve,
     /// SHA-256 of the CDR bytes of all frames, one after the other.
     pub(super) sha256: String,
 }
@@ -73,7 +113,6 @@ pub(super) struct Finished {
 /// The manifest of a directory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Manifest {
-    #[serde(flatten)]
     request: Request,
     /// The finished scenes, by id.
     scenes: Vec<Finished>,
@@ -88,11 +127,12 @@ impl Manifest {
             return Ok(Self { request, scenes: Vec::new() });
         }
         let text = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let found: Self = serde_json::from_slice(&text)
-            .with_context(|| format!("{}: found no manifest of eddy simulate", path.display()))?;
+        let found: Self = serde_json::from_slice(&text).with_context(|| {
+            format!("{}: found no manifest of this eddy; choose another --output", path.display())
+        })?;
         if found.request != request {
             bail!(
-                "{}: found {}, expected {}; choose another directory",
+                "{}: found {}, expected {}; choose another --output",
                 path.display(),
                 serde_json::to_string(&found.request)?,
                 serde_json::to_string(&request)?
@@ -117,10 +157,25 @@ impl Manifest {
     pub(super) fn save(&self, directory: &Path) -> anyhow::Result<()> {
         let path = path(directory);
         let unfinished = path.with_extension("json.tmp");
-        let text = serde_json::to_string_pretty(self)? + "\n";
-        fs::write(&unfinished, text)
+        let written = fs::write(&unfinished, self.text()?)
             .and_then(|()| fs::rename(&unfinished, &path))
-            .with_context(|| format!("cannot write {}", path.display()))
+            .with_context(|| format!("cannot write {}", path.display()));
+        if written.is_err() {
+            // What could not be written whole is of no use, and may be what fills the disk.
+            let _ = fs::remove_file(&unfinished);
+        }
+        written
+    }
+
+    /// JSON with one line a scene, to be read by people too.
+    fn text(&self) -> serde_json::Result<String> {
+        let scenes: Vec<String> =
+            self.scenes.iter().map(serde_json::to_string).collect::<serde_json::Result<_>>()?;
+        Ok(format!(
+            "{{\n\"request\": {},\n\"scenes\": [\n{}\n]\n}}\n",
+            serde_json::to_string(&self.request)?,
+            scenes.join(",\n")
+        ))
     }
 }
 

@@ -1,0 +1,139 @@
+//! `eddy bench`: tables for this machine.
+
+use std::{fs, path::Path};
+
+use anyhow::{Context, anyhow, ensure};
+use comfy_table::{CellAlignment, Table, presets};
+use serde::Serialize;
+
+use super::{Interrupt, progress_bar};
+use crate::cli::{BenchArgs, BenchCommand, BenchSolverArgs};
+use eddy::{
+    bag::{BagWriter, WriterOptions},
+    bench::{
+        limit::Limit,
+        solver::{CASES, COMPARED, Case, Timing},
+    },
+    dataset::TRUTH_TOPIC,
+    mpm::{GRAVITY, Law, Materials},
+    msg::{Message, ParticleFrame},
+};
+
+/// Runs one of the benchmarks.
+pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    match args.command {
+        BenchCommand::Solver(args) => solver(args, quiet, interrupt),
+    }
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct SolverReport {
+    law: Law,
+    stiffness: f32,
+    gravity: f32,
+    /// Substeps after which the frames of the bags are taken.
+    compared: [u32; 3],
+    limits: Vec<Limit>,
+    timings: Vec<Timing>,
+}
+
+fn solver(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let chosen = CASES
+        .into_iter()
+        .filter(|(particles, _)| args.particles.is_empty() || args.particles.contains(particles));
+    let cases: Vec<(usize, u32)> = chosen.collect();
+    ensure!(
+        cases.len() >= args.particles.len().max(1),
+        "particles: found {:?}, expected some of {:?}",
+        args.particles,
+        CASES.map(|(particles, _)| particles)
+    );
+    ensure!(
+        args.threads.iter().all(|&threads| (1..=1024).contains(&threads)),
+        "threads: found {:?}, expected numbers from 1 to 1024",
+        args.threads
+    );
+    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    if let Some(output) = &args.output {
+        fs::create_dir_all(output).with_context(|| format!("cannot make {}", output.display()))?;
+        for &(particles, cells) in &cases {
+            keep(&Case::new(particles, cells, args.law, 1), output)?;
+        }
+    }
+    let bar = progress_bar((cases.len() * args.threads.len()) as u64, "cases", quiet);
+    let (mut limits, mut timings) = (Vec::new(), Vec::new());
+    for &threads in &args.threads {
+        let limit = Limit::measure(threads);
+        limits.push(limit);
+        for &(particles, cells) in &cases {
+            if interrupt.requested() {
+                break;
+            }
+            let case = Case::new(particles, cells, args.law, threads);
+            let timing = case
+                .time(args.seconds, &limit)
+                .map_err(|lost| anyhow!("{particles} particles: particle {lost} left the grid"))?;
+            timings.push(timing);
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    if args.json {
+        let Materials { stiffness, .. } = Materials::default();
+        let (law, gravity, compared) = (args.law, GRAVITY, COMPARED);
+        let report = SolverReport { law, stiffness, gravity, compared, limits, timings };
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print_timings(&timings, &limits);
+    }
+    Ok(())
+}
+
+/// Writes the bag that other programs start from and are compared with.
+fn keep(case: &Case, output: &Path) -> anyhow::Result<()> {
+    let bag = output.join(format!("particles_{}", case.particles.len()));
+    let mut writer = BagWriter::create(&bag, WriterOptions::default())?;
+    let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
+    let frames = case.compared().with_context(|| bag.display().to_string())?;
+    ensure!(
+        frames.len() == COMPARED.len(),
+        "{}: found {} frames, expected {}: the scene blew up",
+        bag.display(),
+        frames.len(),
+        COMPARED.len()
+    );
+    for frame in frames {
+        writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr())?;
+    }
+    writer.finish()?;
+    Ok(())
+}
+
+fn print_timings(timings: &[Timing], limits: &[Limit]) {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"]);
+    for timing in timings {
+        table.add_row([
+            timing.particles.to_string(),
+            format!("{0}x{0}", timing.cells),
+            timing.threads.to_string(),
+            format!("{:.1}", timing.microseconds),
+            format!("{:.2}", timing.nanoseconds_per_particle),
+            format!("{:.0} %", 100.0 * timing.share_of_limit),
+        ]);
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    println!("{}", table.trim_fmt());
+    println!("\nliquid, snow and jelly in equal parts; the fastest of 5 rounds");
+    for Limit { threads, operations, bytes } in limits {
+        println!(
+            "limit, {threads} threads: {:.0} G operations/s in vectors, {:.1} GB/s of memory",
+            operations * 1e-9,
+            bytes * 1e-9
+        );
+    }
+}

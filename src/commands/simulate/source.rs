@@ -1,0 +1,67 @@
+//! Where scenes come from: drawn from a seed, or written in a file.
+
+use std::path::Path;
+
+use clap::{
+    ValueEnum,
+    builder::{PossibleValue, PossibleValuesParser},
+};
+
+use crate::cli::SimulateArgs;
+use eddy::{
+    config,
+    mpm::{Preset, Scene},
+};
+
+/// The scene files that come with the program, by the names that `--preset` takes.
+const SHIPPED: [(&str, &str); 6] = [
+    ("dam-break", include_str!("../../../launch_configs/scenes/dam_break.toml")),
+    ("fountain", include_str!("../../../launch_configs/scenes/fountain.toml")),
+    ("pour", include_str!("../../../launch_configs/scenes/pour.toml")),
+    ("rope-on-jelly", include_str!("../../../launch_configs/scenes/rope_on_jelly.toml")),
+    ("snowball", include_str!("../../../launch_configs/scenes/snowball.toml")),
+    ("wide-tank", include_str!("../../../launch_configs/scenes/wide_tank.toml")),
+];
+
+/// The words that `--preset` takes, with what they mean.
+pub(crate) fn presets() -> PossibleValuesParser {
+    let random = Preset::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    let shipped = SHIPPED.iter().map(|(name, text)| {
+        // The second line of each file says what it is.
+        let help = text.lines().nth(1).unwrap_or_default().trim_start_matches("# ");
+        PossibleValue::new(*name).help(help.to_owned())
+    });
+    PossibleValuesParser::new(random.chain(shipped))
+}
+
+/// Where scenes come from.
+#[derive(Clone, Debug)]
+pub(super) enum Source {
+    /// Drawn from a seed.
+    Random(Preset),
+    /// Written down: always the same scene.
+    Written(Box<Scene>),
+}
+
+impl Source {
+    /// What was asked for.
+    pub(super) fn of(args: &SimulateArgs) -> anyhow::Result<Self> {
+        if let Some(file) = &args.scene {
+            return Ok(Self::Written(Box::new(config::load(file)?)));
+        }
+        if let Ok(preset) = Preset::from_str(&args.preset, false) {
+            return Ok(Self::Random(preset));
+        }
+        let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
+        let text = shipped.map_or("", |(_, text)| text);
+        Ok(Self::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
+    }
+
+    /// Scene number `index` of those asked for; one that is written down has its own id.
+    pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
+        match self {
+            Self::Random(preset) => Scene::generate(*preset, seed, index),
+            Self::Written(scene) => Scene::clone(scene),
+        }
+    }
+}

@@ -1,0 +1,230 @@
+//! The velocities of all nodes: momentum of the patches becomes velocity, gravity and walls act.
+
+use super::{
+    super::{
+        attractor::Attractor,
+        grid::{GridShape, WALL_CELLS},
+        solver::SolverSettings,
+    },
+    chunk::Chunk,
+    level::Work,
+    simd::Simd,
+};
+
+/// Velocities and masses of `sides[0] * sides[1]` nodes, row (x) by row.
+#[derive(Clone, Debug)]
+pub(super) struct Field {
+    /// Velocities (domain lengths per s).
+    pub(super) velocity: Vec<[f32; 2]>,
+    /// Masses, in masses of a particle.
+    pub(super) mass: Vec<f32>,
+    /// Nodes along x and y.
+    pub(super) sides: [usize; 2],
+    /// Nodes from one row to the next.
+    pub(super) stride: usize,
+    /// Cells per domain length.
+    pub(super) inverse_dx: f32,
+}
+
+impl Field {
+    /// A field at rest.
+    pub(super) fn new(shape: GridShape) -> Self {
+        let sides = shape.cells.map(|cells| cells as usize + 1);
+        let stride = sides[1] + GROUP;
+        let inverse_dx = 1.0 / shape.dx;
+        let nodes = sides[0] * stride;
+        Self { velocity: vec![[0.0; 2]; nodes], mass: vec![0.0; nodes], sides, stride, inverse_dx }
+    }
+}
+
+/// The nodes while particles read them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Nodes<'a> {
+    /// Velocities, row (x) by row (domain lengths per s).
+    pub(super) velocity: &'a [[f32; 2]],
+    /// Masses, in masses of a particle.
+    pub(super) mass: &'a [f32],
+    /// Nodes from one row to the next.
+    pub(super) stride: usize,
+}
+
+impl<'a> Nodes<'a> {
+    /// Velocities of four nodes in each row of the stencil with the lowest node `at`.
+    #[inline(always)]
+    pub(super) fn velocities(self, at: usize) -> [&'a [[f32; 2]; GROUP]; 3] {
+        rows(self.velocity, at, self.stride)
+    }
+
+    /// As [`Nodes::velocities`], the masses.
+    #[inline(always)]
+    pub(super) fn masses(self, at: usize) -> [&'a [f32; GROUP]; 3] {
+        rows(self.mass, at, self.stride)
+    }
+}
+
+#[inline(always)]
+fn rows<T>(nodes: &[T], at: usize, stride: usize) -> [&[T; GROUP]; 3] {
+    match (
+        nodes[at..].first_chunk(),
+        nodes[at + stride..].first_chunk(),
+        nodes[at + 2 * stride..].first_chunk(),
+    ) {
+        (Some(a), Some(b), Some(c)) => [a, b, c],
+        _ => unreachable!("the chunk has seen that the stencil lies in the grid"),
+    }
+}
+
+/// What acts on the nodes in a substep.
+#[derive(Clone, Debug)]
+pub(super) struct Forces {
+    /// What the walls let pass in rows at the lower wall, between the walls and at the upper wall.
+    walls: [Walls; 3],
+    /// Nodes along x.
+    rows: usize,
+    /// Cell width (domain lengths).
+    dx: f32,
+    /// Length of the substep (s).
+    dt: f32,
+    /// Acceleration in -y (domain lengths per s^2).
+    gravity: f32,
+    /// Pulls if there is one.
+    attractor: Option<Attractor>,
+}
+
+/// Least and largest velocity that separating slip walls let pass at the nodes of a row.
+#[derive(Clone, Debug)]
+struct Walls {
+    least: Vec<[f32; 2]>,
+    most: Vec<[f32; 2]>,
+}
+
+impl Walls {
+    /// The walls of a row that is `row`th of so many, with so many nodes and some to spare.
+    fn new(row: usize, [rows, columns]: [usize; 2]) -> Self {
+        let least = |k: usize| if k < WALL_CELLS { 0.0 } else { f32::NEG_INFINITY };
+        let most = |k: usize, side| if k + WALL_CELLS >= side { 0.0 } else { f32::INFINITY };
+        let nodes = 0..columns + GROUP;
+        Self {
+            least: nodes.clone().map(|j| [least(row), least(j)]).collect(),
+            most: nodes.map(|j| [most(row, rows), most(j, columns)]).collect(),
+        }
+    }
+}
+
+impl Forces {
+    /// The forces in a simulation with these settings.
+    pub(super) fn new(settings: &SolverSettings, attractor: Option<Attractor>) -> Self {
+        let SolverSettings { grid: shape, dt, gravity, .. } = *settings;
+        let sides = shape.cells.map(|cells| cells as usize + 1);
+        let rows = sides[0];
+        let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));
+        Self { walls, rows, dx: shape.dx, dt, gravity, attractor }
+    }
+
+    /// What an attractor adds to the velocities of a row in a substep.
+    fn pull(&self, attractor: &Attractor, row: usize, velocity: &mut [[f32; 2]]) {
+        for (j, velocity) in velocity.iter_mut().enumerate() {
+            let pull = attractor.acceleration([row as f32 * self.dx, j as f32 * self.dx]);
+            *velocity = [self.dt * pull[0], self.dt * pull[1]];
+        }
+    }
+}
+
+/// The update of one row of the field from the patches that cover it.
+pub(super) struct Update<'a> {
+    pub(super) forces: &'a Forces,
+    /// Number of the row.
+    pub(super) row: usize,
+    pub(super) chunks: &'a [Chunk],
+    /// Velocities of the row's nodes.
+    pub(super) velocity: &'a mut [[f32; 2]],
+    /// Masses of the row's nodes.
+    pub(super) mass: &'a mut [f32],
+    /// Room to add up.
+    pub(super) sum: &'a mut Sum,
+}
+
+impl Work for Update<'_> {
+    type Output = ();
+
+    /// Nodes without mass get a velocity too; nobody is near enough to feel it.
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { forces, row, chunks, velocity, mass, sum } = self;
+        let Some([from, to]) = sum.add_up(row, chunks) else { return };
+        mass[from..to].copy_from_slice(&sum.mass[from..to]);
+        if let Some(attractor) = &forces.attractor {
+            forces.pull(attractor, row, &mut sum.pull);
+        }
+        let at_wall = usize::from(row >= WALL_CELLS) + usize::from(row + WALL_CELLS >= forces.rows);
+        let Walls { least, most } = &forces.walls[at_wall];
+        let fall = simd.repeat(&[0.0, forces.dt * forces.gravity]);
+        let lightest = simd.splat_pairs(f32::MIN_POSITIVE);
+        let fours = groups(&sum.momentum[from..])
+            .zip(groups(&sum.mass[from..]))
+            .zip(groups(&sum.pull[from..]))
+            .zip(groups(&least[from..]))
+            .zip(groups(&most[from..]))
+            .zip(velocity[from..].as_chunks_mut().0)
+            .take((to - from).div_ceil(GROUP));
+        for (((((momentum, mass), pull), least), most), velocity) in fours {
+            let mass = simd.max_pairs(simd.twice(simd.load_ones(mass)), lightest);
+            // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
+            // mass, and the same rounding of its inverse everywhere would let momentum drift.
+            let free = simd.load_pairs(momentum) / mass - fall + simd.load_pairs(pull);
+            let above = simd.max_pairs(simd.load_pairs(least), free);
+            simd.store_pairs(simd.min_pairs(simd.load_pairs(most), above), velocity);
+        }
+    }
+}
+
+/// Nodes that are computed at once.
+const GROUP: usize = 4;
+
+/// The whole groups of a slice.
+#[inline(always)]
+fn groups<T>(nodes: &[T]) -> impl Iterator<Item = &[T; GROUP]> {
+    nodes.as_chunks().0.iter()
+}
+
+/// One row of the grid while the patches are added up.
+#[derive(Clone, Debug)]
+pub(super) struct Sum {
+    momentum: Vec<[f32; 2]>,
+    mass: Vec<f32>,
+    /// What the attractor adds to the velocity; zero without one.
+    pull: Vec<[f32; 2]>,
+}
+
+impl Sum {
+    /// A row of so many nodes.
+    pub(super) fn new(nodes: usize) -> Self {
+        Self {
+            momentum: vec![[0.0; 2]; nodes],
+            mass: vec![0.0; nodes],
+            pull: vec![[0.0; 2]; nodes],
+        }
+    }
+
+    /// Adds up what the patches have in row `i`, in the order of the chunks, and says between which
+    /// nodes; `None` if no patch covers the row.
+    #[inline(always)]
+    fn add_up(&mut self, i: usize, chunks: &[Chunk]) -> Option<[usize; 2]> {
+        let covering = || chunks.iter().filter(|chunk| chunk.covers(i));
+        let from = covering().map(|chunk| chunk.origin[1] as usize).min()?;
+        let to = covering().map(|chunk| chunk.origin[1] as usize + chunk.nodes[1]).max()?;
+        self.momentum[from..to].fill([0.0; 2]);
+        self.mass[from..to].fill(0.0);
+        for chunk in covering() {
+            let (momentum, mass) = chunk.row(i);
+            let start = chunk.origin[1] as usize;
+            for (sum, more) in self.momentum[start..].iter_mut().zip(momentum) {
+                *sum = [sum[0] + more[0], sum[1] + more[1]];
+            }
+            for (sum, more) in self.mass[start..].iter_mut().zip(mass) {
+                *sum += more;
+            }
+        }
+        Some([from, to])
+    }
+}

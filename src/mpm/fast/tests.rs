@@ -1,0 +1,108 @@
+use proptest::prelude::*;
+
+use super::{
+    super::{
+        FRAME_INTERVAL, GRAVITY, Law, Materials, Particle, Preset, Scene, Solver, SolverSettings,
+        minimum_substeps,
+    },
+    Level,
+};
+use crate::frame::Material;
+
+/// A solver at the start of a scene, and the particles that it starts from.
+fn solver(scene: &Scene, law: Law) -> Solver {
+    let materials = Materials { law, viscosity: 1e-3, ..Materials::default() };
+    let grid = scene.grid().unwrap();
+    let (substeps, _) =
+        minimum_substeps(&scene.materials(), &materials, grid.dx, scene.fastest(), 0.016);
+    let settings = SolverSettings {
+        grid,
+        spacing: scene.spacing(),
+        materials,
+        dt: FRAME_INTERVAL / substeps as f32,
+        gravity: GRAVITY,
+        threads: 1,
+    };
+    Solver::new(scene.particles().unwrap(), settings).unwrap()
+}
+
+/// The largest difference of a coordinate, and of a velocity.
+fn difference(a: &[Particle], b: &[Particle]) -> [f32; 2] {
+    let mut largest = [0.0f32; 2];
+    for (a, b) in a.iter().zip(b) {
+        for axis in 0..2 {
+            largest[0] = largest[0].max((a.position[axis] - b.position[axis]).abs());
+            largest[1] = largest[1].max((a.velocity[axis] - b.velocity[axis]).abs());
+        }
+    }
+    largest
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 20, ..ProptestConfig::default() })]
+
+    #[test]
+    fn it_moves_particles_as_the_plain_path_does(
+        seed in 0u64..1000, id in 0u64..10, warm in 0u32..600, fluid in any::<bool>(), taichi in any::<bool>()
+    ) {
+        let preset = if fluid { Preset::Fluid } else { Preset::MultiMaterial };
+        let law = if taichi { Law::Taichi } else { Law::Water };
+        let mut fast = solver(&Scene::generate(preset, seed, id), law);
+        fast.run(warm).unwrap();
+        let mut plain = fast.clone();
+        fast.run(20).unwrap();
+        plain.run_plain(20).unwrap();
+        let [position, velocity] = difference(fast.particles(), plain.particles());
+        prop_assert!(position < 1e-6, "positions differ by {position}");
+        prop_assert!(velocity < 1e-3, "velocities differ by {velocity}");
+    }
+}
+
+#[test]
+fn every_level_and_any_number_of_threads_give_the_same_bits() {
+    for (preset, id) in [(Preset::MultiMaterial, 0), (Preset::MultiMaterial, 1), (Preset::Fluid, 2)]
+    {
+        let start = solver(&Scene::generate(preset, 7, id), Law::Water);
+        let mut expected = start.clone();
+        expected.run(500).unwrap();
+        for level in Level::present() {
+            for threads in [1, 2, 4] {
+                let mut found = start.clone().with_level(level, threads);
+                found.run(500).unwrap();
+                assert!(
+                    found.particles() == expected.particles(),
+                    "{preset} {id}, {level:?}, {threads} threads: {:?}",
+                    difference(found.particles(), expected.particles())
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_solver_made_from_the_particles_goes_on_with_the_same_bits() {
+    let mut whole = solver(&Scene::generate(Preset::MultiMaterial, 3, 3), Law::Water);
+    whole.run(300).unwrap();
+    let mut restored = solver(&Scene::generate(Preset::MultiMaterial, 3, 3), Law::Water);
+    restored.set_particles(whole.particles().to_vec()).unwrap();
+    for solver in [&mut whole, &mut restored] {
+        solver.run(300).unwrap();
+    }
+    assert!(whole.particles() == restored.particles());
+}
+
+#[test]
+fn a_particle_that_moves_further_than_a_cell_is_an_error_that_names_it() {
+    let mut scene = Scene::generate(Preset::MultiMaterial, 1, 5);
+    for body in &mut scene.bodies {
+        body.material = Material::Snow;
+    }
+    let mut fast = solver(&scene, Law::Water);
+    let mut particles = scene.particles().unwrap();
+    for particle in &mut particles[40..60] {
+        particle.velocity = [1e4, 0.0];
+    }
+    fast.set_particles(particles).unwrap();
+    let lost = fast.run(1).unwrap_err();
+    assert!(fast.particles()[lost].material == Material::Snow);
+}

@@ -1,0 +1,169 @@
+//! Scenes that people write: the shipped ones run, and what is wrong in one is named.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use eddy::{bag::BagReader, frame::Frame};
+use tempfile::TempDir;
+
+use crate::support::{fail, simulate, succeed};
+
+/// A disc of water in the middle.
+const DISC: &str = "
+[[bodies]]
+material = 'liquid'
+shape.disc.radius = 0.1
+position = [0.5, 0.5]
+";
+
+/// The scene files that come with the program.
+fn shipped() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs/scenes");
+    let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    files.collect()
+}
+
+/// Two frames of a scene, asked for by `option`.
+fn two_frames(option: &str, value: &str) -> Vec<Frame> {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().to_str().unwrap();
+    succeed(["simulate", option, value, "--duration", "0.032", "--output", output]);
+    let bag = BagReader::open(&folder.path().join("scene_0000")).unwrap();
+    bag.frames("/particles").unwrap().map(Result::unwrap).collect()
+}
+
+#[test]
+fn every_shipped_scene_runs_by_its_file_and_by_its_name() {
+    assert!(shipped().len() >= 5);
+    for file in shipped() {
+        let name = file.file_stem().unwrap().to_str().unwrap().replace('_', "-");
+        let by_file = two_frames("--scene", file.to_str().unwrap());
+        assert_eq!(by_file.len(), 2, "{name}");
+        assert_eq!(by_file, two_frames("--preset", &name));
+    }
+}
+
+#[test]
+fn a_wide_tank_holds_100_000_particles_at_the_usual_spacing() {
+    let frames = two_frames("--preset", "wide-tank");
+    assert_eq!(frames[0].len(), 100_000);
+    assert_eq!(frames[0].domain.upper, [16.0, 1.0]);
+    let column = &frames[0].position[..2];
+    assert!((column[1][1] - column[0][1] - 1.0 / 128.0).abs() < 1e-6, "{column:?}");
+}
+
+/// A scene file of this text, and a place for its output.
+struct Written(TempDir);
+
+impl Written {
+    fn new(text: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("scene.toml"), text).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn arguments(&self) -> [String; 7] {
+        let (scene, output) = (self.path("scene.toml"), self.path("out"));
+        ["simulate", "--scene", &scene, "--duration", "0.048", "--output", &output]
+            .map(str::to_owned)
+    }
+
+    /// What is said of it. Nothing is written.
+    fn refused(&self) -> String {
+        let message = fail(1, self.arguments());
+        assert!(!Path::new(&self.path("out")).exists(), "{message}");
+        message
+    }
+}
+
+#[test]
+fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
+    let second = |body: &str| format!("{DISC}[[bodies]]\nmaterial = 'snow'\n{body}");
+    let cases: [(String, &[&str]); 14] = [
+        // Not as a scene is written: the line is shown.
+        (DISC.replace("radius", "radus"), &["line 4", "radus", "available keys: radius"]),
+        (DISC.replace("'liquid'", "'watr'"), &["line 3", "watr", "`jelly`"]),
+        (DISC.replace("0.1\n", "'big'\n"), &["line 4", "expected f32"]),
+        (DISC.replace("position", "# position"), &["missing field `position`"]),
+        (format!("solver.steps = 3\n{DISC}"), &["steps", "`substeps`"]),
+        // No particles.
+        (String::new(), &["bodies: found none", "at least one body or emitter"]),
+        (
+            second(
+                "shape.polygon.corners = [[0, 0], [0.001, 0], [0, 0.001]]\nposition = [0.2, 0.2]",
+            ),
+            &["bodies[1].shape", "room for 0 particles", "make it larger"],
+        ),
+        (DISC.replace("0.1\n", "-0.1\n"), &["bodies[0].shape.disc.radius: found -0.1"]),
+        // No place.
+        (
+            DISC.replace("[0.5, 0.5]", "[0.5, 0.1]"),
+            &["bodies[0]", "between the walls", "move the body"],
+        ),
+        (
+            second("shape.rectangle.size = [0.1, 0.1]\nposition = [0.6, 0.5]"),
+            &["bodies[0] and bodies[1]", "do not overlap", "move one"],
+        ),
+        (
+            format!("domain = [1.01, 1.0]\n{DISC}"),
+            &["domain: found [1.01, 1.0]", "[1.015625, 1.0]"],
+        ),
+        (format!("spacing = 0.1\n{DISC}"), &["spacing: found 0.1", "at most a cell"]),
+        // No time, no memory.
+        (
+            format!("solver.substeps = 3\n{DISC}"),
+            &["substeps: found 3, expected at least", "sound in liquid"],
+        ),
+        (
+            format!("spacing = 1e-7\n{DISC}"),
+            &["memory: found", "TiB", "that are free", "make the spacing larger"],
+        ),
+    ];
+    for (text, words) in cases {
+        let written = Written::new(&text);
+        let message = written.refused();
+        for word in words.iter().chain([&"scene.toml: "]) {
+            assert!(message.contains(word), "`{word}` is not in: {message}");
+        }
+    }
+}
+
+#[test]
+fn a_scene_has_the_number_that_its_file_says() {
+    let written = Written::new(&format!("id = 7\n{DISC}"));
+    succeed(written.arguments());
+    let bag = BagReader::open(Path::new(&written.path("out/scene_0007"))).unwrap();
+    let streams = bag.frames("/particles").unwrap().map(|frame| frame.unwrap().stream);
+    assert_eq!(streams.collect::<Vec<_>>(), [7, 7, 7]);
+}
+
+#[test]
+fn a_scene_that_has_changed_does_not_take_the_place_of_the_old_one() {
+    let written = Written::new(DISC);
+    succeed(written.arguments());
+    assert!(succeed(written.arguments()).contains("1 of 1 scenes are in"));
+    fs::write(written.path("scene.toml"), DISC.replace("0.5]", "0.6]")).unwrap();
+    let message = fail(1, written.arguments());
+    assert!(message.contains("scene_0000: found a directory that is not this scene"), "{message}");
+}
+
+#[test]
+fn scenes_of_another_domain_are_refused_by_models_and_data_sets() {
+    let written = Written::new(&format!("domain = [1.5, 1.0]\n{DISC}"));
+    succeed(written.arguments());
+    let (bag, predicted) = (written.path("out/scene_0000"), written.path("predicted"));
+    let message = fail(1, ["predict", "--input", &bag, "--output", &predicted]);
+    let words = "lower, upper: found [0.0, 0.0], [1.5, 1.0], expected [0.0, 0.0], [1.0, 1.0]";
+    assert!(message.contains(words), "{message}");
+
+    let (random, model) = (written.path("random"), written.path("model"));
+    simulate(Path::new(&random), 2, 0.048);
+    let message = fail(1, ["train", "--data", &bag, &random, "--output", &model]);
+    assert!(message.contains("domain: found") && message.contains("[1.5, 1.0]"), "{message}");
+}
