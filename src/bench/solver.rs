@@ -26,6 +26,11 @@ const CACHE: usize = 2 << 20;
 /// Rounds of which the fastest counts.
 const ROUNDS: u32 = 5;
 
+/// How fast the blocks fall at first (domain lengths per s).
+const FALL: f32 = 2.0;
+/// How fast they turn (rad/s).
+const SPIN: f32 = 5.0;
+
 /// Three blocks of liquid, snow and jelly that are thrown onto the floor of the unit square.
 #[derive(Clone, Debug)]
 pub struct Case {
@@ -63,11 +68,12 @@ impl Case {
         let start = blocks.iter().enumerate().flat_map(|(k, &material)| {
             let count = (particles + k) / blocks.len();
             let side = (count as f32).sqrt() as usize;
-            let left = [0.04 + 0.32 * k as f32, 4.0 * grid.dx];
+            let left = [0.04 + 0.32 * k as f32, 3.0 * grid.dx];
             (0..count).map(move |p| {
                 let place = [p % side, p / side].map(|n| (n as f32 + 0.5) * spacing);
                 let position = [left[0] + place[0], left[1] + place[1]];
-                let velocity = [1.0 - k as f32, -2.0];
+                // They slide apart, fall, and turn about their lower left corner.
+                let velocity = [1.0 - k as f32 - SPIN * place[1], SPIN * place[0] - FALL];
                 Particle { velocity, ..Particle::at_rest(position, material) }
             })
         });

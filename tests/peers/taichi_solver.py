@@ -1,28 +1,32 @@
 """Times eddy's solver against Taichi and compares where the particles go.
 
-Runs the law of Taichi's mpm128 example on the initial states that `examples/solver_bench.rs`
-writes, both on one thread and in the same run, and prints a table: microseconds a substep (median
-of the rounds, taken in turns), their ratio, and the largest difference of a coordinate after 20 and
-200 substeps. Exits with 1 if eddy is slower or a difference exceeds its tolerance.
+`eddy bench solver --output` writes bags with the initial state and eddy's states after 20 and 200
+substeps. Here the law of Taichi's mpm128 example runs on the same initial states. Both run in turns,
+on the same number of threads, and a table is printed: microseconds a substep (median of the rounds),
+how many times as fast eddy is, and the largest difference of a coordinate after 20 and 200 substeps.
+Exits with 1 if eddy is slower or a difference exceeds its tolerance.
 
     pip install -r tests/peers/requirements-bench.txt
-    cargo build --release --example solver_bench
-    python tests/peers/taichi_solver.py target/release/examples/solver_bench
+    cargo build --release
+    python tests/peers/taichi_solver.py target/release/eddy
 """
 
 import argparse
 import json
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import taichi as ti
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-# Scenes that hold every material, as (preset, id).
-SCENES = [("multi-material", 0), ("multi-material", 1), ("multi-material", 2), ("fluid", 0)]
+MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
+FRAME = "eddy_msgs/msg/ParticleFrame"
 # Largest difference of a coordinate (domain lengths) after so many substeps.
 TOLERANCE = {20: 1e-6, 200: 1e-5}
 LIQUID, SNOW, JELLY, ROPE = range(4)
@@ -32,8 +36,8 @@ LIQUID, SNOW, JELLY, ROPE = range(4)
 class Mpm128:
     """mpm128.py of Taichi 1.7.4, with eddy's rope, stiffness, gravity and a node more on each side."""
 
-    def __init__(self, table, cells, dt, stiffness, gravity):
-        self.n, self.cells = len(table), cells
+    def __init__(self, frame, cells, dt, stiffness, gravity):
+        self.frame, self.n, self.cells = frame, len(frame.material), cells
         self.dt, self.gravity, self.dx = dt, gravity, 1 / cells
         self.volume = (self.dx * 0.5) ** 2
         self.mass = self.volume
@@ -47,15 +51,15 @@ class Mpm128:
         self.material = ti.field(int, self.n)
         self.grid_v = ti.Vector.field(2, float, (cells + 1, cells + 1))
         self.grid_m = ti.field(float, (cells + 1, cells + 1))
-        self.start(table)
+        self.start()
 
-    def start(self, table):
-        self.x.from_numpy(np.ascontiguousarray(table[:, 0:2]))
-        self.v.from_numpy(np.ascontiguousarray(table[:, 2:4]))
+    def start(self):
+        self.x.from_numpy(self.frame.position.reshape(-1, 2))
+        self.v.from_numpy(self.frame.velocity.reshape(-1, 2))
         self.C.fill(0)
         self.F.from_numpy(np.tile(np.eye(2, dtype=np.float32), (self.n, 1, 1)))
         self.Jp.fill(1)
-        self.material.from_numpy(table[:, 4].astype(np.int32))
+        self.material.from_numpy(self.frame.material.astype(np.int32))
 
     @ti.kernel
     def substep(self):
@@ -74,7 +78,7 @@ class Mpm128:
                 h = 2.0
             mu, la = self.mu * h, self.la * h
             if self.material[p] == LIQUID:
-                mu = 0.0
+                mu, la = 0.0, self.la
             U, sig, V = ti.svd(self.F[p])
             J = 1.0
             for d in ti.static(range(2)):
@@ -135,52 +139,72 @@ class Mpm128:
         return time.perf_counter() - before
 
 
-def eddy(program, scene, substeps, folder):
-    """Runs `solver_bench`, which leaves its tables in the folder."""
-    command = [program, scene[0], str(scene[1]), str(substeps), folder]
+def eddy(program, particles, threads, seconds, output=None):
+    """The report of `eddy bench solver`."""
+    command = [program, "--quiet", "bench", "solver", "--law", "taichi", "--json"]
+    command += ["--particles", str(particles), "--threads", str(threads), "--seconds", str(seconds)]
+    command += ["--output", output] if output else []
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-def table(folder, substeps):
-    return np.loadtxt(Path(folder, f"after_{substeps}.csv"), delimiter=",", dtype=np.float32)
+def frames(bag):
+    """The particle frames of a bag."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(MSGS.glob("*.msg")):
+        store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
+    with Reader(bag) as reader:
+        return [store.deserialize_cdr(raw, FRAME) for _, _, raw in reader.messages()]
 
 
-def compare(program, scene, substeps, rounds):
-    """One scene: microseconds of eddy and of Taichi, and the differences by number of substeps."""
+def compare(options, particles):
+    """One line of the table; whether it is as it should be."""
     with tempfile.TemporaryDirectory() as folder:
-        about = eddy(program, scene, 1, folder)
-        start = table(folder, 0)
-        peer = Mpm128(start, about["cells"], about["dt"], about["stiffness"], about["gravity"])
-        difference, done = {}, 0
-        for number in TOLERANCE:
-            peer.run(number - done)
-            done = number
-            difference[number] = np.abs(peer.x.to_numpy() - table(folder, number)[:, :2]).max()
-        ours, theirs = [], []
-        for _ in range(rounds):
-            ours.append(eddy(program, scene, substeps, folder)["microseconds"])
-            peer.start(start)
-            theirs.append(peer.run(substeps) * 1e6 / substeps)
-    return statistics.median(ours), statistics.median(theirs), difference
+        report = eddy(options.program, particles, options.threads, 0.1, folder)
+        start, *ours = frames(Path(folder, f"particles_{particles}"))
+    timing = report["timings"][0]
+    settings = timing["cells"], timing["dt"], report["stiffness"], report["gravity"]
+    peer = Mpm128(start, *settings)
+    difference, done = {}, 0
+    for number, frame in zip(report["compared"][1:], ours):
+        peer.run(number - done)
+        done = number
+        difference[number] = np.abs(peer.x.to_numpy() - frame.position.reshape(-1, 2)).max()
+    once = peer.run(10) / 10
+    substeps = max(10, int(options.seconds / once))
+    fast, slow = [], []
+    for _ in range(options.rounds):
+        again = eddy(options.program, particles, options.threads, options.seconds)
+        fast.append(again["timings"][0]["microseconds"])
+        slow.append(peer.run(substeps) * 1e6 / substeps)
+    fast, slow = statistics.median(fast), statistics.median(slow)
+    far = "  ".join(f"{difference[number]:8.1e}" for number in TOLERANCE)
+    cells = timing["cells"]
+    print(
+        f"{particles:9}  {cells:4}x{cells:<4}  {options.threads:7}  {fast:8.1f}  {slow:9.1f}"
+        f"  {slow / fast:5.1f}  {far}",
+        flush=True,
+    )
+    return slow > fast and all(difference[n] <= limit for n, limit in TOLERANCE.items())
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("program", help="the built example solver_bench")
-    parser.add_argument("--substeps", type=int, default=2000)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("program", help="the built eddy")
+    parser.add_argument("--particles", type=int, nargs="+", default=[2500, 10000, 100000, 1000000])
+    parser.add_argument("--threads", type=int, help="only this number; 1 and 2 if not given")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of one round")
+    parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    ti.init(arch=ti.cpu, cpu_max_num_threads=1, default_fp=ti.f32, log_level=ti.WARN)
-    good = True
-    print("scene             eddy us  taichi us  ratio  after 20  after 200")
-    for scene in SCENES:
-        ours, theirs, difference = compare(
-            options.program, scene, options.substeps, options.rounds
-        )
-        far = "  ".join(f"{difference[number]:8.1e}" for number in TOLERANCE)
-        print(f"{' '.join(map(str, scene)):16}  {ours:7.1f}  {theirs:9.1f}  {ours / theirs:5.2f}  {far}")
-        good &= ours <= theirs and all(difference[n] <= limit for n, limit in TOLERANCE.items())
-    raise SystemExit(0 if good else 1)
+    if options.threads is None:
+        # Taichi takes its number of threads once a process.
+        print("particles       grid  threads   eddy us  taichi us  times  after 20  after 200", flush=True)
+        runs = [[sys.executable, *sys.argv, "--threads", str(threads)] for threads in (1, 2)]
+        raise SystemExit(max(subprocess.run(run, check=False).returncode for run in runs))
+    ti.init(
+        arch=ti.cpu, cpu_max_num_threads=options.threads, default_fp=ti.f32, log_level=ti.WARN
+    )
+    good = [compare(options, particles) for particles in options.particles]
+    raise SystemExit(0 if all(good) else 1)
 
 
 if __name__ == "__main__":

@@ -79,9 +79,9 @@ impl Chunk {
         self.mass.resize(size, 0.0);
     }
 
-    /// How many particles it has.
-    pub(super) fn particles(&self) -> usize {
-        self.range.len()
+    /// The places of its particles.
+    pub(super) fn particles(&self) -> Range<usize> {
+        self.range.clone()
     }
 
     /// Its packs: only the last chunk's last one is not full.

@@ -29,9 +29,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use chunk::Chunk;
 use field::{Field, Nodes, Sum, Update};
-use pack::Pack;
-use simd::LANES;
-use sort::{Order, chunk_sizes};
+use sort::Packs;
 use team::{Barrier, Shared, Team, share};
 use transfer::Pass;
 
@@ -52,10 +50,7 @@ pub(super) struct Fast {
     level: Level,
     team: Team,
     field: Field,
-    order: Order,
-    packs: Vec<Pack>,
-    /// Where packs are sorted into.
-    sorted: Vec<Pack>,
+    packs: Packs,
     chunks: Vec<Chunk>,
 }
 
@@ -66,9 +61,7 @@ impl Fast {
             level,
             team: Team::new(threads),
             field: Field::new(shape),
-            order: Order::default(),
-            packs: Vec::new(),
-            sorted: Vec::new(),
+            packs: Packs::default(),
             chunks: Vec::new(),
         }
     }
@@ -88,75 +81,29 @@ impl Fast {
         if particles.is_empty() || substeps == 0 {
             return Ok(());
         }
-        self.pack(particles, step);
+        self.packs.fill(particles, step, &self.field, &self.team);
+        self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;
         while done < substeps {
             if done > 0 {
-                self.sort(particles.len(), step);
+                self.sort(step);
             }
             let most = (substeps - done).min(SORT_EVERY);
             done += self.substeps(done == 0, most, step, forces);
             self.found(particles)?;
         }
-        self.finish(particles.len(), step);
+        self.finish(step);
         self.found(particles)?;
-        for (k, particle) in in_order(&self.packs, particles.len()) {
-            particles[k] = particle;
+        for (particle, k) in self.packs.states() {
+            particles[k as usize] = particle;
         }
         Ok(())
     }
 
-    /// Sorts particles into packs.
-    fn pack(&mut self, particles: &[Particle], step: &Step) {
-        self.order.sort(particles.iter().map(|p| step.lowest(p.position)), &self.field);
-        self.packs.clear();
-        self.packs.extend(self.order.places.chunks(LANES).map(|places| {
-            let mut pack = Pack::filled(&particles[places[0] as usize], places[0]);
-            for (lane, &k) in places.iter().enumerate() {
-                pack.set(lane, &particles[k as usize], k);
-            }
-            pack
-        }));
-        self.cut(particles.len(), step);
-    }
-
-    /// Sorts the packs anew.
-    fn sort(&mut self, particles: usize, step: &Step) {
-        let lowest = in_order(&self.packs, particles).map(|(_, p)| step.lowest(p.position));
-        self.order.sort(lowest, &self.field);
-        self.sorted.clear();
-        self.sorted.extend(self.order.places.chunks(LANES).map(|places| {
-            let old = |k: u32| (&self.packs[k as usize / LANES], k as usize % LANES);
-            let (first, from) = old(places[0]);
-            let mut pack = Pack::filled(&first.get(from), first.index[from]);
-            for (lane, &k) in places.iter().enumerate() {
-                let (source, from) = old(k);
-                pack.set(lane, &source.get(from), source.index[from]);
-            }
-            pack
-        }));
-        std::mem::swap(&mut self.packs, &mut self.sorted);
-        self.cut(particles, step);
-    }
-
-    /// Cuts sorted packs into chunks.
-    fn cut(&mut self, particles: usize, step: &Step) {
-        let sizes = chunk_sizes(particles);
-        self.chunks.resize_with(sizes.len(), Chunk::default);
-        let mut first = 0;
-        for (chunk, &size) in self.chunks.iter_mut().zip(&sizes) {
-            let (mut least, mut most) = ([i32::MAX; 2], [i32::MIN; 2]);
-            for k in first..first + size {
-                let (pack, lane) = (&self.packs[k / LANES], k % LANES);
-                let lowest = step.lowest(pack.position.map(|x| x[lane]));
-                for axis in 0..2 {
-                    least[axis] = least[axis].min(lowest[axis]);
-                    most[axis] = most[axis].max(lowest[axis]);
-                }
-            }
-            chunk.lay(first..first + size, least, most, &self.field);
-            first += size;
-        }
+    /// Sorts the particles anew and cuts them into other chunks.
+    fn sort(&mut self, step: &Step) {
+        self.packs.sort(step, &self.field, &self.team);
+        self.packs.cut(&mut self.chunks, step, &self.field);
     }
 
     /// Runs up to `most` substeps, up to the velocities of the nodes, and says how many. Ends early
@@ -166,7 +113,7 @@ impl Fast {
         let (level, stride) = (self.level, self.field.stride);
         let rows = self.field.sides[0];
         let parts = self.chunks.len();
-        let packs = Shared::new(&mut self.packs);
+        let packs = Shared::new(&mut self.packs.packs);
         let chunks = Shared::new(&mut self.chunks);
         let velocities = Shared::new(&mut self.field.velocity);
         let masses = Shared::new(&mut self.field.mass);
@@ -218,14 +165,14 @@ impl Fast {
     }
 
     /// Brings the velocities of the nodes back to the particles: the end of the last substep.
-    fn finish(&mut self, particles: usize, step: &Step) {
+    fn finish(&mut self, step: &Step) {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
-            self.sort(particles, step);
+            self.sort(step);
         }
         let Field { velocity, mass, stride, .. } = &self.field;
         let field = Nodes { velocity, mass, stride: *stride };
         for chunk in &mut self.chunks {
-            let packs = &mut self.packs[chunk.packs()];
+            let packs = &mut self.packs.packs[chunk.packs()];
             self.level.run(Pass::<true, false> { chunk, packs, field, step });
         }
     }
@@ -235,30 +182,16 @@ impl Fast {
     /// # Errors
     /// As [`Fast::run`].
     fn found(&self, particles: &mut [Particle]) -> Result<(), usize> {
-        let lost = self
-            .chunks
-            .iter()
-            .filter(|chunk| chunk.lost)
-            .filter_map(|chunk| {
-                let packs = &self.packs[chunk.packs()];
-                let outside = |(_, p): &(usize, Particle)| !chunk.holds_one(p.position);
-                in_order(packs, chunk.particles()).filter(outside).min_by_key(|(k, _)| *k)
-            })
-            .min_by_key(|(k, _)| *k);
-        match lost {
+        let lost = self.chunks.iter().filter(|chunk| chunk.lost).flat_map(|chunk| {
+            let states = chunk.particles().map(|k| sort::state(&self.packs.packs, k));
+            states.filter(|(particle, _)| !chunk.holds_one(particle.position))
+        });
+        match lost.min_by_key(|(_, k)| *k) {
             None => Ok(()),
-            Some((k, particle)) => {
-                particles[k] = particle;
-                Err(k)
+            Some((particle, k)) => {
+                particles[k as usize] = particle;
+                Err(k as usize)
             }
         }
     }
-}
-
-/// The number and state of each particle in packs.
-fn in_order(packs: &[Pack], particles: usize) -> impl Iterator<Item = (usize, Particle)> {
-    (0..particles).map(|k| {
-        let (pack, lane) = (&packs[k / LANES], k % LANES);
-        (pack.index[lane] as usize, pack.get(lane))
-    })
 }

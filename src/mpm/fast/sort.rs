@@ -1,37 +1,110 @@
-//! Particles in the order of their cells, cut into chunks.
+//! Particles in the order of their cells, in packs, cut into chunks.
 
-use super::{field::Field, simd::LANES};
+use super::{
+    super::particle::Particle, chunk::Chunk, field::Field, pack::Pack, simd::LANES, team::Team,
+    transfer::Step,
+};
 
 /// Most chunks; more threads than that have nothing to do.
 const CHUNKS: usize = 16;
 /// Particles of a chunk, at least: two overlapping patches cost more than a small chunk gains.
 const FEWEST: usize = 512;
 
-/// How many particles each chunk of `particles` gets: whole packs, but for the last one.
-pub(super) fn chunk_sizes(particles: usize) -> Vec<usize> {
-    let packs = particles.div_ceil(LANES);
-    let chunks = (particles / FEWEST).clamp(1, CHUNKS);
-    (0..chunks)
-        .map(|k| {
-            let end = |k: usize| (packs * k / chunks * LANES).min(particles);
-            end(k + 1) - end(k)
-        })
-        .collect()
+/// All particles, in packs.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Packs {
+    /// The packs; only the last one is not full.
+    pub(super) packs: Vec<Pack>,
+    /// How many particles there are.
+    particles: usize,
+    /// Where packs are sorted into.
+    sorted: Vec<Pack>,
+    order: Order,
+}
+
+impl Packs {
+    /// Takes particles in, sorted.
+    pub(super) fn fill(&mut self, particles: &[Particle], step: &Step, field: &Field, team: &Team) {
+        self.particles = particles.len();
+        self.order.find(particles.iter().map(|p| step.lowest(p.position)), field);
+        let numbered = |place: u32| (particles[place as usize], place);
+        collect(&self.order.places, numbered, &mut self.packs, team);
+    }
+
+    /// Sorts the particles anew.
+    pub(super) fn sort(&mut self, step: &Step, field: &Field, team: &Team) {
+        let packs = &self.packs;
+        let lowest = (0..self.particles).map(|k| step.lowest(state(packs, k).0.position));
+        self.order.find(lowest, field);
+        let numbered = |place: u32| state(packs, place as usize);
+        collect(&self.order.places, numbered, &mut self.sorted, team);
+        std::mem::swap(&mut self.packs, &mut self.sorted);
+    }
+
+    /// Every particle, and which one it is.
+    pub(super) fn states(&self) -> impl Iterator<Item = (Particle, u32)> {
+        (0..self.particles).map(|k| state(&self.packs, k))
+    }
+
+    /// Cuts the packs into chunks of about the same size: whole packs, but for the last one.
+    pub(super) fn cut(&self, chunks: &mut Vec<Chunk>, step: &Step, field: &Field) {
+        let count = (self.particles / FEWEST).clamp(1, CHUNKS);
+        let end = |k: usize| (self.packs.len() * k / count * LANES).min(self.particles);
+        chunks.resize_with(count, Chunk::default);
+        for (k, chunk) in chunks.iter_mut().enumerate() {
+            let range = end(k)..end(k + 1);
+            let (mut least, mut most) = ([i32::MAX; 2], [i32::MIN; 2]);
+            for k in range.clone() {
+                let lowest = step.lowest(state(&self.packs, k).0.position);
+                for axis in 0..2 {
+                    least[axis] = least[axis].min(lowest[axis]);
+                    most[axis] = most[axis].max(lowest[axis]);
+                }
+            }
+            chunk.lay(range, least, most, field);
+        }
+    }
+}
+
+/// The state of a particle in packs, and which one it is.
+pub(super) fn state(packs: &[Pack], place: usize) -> (Particle, u32) {
+    let (pack, lane) = (&packs[place / LANES], place % LANES);
+    (pack.get(lane), pack.index[lane])
+}
+
+/// Puts the particles at these places into packs, one after the other.
+fn collect(
+    places: &[u32],
+    numbered: impl Fn(u32) -> (Particle, u32) + Sync,
+    packs: &mut Vec<Pack>,
+    team: &Team,
+) {
+    let pack = |k: usize| {
+        let places = &places[k * LANES..places.len().min((k + 1) * LANES)];
+        let (first, index) = numbered(places[0]);
+        let mut pack = Pack::filled(&first, index);
+        for (lane, &place) in places.iter().enumerate() {
+            let (particle, index) = numbered(place);
+            pack.set(lane, &particle, index);
+        }
+        pack
+    };
+    team.collect(places.len().div_ceil(LANES), pack, packs);
 }
 
 /// Orders particles by the lowest nodes of their stencils, row by row. Those of one cell keep their
 /// order.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Order {
-    /// The number that each place gets: places in the old order.
-    pub(super) places: Vec<u32>,
+struct Order {
+    /// For each place the place in the old order.
+    places: Vec<u32>,
     keys: Vec<u32>,
     starts: Vec<u32>,
 }
 
 impl Order {
     /// Finds the order of particles with these lowest nodes.
-    pub(super) fn sort(&mut self, lowest: impl Iterator<Item = [i32; 2]>, field: &Field) {
+    fn find(&mut self, lowest: impl Iterator<Item = [i32; 2]>, field: &Field) {
         let columns = field.sides[1] as u32;
         self.keys.clear();
         self.keys.extend(lowest.map(|[x, y]| x as u32 * columns + y as u32));

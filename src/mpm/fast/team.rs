@@ -9,8 +9,13 @@ use std::{
     },
 };
 
+use rayon::prelude::*;
+
 /// Looks at the barrier before the processor is given to somebody else. A phase takes microseconds.
 const SPINS: u32 = 100;
+
+/// Lists that are worth the waking of other threads.
+const LONG: usize = 1000;
 
 /// A number of threads.
 #[derive(Clone, Debug)]
@@ -40,6 +45,26 @@ impl Team {
             None => work(0, &barrier),
             Some(pool) => {
                 pool.broadcast(|context| work(context.index(), &barrier));
+            }
+        }
+    }
+}
+
+impl Team {
+    /// Fills a list with what `make` gives for 0, 1, 2, ...
+    pub(super) fn collect<T: Send>(
+        &self,
+        length: usize,
+        make: impl Fn(usize) -> T + Sync + Send,
+        into: &mut Vec<T>,
+    ) {
+        match &self.pool {
+            Some(pool) if length > LONG => pool.install(|| {
+                (0..length).into_par_iter().map(&make).collect_into_vec(into);
+            }),
+            _ => {
+                into.clear();
+                into.extend((0..length).map(make));
             }
         }
     }

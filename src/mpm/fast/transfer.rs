@@ -167,7 +167,7 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
         }
         let mut held = Held::nothing(simd);
         let mut scratch = Scratch::EMPTY;
-        let mut left = chunk.particles();
+        let mut left = chunk.particles().len();
         for pack in packs {
             let lanes = left.min(LANES);
             left -= lanes;
