@@ -1,5 +1,8 @@
 //! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
 
+mod bag;
+mod bench;
+
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -10,6 +13,9 @@ use eddy::{
     mpm::Law,
     transport::{Link, Reliability, TransportKind},
 };
+
+pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchSolverArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -299,61 +305,4 @@ pub struct EvalArgs {
     /// What computes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
-}
-
-/// `eddy bag`
-#[derive(Debug, Args)]
-pub struct BagArgs {
-    #[command(subcommand)]
-    pub command: BagCommand,
-}
-
-#[derive(Debug, Subcommand)]
-pub enum BagCommand {
-    /// Prints what is in a bag.
-    Info {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
-    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
-    Check {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-    },
-}
-
-/// `eddy bench`
-#[derive(Debug, Args)]
-pub struct BenchArgs {
-    #[command(subcommand)]
-    pub command: BenchCommand,
-}
-
-#[derive(Debug, Subcommand)]
-pub enum BenchCommand {
-    /// Times substeps of the Material Point Method by particles and threads.
-    Solver(BenchSolverArgs),
-}
-
-/// `eddy bench solver`
-#[derive(Debug, Args)]
-pub struct BenchSolverArgs {
-    /// Particles: some of 1000, 2500, 10000, 100000, 1000000; all if not given.
-    #[arg(long, value_delimiter = ',')]
-    pub particles: Vec<usize>,
-    /// Numbers of threads.
-    #[arg(long, value_delimiter = ',', default_value = "1,2")]
-    pub threads: Vec<usize>,
-    /// How liquids resist: as water, or by the law of Taichi's mpm128.
-    #[arg(long, value_enum, default_value_t = Law::Water)]
-    pub law: Law,
-    /// About how long each case is timed (s).
-    #[arg(long, default_value_t = 1.0)]
-    pub seconds: f64,
-    /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
-    #[arg(long, short)]
-    pub output: Option<PathBuf>,
-    /// Prints JSON instead of a table.
-    #[arg(long)]
-    pub json: bool,
 }

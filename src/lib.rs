@@ -12,10 +12,10 @@
 //! | L7 | `cli`, `commands` |
 //! | L6 | `bench`, `config` |
 //! | L5 | `node`, `train` |
-//! | L4 | `eval` |
+//! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset` |
 //! | L2 | `bag`, `transport`, `model` |
-//! | L1 | `checkpoint`, `clock`, `mpm`, `msg` |
+//! | L1 | `checkpoint`, `clock`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
 
 pub mod bag;
@@ -25,10 +25,12 @@ pub mod clock;
 pub mod config;
 pub mod dataset;
 pub mod eval;
+pub mod exchange;
 pub mod frame;
 pub mod model;
 pub mod mpm;
 pub mod msg;
 pub mod node;
+pub mod picture;
 pub mod train;
 pub mod transport;

@@ -25,17 +25,27 @@ pub(super) fn distinct_ids(streams: &[Stream]) -> Vec<u64> {
     streams.iter().map(|stream| stream.id).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// The part of the stream among `ids` (at least two). Of 60 ids, 0..47 train, 48..53 validate and
-/// 54..59 test, as in the paper.
+/// The part of the stream among `ids` (at least two).
 pub(super) fn part_of(ids: &[u64], stream: &Stream) -> Part {
-    let position = ids.partition_point(|&id| id < stream.id);
-    let (train, validation) = bounds(ids.len());
-    if position < train {
-        Part::Train
-    } else if position < validation {
-        Part::Validation
-    } else {
-        Part::Test
+    Part::of(ids, stream.id)
+}
+
+impl Part {
+    /// The part of the stream `id` among `ids`, which ascend. Of 60 ids, 0..47 train, 48..53
+    /// validate and 54..59 test, as in the paper; a lone stream trains.
+    pub fn of(ids: &[u64], id: u64) -> Self {
+        if ids.len() < 2 {
+            return Self::Train;
+        }
+        let position = ids.partition_point(|&other| other < id);
+        let (train, validation) = bounds(ids.len());
+        if position < train {
+            Self::Train
+        } else if position < validation {
+            Self::Validation
+        } else {
+            Self::Test
+        }
     }
 }
 

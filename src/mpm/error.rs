@@ -88,6 +88,9 @@ pub enum Limit {
     /// Particles must not cross more than half a cell in a substep; their largest speed (domain
     /// lengths per second).
     Speed(f32),
+    /// Momentum must not spread over more than half a cell in a substep: `dt <= dx^2 / (4 nu)`, with
+    /// this kinematic viscosity nu (domain lengths^2 per s).
+    Viscosity(f32),
 }
 
 impl fmt::Display for Limit {
@@ -95,6 +98,7 @@ impl fmt::Display for Limit {
         match self {
             Self::Sound(material) => write!(f, "sound in {}", material.name()),
             Self::Speed(speed) => write!(f, "particles of up to {speed:.1} lengths/s"),
+            Self::Viscosity(viscosity) => write!(f, "a viscosity of {viscosity} lengths^2/s"),
         }
     }
 }

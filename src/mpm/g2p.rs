@@ -49,7 +49,7 @@ pub(super) fn gather(
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
         constitutive::recall(particle, velocity[2] * inverse_dx * inverse_dx, moduli, dt);
-        if !grid.contains(particle.position) {
+        if !grid.shape().contains(particle.position) {
             return Err(index);
         }
     }

@@ -30,6 +30,14 @@ impl GridShape {
         Self { cells: [cells; 2], dx: 1.0 / cells as f32 }
     }
 
+    /// Whether all nine nodes around a position (domain lengths) exist. False for NaN.
+    pub(super) fn contains(&self, position: [f32; 2]) -> bool {
+        (0..2).all(|axis| {
+            let cell = position[axis] * (1.0 / self.dx);
+            cell >= 0.5 && cell < self.cells[axis] as f32 - 0.5
+        })
+    }
+
     /// Width and height (domain lengths).
     pub fn size(&self) -> [f32; 2] {
         self.cells.map(|cells| cells as f32 * self.dx)
@@ -40,10 +48,9 @@ impl GridShape {
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
     nodes: Vec<Node>,
+    shape: GridShape,
     /// Nodes along x and y.
     sides: [usize; 2],
-    /// Cell width (domain lengths).
-    dx: f32,
     /// Cells per domain length.
     inverse_dx: f32,
 }
@@ -53,26 +60,22 @@ impl Grid {
     pub(super) fn new(shape: GridShape) -> Self {
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let nodes = vec![[0.0; 4]; sides[0] * sides[1]];
-        Self { nodes, sides, dx: shape.dx, inverse_dx: 1.0 / shape.dx }
+        Self { nodes, shape, sides, inverse_dx: 1.0 / shape.dx }
+    }
+
+    /// How many cells it has, and how wide they are.
+    pub(super) fn shape(&self) -> GridShape {
+        self.shape
     }
 
     /// Cell width (domain lengths).
     pub(super) fn dx(&self) -> f32 {
-        self.dx
+        self.shape.dx
     }
 
     /// Cells per domain length.
     pub(super) fn inverse_dx(&self) -> f32 {
         self.inverse_dx
-    }
-
-    /// Whether all nine nodes around a position exist. False for NaN.
-    #[inline]
-    pub(super) fn contains(&self, position: [f32; 2]) -> bool {
-        (0..2).all(|axis| {
-            let cell = position[axis] * self.inverse_dx;
-            cell >= 0.5 && cell < self.sides[axis] as f32 - 1.5
-        })
     }
 
     /// The three nodes of a stencil in its row `i` (0..3), with y ascending.
@@ -103,7 +106,7 @@ impl Grid {
     /// Turns momentum into velocity and moves it `dt` seconds on: gravity in -y (domain lengths per
     /// s^2), the attractor if there is one, then the walls.
     pub(super) fn update(&mut self, dt: f32, gravity: f32, attractor: Option<&Attractor>) {
-        let (sides, dx) = (self.sides, self.dx);
+        let (sides, dx) = (self.sides, self.shape.dx);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node[2] > 0.0) {
                 // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
@@ -150,12 +153,12 @@ mod tests {
 
     #[test]
     fn positions_without_nine_nodes_are_outside() {
-        let grid = Grid::new(GridShape::unit(64));
+        let grid = GridShape::unit(64);
         assert!(grid.contains([0.5, 0.5]));
         assert!(!grid.contains([0.5, 0.4 / 64.0]));
         assert!(!grid.contains([1.0 - 0.4 / 64.0, 0.5]));
         assert!(!grid.contains([f32::NAN, 0.5]));
-        let wide = Grid::new(GridShape { cells: [128, 64], dx: 1.0 / 64.0 });
+        let wide = GridShape { cells: [128, 64], dx: 1.0 / 64.0 };
         assert!(wide.contains([1.9, 0.5]) && !wide.contains([0.5, 1.1]));
     }
 }

@@ -16,6 +16,8 @@
 //! 3. [`grid`]: momentum becomes velocity; gravity and walls act.
 //! 4. [`g2p`]: velocity and its gradient return to the particles, which move.
 //!
+//! [`energy`] adds up what there is.
+//!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
 //! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the law and its numbers as in Taichi's
 //! `mpm99` and `mpm128`. Lengths are domain lengths (the side of the presets' unit square), density is 1.
@@ -23,7 +25,6 @@
 mod attractor;
 mod body;
 mod constitutive;
-#[cfg(test)]
 mod energy;
 mod error;
 mod fast;
@@ -48,6 +49,7 @@ mod water;
 
 pub use attractor::Attractor;
 pub use body::Body;
+pub use energy::Energy;
 pub use error::{Limit, MpmError};
 pub use fast::multiply_and_add;
 pub use flow::{Drain, Emitter};

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
+    energy::Energy,
     error::MpmError,
     flow::Flow,
     grid::GridShape,
@@ -201,9 +202,9 @@ impl Simulation {
         self.most_frames
     }
 
-    /// Mean kinetic energy per mass now, `|v|^2 / 2` (domain lengths^2 per s^2).
-    pub fn kinetic_energy(&self) -> f64 {
-        self.solver.kinetic_energy()
+    /// The energy now.
+    pub fn energy(&self) -> Energy {
+        self.solver.energy()
     }
 
     /// The box that holds the particles.

@@ -2,10 +2,11 @@
 
 use super::{
     attractor::Attractor,
-    fast::{Fast, Forces, Level, Step},
+    energy::Energy,
+    fast::{Fast, Level},
     g2p,
     grid::{Grid, GridShape},
-    material::{DENSITY, Materials, Moduli},
+    material::{Materials, Moduli},
     p2g,
     particle::Particle,
 };
@@ -27,19 +28,19 @@ pub struct SolverSettings {
     pub threads: usize,
 }
 
-/// Particles and the grid that they interact through.
+impl SolverSettings {
+    /// Area of an undeformed particle (domain lengths^2).
+    pub(super) fn volume(&self) -> f32 {
+        self.spacing * self.spacing
+    }
+}
+
+/// Particles that interact through a grid.
 #[derive(Clone, Debug)]
 pub struct Solver {
     particles: Vec<Particle>,
-    shape: GridShape,
-    /// The plain path's grid.
-    grid: Grid,
+    settings: SolverSettings,
     fast: Fast,
-    moduli: Moduli,
-    /// Area of an undeformed particle (domain lengths^2).
-    volume: f32,
-    dt: f32,
-    gravity: f32,
     /// Pulls while it is set.
     pub attractor: Option<Attractor>,
 }
@@ -50,18 +51,8 @@ impl Solver {
     /// # Errors
     /// The index of the first particle that is not inside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
-        let grid = Grid::new(settings.grid);
-        let mut solver = Self {
-            particles: Vec::new(),
-            shape: settings.grid,
-            grid,
-            fast: Fast::new(settings.grid, settings.threads, Level::widest()),
-            moduli: Moduli::of(&settings.materials),
-            volume: settings.spacing * settings.spacing,
-            dt: settings.dt,
-            gravity: settings.gravity,
-            attractor: None,
-        };
+        let fast = Fast::new(settings.grid, settings.threads, Level::widest());
+        let mut solver = Self { particles: Vec::new(), settings, fast, attractor: None };
         solver.set_particles(particles)?;
         Ok(solver)
     }
@@ -72,7 +63,7 @@ impl Solver {
     /// # Errors
     /// As [`Solver::new`]; the solver keeps what it had.
     pub fn set_particles(&mut self, particles: Vec<Particle>) -> Result<(), usize> {
-        match particles.iter().position(|p| !self.grid.contains(p.position)) {
+        match particles.iter().position(|p| !self.settings.grid.contains(p.position)) {
             Some(outside) => Err(outside),
             None => {
                 self.particles = particles;
@@ -88,17 +79,7 @@ impl Solver {
     /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
     /// position that is no number; the state is of no use then.
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
-        let (dx, inverse_dx) = (self.shape.dx, 1.0 / self.shape.dx);
-        let step = Step {
-            dt: self.dt,
-            dx,
-            inverse_dx,
-            impulse: -self.dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
-            crowd: self.shape.dx * self.shape.dx / self.volume,
-            moduli: self.moduli,
-        };
-        let forces = Forces::new(self.shape, self.dt, self.gravity, self.attractor);
-        self.fast.run(&mut self.particles, substeps, &step, &forces)
+        self.fast.run(&mut self.particles, substeps, &self.settings, self.attractor)
     }
 
     /// As [`Solver::run`], one particle and one node after the other: the reference.
@@ -106,21 +87,22 @@ impl Solver {
     /// # Errors
     /// As [`Solver::run`], but for particles that move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
-        (0..substeps).try_for_each(|_| self.substep())
-    }
-
-    /// Moves everything one substep on.
-    fn substep(&mut self) -> Result<(), usize> {
-        self.grid.clear();
-        p2g::scatter(&mut self.particles, &mut self.grid, &self.moduli, self.volume, self.dt);
-        self.grid.update(self.dt, self.gravity, self.attractor.as_ref());
-        g2p::gather(&mut self.particles, &self.grid, &self.moduli, self.dt)
+        let SolverSettings { dt, gravity, .. } = self.settings;
+        let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
+        let mut grid = Grid::new(self.settings.grid);
+        for _ in 0..substeps {
+            grid.clear();
+            p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
+            grid.update(dt, gravity, self.attractor.as_ref());
+            g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
+        }
+        Ok(())
     }
 
     /// Takes other vector instructions than the widest of this processor.
     #[cfg(test)]
     pub(super) fn with_level(mut self, level: Level, threads: usize) -> Self {
-        self.fast = Fast::new(self.shape, threads, level);
+        self.fast = Fast::new(self.settings.grid, threads, level);
         self
     }
 
@@ -129,9 +111,14 @@ impl Solver {
         &self.particles
     }
 
-    /// Length of a substep (s).
-    pub fn dt(&self) -> f32 {
-        self.dt
+    /// What it computes with.
+    pub fn settings(&self) -> &SolverSettings {
+        &self.settings
+    }
+
+    /// The energy of the particles.
+    pub fn energy(&self) -> Energy {
+        Energy::of(&self.particles, &self.settings)
     }
 
     /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).
@@ -149,7 +136,7 @@ impl Solver {
 mod tests {
     use super::{
         super::{
-            GRAVITY, energy,
+            Energy, GRAVITY,
             material::{DENSITY, Law},
             matrix::Matrix2,
             minimum_substeps,
@@ -173,23 +160,25 @@ mod tests {
             .collect()
     }
 
-    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
-        let grid = GridShape::unit(CELLS);
-        let settings = SolverSettings {
+    fn settings(grid: GridShape, dt: f32, gravity: f32) -> SolverSettings {
+        SolverSettings {
             grid,
             spacing: 0.5 * grid.dx,
             materials: MATERIALS,
             dt,
             gravity,
             threads: 1,
-        };
-        Solver::new(particles, settings).unwrap()
+        }
+    }
+
+    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
+        Solver::new(particles, settings(GridShape::unit(CELLS), dt, gravity)).unwrap()
     }
 
     /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
     /// APIC keeps in C (`x x v + dx^2/4 (C_yx - C_xy)`).
     fn momenta(solver: &Solver) -> ([f64; 2], f64) {
-        let inertia = f64::from(solver.grid.dx()).powi(2) / 4.0;
+        let inertia = f64::from(solver.settings.grid.dx).powi(2) / 4.0;
         let mut linear = [0.0; 2];
         let mut angular = 0.0;
         for particle in solver.particles() {
@@ -204,10 +193,12 @@ mod tests {
 
     #[test]
     fn the_grid_carries_the_mass_of_the_particles() {
-        let mut solver = solver(square(Material::Jelly), 1e-4, 0.0);
-        solver.run_plain(1).unwrap();
-        let found: f64 = solver.grid.nodes().iter().map(|node| f64::from(node[2])).sum();
-        let expected = 400.0 * f64::from(DENSITY * solver.volume);
+        let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
+        let mut grid = Grid::new(settings.grid);
+        let moduli = Moduli::of(&settings.materials);
+        p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
+        let found: f64 = grid.nodes().iter().map(|node| f64::from(node[2])).sum();
+        let expected = 400.0 * f64::from(DENSITY * settings.volume());
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
     }
 
@@ -261,8 +252,9 @@ mod tests {
                 minimum_substeps(&[material], &MATERIALS, 1.0 / CELLS as f32, 4.0, interval);
             let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
             let energy = |solver: &Solver| {
-                let (moduli, volume) = (&solver.moduli, solver.volume);
-                energy::total(solver.particles(), moduli, volume, solver.grid.dx(), GRAVITY)
+                let grid = GridShape::unit(CELLS);
+                let settings = settings(grid, solver.settings.dt, GRAVITY);
+                Energy::of(solver.particles(), &settings).total()
             };
             let start = energy(&solver);
             for _ in 0..30 {

@@ -7,12 +7,18 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 5] = [
+const CONFINED: [(&str, &[&str]); 11] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
     ("iceoryx2", &["transport/shm"]),
     ("comfy_table", &["eval", "commands"]),
+    ("npyz", &["exchange"]),
+    ("zip", &["exchange"]),
+    ("hdf5", &["exchange"]),
+    ("png", &["picture"]),
+    ("gif", &["picture"]),
+    ("embedded_graphics", &["picture"]),
 ];
 
 fn source() -> PathBuf {

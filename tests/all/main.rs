@@ -3,10 +3,12 @@
 
 mod bad_input;
 mod bag;
+mod exchange;
 mod graph;
 mod launch_configs;
 mod layers;
 mod mpm;
+mod physics;
 mod pipeline;
 mod scenes;
 mod support;

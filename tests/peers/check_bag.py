@@ -173,4 +173,5 @@ def main():
     check_write(eddy, store)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use eddy::{
     frame::Material,
-    mpm::{Scene, Settings, Simulation},
+    mpm::{Energy, Scene, Settings, Simulation},
 };
 
 /// The file's name.
@@ -64,15 +64,21 @@ impl Start {
 pub(super) struct EnergyCurve {
     /// When (s of simulated time).
     time: Vec<f64>,
-    /// Mean kinetic energy per mass (domain lengths^2 per s^2).
+    /// Kinetic energy (density x domain lengths^4 per s^2, like the others).
     kinetic: Vec<f32>,
+    /// Elastic energy.
+    elastic: Vec<f32>,
+    /// Potential energy, that of height above the floor of the domain.
+    potential: Vec<f32>,
 }
 
 impl EnergyCurve {
     /// Adds the energy of the next frame.
-    pub(super) fn push(&mut self, time: f64, kinetic: f64) {
+    pub(super) fn push(&mut self, time: f64, energy: Energy) {
         self.time.push(time);
-        self.kinetic.push(kinetic as f32);
+        self.kinetic.push(energy.kinetic as f32);
+        self.elastic.push(energy.elastic as f32);
+        self.potential.push(energy.potential as f32);
     }
 
     /// The curve with at most [`CURVE_POINTS`] points, the first and the last among them.
@@ -80,9 +86,12 @@ impl EnergyCurve {
         let last = self.time.len().saturating_sub(1);
         let points = self.time.len().min(CURVE_POINTS);
         let chosen: Vec<usize> = (0..points).map(|k| k * last / (points - 1).max(1)).collect();
+        let thin = |curve: &[f32]| chosen.iter().map(|&k| curve[k]).collect();
         Self {
             time: chosen.iter().map(|&k| self.time[k]).collect(),
-            kinetic: chosen.iter().map(|&k| self.kinetic[k]).collect(),
+            kinetic: thin(&self.kinetic),
+            elastic: thin(&self.elastic),
+            potential: thin(&self.potential),
         }
     }
 }

@@ -56,7 +56,7 @@ pub(super) fn run(
         let whole = pace::run(&mut simulation, rate, stop, |frame, simulation| {
             outlet.publish(frame)?;
             if let Some(recording) = &mut recording {
-                recording.add(frame, simulation.kinetic_energy())?;
+                recording.add(frame, simulation.energy())?;
             }
             frames += 1;
             Ok(())

@@ -18,6 +18,7 @@ use eddy::{
     bag::{BagError, BagWriter, TopicId, WriterOptions},
     dataset::TRUTH_TOPIC,
     frame::Frame,
+    mpm::Energy,
     msg::{Message, ParticleFrame},
 };
 
@@ -87,11 +88,11 @@ impl Recording {
         Ok(Self { start: start.clone(), writer, topic, digest, frames: 0, energy })
     }
 
-    /// Adds the next frame, and the mean kinetic energy per mass in it.
-    pub(super) fn add(&mut self, frame: &Frame, kinetic: f64) -> Result<(), BagError> {
+    /// Adds the next frame, and the energy in it.
+    pub(super) fn add(&mut self, frame: &Frame, energy: Energy) -> Result<(), BagError> {
         let cdr = frame.to_cdr();
         self.digest.update(&cdr);
-        self.energy.push(frame.stamp.seconds(), kinetic);
+        self.energy.push(frame.stamp.seconds(), energy);
         self.frames += 1;
         self.writer.write(self.topic, frame.stamp, frame.stamp, &cdr)
     }

@@ -113,7 +113,7 @@ impl Work<'_> {
             if self.ends() {
                 return Ok(None);
             }
-            recording.add(&frame, simulation.kinetic_energy())?;
+            recording.add(&frame, simulation.energy())?;
             frames += 1;
             self.bar.inc(1);
         }

@@ -4,6 +4,7 @@ use super::{
     super::{
         attractor::Attractor,
         grid::{GridShape, WALL_CELLS},
+        solver::SolverSettings,
     },
     chunk::Chunk,
     level::Work,
@@ -75,7 +76,7 @@ fn rows<T>(nodes: &[T], at: usize, stride: usize) -> [&[T; GROUP]; 3] {
 
 /// What acts on the nodes in a substep.
 #[derive(Clone, Debug)]
-pub(in super::super) struct Forces {
+pub(super) struct Forces {
     /// What the walls let pass in rows at the lower wall, between the walls and at the upper wall.
     walls: [Walls; 3],
     /// Nodes along x.
@@ -111,13 +112,9 @@ impl Walls {
 }
 
 impl Forces {
-    /// The forces on a grid.
-    pub(in super::super) fn new(
-        shape: GridShape,
-        dt: f32,
-        gravity: f32,
-        attractor: Option<Attractor>,
-    ) -> Self {
+    /// The forces in a simulation with these settings.
+    pub(super) fn new(settings: &SolverSettings, attractor: Option<Attractor>) -> Self {
+        let SolverSettings { grid: shape, dt, gravity, .. } = *settings;
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let rows = sides[0];
         let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));

@@ -28,17 +28,15 @@ mod transfer;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use chunk::Chunk;
-use field::{Field, Nodes, Sum, Update};
+use field::{Field, Forces, Nodes, Sum, Update};
 use sort::Packs;
 use team::{Barrier, Shared, Team, share};
-use transfer::Pass;
+use transfer::{Pass, Step};
 
-use super::{grid::GridShape, particle::Particle};
+use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings};
 
-pub(super) use field::Forces;
 pub(super) use level::Level;
 pub use peak::multiply_and_add;
-pub(super) use transfer::Step;
 
 /// Substeps after which particles are sorted anew even if none has drifted off: by then neighbours
 /// in a cell are no longer neighbours in memory.
@@ -75,12 +73,13 @@ impl Fast {
         &mut self,
         particles: &mut [Particle],
         substeps: u32,
-        step: &Step,
-        forces: &Forces,
+        settings: &SolverSettings,
+        attractor: Option<Attractor>,
     ) -> Result<(), usize> {
         if particles.is_empty() || substeps == 0 {
             return Ok(());
         }
+        let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
         self.packs.fill(particles, step, &self.field, &self.team);
         self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;

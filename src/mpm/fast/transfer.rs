@@ -6,7 +6,9 @@
 
 use super::{
     super::{
-        material::{Law, Moduli},
+        grid::GridShape,
+        material::{DENSITY, Law, Moduli},
+        solver::SolverSettings,
         water::{LOOSEST, MEMORY},
     },
     chunk::Chunk,
@@ -20,22 +22,36 @@ use crate::frame::Material;
 
 /// What is the same for all particles in a substep.
 #[derive(Clone, Copy, Debug)]
-pub(in super::super) struct Step {
+pub(super) struct Step {
     /// Length of the substep (s).
-    pub(in super::super) dt: f32,
+    pub(super) dt: f32,
     /// Cell width (domain lengths).
-    pub(in super::super) dx: f32,
+    pub(super) dx: f32,
     /// Cells per domain length.
-    pub(in super::super) inverse_dx: f32,
+    pub(super) inverse_dx: f32,
     /// `-dt 4 / (dx^2 rho)`: from Kirchhoff stress to the affine part of the velocity.
-    pub(in super::super) impulse: f32,
+    pub(super) impulse: f32,
     /// Particles to a cell in an undeformed body.
-    pub(in super::super) crowd: f32,
+    pub(super) crowd: f32,
     /// What the particles are made of.
-    pub(in super::super) moduli: Moduli,
+    pub(super) moduli: Moduli,
 }
 
 impl Step {
+    /// What these settings come to.
+    pub(super) fn of(settings: &SolverSettings) -> Self {
+        let SolverSettings { grid: GridShape { dx, .. }, dt, .. } = *settings;
+        let inverse_dx = 1.0 / dx;
+        Self {
+            dt,
+            dx,
+            inverse_dx,
+            impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
+            crowd: dx * dx / settings.volume(),
+            moduli: Moduli::of(&settings.materials),
+        }
+    }
+
     /// The lowest node of the stencil at a position (domain lengths).
     pub(super) fn lowest(&self, position: [f32; 2]) -> [i32; 2] {
         position.map(|x| (x * self.inverse_dx - 0.5) as i32)

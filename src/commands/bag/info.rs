@@ -1,29 +1,17 @@
-//! `eddy bag`: looks into bags.
+//! `eddy bag info`.
 
 use std::path::Path;
 
-use anyhow::bail;
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::{Interrupt, progress_bar};
-use crate::cli::{BagArgs, BagCommand};
+use super::survey;
 use eddy::{
-    bag::{BagReader, Survey, TopicSurvey},
+    bag::{BagReader, TopicSurvey},
     frame::decimal,
 };
 
-/// So many messages pass between two looks at the progress bar.
-const PROGRESS_STEP: u64 = 64;
-
-/// Runs one of the subcommands.
-pub fn run(args: BagArgs, quiet: bool, _interrupt: &Interrupt) -> anyhow::Result<()> {
-    match args.command {
-        BagCommand::Info { bag } => info(&bag, quiet),
-        BagCommand::Check { bag } => check(&bag, quiet),
-    }
-}
-
-fn info(path: &Path, quiet: bool) -> anyhow::Result<()> {
+/// Prints files, topics and streams of a bag.
+pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     let bag = BagReader::open(path)?;
     let survey = survey(&bag, quiet);
     for file in bag.files() {
@@ -60,35 +48,6 @@ fn info(path: &Path, quiet: bool) -> anyhow::Result<()> {
         Some(damage) => Err(damage.into()),
         None => Ok(()),
     }
-}
-
-fn check(path: &Path, quiet: bool) -> anyhow::Result<()> {
-    let bag = BagReader::open(path)?;
-    let mut survey = survey(&bag, quiet);
-    survey.check_files(&bag);
-    for finding in &survey.findings {
-        println!("{finding}");
-    }
-    let findings = survey.findings.len() as u64 + survey.further_findings;
-    if survey.further_findings > 0 {
-        println!("... and {} more", survey.further_findings);
-    }
-    if findings > 0 {
-        bail!("{}: findings: found {findings}, expected 0", path.display());
-    }
-    println!("{}: {} messages, nothing wrong", path.display(), bag.message_count());
-    Ok(())
-}
-
-fn survey(bag: &BagReader, quiet: bool) -> Survey {
-    let bar = progress_bar(bag.message_count(), "messages", quiet);
-    let survey = Survey::of(bag, |read| {
-        if read % PROGRESS_STEP == 0 {
-            bar.set_position(read);
-        }
-    });
-    bar.finish_and_clear();
-    survey
 }
 
 /// Messages a second over the whole bag.

@@ -1,0 +1,124 @@
+//! `eddy bag`: its subcommands.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use eddy::{
+    dataset::TRUTH_TOPIC,
+    exchange::{ExportFormat, ImportFormat},
+    frame::Material,
+};
+
+/// `eddy bag`
+#[derive(Debug, Args)]
+pub struct BagArgs {
+    #[command(subcommand)]
+    pub command: BagCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum BagCommand {
+    /// Prints what is in a bag.
+    Info {
+        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        bag: PathBuf,
+    },
+    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
+    Check {
+        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        bag: PathBuf,
+    },
+    /// Writes the frames of bags as files of other programs.
+    Export(ExportArgs),
+    /// Writes the trajectories of other programs' files as bags, one a stream.
+    Import(ImportArgs),
+    /// Draws a stream: a strip of frames (PNG), an animation (GIF or animated PNG).
+    Render(RenderArgs),
+}
+
+/// `eddy bag export`
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Bags, or directories of bags.
+    #[arg(required = true)]
+    pub bags: Vec<PathBuf>,
+    /// What to write.
+    #[arg(long, short, value_enum)]
+    pub format: ExportFormat,
+    /// A path where nothing is yet; named after the bag if not given. A file for csv, otherwise a directory; npz (of one stream) and gns write a lone file when the name ends in .npz.
+    #[arg(long, short)]
+    pub output: Option<PathBuf>,
+    /// The topic with the frames.
+    #[arg(long, default_value = TRUTH_TOPIC)]
+    pub topic: String,
+    /// Only this stream.
+    #[arg(long)]
+    pub stream: Option<u64>,
+    /// Only the first so many frames of each stream.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    pub frames: Option<u32>,
+}
+
+/// `eddy bag import`
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// A file, or a directory of files. Object arrays are pickles and are refused.
+    pub path: PathBuf,
+    /// What they are.
+    #[arg(long, short, value_enum)]
+    pub format: ImportFormat,
+    /// Where the bags go, one directory a stream: a directory that does not exist yet.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// Time between two frames (s) [default: what the files say].
+    #[arg(long)]
+    pub dt: Option<f32>,
+    /// The box that holds the particles [default: what the files say, or the unit square].
+    #[arg(long, num_args = 4, value_names = ["LEFT", "BOTTOM", "RIGHT", "TOP"], allow_negative_numbers = true)]
+    pub domain: Option<Vec<f32>>,
+    /// What all particles are made of: liquid, snow, jelly or rope [default: what the files say].
+    #[arg(long, value_parser = material)]
+    pub material: Option<Material>,
+}
+
+fn material(word: &str) -> Result<Material, String> {
+    let named = Material::ALL.into_iter().find(|material| material.name() == word);
+    named.ok_or_else(|| format!("found {word}, expected liquid, snow, jelly or rope"))
+}
+
+/// `eddy bag render`
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    pub bag: PathBuf,
+    /// A path where nothing is yet: *.png for a strip, *.gif or *.apng for an animation, any other name for a directory with strip.png and animation.gif.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// What the colours mean.
+    #[arg(long, value_enum, default_value_t = Color::Material)]
+    pub color: Color,
+    /// How many frames the strip shows, evenly spaced.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub frames: u32,
+    /// How much faster than simulated the animation runs.
+    #[arg(long, default_value_t = 1.0)]
+    pub rate: f64,
+    /// Longer side of the domain in the pictures (pixels) [default: 240 in the strip, 480 in the animation].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    pub size: Option<u32>,
+    /// The topic with the frames.
+    #[arg(long, default_value = TRUTH_TOPIC)]
+    pub topic: String,
+    /// The stream [default: the one with the lowest number].
+    #[arg(long)]
+    pub stream: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Color {
+    /// What particles are made of.
+    Material,
+    /// How fast they are.
+    Speed,
+}

@@ -1,0 +1,43 @@
+//! What can be typed after `eddy bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use eddy::mpm::Law;
+
+/// `eddy bench`
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    pub command: BenchCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Times substeps of the Material Point Method by particles and threads.
+    Solver(BenchSolverArgs),
+}
+
+/// `eddy bench solver`
+#[derive(Debug, Args)]
+pub struct BenchSolverArgs {
+    /// Particles: some of 1000, 2500, 10000, 100000, 1000000; all if not given.
+    #[arg(long, value_delimiter = ',')]
+    pub particles: Vec<usize>,
+    /// Numbers of threads.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    pub threads: Vec<usize>,
+    /// How liquids resist: as water, or by the law of Taichi's mpm128.
+    #[arg(long, value_enum, default_value_t = Law::Water)]
+    pub law: Law,
+    /// About how long each case is timed (s).
+    #[arg(long, default_value_t = 1.0)]
+    pub seconds: f64,
+    /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
+    #[arg(long, short)]
+    pub output: Option<PathBuf>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,37 @@
+//! `eddy bag export`.
+
+use std::path::{Path, PathBuf};
+
+use super::{find_streams, watch};
+use crate::{
+    cli::ExportArgs,
+    commands::{Interrupt, progress_bar},
+};
+use eddy::exchange::{Choice, export};
+
+/// Writes frames as files of other programs.
+pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let stem = stem(&args.bags);
+    let choice = Choice {
+        bags: args.bags,
+        topic: args.topic,
+        stream: args.stream,
+        frames: args.frames.map(|frames| frames as usize),
+    };
+    let streams = find_streams(&choice, quiet, interrupt)?;
+    let count = streams.tracks().len();
+    let output =
+        args.output.unwrap_or_else(|| PathBuf::from(args.format.output_name(&stem, count)));
+    let bar = progress_bar(streams.frames() as u64, "frames", quiet);
+    let outcome = export(&streams, args.format, &output, &mut watch(&bar, interrupt));
+    bar.finish_and_clear();
+    outcome?;
+    println!("{count} streams, {} frames: {}", streams.frames(), output.display());
+    Ok(())
+}
+
+/// What an output is named after.
+fn stem(bags: &[PathBuf]) -> String {
+    let stem = |bag: &Path| Some(bag.file_stem()?.to_string_lossy().into_owned());
+    bags.first().and_then(|bag| stem(bag)).unwrap_or_else(|| "frames".into())
+}

@@ -1,0 +1,29 @@
+//! `eddy bag import`.
+
+use super::watch;
+use crate::{
+    cli::ImportArgs,
+    commands::{Interrupt, progress_bar},
+};
+use eddy::{
+    exchange::{Supplement, import},
+    frame::Domain,
+};
+
+/// Writes the trajectories of other programs' files as bags.
+pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let domain = args.domain.as_deref().and_then(|sides| match *sides {
+        [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
+        _ => None,
+    });
+    let supplement = Supplement { dt: args.dt, domain, material: args.material };
+    // How many frames there are is known at the end.
+    let bar = progress_bar(0, "frames", quiet);
+    bar.unset_length();
+    let imported =
+        import(&args.path, args.format, &supplement, &args.output, &mut watch(&bar, interrupt));
+    bar.finish_and_clear();
+    let imported = imported?;
+    println!("{} streams, {} frames: {}", imported.streams, imported.frames, args.output.display());
+    Ok(())
+}

@@ -1,0 +1,74 @@
+//! `eddy bag`: looks into bags, and takes frames out of them and into them.
+
+mod check;
+mod export;
+mod import;
+mod info;
+mod render;
+
+use std::path::PathBuf;
+
+use indicatif::ProgressBar;
+
+use super::{Interrupt, progress_bar};
+use crate::cli::{BagArgs, BagCommand};
+use eddy::{
+    bag::{BagError, BagReader, Survey, find_bags},
+    exchange::{Choice, ExchangeError, Streams},
+};
+
+/// So many messages pass between two looks at the progress bar.
+const PROGRESS_STEP: u64 = 64;
+
+/// Runs one of the subcommands.
+pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    match args.command {
+        BagCommand::Info { bag } => info::run(&bag, quiet),
+        BagCommand::Check { bag } => check::run(&bag, quiet),
+        BagCommand::Export(args) => export::run(args, quiet, interrupt),
+        BagCommand::Import(args) => import::run(args, quiet, interrupt),
+        BagCommand::Render(args) => render::run(args, quiet, interrupt),
+    }
+}
+
+fn survey(bag: &BagReader, quiet: bool) -> Survey {
+    let bar = progress_bar(bag.message_count(), "messages", quiet);
+    let survey = Survey::of(bag, |read| {
+        if read % PROGRESS_STEP == 0 {
+            bar.set_position(read);
+        }
+    });
+    bar.finish_and_clear();
+    survey
+}
+
+/// Reads bags once to know their streams.
+fn find_streams(
+    choice: &Choice,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> Result<Streams, ExchangeError> {
+    let bar = progress_bar(messages(&choice.bags, &choice.topic)?, "messages", quiet);
+    let streams = Streams::find(choice, &mut watch(&bar, interrupt));
+    bar.finish_and_clear();
+    streams
+}
+
+/// How many messages of the topic the bags have.
+fn messages(bags: &[PathBuf], topic: &str) -> Result<u64, BagError> {
+    let mut messages = 0;
+    for bag in find_bags(bags)? {
+        let bag = BagReader::open(&bag)?;
+        let of_topic = bag.topics().iter().filter(|info| info.name == topic);
+        messages += of_topic.map(|info| info.message_count).sum::<u64>();
+    }
+    Ok(messages)
+}
+
+/// Moves the bar by one frame at each call, and goes on until a signal comes.
+fn watch<'a>(bar: &'a ProgressBar, interrupt: &'a Interrupt) -> impl FnMut() -> bool + 'a {
+    move || {
+        bar.inc(1);
+        !interrupt.requested()
+    }
+}

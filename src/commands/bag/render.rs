@@ -1,0 +1,146 @@
+//! `eddy bag render`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{bail, ensure};
+
+use super::find_streams;
+use crate::{
+    cli::{Color, RenderArgs},
+    commands::{Interrupt, progress_bar},
+};
+use eddy::{
+    exchange::{Choice, ExchangeError, Output, Streams, Track},
+    frame::Material,
+    picture::{Animation, Canvas, Coloring, Kind, Painter, write_png},
+};
+
+/// Longer side of the domain in a strip (pixels).
+const STRIP_SIZE: usize = 240;
+/// Longer side of the domain in an animation (pixels).
+const ANIMATION_SIZE: usize = 480;
+/// Pictures a second of an animation, at most.
+const PICTURES: f64 = 25.0;
+/// GIF viewers slow shorter delays down (hundredths of a second).
+const SHORTEST_DELAY: f64 = 2.0;
+
+/// Draws a stream.
+pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(
+        args.rate.is_finite() && args.rate > 0.0,
+        "rate: found {}, expected a positive number",
+        args.rate
+    );
+    let choice = Choice {
+        bags: vec![args.bag.clone()],
+        topic: args.topic.clone(),
+        stream: args.stream,
+        frames: None,
+    };
+    // Refused before anything is read.
+    let is_folder = strip_and_animation(&args.output).is_none();
+    let output =
+        if is_folder { Output::directory(&args.output) } else { Output::new(&args.output) }?;
+    let streams = find_streams(&choice, quiet, interrupt)?;
+    let Some(track) = streams.tracks().first() else { bail!("{}: no stream", args.bag.display()) };
+    let wanted = strip_and_animation(&args.output).unwrap_or((true, Some(Kind::Gif)));
+    let names = if is_folder {
+        [output.place().join("strip.png"), output.place().join("animation.gif")]
+    } else {
+        [output.place().to_owned(), output.place().to_owned()]
+    };
+    draw(&args, &streams, track, wanted, names, quiet, interrupt)?;
+    output.finish()?;
+    let others = streams.tracks().len() - 1;
+    let others = if others > 0 { format!(" ({others} more in the bag)") } else { String::new() };
+    println!("stream {}{others}: {}", track.stream, args.output.display());
+    Ok(())
+}
+
+/// Whether a lone file of this name is a strip, and which animation; `None` for a directory.
+fn strip_and_animation(path: &Path) -> Option<(bool, Option<Kind>)> {
+    match path.extension()?.to_str()? {
+        "png" => Some((true, None)),
+        "gif" => Some((false, Some(Kind::Gif))),
+        "apng" => Some((false, Some(Kind::Apng))),
+        _ => None,
+    }
+}
+
+/// Reads the stream and draws the frames that are shown.
+fn draw(
+    args: &RenderArgs,
+    streams: &Streams,
+    track: &Track,
+    (strip, animation): (bool, Option<Kind>),
+    [strip_file, animation_file]: [PathBuf; 2],
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    let painter = |size| {
+        let size = args.size.map_or(size, |size| size as usize);
+        Painter::new(track.domain, track.particles(), size, coloring(args.color, track))
+    };
+    let (small, large) = (painter(STRIP_SIZE), painter(ANIMATION_SIZE));
+    let in_strip = evenly(track.frames, if strip { args.frames as usize } else { 0 });
+    let (pictures, delay) = pace(track, args.rate);
+    let in_animation = evenly(track.frames, if animation.is_some() { pictures } else { 0 });
+    let mut panels: Vec<Canvas> = Vec::new();
+    let mut film = None;
+    let bar = progress_bar(track.frames as u64, "frames", quiet);
+    for (index, frame) in streams.frames_of(track)?.enumerate() {
+        let frame = frame?;
+        if interrupt.requested() {
+            return Err(ExchangeError::Interrupted.into());
+        }
+        if in_strip.binary_search(&index).is_ok() {
+            panels.push(small.panel(&frame));
+        }
+        if let Some(kind) = animation.filter(|_| in_animation.binary_search(&index).is_ok()) {
+            let picture = large.picture(&frame);
+            let size = (picture.width(), picture.height());
+            if film.is_none() {
+                film = Some(Animation::create(
+                    &animation_file,
+                    kind,
+                    size,
+                    in_animation.len(),
+                    delay,
+                )?);
+            }
+            film.as_mut().map_or(Ok(()), |film| film.add(&picture))?;
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if strip {
+        write_png(&strip_file, &small.strip(&panels))?;
+    }
+    film.map_or(Ok(()), Animation::finish)?;
+    Ok(())
+}
+
+fn coloring(color: Color, track: &Track) -> Coloring {
+    match color {
+        Color::Material => {
+            let occurs = |material: &Material| track.material.contains(material);
+            Coloring::Material(Material::ALL.into_iter().filter(occurs).collect())
+        }
+        Color::Speed => Coloring::Speed(track.top_speed),
+    }
+}
+
+/// `count` of `frames` numbers, evenly spaced from the first to the last; all if there are fewer.
+fn evenly(frames: usize, count: usize) -> Vec<usize> {
+    let count = count.min(frames);
+    (0..count).map(|i| i * (frames - 1) / (count - 1).max(1)).collect()
+}
+
+/// How many pictures an animation has, and how long each is shown (hundredths of a second).
+fn pace(track: &Track, rate: f64) -> (usize, u16) {
+    let seconds = (track.last.seconds() - track.first.seconds()) / rate;
+    let last = (seconds * PICTURES).ceil().clamp(0.0, (track.frames - 1) as f64);
+    let pictures = last as usize + 1;
+    let delay = 100.0 * seconds / pictures.saturating_sub(1).max(1) as f64;
+    (pictures, delay.round().max(SHORTEST_DELAY) as u16)
+}

@@ -1,0 +1,455 @@
+//! numpy's arrays in a zip archive (`.npz`), written and read.
+//!
+//! Format: `numpy.lib.format` (NEP 1). Object arrays are pickles, which are programs: they are
+//! refused by their header, and their bytes are never looked at.
+
+use std::{
+    fs::File,
+    io::{BufReader, BufWriter, Read, Write},
+    path::{Path, PathBuf},
+};
+
+use npyz::{
+    AutoSerialize, DType, Endianness, NpyHeader, Order, TypeChar, TypeStr, WriteOptions,
+    WriterBuilder,
+};
+use zip::{CompressionMethod, ZipArchive, ZipWriter, result::ZipError, write::SimpleFileOptions};
+
+use super::error::ExchangeError;
+
+/// Writes an archive array by array, uncompressed as `numpy.savez` does.
+pub(super) struct ArchiveWriter {
+    zip: ZipWriter<BufWriter<File>>,
+    path: PathBuf,
+}
+
+impl ArchiveWriter {
+    pub(super) fn create(path: &Path) -> Result<Self, ExchangeError> {
+        let file = File::create_new(path).map_err(ExchangeError::io(path, "creating the file"))?;
+        Ok(Self { zip: ZipWriter::new(BufWriter::new(file)), path: path.into() })
+    }
+
+    /// Adds an array of `shape`, in C order.
+    pub(super) fn array<T: AutoSerialize>(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+        values: impl IntoIterator<Item = T>,
+    ) -> Result<(), ExchangeError> {
+        self.start(name)?;
+        let failed = ExchangeError::io(&self.path, "writing");
+        let write = |zip: &mut ZipWriter<_>| {
+            let mut numbers = BufWriter::new(zip);
+            let options = WriteOptions::new().default_dtype().shape(&extents(shape));
+            let mut array = options.writer(&mut numbers).begin_nd()?;
+            array.extend(values)?;
+            array.finish()?;
+            numbers.flush()
+        };
+        write(&mut self.zip).map_err(failed)
+    }
+
+    /// Begins an array of any type, in C order; its bytes follow with [`Self::bytes`].
+    pub(super) fn begin(
+        &mut self,
+        name: &str,
+        dtype: DType,
+        shape: &[usize],
+    ) -> Result<(), ExchangeError> {
+        self.start(name)?;
+        let options = WriteOptions::new_header_only().dtype(dtype).shape(&extents(shape));
+        let written = options.writer(&mut self.zip).write_header_only();
+        written.map(drop).map_err(ExchangeError::io(&self.path, "writing"))
+    }
+
+    /// Appends to the array that was begun.
+    pub(super) fn bytes(&mut self, bytes: &[u8]) -> Result<(), ExchangeError> {
+        self.zip.write_all(bytes).map_err(ExchangeError::io(&self.path, "writing"))
+    }
+
+    fn start(&mut self, name: &str) -> Result<(), ExchangeError> {
+        // Always ready for more than 4 GiB, as numpy's own archives are.
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .large_file(true);
+        let started = self.zip.start_file(format!("{name}.npy"), options);
+        started.map_err(|error| refused(&self.path, error))
+    }
+
+    pub(super) fn finish(self) -> Result<(), ExchangeError> {
+        let Self { zip, path } = self;
+        let file = zip.finish().map_err(|error| refused(&path, error))?;
+        let file = file.into_inner().map_err(|error| error.into_error());
+        file.and_then(|file| file.sync_all()).map_err(ExchangeError::io(&path, "writing"))
+    }
+}
+
+fn extents(shape: &[usize]) -> Vec<u64> {
+    shape.iter().map(|&extent| extent as u64).collect()
+}
+
+fn refused(path: &Path, error: ZipError) -> ExchangeError {
+    match error {
+        ZipError::Io(reason) if reason.kind() != std::io::ErrorKind::UnexpectedEof => {
+            ExchangeError::Io { path: path.into(), action: "opening the archive", reason }
+        }
+        other => ExchangeError::File {
+            path: path.into(),
+            found: format!("no whole zip archive ({other})"),
+            expected: "an .npz file",
+        },
+    }
+}
+
+/// An archive to read.
+pub(super) struct Archive {
+    zip: ZipArchive<BufReader<File>>,
+    path: PathBuf,
+}
+
+/// Numbers of one array, in C order.
+#[derive(Debug, PartialEq)]
+pub(super) struct Array<T> {
+    pub(super) shape: Vec<usize>,
+    pub(super) values: Vec<T>,
+}
+
+impl Archive {
+    pub(super) fn open(path: &Path) -> Result<Self, ExchangeError> {
+        let file = File::open(path).map_err(ExchangeError::io(path, "opening the file"))?;
+        let zip = ZipArchive::new(BufReader::new(file)).map_err(|error| refused(path, error))?;
+        Ok(Self { zip, path: path.into() })
+    }
+
+    /// The names of its arrays.
+    pub(super) fn names(&self) -> Vec<String> {
+        let names = self.zip.file_names().filter_map(|name| {
+            let name = name.ok()?;
+            Some(name.strip_suffix(".npy").unwrap_or(&name).to_owned())
+        });
+        names.collect()
+    }
+
+    /// Whether it has the array.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.zip.index_for_name(&format!("{name}.npy")).is_some()
+    }
+
+    /// An array of plain numbers; `None` when the archive lacks it.
+    pub(super) fn read<T: Number>(
+        &mut self,
+        name: &str,
+    ) -> Result<Option<Array<T>>, ExchangeError> {
+        if !self.has(name) {
+            return Ok(None);
+        }
+        let entry = self.zip.by_name(&format!("{name}.npy"));
+        let mut entry = entry.map_err(|error| refused(&self.path, error))?;
+        let place = Place { path: &self.path, name };
+        let header = place.header(&mut entry)?;
+        let shape = place.shape(header.shape())?;
+        let plain = Plain::of(&header.dtype())
+            .ok_or_else(|| place.fault(header.dtype().descr(), "an array of plain numbers"))?;
+        let values = place.numbers(&mut entry, &plain, &shape)?;
+        place.end(&mut entry)?;
+        Ok(Some(Array { shape, values }))
+    }
+
+    /// Hands over the first two fields of each record of a structured array.
+    pub(super) fn records<A: Number, B: Number>(
+        &mut self,
+        name: &str,
+        mut each: impl FnMut(Array<A>, Array<B>) -> Result<(), ExchangeError>,
+    ) -> Result<(), ExchangeError> {
+        let entry = self.zip.by_name(&format!("{name}.npy"));
+        let mut entry = entry.map_err(|error| refused(&self.path, error))?;
+        let place = Place { path: &self.path, name };
+        let header = place.header(&mut entry)?;
+        let dtype = header.dtype();
+        let expected = "a structured array with at least two fields of plain numbers";
+        let fault = || place.fault(dtype.descr(), expected);
+        let DType::Record(fields) = &dtype else { return Err(fault()) };
+        let [first, second, rest @ ..] = fields.as_slice() else { return Err(fault()) };
+        let (first, second) = (
+            Plain::of(&first.dtype).ok_or_else(fault)?,
+            Plain::of(&second.dtype).ok_or_else(fault)?,
+        );
+        let rest: usize = rest.iter().map(|field| field.dtype.num_bytes().unwrap_or(0)).sum();
+        let records = place.length(&place.shape(header.shape())?)?;
+        for _ in 0..records {
+            let a = place.numbers(&mut entry, &first, &[])?;
+            let b = place.numbers(&mut entry, &second, &[])?;
+            place.skip(&mut entry, rest)?;
+            each(
+                Array { shape: first.shape.clone(), values: a },
+                Array { shape: second.shape.clone(), values: b },
+            )?;
+        }
+        place.end(&mut entry)
+    }
+}
+
+/// Where something was found, for messages.
+struct Place<'a> {
+    path: &'a Path,
+    name: &'a str,
+}
+
+impl Place<'_> {
+    fn fault(&self, found: impl Into<String>, expected: &str) -> ExchangeError {
+        ExchangeError::Array {
+            path: self.path.into(),
+            array: self.name.into(),
+            found: found.into(),
+            expected: expected.into(),
+        }
+    }
+
+    fn header(&self, entry: &mut impl Read) -> Result<NpyHeader, ExchangeError> {
+        let header = NpyHeader::from_reader(entry)
+            .map_err(|error| self.fault(error.to_string(), "the header of a .npy array"))?;
+        if header.uses_pickled_array() {
+            return Err(ExchangeError::Pickle { path: self.path.into(), array: self.name.into() });
+        }
+        if header.order() == Order::Fortran && header.shape().len() > 1 {
+            let expected = "C order (numpy.ascontiguousarray makes it)";
+            return Err(self.fault("Fortran order", expected));
+        }
+        Ok(header)
+    }
+
+    fn shape(&self, extents: &[u64]) -> Result<Vec<usize>, ExchangeError> {
+        let shape: Result<Vec<usize>, _> = extents.iter().map(|&n| usize::try_from(n)).collect();
+        shape.map_err(|_| self.fault(format!("shape {extents:?}"), "one that fits into memory"))
+    }
+
+    fn length(&self, shape: &[usize]) -> Result<usize, ExchangeError> {
+        let length = shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n));
+        length.ok_or_else(|| self.fault(format!("shape {shape:?}"), "one that fits into memory"))
+    }
+
+    /// The numbers of an array of `outer` shape whose elements are `plain`. Memory grows with what
+    /// is there, not with what the header says.
+    fn numbers<T: Number>(
+        &self,
+        entry: &mut impl Read,
+        plain: &Plain,
+        outer: &[usize],
+    ) -> Result<Vec<T>, ExchangeError> {
+        let count = self.length(&[outer, &plain.shape].concat())?;
+        let bytes = self.length(&[count, plain.size])?;
+        let mut raw = Vec::new();
+        let read = entry.take(bytes as u64).read_to_end(&mut raw);
+        // A wrong checksum, or a cut archive.
+        read.map_err(|error| self.fault(error.to_string(), "readable bytes"))?;
+        if raw.len() < bytes {
+            let found = format!("{} bytes of numbers", raw.len());
+            return Err(self.fault(found, &format!("{bytes} by its header")));
+        }
+        let values = raw.chunks_exact(plain.size).map(|bytes| {
+            let value = plain.decode(bytes);
+            T::from_value(value).ok_or_else(|| self.fault(value.words(), T::WORD))
+        });
+        values.collect()
+    }
+
+    fn skip(&self, entry: &mut impl Read, bytes: usize) -> Result<(), ExchangeError> {
+        let skipped = std::io::copy(&mut entry.take(bytes as u64), &mut std::io::sink());
+        skipped.map(drop).map_err(|error| self.fault(error.to_string(), "readable bytes"))
+    }
+
+    /// Reads to the end, where the archive's checksum is compared.
+    fn end(&self, entry: &mut impl Read) -> Result<(), ExchangeError> {
+        let rest = std::io::copy(entry, &mut std::io::sink())
+            .map_err(|error| self.fault(error.to_string(), "readable bytes"))?;
+        if rest > 0 {
+            let found = format!("{rest} bytes behind the numbers");
+            return Err(self.fault(found, "none by its header"));
+        }
+        Ok(())
+    }
+}
+
+/// Elements of one number type, with their own shape inside a structured array.
+struct Plain {
+    kind: TypeChar,
+    /// Bytes of one number.
+    size: usize,
+    swapped: bool,
+    shape: Vec<usize>,
+}
+
+impl Plain {
+    /// `None` for types that are no numbers.
+    fn of(dtype: &DType) -> Option<Self> {
+        match dtype {
+            DType::Plain(text) => Self::of_text(text),
+            DType::Array(extent, inner) => {
+                let mut plain = Self::of(inner)?;
+                plain.shape.insert(0, usize::try_from(*extent).ok()?);
+                Some(plain)
+            }
+            DType::Record(_) => None,
+        }
+    }
+
+    fn of_text(text: &TypeStr) -> Option<Self> {
+        let (kind, size) = (text.type_char(), text.num_bytes()?);
+        let known = match kind {
+            TypeChar::Float => [4, 8].contains(&size),
+            TypeChar::Int | TypeChar::Uint => [1, 2, 4, 8].contains(&size),
+            _ => false,
+        };
+        let swapped = text.endianness() == Endianness::Big;
+        known.then_some(Self { kind, size, swapped, shape: Vec::new() })
+    }
+
+    fn decode(&self, bytes: &[u8]) -> Value {
+        let mut raw = [0; 8];
+        raw[..self.size].copy_from_slice(bytes);
+        if self.swapped {
+            raw[..self.size].reverse();
+        }
+        let unsigned = u64::from_le_bytes(raw);
+        let unused = 64 - 8 * self.size as u32;
+        match (self.kind, self.size) {
+            (TypeChar::Float, 4) => Value::Float(f32::from_bits(unsigned as u32).into()),
+            (TypeChar::Float, _) => Value::Float(f64::from_bits(unsigned)),
+            (TypeChar::Int, _) => Value::Integer((((unsigned << unused) as i64) >> unused).into()),
+            _ => Value::Integer(unsigned.into()),
+        }
+    }
+}
+
+/// A number of any of numpy's types, without loss.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Value {
+    Float(f64),
+    Integer(i128),
+}
+
+impl Value {
+    fn words(self) -> String {
+        match self {
+            Self::Float(number) => number.to_string(),
+            Self::Integer(number) => number.to_string(),
+        }
+    }
+}
+
+/// What an array can be read as.
+pub(super) trait Number: Sized {
+    /// What is expected, for messages.
+    const WORD: &str;
+    fn from_value(value: Value) -> Option<Self>;
+}
+
+impl Number for f32 {
+    const WORD: &str = "a number";
+
+    fn from_value(value: Value) -> Option<Self> {
+        Some(match value {
+            Value::Float(number) => number as Self,
+            Value::Integer(number) => number as Self,
+        })
+    }
+}
+
+impl Number for f64 {
+    const WORD: &str = "a number";
+
+    fn from_value(value: Value) -> Option<Self> {
+        Some(match value {
+            Value::Float(number) => number,
+            Value::Integer(number) => number as Self,
+        })
+    }
+}
+
+impl Number for i64 {
+    const WORD: &str = "an integer of 64 bits";
+
+    fn from_value(value: Value) -> Option<Self> {
+        match value {
+            Value::Integer(number) => number.try_into().ok(),
+            Value::Float(_) => None,
+        }
+    }
+}
+
+impl Number for u64 {
+    const WORD: &str = "an integer from 0 to 2^64 - 1";
+
+    fn from_value(value: Value) -> Option<Self> {
+        match value {
+            Value::Integer(number) => number.try_into().ok(),
+            Value::Float(_) => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An archive with one array, `x`, of these header words and bytes.
+    fn archive(folder: &Path, header: &str, data: &[u8]) -> PathBuf {
+        let path = folder.join("x.npz");
+        let mut zip = ZipWriter::new(File::create(&path).unwrap());
+        zip.start_file("x.npy", SimpleFileOptions::default()).unwrap();
+        zip.write_all(b"\x93NUMPY\x01\x00").unwrap();
+        zip.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
+        zip.write_all(header.as_bytes()).unwrap();
+        zip.write_all(data).unwrap();
+        zip.finish().unwrap();
+        path
+    }
+
+    fn header(descr: &str, shape: &str) -> String {
+        format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n")
+    }
+
+    #[test]
+    fn numbers_of_every_type_and_byte_order_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let cases: [(&str, &[u8], f32); 7] = [
+            ("'<f4'", &1.5f32.to_le_bytes(), 1.5),
+            ("'>f4'", &1.5f32.to_be_bytes(), 1.5),
+            ("'<f8'", &(-0.25f64).to_le_bytes(), -0.25),
+            ("'>i2'", &(-3i16).to_be_bytes(), -3.0),
+            ("'|u1'", &[200], 200.0),
+            ("'|i1'", &[0xff], -1.0),
+            ("'<u8'", &7u64.to_le_bytes(), 7.0),
+        ];
+        for (descr, bytes, expected) in cases {
+            let path = archive(folder.path(), &header(descr, "(1,)"), bytes);
+            let array = Archive::open(&path).unwrap().read::<f32>("x").unwrap().unwrap();
+            assert_eq!(array, Array { shape: vec![1], values: vec![expected] }, "{descr}");
+        }
+    }
+
+    #[test]
+    fn arrays_that_cannot_be_used_are_named_with_the_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let four = [0; 4];
+        let fortran = header("'<f4'", "(1, 1)").replace("False", "True");
+        let cases: [(&str, &[u8], &str); 7] = [
+            (&header("'|O'", "(1,)"), b"cos\nsystem\n", "object arrays are pickles"),
+            (&header("[('a', '|O')]", "(1,)"), b"", "object arrays are pickles"),
+            (&header("'<U4'", "(1,)"), &[0; 16], "expected an array of plain numbers"),
+            (&header("'<f4'", "(2,)"), &four, "found 4 bytes of numbers, expected 8"),
+            (&header("'<f4'", "(0,)"), &four, "found 4 bytes behind the numbers"),
+            (&fortran, &four, "found Fortran order, expected C order"),
+            (
+                &header("'<f8'", "(9223372036854775807, 9)"),
+                &four,
+                "expected one that fits into memory",
+            ),
+        ];
+        for (header, bytes, expected) in cases {
+            let path = archive(folder.path(), header, bytes);
+            let error = Archive::open(&path).unwrap().read::<f32>("x").unwrap_err().to_string();
+            assert!(error.contains("x.npz: x: ") && error.contains(expected), "{error}");
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! One long table, a line a particle and frame.
+
+use std::{
+    fs::File,
+    io::{BufWriter, Write},
+    path::Path,
+};
+
+use super::{
+    error::ExchangeError,
+    streams::{Streams, Watch},
+};
+
+/// Writes every frame of every stream. Time in s, lengths in domain lengths.
+pub(super) fn write(
+    streams: &Streams,
+    path: &Path,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    let file = File::create_new(path).map_err(ExchangeError::io(path, "creating the file"))?;
+    let mut table = BufWriter::new(file);
+    let failed = || ExchangeError::io(path, "writing");
+    writeln!(table, "stream,sequence,time,particle,material,x,y,vx,vy").map_err(failed())?;
+    for track in streams.tracks() {
+        streams.read(track, watch, |frame| {
+            let before = format!("{},{},{}", frame.stream, frame.sequence, frame.stamp.seconds());
+            for particle in 0..frame.len() {
+                let material = frame.material[particle].name();
+                let [x, y] = frame.position[particle];
+                let [vx, vy] = frame.velocity[particle];
+                writeln!(table, "{before},{particle},{material},{x},{y},{vx},{vy}")
+                    .map_err(failed())?;
+            }
+            Ok(())
+        })?;
+    }
+    let file = table.into_inner().map_err(|error| error.into_error());
+    file.and_then(|file| file.sync_all()).map_err(failed())
+}

@@ -1,0 +1,154 @@
+//! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group a
+//! trajectory, `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside
+//! `metadata.json` (tumaer/lagrangebench, `data_gen/lagrangebench_data/gen_dataset.py` and
+//! `lagrangebench/data/data.py`). The paper's own data have this form.
+//!
+//! Positions only, as for [`super::gns`]. `T` is the same for all trajectories of a file, `N` need
+//! not be. One trajectory at a time is held in memory.
+
+use std::path::{Path, PathBuf};
+
+use hdf5::{Dataset, File, Group};
+
+use super::{
+    arrays::Array,
+    error::ExchangeError,
+    gns::{PARTS, one_scale, part_of},
+    metadata::{Metadata, Scale, Statistics},
+    streams::{Streams, Track, Watch},
+    trajectory::{Found, Types},
+};
+use crate::dataset::Part;
+
+/// LagrangeBench's types (`lagrangebench/utils.py`): 0 is fluid; 1 to 3 are walls and rigid bodies,
+/// so the other materials get numbers that are free.
+const TYPES: Types = Types([0, 4, 5, 6]);
+
+/// Strength of the compression, h5py's default.
+const GZIP: u8 = 4;
+
+const RULE: &str = "LagrangeBench reads files whose trajectories have the same length and keep \
+                    their particles; --frames N takes the first N frames of each";
+
+/// Writes a data set, split as `eddy train` splits (a lone stream trains).
+pub(super) fn write_set(
+    streams: &Streams,
+    directory: &Path,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    let all: Vec<&Track> = streams.tracks().iter().collect();
+    one_scale(&all)?;
+    let mut statistics = Statistics::default();
+    for (name, part) in PARTS {
+        let tracks = part_of(&all, part);
+        if tracks.is_empty() {
+            continue;
+        }
+        let counted = (part == Part::Train).then_some(&mut statistics);
+        write(streams, &tracks, &directory.join(format!("{name}.h5")), counted, watch)?;
+    }
+    let (train, test) = (part_of(&all, Part::Train), part_of(&all, Part::Test));
+    Metadata::new(&all, &train, &test, &statistics).write(directory)
+}
+
+fn write(
+    streams: &Streams,
+    tracks: &[&Track],
+    path: &Path,
+    mut statistics: Option<&mut Statistics>,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    for track in tracks {
+        track.keeps(&["particles"], RULE)?;
+        if track.material_varies {
+            let (found, expected) = ("materials that change".into(), "one a particle".into());
+            return Err(track.unfit("material", found, expected, RULE));
+        }
+        let (found, expected) = (track.frames, tracks[0].frames);
+        if found != expected {
+            let expected = format!("{expected} as in stream {}", tracks[0].stream);
+            return Err(track.unfit("frames", found.to_string(), expected, RULE));
+        }
+    }
+    let failed = |error| refused(path, error);
+    let file = File::create_excl(path).map_err(failed)?;
+    for (number, track) in tracks.iter().enumerate() {
+        if let Some(statistics) = &mut statistics {
+            statistics.begin_trajectory();
+        }
+        let mut position = Vec::new();
+        streams.read(track, watch, |frame| {
+            if let Some(statistics) = &mut statistics {
+                statistics.add(&frame);
+            }
+            position.extend_from_slice(frame.position.as_flattened());
+            Ok(())
+        })?;
+        let types: Vec<i64> =
+            track.material.iter().map(|&material| TYPES.number(material).into()).collect();
+        let group = file.create_group(&format!("{number:05}")).map_err(failed)?;
+        put(&group, &position, &types, track).map_err(failed)?;
+    }
+    file.close().map_err(failed)
+}
+
+fn put(group: &Group, position: &[f32], types: &[i64], track: &Track) -> hdf5::Result<()> {
+    let shape = [track.frames, track.particles(), 2];
+    let builder = group.new_dataset::<f32>().shape(shape);
+    let dataset = if hdf5::filters::deflate_available() {
+        builder.chunk([1, shape[1], 2]).deflate(GZIP).create("position")?
+    } else {
+        builder.create("position")?
+    };
+    dataset.write_raw(position)?;
+    group.new_dataset::<i64>().shape(types.len()).create("particle_type")?.write_raw(types)
+}
+
+/// Hands over the trajectories of a file, or of the files of a data set.
+pub(super) fn read(
+    path: &Path,
+    scale: Option<&Scale>,
+    mut each: impl FnMut(Found, &Path) -> Result<(), ExchangeError>,
+) -> Result<(), ExchangeError> {
+    for path in files(path)? {
+        let failed = |error| refused(&path, error);
+        let file = File::open(&path).map_err(failed)?;
+        let mut groups = file.groups().map_err(failed)?;
+        groups.sort_by_key(|group| group.name());
+        for group in groups {
+            let position = array::<f32>(&group, "position").map_err(failed)?;
+            let types = array::<i64>(&group, "particle_type").map_err(failed)?;
+            let mut found = Found::new(&path, position)?;
+            found.material = Some((types, TYPES));
+            found.dt = scale.map(Scale::interval);
+            found.domain = scale.and_then(Scale::domain);
+            each(found, &path)?;
+        }
+    }
+    Ok(())
+}
+
+fn array<T: hdf5::H5Type>(group: &Group, name: &str) -> hdf5::Result<Array<T>> {
+    let dataset: Dataset = group.dataset(name)?;
+    Ok(Array { shape: dataset.shape(), values: dataset.read_raw()? })
+}
+
+fn files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
+    if !path.is_dir() {
+        return Ok(vec![path.into()]);
+    }
+    let parts = PARTS.map(|(name, _)| path.join(format!("{name}.h5")));
+    let files: Vec<PathBuf> = parts.into_iter().filter(|file| file.exists()).collect();
+    if files.is_empty() {
+        return Err(ExchangeError::File {
+            path: path.into(),
+            found: "none of its files".into(),
+            expected: "train.h5, valid.h5 or test.h5",
+        });
+    }
+    Ok(files)
+}
+
+fn refused(path: &Path, error: hdf5::Error) -> ExchangeError {
+    ExchangeError::Hdf5 { path: path.into(), reason: error.to_string() }
+}
