@@ -130,8 +130,8 @@ pub struct SimulateArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
     pub reliability: Reliability,
-    /// Threads: one a scene; those left over share the work within the scenes. As many as there are
-    /// cores if not given.
+    /// Threads: one a scene, and those left over share the work within the scenes. If not given, one a
+    /// scene and at most one a core.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
 }

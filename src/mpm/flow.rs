@@ -1,4 +1,8 @@
 //! Where particles come in and go out while a scene runs.
+//!
+//! The number of particles then changes from one frame of the stream to the next. That is a legal
+//! stream: a surrogate node starts anew where the number changes, and a data set cuts the stream
+//! there.
 
 use serde::{Deserialize, Serialize};
 
@@ -52,8 +56,10 @@ impl Emitter {
         positive(&format!("{field}.particles"), self.particles.into(), f64::MAX)?;
         let room = room(scene.grid()?);
         let reach = self.speed() * scene.frames.interval;
-        let outside = [0.0, reach].into_iter().flat_map(|along| self.row(along, scene.spacing()));
-        if let Some(found) = outside.into_iter().find(|&position| !inside(room, position)) {
+        let end = 0.5 * (self.width - scene.spacing()).max(0.0);
+        let mut outside =
+            [-end, end].into_iter().flat_map(|across| [0.0, reach].map(|x| self.place(x, across)));
+        if let Some(found) = outside.find(|&position| !inside(room, position)) {
             return Err(MpmError::Field {
                 field: format!("{field}.position"),
                 found: format!("a particle at {found:?}"),
@@ -64,18 +70,17 @@ impl Emitter {
     }
 
     /// The row that has moved `along` from the slit (domain lengths).
-    fn row(&self, along: f32, spacing: f32) -> Vec<[f32; 2]> {
+    fn row(&self, along: f32, spacing: f32) -> impl Iterator<Item = [f32; 2]> {
+        // The cast saturates.
+        let count = (self.width / spacing).round().max(1.0) as u64;
+        let middle = 0.5 * (count as f32 - 1.0);
+        (0..count).map(move |column| self.place(along, (column as f32 - middle) * spacing))
+    }
+
+    /// The place so far from the middle of the slit, along the velocity and across it (domain lengths).
+    fn place(&self, along: f32, across: f32) -> [f32; 2] {
         let [u, v] = self.velocity.map(|x| x / self.speed());
-        let count = (self.width / spacing).round().max(1.0) as usize;
-        (0..count)
-            .map(|k| {
-                let across = (k as f32 - 0.5 * (count as f32 - 1.0)) * spacing;
-                [
-                    self.position[0] + along * u - across * v,
-                    self.position[1] + along * v + across * u,
-                ]
-            })
-            .collect()
+        [self.position[0] + along * u - across * v, self.position[1] + along * v + across * u]
     }
 }
 
@@ -208,7 +213,6 @@ mod tests {
         let mut blocked = flow(vec![emitter(1000)], Vec::new());
         let wall: Vec<Particle> = emitter(1)
             .row(0.0, SPACING)
-            .into_iter()
             .map(|position| Particle::at_rest(position, Material::Snow))
             .collect();
         assert_eq!(blocked.apply(0, &wall), None);
@@ -216,6 +220,25 @@ mod tests {
         let mut short = flow(vec![emitter(3)], Vec::new());
         assert_eq!(short.apply(0, &[]).unwrap().len(), 3);
         assert_eq!(short.apply(100, &[]), None);
+    }
+
+    #[test]
+    fn a_slit_that_reaches_into_a_wall_is_refused_whatever_its_numbers() {
+        let refused = |emitter: Emitter, spacing: f32| {
+            let scene = Scene { spacing: Some(spacing), ..Scene::default() };
+            emitter.check("emitters[0]", &scene).map_err(|error| error.to_string())
+        };
+        assert_eq!(refused(emitter(1), SPACING), Ok(()));
+        let wide = Emitter { width: 1e9, ..emitter(1) };
+        for spacing in [SPACING, 1e-30] {
+            let message = refused(wide, spacing).unwrap_err();
+            assert!(message.starts_with("emitters[0].position: found a particle at"), "{message}");
+        }
+        let still = Emitter { velocity: [0.0; 2], ..emitter(1) };
+        assert_eq!(
+            refused(still, SPACING).unwrap_err(),
+            "emitters[0].velocity: found 0, expected a positive number"
+        );
     }
 
     #[test]

@@ -291,7 +291,11 @@ pub(super) fn positive(field: &str, found: f64, most: f64) -> Result<(), MpmErro
     if found > 0.0 && found <= most {
         return Ok(());
     }
-    let expected = format!("a positive number, at most {most:e}");
+    let expected = match most {
+        f64::MAX => "a positive number".to_owned(),
+        1e6.. => format!("a positive number, at most {most:e}"),
+        _ => format!("a positive number, at most {most}"),
+    };
     Err(MpmError::Field { field: field.into(), found: found.to_string(), expected })
 }
 

@@ -15,6 +15,9 @@ use super::{
 };
 use crate::frame::{Domain, Frame, Stamp, decimal};
 
+/// The most substeps a frame; the stiffest materials need a few hundred thousand.
+const MOST_SUBSTEPS: u32 = 1_000_000;
+
 /// What takes the place of a scene's own numbers, where it is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -222,6 +225,15 @@ fn substeps(scene: &Scene) -> Result<u32, MpmError> {
     let interval = decimal(scene.frames.interval);
     let (minimum, limit) =
         minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
+    if minimum > MOST_SUBSTEPS {
+        return Err(MpmError::Field {
+            field: "frames.interval".into(),
+            found: format!("{minimum} substeps needed in {interval} s because of {limit}"),
+            expected: format!(
+                "at most {MOST_SUBSTEPS}: make what is fast slower, what is stiff softer, or the interval shorter"
+            ),
+        });
+    }
     match scene.solver.substeps {
         Some(requested) if requested < minimum => {
             let stiffness = materials.stiffness;
@@ -333,6 +345,18 @@ mod tests {
         // What the message asks for is accepted.
         let settings = Settings { substeps: Some(153), ..settings };
         assert!(Simulation::new(scene, &settings).is_ok());
+    }
+
+    #[test]
+    fn a_scene_that_would_take_for_ever_is_refused() {
+        let mut scene = Scene::generate(Preset::Fluid, 1, 0);
+        scene.bodies[0].velocity = [1e12, 0.0];
+        let message = Simulation::new(scene, &Settings::default()).unwrap_err().to_string();
+        assert!(
+            message.contains("substeps needed in 0.016 s because of particles of"),
+            "{message}"
+        );
+        assert!(message.contains("at most 1000000"), "{message}");
     }
 
     #[test]

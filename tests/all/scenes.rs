@@ -121,7 +121,7 @@ fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
             &["substeps: found 3, expected at least", "sound in liquid"],
         ),
         (
-            format!("spacing = 1e-7\n{DISC}"),
+            format!("spacing = 1e-6\n{DISC}"),
             &["memory: found", "TiB", "that are free", "make the spacing larger"],
         ),
     ];

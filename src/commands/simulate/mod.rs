@@ -49,11 +49,10 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         Some((output, manifest)) => Some(Archive::open(output, &job.request, manifest)?),
         None => None,
     };
-    // What scenes leave over is shared within each.
-    let job = Job {
-        threads: (pool.current_num_threads() / at_once.min(planned.len().max(1))).max(1),
-        ..job
-    };
+    // What scenes leave over is shared within each, but only of what was asked for: threads that wait
+    // for each other lose more than they win on a machine that does something else as well.
+    let shared = threads / at_once.min(planned.len().max(1));
+    let job = Job { threads: shared.max(1), ..job };
     let outcome = match &args.publish {
         Some(link) => {
             ensure!(
