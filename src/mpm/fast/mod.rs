@@ -5,8 +5,9 @@
 //!
 //! 1. [`sort`]: particles are ordered by cell, put into packs of sixteen ([`pack`]) and cut into
 //!    [`chunk`]s, each with a patch of the grid of its own. Again when they have drifted.
-//! 2. [`transfer`]: one pass over the particles of each chunk gathers velocities, moves, deforms and
-//!    stresses ([`law`]) and scatters momentum, in the vectors of [`simd`].
+//! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: velocities
+//!    are gathered ([`gather`]) from the nodes around ([`stencil`]), particles move, deform and are
+//!    stressed ([`law`]), momentum is scattered ([`scatter`]).
 //! 3. [`field`]: the patches are added up to the velocities of all nodes; gravity and walls act.
 //!
 //! [`level`] chooses the vector instructions, [`team`] holds the threads. The bits depend on neither.
@@ -14,12 +15,15 @@
 
 mod chunk;
 mod field;
+mod gather;
 mod law;
 mod level;
 mod pack;
 mod peak;
+mod scatter;
 mod simd;
 mod sort;
+mod stencil;
 mod team;
 #[cfg(test)]
 mod tests;
@@ -116,9 +120,9 @@ impl Fast {
         let chunks = Shared::new(&mut self.chunks);
         let velocities = Shared::new(&mut self.field.velocity);
         let masses = Shared::new(&mut self.field.mass);
-        let threads = self.team.threads();
+        let threads = self.team.threads().min(parts);
         let done = AtomicU32::new(0);
-        self.team.run(|thread, barrier: &Barrier| {
+        self.team.run(threads, |thread, barrier: &Barrier| {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
                 // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.

@@ -38,14 +38,18 @@ impl Team {
         self.pool.as_ref().map_or(1, |pool| pool.current_num_threads())
     }
 
-    /// Runs `work` on every thread at once, with the thread's number and where they meet.
-    pub(super) fn run(&self, work: impl Fn(usize, &Barrier) + Sync) {
-        let barrier = Barrier::new(self.threads());
+    /// Runs `work` on so many of the threads at once, with the thread's number and where they meet.
+    pub(super) fn run(&self, threads: usize, work: impl Fn(usize, &Barrier) + Sync) {
+        let barrier = Barrier::new(threads);
         match &self.pool {
-            None => work(0, &barrier),
-            Some(pool) => {
-                pool.broadcast(|context| work(context.index(), &barrier));
+            Some(pool) if threads > 1 => {
+                pool.broadcast(|context| {
+                    if context.index() < threads {
+                        work(context.index(), &barrier);
+                    }
+                });
             }
+            _ => work(0, &barrier),
         }
     }
 }

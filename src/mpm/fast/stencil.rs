@@ -1,0 +1,79 @@
+//! Sixteen particles and the nodes around them: [`spline`](super::super::spline) in vectors.
+
+use super::simd::{LANES, Simd};
+
+/// Where sixteen particles are among the nodes.
+pub(super) struct Stencils<S: Simd> {
+    /// Lowest node of each on x and y.
+    pub(super) base: [[i32; LANES]; 2],
+    /// Distance from the lowest node on x and y (cells), in [0.5, 1.5).
+    pub(super) offset: [S::Lanes; 2],
+    /// Weights of the three rows along x.
+    pub(super) weight: [S::Lanes; 3],
+}
+
+impl<S: Simd> Stencils<S> {
+    /// The stencils at these places (cells), which [`Chunk::holds`](super::chunk::Chunk::holds).
+    #[inline(always)]
+    pub(super) fn of(simd: S, cell: [S::Lanes; 2]) -> Self {
+        let (half, one) = (simd.splat(0.5), simd.splat(1.0));
+        // Cutting is the floor of what is not negative.
+        let (x, base_x) = simd.truncate(cell[0] - half);
+        let (y, base_y) = simd.truncate(cell[1] - half);
+        let offset = [cell[0] - x, cell[1] - y];
+        let x = offset[0];
+        let (before, after) = (simd.splat(1.5) - x, x - half);
+        let weight = [
+            half * before * before,
+            simd.splat(0.75) - (x - one) * (x - one),
+            half * after * after,
+        ];
+        Self { base: [base_x, base_y], offset, weight }
+    }
+}
+
+/// Weights of the four nodes of a row at a distance `y` from the first, as `c0 + y (c1 + y c2)`.
+const WEIGHTS: [[f32; 4]; 3] =
+    [[1.125, -0.25, 0.125, 0.0], [-1.5, 2.0, -0.5, 0.0], [0.5, -1.0, 0.5, 0.0]];
+
+/// Numbers of the four nodes, for each of the two components.
+const fn twice(row: [f32; 4]) -> [[f32; 2]; 4] {
+    [[row[0]; 2], [row[1]; 2], [row[2]; 2], [row[3]; 2]]
+}
+
+const PAIR_WEIGHTS: [[[f32; 2]; 4]; 3] = [twice(WEIGHTS[0]), twice(WEIGHTS[1]), twice(WEIGHTS[2])];
+/// Number of the node in its row.
+const PAIR_PLACES: [[f32; 2]; 4] = twice([0.0, 1.0, 2.0, 3.0]);
+
+/// Weights of a row along y, in vectors.
+pub(super) struct Weights<S: Simd> {
+    pairs: [S::Pairs; 3],
+    ones: [S::Ones; 3],
+    /// Numbers of the nodes in their row.
+    pub(super) places: S::Pairs,
+}
+
+impl<S: Simd> Weights<S> {
+    #[inline(always)]
+    pub(super) fn new(simd: S) -> Self {
+        let [a, b, c] = &PAIR_WEIGHTS;
+        let [d, e, f] = &WEIGHTS;
+        Self {
+            pairs: [simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c)],
+            ones: [simd.load_ones(d), simd.load_ones(e), simd.load_ones(f)],
+            places: simd.load_pairs(&PAIR_PLACES),
+        }
+    }
+
+    /// The weights at a distance `y` from the first node, for both components.
+    #[inline(always)]
+    pub(super) fn pairs(&self, y: S::Pairs) -> S::Pairs {
+        self.pairs[0] + y * (self.pairs[1] + y * self.pairs[2])
+    }
+
+    /// The weights at a distance `y` from the first node.
+    #[inline(always)]
+    pub(super) fn ones(&self, y: S::Ones) -> S::Ones {
+        self.ones[0] + y * (self.ones[1] + y * self.ones[2])
+    }
+}
