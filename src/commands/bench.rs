@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
@@ -43,12 +43,10 @@ fn solver(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::
         .into_iter()
         .filter(|(particles, _)| args.particles.is_empty() || args.particles.contains(particles));
     let cases: Vec<(usize, u32)> = chosen.collect();
-    ensure!(
-        cases.len() >= args.particles.len().max(1),
-        "particles: found {:?}, expected some of {:?}",
-        args.particles,
-        CASES.map(|(particles, _)| particles)
-    );
+    let sizes = CASES.map(|(particles, _)| particles);
+    if let Some(unknown) = args.particles.iter().find(|particles| !sizes.contains(particles)) {
+        bail!("particles: found {unknown}, expected some of {sizes:?}");
+    }
     ensure!(
         args.threads.iter().all(|&threads| (1..=1024).contains(&threads)),
         "threads: found {:?}, expected numbers from 1 to 1024",
@@ -67,9 +65,7 @@ fn solver(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::
         let limit = Limit::measure(threads);
         limits.push(limit);
         for &(particles, cells) in &cases {
-            if interrupt.requested() {
-                break;
-            }
+            ensure!(!interrupt.requested(), "interrupted");
             let case = Case::new(particles, cells, args.law, threads);
             let timing = case
                 .time(args.seconds, &limit)

@@ -355,17 +355,6 @@ impl Number for f32 {
     }
 }
 
-impl Number for f64 {
-    const WORD: &str = "a number";
-
-    fn from_value(value: Value) -> Option<Self> {
-        Some(match value {
-            Value::Float(number) => number,
-            Value::Integer(number) => number as Self,
-        })
-    }
-}
-
 impl Number for i64 {
     const WORD: &str = "an integer of 64 bits";
 

@@ -128,9 +128,19 @@ pub(super) fn read(
     Ok(())
 }
 
+/// How many times as many bytes deflate makes of its input at most.
+const DEFLATE: usize = 1032;
+
 fn array<T: hdf5::H5Type>(group: &Group, name: &str) -> hdf5::Result<Array<T>> {
     let dataset: Dataset = group.dataset(name)?;
-    Ok(Array { shape: dataset.shape(), values: dataset.read_raw()? })
+    let shape = dataset.shape();
+    // A header may declare anything: no more is read than could be stored in so many bytes.
+    let declared = shape.iter().try_fold(size_of::<T>(), |bytes, &n| bytes.checked_mul(n));
+    let most = usize::try_from(dataset.storage_size()).unwrap_or(usize::MAX);
+    if declared.is_none_or(|bytes| bytes > most.saturating_mul(DEFLATE)) {
+        return Err(format!("{name}: found {shape:?} values in {most} bytes").into());
+    }
+    Ok(Array { shape, values: dataset.read_raw()? })
 }
 
 fn files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {

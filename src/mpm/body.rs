@@ -53,10 +53,9 @@ impl Body {
         self.shape.contains([cos * x + sin * y, cos * y - sin * x])
     }
 
-    /// About how many particles it has.
+    /// About how many points its shape has, of which it may keep fewer.
     pub(super) fn estimate(&self, spacing: f32) -> f64 {
-        let filled = self.shape.estimate(spacing);
-        self.particles.map_or(filled, |particles| filled.min(particles as f64))
+        self.shape.estimate(spacing)
     }
 }
 

@@ -58,10 +58,11 @@ pub enum MpmError {
         /// Cells of the grid along x and y.
         cells: [u32; 2],
     },
-    /// A particle has left the grid, or its position is no number.
+    /// A particle has left the grid, moved further than a cell in a substep, or its position is no
+    /// number.
     #[error(
-        "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls; \
-         more substeps or another stiffness may help",
+        "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls, \
+         within a cell of that a substep before; more substeps or another stiffness may help",
         material.name()
     )]
     Diverged {

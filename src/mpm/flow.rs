@@ -132,10 +132,12 @@ impl Flow {
         let kept = after.len();
         let left = particles.len() - kept;
         let (interval, spacing) = (self.interval, self.spacing);
+        let mut last = None;
         for (emitter, emitted) in &mut self.emitters {
+            let present = after.len();
             let row = arrivals(emitter, frame, interval, spacing)
                 .flat_map(|along| emitter.row(along, spacing));
-            let free = row.filter(|&position| is_free(position, &after[..kept], spacing));
+            let free = row.filter(|&position| is_free(position, &after[..present], spacing));
             let most = (emitter.particles - *emitted) as usize;
             let new: Vec<Particle> = free
                 .take(most)
@@ -146,11 +148,17 @@ impl Flow {
                 .collect();
             *emitted += new.len() as u32;
             after.extend(new);
+            if after.len() > present {
+                last = Some(emitted);
+            }
         }
         let came = after.len() - kept;
         if came == left && came > 0 {
             // One stays out: other particles in the same number could not be told from the same ones.
             after.pop();
+            if let Some(emitted) = last {
+                *emitted -= 1;
+            }
         }
         (came > 0 || left > 0).then_some(after)
     }

@@ -1,11 +1,7 @@
 //! Grid to particles: velocity and its gradient come back (APIC), positions move.
 
 use super::{
-    constitutive,
-    grid::{Grid, lanes},
-    material::Moduli,
-    matrix::Matrix2,
-    particle::Particle,
+    constitutive, grid::Grid, material::Moduli, matrix::Matrix2, particle::Particle,
     spline::Stencil,
 };
 
@@ -22,33 +18,21 @@ pub(super) fn gather(
     let inverse_dx = grid.inverse_dx();
     for (index, particle) in particles.iter_mut().enumerate() {
         let stencil = Stencil::at(particle.position, inverse_dx);
-        let [fx, fy] = stencil.offset;
-        let [weight_x, weight_y] = stencil.weight;
-        let moment_weight = |weight: [f32; 3], offset: f32| {
-            [weight[0] * -offset, weight[1] * (1.0 - offset), weight[2] * (2.0 - offset)]
-        };
-        let (moment_weight_x, moment_weight_y) =
-            (moment_weight(weight_x, fx), moment_weight(weight_y, fy));
-        // Velocity, then mass.
-        let mut velocity = [0.0; 4];
-        // Velocity times the distance to the node along x and y (cells).
-        let (mut moment_x, mut moment_y) = ([0.0; 4], [0.0; 4]);
-        for i in 0..3 {
-            let row = grid.row(&stencil, i);
-            let along_row = |weight: [f32; 3]| {
-                lanes(|k| weight[0] * row[0][k] + weight[1] * row[1][k] + weight[2] * row[2][k])
-            };
-            let (sum, moment) = (along_row(weight_y), along_row(moment_weight_y));
-            velocity = lanes(|k| velocity[k] + weight_x[i] * sum[k]);
-            moment_x = lanes(|k| moment_x[k] + moment_weight_x[i] * sum[k]);
-            moment_y = lanes(|k| moment_y[k] + weight_x[i] * moment[k]);
+        let (mut velocity, mut mass) = ([0.0; 2], 0.0);
+        // Velocity times the distance to the node (cells).
+        let mut moment = Matrix2::ZERO;
+        for (place, weight, [x, y]) in stencil.nodes() {
+            let node = grid.node(grid.number(&stencil, place));
+            let [u, v] = node.motion.map(|velocity| weight * velocity);
+            velocity = [velocity[0] + u, velocity[1] + v];
+            moment = moment + Matrix2::new(u * x, u * y, v * x, v * y);
+            mass += weight * node.mass;
         }
-        let scale = 4.0 * inverse_dx;
-        particle.affine = Matrix2::new(moment_x[0], moment_y[0], moment_x[1], moment_y[1]) * scale;
-        particle.velocity = [velocity[0], velocity[1]];
+        particle.affine = moment * (4.0 * inverse_dx);
+        particle.velocity = velocity;
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
-        constitutive::recall(particle, velocity[2] * inverse_dx * inverse_dx, moduli, dt);
+        constitutive::recall(particle, mass * inverse_dx * inverse_dx, moduli, dt);
         if !grid.shape().contains(particle.position) {
             return Err(index);
         }

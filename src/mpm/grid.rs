@@ -2,14 +2,13 @@
 
 use super::{attractor::Attractor, spline::Stencil};
 
-/// A node: momentum x, momentum y, mass, unused. After [`Grid::update`] the first two are the
-/// velocity. Four numbers, so that one vector instruction moves a node.
-pub(super) type Node = [f32; 4];
-
-/// A node from its four numbers.
-#[inline(always)]
-pub(super) fn lanes(number: impl FnMut(usize) -> f32) -> Node {
-    std::array::from_fn(number)
+/// A node of the grid.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Node {
+    /// Momentum; after [`Grid::update`] the velocity (domain lengths per s).
+    pub(super) motion: [f32; 2],
+    /// Mass.
+    pub(super) mass: f32,
 }
 
 /// Thickness of the walls on each side (cells).
@@ -59,7 +58,7 @@ impl Grid {
     /// An empty grid.
     pub(super) fn new(shape: GridShape) -> Self {
         let sides = shape.cells.map(|cells| cells as usize + 1);
-        let nodes = vec![[0.0; 4]; sides[0] * sides[1]];
+        let nodes = vec![Node::default(); sides[0] * sides[1]];
         Self { nodes, shape, sides, inverse_dx: 1.0 / shape.dx }
     }
 
@@ -78,23 +77,24 @@ impl Grid {
         self.inverse_dx
     }
 
-    /// The three nodes of a stencil in its row `i` (0..3), with y ascending.
-    #[inline]
-    pub(super) fn row(&self, stencil: &Stencil, i: usize) -> &[Node] {
-        let start = (stencil.base[0] + i) * self.sides[1] + stencil.base[1];
-        &self.nodes[start..start + 3]
+    /// The number of the node (i, j) of a stencil, each 0..3.
+    pub(super) fn number(&self, stencil: &Stencil, [i, j]: [usize; 2]) -> usize {
+        (stencil.base[0] + i) * self.sides[1] + stencil.base[1] + j
     }
 
-    /// As [`Grid::row`], to write.
-    #[inline]
-    pub(super) fn row_mut(&mut self, stencil: &Stencil, i: usize) -> &mut [Node] {
-        let start = (stencil.base[0] + i) * self.sides[1] + stencil.base[1];
-        &mut self.nodes[start..start + 3]
+    /// A node by its number.
+    pub(super) fn node(&self, number: usize) -> &Node {
+        &self.nodes[number]
+    }
+
+    /// As [`Grid::node`], to write.
+    pub(super) fn node_mut(&mut self, number: usize) -> &mut Node {
+        &mut self.nodes[number]
     }
 
     /// Takes all mass and momentum off.
     pub(super) fn clear(&mut self) {
-        self.nodes.fill([0.0; 4]);
+        self.nodes.fill(Node::default());
     }
 
     /// The nodes, row by row.
@@ -108,16 +108,16 @@ impl Grid {
     pub(super) fn update(&mut self, dt: f32, gravity: f32, attractor: Option<&Attractor>) {
         let (sides, dx) = (self.sides, self.shape.dx);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
-            for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node[2] > 0.0) {
+            for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node.mass > 0.0) {
                 // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
                 // mass, and the same rounding of its inverse everywhere would let momentum drift.
-                let mut velocity = [node[0] / node[2], node[1] / node[2] - dt * gravity];
+                let mut velocity = node.motion.map(|momentum| momentum / node.mass);
+                velocity[1] -= dt * gravity;
                 if let Some(attractor) = attractor {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];
                 }
-                node[0] = walled(velocity[0], i, sides[0]);
-                node[1] = walled(velocity[1], j, sides[1]);
+                node.motion = [walled(velocity[0], i, sides[0]), walled(velocity[1], j, sides[1])];
             }
         }
     }

@@ -62,7 +62,7 @@ pub use scene::{Frames, Scene, SolverChoices};
 pub use shape::Shape;
 pub use simulation::{Settings, Simulation};
 pub use solver::{Solver, SolverSettings};
-pub use stability::{CFL, LIQUID_CFL, minimum_substeps};
+pub use stability::minimum_substeps;
 
 /// Time between two frames (s).
 pub const FRAME_INTERVAL: f32 = 0.016;

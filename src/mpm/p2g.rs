@@ -2,7 +2,7 @@
 
 use super::{
     constitutive,
-    grid::{Grid, lanes},
+    grid::Grid,
     material::{DENSITY, Moduli},
     particle::Particle,
     spline::Stencil,
@@ -26,25 +26,13 @@ pub(super) fn scatter(
         let stress = constitutive::advance(particle, moduli, dt);
         let affine = (stress * impulse + particle.affine * mass) * dx;
         let stencil = Stencil::at(particle.position, inverse_dx);
-        let [fx, fy] = stencil.offset;
-        let [u, v] = particle.velocity;
-        // What a node at distance (i, j) cells from the lowest one gets, before its weight:
-        // lowest + i along_x + j along_y, as [momentum x, momentum y, mass, unused].
-        let lowest = [
-            mass * u - affine.xx * fx - affine.xy * fy,
-            mass * v - affine.yx * fx - affine.yy * fy,
-            mass,
-            0.0,
-        ];
-        let along_x = [affine.xx, affine.yx, 0.0, 0.0];
-        let along_y = [affine.xy, affine.yy, 0.0, 0.0];
-        for (i, weight_x) in stencil.weight[0].into_iter().enumerate() {
-            let mut value = lanes(|k| weight_x * (lowest[k] + i as f32 * along_x[k]));
-            let step = lanes(|k| weight_x * along_y[k]);
-            for (node, weight_y) in grid.row_mut(&stencil, i).iter_mut().zip(stencil.weight[1]) {
-                *node = lanes(|k| node[k] + weight_y * value[k]);
-                value = lanes(|k| value[k] + step[k]);
-            }
+        for (place, weight, [x, y]) in stencil.nodes() {
+            let number = grid.number(&stencil, place);
+            let node = grid.node_mut(number);
+            let [u, v] = particle.velocity;
+            node.motion[0] += weight * (mass * u + affine.xx * x + affine.xy * y);
+            node.motion[1] += weight * (mass * v + affine.yx * x + affine.yy * y);
+            node.mass += weight * mass;
         }
     }
 }

@@ -15,6 +15,10 @@ use super::{
 };
 use crate::frame::Material;
 
+/// The finest spacing of particles, as a part of a cell.
+const FINEST: f32 = 64.0;
+/// The most frame intervals that an attractor acts.
+const LONGEST_PULL: u32 = 1000;
 /// Cells that a domain has at least on each side: two walls and as much between them.
 const FEWEST_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
@@ -143,12 +147,19 @@ impl Scene {
                 ),
             });
         }
+        if cells.iter().map(|cells| cells.round() + 5.0).product::<f64>() > f64::from(i32::MAX) {
+            return Err(MpmError::Field {
+                field: "domain".into(),
+                found: format!("{domain:?} in cells of {dx}"),
+                expected: "fewer than 2^31 nodes".into(),
+            });
+        }
         let spacing = self.spacing();
-        if !(spacing > 0.0 && spacing <= dx) {
+        if !(spacing >= dx / FINEST && spacing <= dx) {
             return Err(MpmError::Field {
                 field: "spacing".into(),
                 found: spacing.to_string(),
-                expected: format!("more than 0 and at most a cell ({dx})"),
+                expected: format!("between a {FINEST}th of a cell and a cell ({dx})"),
             });
         }
         Ok(GridShape { cells: cells.map(|cells| cells.round() as u32), dx })
@@ -171,7 +182,14 @@ impl Scene {
         if viscosity != 0.0 {
             positive("materials.viscosity", viscosity.into(), STIFFEST)?;
         }
-        if let Some(Attractor { centre, strength, .. }) = self.attractor {
+        if let Some(Attractor { centre, strength, frames }) = self.attractor {
+            if frames > LONGEST_PULL {
+                return Err(MpmError::Field {
+                    field: "attractor.frames".into(),
+                    found: frames.to_string(),
+                    expected: format!("at most {LONGEST_PULL}"),
+                });
+            }
             for (name, number) in
                 [("centre", centre[0]), ("centre", centre[1]), ("strength", strength)]
             {
@@ -280,8 +298,9 @@ impl Scene {
         let bodies = self.bodies.iter().map(|body| speed(body.velocity));
         let emitters = self.emitters.iter().map(|emitter| speed(emitter.velocity));
         let start = bodies.chain(emitters).fold(0.0, f32::max);
-        let pulled =
-            self.attractor.map_or(0.0, |a| a.strength * a.frames as f32 * self.frames.interval);
+        let pulled = self
+            .attractor
+            .map_or(0.0, |a| a.strength.abs() * a.frames as f32 * self.frames.interval);
         start + pulled + (2.0 * self.solver.gravity.abs() * self.domain[1]).sqrt()
     }
 }

@@ -126,7 +126,8 @@ impl Simulation {
         let frame = moved.and_then(|()| self.frame());
         self.sequence += 1;
         let rest = self.scene.frames.rest;
-        let settled = self.sequence >= self.fewest_frames && self.solver.kinetic_energy() < rest;
+        let settled =
+            self.sequence >= self.fewest_frames && self.solver.mean_kinetic_energy() < rest;
         self.ended = frame.is_err() || settled;
         frame.map(Some)
     }
@@ -148,9 +149,7 @@ impl Simulation {
     fn run(&mut self, intervals: u32) -> Result<(), MpmError> {
         for interval in 0..intervals {
             self.solver.run(self.substeps).map_err(|particle| {
-                let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
-                let begun = if self.sequence > 0 { before as u64 + self.sequence - 1 } else { 0 };
-                let time = (begun + u64::from(interval)) as f64 * self.interval();
+                let time = self.begun() + f64::from(interval) * self.interval();
                 diverged(self.solver.particles(), particle, time)
             })?;
         }
@@ -161,7 +160,7 @@ impl Simulation {
     fn exchange(&mut self) -> Result<(), MpmError> {
         let Some(flow) = &mut self.flow else { return Ok(()) };
         if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
-            let time = self.sequence as f64 * self.interval();
+            let time = self.begun();
             self.solver
                 .set_particles(particles.clone())
                 .map_err(|particle| diverged(&particles, particle, time))?;
@@ -210,6 +209,13 @@ impl Simulation {
     /// The box that holds the particles.
     pub fn domain(&self) -> Domain {
         Domain { lower: [0.0; 2], upper: self.scene.domain }
+    }
+
+    /// Begin of the interval before the next frame: simulated time since the scene was set up (s).
+    fn begun(&self) -> f64 {
+        let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
+        let intervals = if self.sequence > 0 { u64::from(before) + self.sequence - 1 } else { 0 };
+        intervals as f64 * self.interval()
     }
 
     /// Time between two frames (s).
@@ -442,6 +448,6 @@ mod tests {
         assert!(simulation.next_frame().unwrap().is_some());
         assert!(simulation.next_frame().unwrap().is_some(), "no scene is shorter than its least");
         assert!(simulation.next_frame().unwrap().is_none());
-        assert!(simulation.solver.kinetic_energy() < rest);
+        assert!(simulation.solver.mean_kinetic_energy() < rest);
     }
 }

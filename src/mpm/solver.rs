@@ -122,7 +122,7 @@ impl Solver {
     }
 
     /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).
-    pub fn kinetic_energy(&self) -> f64 {
+    pub(super) fn mean_kinetic_energy(&self) -> f64 {
         let sum: f64 = self
             .particles
             .iter()
@@ -197,7 +197,7 @@ mod tests {
         let mut grid = Grid::new(settings.grid);
         let moduli = Moduli::of(&settings.materials);
         p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
-        let found: f64 = grid.nodes().iter().map(|node| f64::from(node[2])).sum();
+        let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
         let expected = 400.0 * f64::from(DENSITY * settings.volume());
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
     }

@@ -24,6 +24,17 @@ impl Stencil {
     }
 }
 
+impl Stencil {
+    /// The nine nodes (i, j), each with its weight and its distance from the particle (cells).
+    pub(super) fn nodes(self) -> impl Iterator<Item = ([usize; 2], f32, [f32; 2])> {
+        (0..9).map(move |k| {
+            let [i, j] = [k / 3, k % 3];
+            let distance = [i as f32 - self.offset[0], j as f32 - self.offset[1]];
+            ([i, j], self.weight[0][i] * self.weight[1][j], distance)
+        })
+    }
+}
+
 /// Weights of three neighbouring nodes at a distance `x` in [0.5, 1.5) from the first (cells).
 #[inline]
 fn weights(x: f32) -> [f32; 3] {

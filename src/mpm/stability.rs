@@ -8,11 +8,11 @@ use crate::frame::Material;
 
 /// Largest Courant number of sound in solids: cells that a pressure wave crosses in a substep. They
 /// were measured to stay stable up to about 1.
-pub const CFL: f64 = 0.5;
+const CFL: f64 = 0.5;
 /// The same for liquids, whose speed of sound grows when they are packed. With Taichi's law splashes of
 /// the presets blew up at 0.5 (four of six fluid scenes), still lost their area at 0.42, and were sound
 /// from 0.36 down; with that of water one of eight blew up at 0.4, and fourteen were sound at 0.32.
-pub const LIQUID_CFL: f64 = 0.25;
+const LIQUID_CFL: f64 = 0.25;
 /// Largest `nu dt / dx^2` of a viscous liquid: the bound of explicit diffusion in two dimensions.
 /// Splashes were sound up to 1.35 times as much.
 const DIFFUSION: f64 = 0.25;

@@ -24,10 +24,15 @@ pub(super) const LOOSEST: f32 = 1.02;
 /// viscous splashes.
 pub(super) const MEMORY: f32 = 0.1;
 
+/// J, not above [`LOOSEST`]. Unlike `min`, it keeps what is no number.
+fn loosest(area: f32) -> f32 {
+    if area > LOOSEST { LOOSEST } else { area }
+}
+
 /// The area ratio J after the motion `gradient` (1/s) of `dt` seconds.
 #[inline]
 pub(super) fn moved(area: f32, gradient: Matrix2, dt: f32) -> f32 {
-    (area * (Matrix2::IDENTITY + gradient * dt).determinant()).min(LOOSEST)
+    loosest(area * (Matrix2::IDENTITY + gradient * dt).determinant())
 }
 
 /// J, drawn for `dt` seconds to what the density on the grid (mass per domain length^2) says.
@@ -37,7 +42,7 @@ pub(super) fn moved(area: f32, gradient: Matrix2, dt: f32) -> f32 {
 /// the particles.
 #[inline]
 pub(super) fn recalled(area: f32, density: f32, dt: f32) -> f32 {
-    let room = (DENSITY / density).min(LOOSEST);
+    let room = loosest(DENSITY / density);
     area + (room - area) * (dt / MEMORY).min(1.0)
 }
 
@@ -54,7 +59,8 @@ pub(super) fn stress(area: f32, gradient: Matrix2, moduli: &Moduli) -> Matrix2 {
 fn pressure(area: f32, bulk_modulus: f32) -> f32 {
     let packed = 1.0 / area;
     let squared = packed * packed;
-    (bulk_modulus / 7.0 * (squared * squared * squared * packed - 1.0)).max(0.0)
+    let pressure = bulk_modulus / 7.0 * (squared * squared * squared * packed - 1.0);
+    if pressure < 0.0 { 0.0 } else { pressure }
 }
 
 /// The part of the rate of deformation that keeps the area: `sym(C) - tr(C)/2 I`.

@@ -71,7 +71,7 @@ impl Painter {
     }
 
     /// What the colours mean, in one line.
-    pub fn legend(&self) -> Canvas {
+    fn legend(&self) -> Canvas {
         match &self.coloring {
             Coloring::Material(materials) => of_materials(materials),
             Coloring::Speed(top) => of_speeds(*top),

@@ -85,7 +85,7 @@ impl Written {
 #[test]
 fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
     let second = |body: &str| format!("{DISC}[[bodies]]\nmaterial = 'snow'\n{body}");
-    let cases: [(String, &[&str]); 14] = [
+    let cases: [(String, &[&str]); 17] = [
         // Not as a scene is written: the line is shown.
         (DISC.replace("radius", "radus"), &["line 4", "radus", "available keys: radius"]),
         (DISC.replace("'liquid'", "'watr'"), &["line 3", "watr", "`jelly`"]),
@@ -114,14 +114,22 @@ fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
             format!("domain = [1.01, 1.0]\n{DISC}"),
             &["domain: found [1.01, 1.0]", "[1.015625, 1.0]"],
         ),
-        (format!("spacing = 0.1\n{DISC}"), &["spacing: found 0.1", "at most a cell"]),
+        (format!("spacing = 0.1\n{DISC}"), &["spacing: found 0.1", "and a cell (0.015625)"]),
+        (format!("spacing = 1e-6\n{DISC}"), &["spacing: found 0.000001", "a 64th of a cell"]),
+        (format!("domain = [900.0, 900.0]\n{DISC}"), &["domain: found", "fewer than 2^31 nodes"]),
+        (
+            format!("attractor = {{ centre = [0.5, 0.5], strength = 9.0, frames = 5000 }}\n{DISC}"),
+            &["attractor.frames: found 5000", "at most 1000"],
+        ),
         // No time, no memory.
         (
             format!("solver.substeps = 3\n{DISC}"),
             &["substeps: found 3, expected at least", "sound in liquid"],
         ),
         (
-            format!("spacing = 1e-6\n{DISC}"),
+            "domain = [700.0, 700.0]\n[[bodies]]\nmaterial = 'liquid'\nparticles = 10\n\
+             shape.rectangle.size = [680.0, 680.0]\nposition = [350.0, 350.0]"
+                .to_owned(),
             &["memory: found", "TiB", "that are free", "make the spacing larger"],
         ),
     ];

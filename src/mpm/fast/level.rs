@@ -2,9 +2,12 @@
 
 use super::simd::{Portable, Simd};
 
-/// A set of vector instructions.
+/// A set of vector instructions that this processor has: only [`Level::present`] makes one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) enum Level {
+pub(in super::super) struct Level(Instructions);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Instructions {
     /// What every processor of the architecture has.
     Portable,
     /// 256-bit vectors.
@@ -29,12 +32,12 @@ impl Level {
     /// Those of this processor, the widest last.
     pub(in super::super) fn present() -> Vec<Self> {
         #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut, reason = "nothing to add"))]
-        let mut present = vec![Self::Portable];
+        let mut present = vec![Self(Instructions::Portable)];
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            present.push(Self::Avx2);
+            present.push(Self(Instructions::Avx2));
             if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
-                present.push(Self::Avx512);
+                present.push(Self(Instructions::Avx512));
             }
         }
         present
@@ -42,20 +45,20 @@ impl Level {
 
     /// The widest of this processor.
     pub(in super::super) fn widest() -> Self {
-        Self::present().pop().unwrap_or(Self::Portable)
+        Self::present().pop().unwrap_or(Self(Instructions::Portable))
     }
 
     /// Computes something with these instructions.
     #[inline]
     pub(super) fn run<W: Work>(self, work: W) -> W::Output {
-        match self {
-            Self::Portable => work.run(Portable),
+        match self.0 {
+            Instructions::Portable => work.run(Portable),
             // SAFETY: `present` has seen AVX2.
             #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => unsafe { x86::avx2(work) },
+            Instructions::Avx2 => unsafe { x86::avx2(work) },
             // SAFETY: `present` has seen AVX-512.
             #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => unsafe { x86::avx512(work) },
+            Instructions::Avx512 => unsafe { x86::avx512(work) },
         }
     }
 }

@@ -72,7 +72,7 @@ impl Fast {
     ///
     /// # Errors
     /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
-    /// position that is no number. The particles are where they were then, but for this one.
+    /// position that is no number. The others are where they were before the call then.
     pub(super) fn run(
         &mut self,
         particles: &mut [Particle],
@@ -82,6 +82,10 @@ impl Fast {
     ) -> Result<(), usize> {
         if particles.is_empty() || substeps == 0 {
             return Ok(());
+        }
+        // After an error the lost particle is still where it was lost.
+        if let Some(lost) = particles.iter().position(|p| !settings.grid.contains(p.position)) {
+            return Err(lost);
         }
         let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
         self.packs.fill(particles, step, &self.field, &self.team);

@@ -5,7 +5,7 @@ use std::{
     ops::Range,
     sync::{
         Arc,
-        atomic::{AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
     },
 };
 
@@ -45,6 +45,7 @@ impl Team {
             Some(pool) if threads > 1 => {
                 pool.broadcast(|context| {
                     if context.index() < threads {
+                        let _panic = Panic(&barrier);
                         work(context.index(), &barrier);
                     }
                 });
@@ -52,9 +53,7 @@ impl Team {
             _ => work(0, &barrier),
         }
     }
-}
 
-impl Team {
     /// Fills a list with what `make` gives for 0, 1, 2, ...
     pub(super) fn collect<T: Send>(
         &self,
@@ -85,14 +84,33 @@ pub(super) struct Barrier {
     threads: usize,
     arrived: AtomicUsize,
     round: AtomicUsize,
+    /// A thread will not come any more.
+    broken: AtomicBool,
+}
+
+/// Breaks the barrier if its thread panics, so that the others do not wait for ever.
+struct Panic<'a>(&'a Barrier);
+
+impl Drop for Panic<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.broken.store(true, Ordering::Release);
+        }
+    }
 }
 
 impl Barrier {
     fn new(threads: usize) -> Self {
-        Self { threads, arrived: AtomicUsize::new(0), round: AtomicUsize::new(0) }
+        Self {
+            threads,
+            arrived: AtomicUsize::new(0),
+            round: AtomicUsize::new(0),
+            broken: AtomicBool::new(false),
+        }
     }
 
-    /// Waits until every thread is here. What each did before is seen by all afterwards.
+    /// Waits until every thread is here. What each did before is seen by all afterwards. Panics where
+    /// another thread has.
     pub(super) fn wait(&self) {
         if self.threads == 1 {
             return;
@@ -105,6 +123,7 @@ impl Barrier {
         }
         let mut spins = 0;
         while self.round.load(Ordering::Acquire) == round {
+            assert!(!self.broken.load(Ordering::Acquire), "another thread has panicked");
             if spins < SPINS {
                 spins += 1;
                 std::hint::spin_loop();
@@ -150,5 +169,40 @@ impl<'a, T> Shared<'a, T> {
     pub(super) unsafe fn whole(&self) -> &[T] {
         // SAFETY: the slice itself; the caller answers for nobody writing it.
         unsafe { std::slice::from_raw_parts(self.start, self.length) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{panic, sync::atomic::AtomicU32};
+
+    use super::*;
+
+    #[test]
+    fn threads_meet_and_see_what_the_others_did() {
+        let sums = [AtomicU32::new(0), AtomicU32::new(0)];
+        Team::new(3).run(3, |thread, barrier| {
+            for round in 0..200 {
+                sums[round % 2].fetch_add(1, Ordering::Relaxed);
+                barrier.wait();
+                assert_eq!(sums[round % 2].load(Ordering::Relaxed), 3);
+                barrier.wait();
+                if thread == 0 {
+                    sums[round % 2].store(0, Ordering::Relaxed);
+                }
+            }
+        });
+    }
+
+    #[test]
+    fn a_panic_ends_all_threads() {
+        let team = Team::new(2);
+        let outcome = panic::catch_unwind(panic::AssertUnwindSafe(|| {
+            team.run(2, |thread, barrier| {
+                assert!(thread != 1, "on purpose");
+                barrier.wait();
+            });
+        }));
+        assert!(outcome.is_err());
     }
 }

@@ -121,9 +121,10 @@ fn a_rope_that_is_dropped_is_one_piece() {
 /// Ropes that meet ropes and jelly, as in the data sets.
 #[test]
 fn the_ropes_of_the_presets_stay_whole() {
-    for id in [1, 9] {
+    for id in [1, 8] {
         let scene = Scene::generate(Preset::MultiMaterial, 1, id);
         let settings = settings(GridShape::unit(64), Material::Rope, Materials::default());
+        let mut ropes = 0;
         let mut solver = Solver::new(scene.particles().unwrap(), settings).unwrap();
         run_for(&mut solver, 1.0);
         let mut first = 0;
@@ -131,6 +132,7 @@ fn the_ropes_of_the_presets_stay_whole() {
             let particles = &solver.particles()[first..first + body.particles.unwrap()];
             first += body.particles.unwrap();
             if body.material == Material::Rope {
+                ropes += 1;
                 println!(
                     "preset {id} body {number}: {} of {}",
                     largest_piece(particles, 2.0 * settings.spacing),
@@ -139,5 +141,6 @@ fn the_ropes_of_the_presets_stay_whole() {
                 assert_whole(particles, &format!("scene {id}, body {number}"));
             }
         }
+        assert!(ropes >= 2, "{ropes}");
     }
 }

@@ -21,7 +21,7 @@ impl Avx512 {
     /// The instruction set.
     ///
     /// # Safety
-    /// The processor has AVX2 and AVX-512 F.
+    /// The processor has AVX2, AVX-512 F and AVX-512 VL.
     #[inline(always)]
     pub(in super::super) unsafe fn assume() -> Self {
         // SAFETY: the caller says so.
