@@ -238,7 +238,7 @@ mod tests {
         };
         assert_eq!(refused(emitter(1), SPACING), Ok(()));
         let wide = Emitter { width: 1e9, ..emitter(1) };
-        for spacing in [SPACING, 1e-30] {
+        for spacing in [SPACING, SPACING / 32.0] {
             let message = refused(wide, spacing).unwrap_err();
             assert!(message.starts_with("emitters[0].position: found a particle at"), "{message}");
         }
