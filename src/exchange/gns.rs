@@ -8,80 +8,36 @@
 //!
 //! Positions only: velocities are differences between frames, in a GNS as in what is read here.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use npyz::{DType, Field};
 
 use super::{
     arrays::{Archive, ArchiveWriter},
+    data_set::{self, files, one_material},
     error::ExchangeError,
-    metadata::{Metadata, Scale, Statistics},
+    metadata::{Scale, Statistics},
     streams::{Streams, Track, Watch},
     trajectory::{Found, Types},
 };
-use crate::dataset::Part;
 
 /// The structured array.
 const DATA: &str = "gns_data";
 
 /// GNS's types (`render_rollout.py`): 5 water, 6 sand, 7 goop. Snow goes as sand, jelly as goop, rope
 /// as 8, which is free; 3 would be an obstacle that does not move.
-pub(super) const TYPES: Types = Types([5, 6, 7, 8]);
+const TYPES: Types = Types([5, 6, 7, 8]);
 
 const RULE: &str = "without pickles, a GNS file holds trajectories of one shape; --frames N takes \
                     the first N frames of each, --stream takes one alone";
 
-const SCALE_RULE: &str = "metadata.json has one dt and one domain for all trajectories";
-
-/// Writes a data set: `train.npz`, `valid.npz` and `test.npz` by the split that `eddy train` makes
-/// (a lone stream trains), and `metadata.json` with the statistics of the training part.
+/// Writes a data set: `train.npz`, `valid.npz`, `test.npz` and `metadata.json`.
 pub(super) fn write_set(
     streams: &Streams,
     directory: &Path,
     watch: &mut Watch<'_>,
 ) -> Result<(), ExchangeError> {
-    let all: Vec<&Track> = streams.tracks().iter().collect();
-    one_scale(&all)?;
-    let mut statistics = Statistics::default();
-    for (name, part) in PARTS {
-        let tracks = part_of(&all, part);
-        if tracks.is_empty() {
-            continue;
-        }
-        let counted = (part == Part::Train).then_some(&mut statistics);
-        write(streams, &tracks, &directory.join(format!("{name}.npz")), counted, watch)?;
-    }
-    let (train, test) = (part_of(&all, Part::Train), part_of(&all, Part::Test));
-    Metadata::new(&all, &train, &test, &statistics).write(directory)
-}
-
-/// The files of a data set.
-pub(super) const PARTS: [(&str, Part); 3] =
-    [("train", Part::Train), ("valid", Part::Validation), ("test", Part::Test)];
-
-/// The streams of one part.
-pub(super) fn part_of<'a>(all: &[&'a Track], part: Part) -> Vec<&'a Track> {
-    let ids: Vec<u64> = all.iter().map(|track| track.stream).collect();
-    all.iter().copied().filter(|track| Part::of(&ids, track.stream) == part).collect()
-}
-
-/// Checks that all streams have the same dt and domain, and do not change them.
-pub(super) fn one_scale(all: &[&Track]) -> Result<(), ExchangeError> {
-    for track in all {
-        track.keeps(&["dt", "domain", "sequence"], SCALE_RULE)?;
-        let first = all[0];
-        let differ = |field, found: String, expected: String| {
-            Err(track.unfit(field, found, expected, SCALE_RULE))
-        };
-        if track.dt != first.dt {
-            return differ("dt", format!("{} s", track.dt), format!("{} s", first.dt));
-        }
-        if track.domain != first.domain {
-            let (found, expected) = (format!("{:?}", track.domain), format!("{:?}", first.domain));
-            return differ("domain", found, expected);
-        }
-    }
-    Ok(())
+    data_set::write_set(streams, directory, "npz", write, watch)
 }
 
 /// Writes one file of trajectories, frame by frame.
@@ -95,10 +51,7 @@ pub(super) fn write(
     let first = tracks[0];
     for track in tracks {
         track.keeps(&["particles", "sequence"], RULE)?;
-        if track.material_varies {
-            let (found, expected) = ("materials that change".into(), "one a particle".into());
-            return Err(track.unfit("material", found, expected, RULE));
-        }
+        one_material(track, RULE)?;
         for (field, found, expected) in [
             ("frames", track.frames, first.frames),
             ("particles", track.particles(), first.particles()),
@@ -151,7 +104,7 @@ pub(super) fn read(
     scale: Option<&Scale>,
     mut each: impl FnMut(Found, &Path) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
-    for file in files(path)? {
+    for file in files(path, "npz", "train.npz, valid.npz or test.npz")? {
         let mut archive = Archive::open(&file)?;
         if !archive.has(DATA) {
             // The common form: its first array tells what it is.
@@ -174,21 +127,4 @@ pub(super) fn read(
         })?;
     }
     Ok(())
-}
-
-/// The file, or the files of a data set in the order of its parts.
-fn files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    if !path.is_dir() {
-        return Ok(vec![path.into()]);
-    }
-    let parts = PARTS.map(|(name, _)| path.join(format!("{name}.npz")));
-    let files: Vec<PathBuf> = parts.into_iter().filter(|file| file.exists()).collect();
-    if files.is_empty() {
-        return Err(ExchangeError::File {
-            path: path.into(),
-            found: "none of its files".into(),
-            expected: "train.npz, valid.npz or test.npz",
-        });
-    }
-    Ok(files)
 }

@@ -6,19 +6,18 @@
 //! Positions only, as for [`super::gns`]. `T` is the same for all trajectories of a file, `N` need
 //! not be. One trajectory at a time is held in memory.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use hdf5::{Dataset, File, Group};
 
 use super::{
     arrays::Array,
+    data_set::{self, files, one_material},
     error::ExchangeError,
-    gns::{PARTS, one_scale, part_of},
-    metadata::{Metadata, Scale, Statistics},
+    metadata::{Scale, Statistics},
     streams::{Streams, Track, Watch},
     trajectory::{Found, Types},
 };
-use crate::dataset::Part;
 
 /// LagrangeBench's types (`lagrangebench/utils.py`): 0 is fluid; 1 to 3 are walls and rigid bodies,
 /// so the other materials get numbers that are free.
@@ -30,25 +29,13 @@ const GZIP: u8 = 4;
 const RULE: &str = "LagrangeBench reads files whose trajectories have the same length and keep \
                     their particles; --frames N takes the first N frames of each";
 
-/// Writes a data set, split as `eddy train` splits (a lone stream trains).
+/// Writes a data set: `train.h5`, `valid.h5`, `test.h5` and `metadata.json`.
 pub(super) fn write_set(
     streams: &Streams,
     directory: &Path,
     watch: &mut Watch<'_>,
 ) -> Result<(), ExchangeError> {
-    let all: Vec<&Track> = streams.tracks().iter().collect();
-    one_scale(&all)?;
-    let mut statistics = Statistics::default();
-    for (name, part) in PARTS {
-        let tracks = part_of(&all, part);
-        if tracks.is_empty() {
-            continue;
-        }
-        let counted = (part == Part::Train).then_some(&mut statistics);
-        write(streams, &tracks, &directory.join(format!("{name}.h5")), counted, watch)?;
-    }
-    let (train, test) = (part_of(&all, Part::Train), part_of(&all, Part::Test));
-    Metadata::new(&all, &train, &test, &statistics).write(directory)
+    data_set::write_set(streams, directory, "h5", write, watch)
 }
 
 fn write(
@@ -60,10 +47,7 @@ fn write(
 ) -> Result<(), ExchangeError> {
     for track in tracks {
         track.keeps(&["particles"], RULE)?;
-        if track.material_varies {
-            let (found, expected) = ("materials that change".into(), "one a particle".into());
-            return Err(track.unfit("material", found, expected, RULE));
-        }
+        one_material(track, RULE)?;
         let (found, expected) = (track.frames, tracks[0].frames);
         if found != expected {
             let expected = format!("{expected} as in stream {}", tracks[0].stream);
@@ -110,7 +94,7 @@ pub(super) fn read(
     scale: Option<&Scale>,
     mut each: impl FnMut(Found, &Path) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
-    for path in files(path)? {
+    for path in files(path, "h5", "train.h5, valid.h5 or test.h5")? {
         let failed = |error| refused(&path, error);
         let file = File::open(&path).map_err(failed)?;
         let mut groups = file.groups().map_err(failed)?;
@@ -141,22 +125,6 @@ fn array<T: hdf5::H5Type>(group: &Group, name: &str) -> hdf5::Result<Array<T>> {
         return Err(format!("{name}: found {shape:?} values in {most} bytes").into());
     }
     Ok(Array { shape, values: dataset.read_raw()? })
-}
-
-fn files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    if !path.is_dir() {
-        return Ok(vec![path.into()]);
-    }
-    let parts = PARTS.map(|(name, _)| path.join(format!("{name}.h5")));
-    let files: Vec<PathBuf> = parts.into_iter().filter(|file| file.exists()).collect();
-    if files.is_empty() {
-        return Err(ExchangeError::File {
-            path: path.into(),
-            found: "none of its files".into(),
-            expected: "train.h5, valid.h5 or test.h5",
-        });
-    }
-    Ok(files)
 }
 
 fn refused(path: &Path, error: hdf5::Error) -> ExchangeError {

@@ -5,7 +5,7 @@
 //! 2. `output`: outputs that exist whole or not at all.
 //! 3. `export`: the formats and what each writes:
 //!    `csv` one table; `ply` and `vtu` a file a frame; `npz` arrays; `gns` and `hdf5` data sets of
-//!    learned simulators, with `metadata` (`metadata.json` and the statistics in it).
+//!    learned simulators (`data_set`), with `metadata` (`metadata.json` and the statistics in it).
 //!
 //! Into bags:
 //! 4. `import`: what is missing in a file, and bags as `eddy simulate` writes them.
@@ -15,6 +15,7 @@
 
 mod arrays;
 mod csv;
+mod data_set;
 mod error;
 mod export;
 mod gns;

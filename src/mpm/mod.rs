@@ -57,7 +57,7 @@ pub use grid::GridShape;
 pub use material::{Law, Materials};
 pub use matrix::Matrix2;
 pub use particle::Particle;
-pub use preset::{PARTICLES, Preset};
+pub use preset::Preset;
 pub use scene::{Frames, Scene, SolverChoices};
 pub use shape::Shape;
 pub use simulation::{Settings, Simulation};

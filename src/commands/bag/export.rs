@@ -26,7 +26,7 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     let outcome = export(&streams, args.format, &output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     outcome?;
-    println!("{count} streams, {} frames: {}", streams.frames(), output.display());
+    println!("streams: {count}, frames: {}: {}", streams.frames(), output.display());
     Ok(())
 }
 

@@ -24,6 +24,11 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         import(&args.path, args.format, &supplement, &args.output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     let imported = imported?;
-    println!("{} streams, {} frames: {}", imported.streams, imported.frames, args.output.display());
+    println!(
+        "streams: {}, frames: {}: {}",
+        imported.streams,
+        imported.frames,
+        args.output.display()
+    );
     Ok(())
 }

@@ -33,6 +33,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let job = Job::of(&args)?;
     // Zero stands for as many as there are cores, or as RAYON_NUM_THREADS says.
     let threads = args.threads.map_or(0, |threads| threads.get());
+    ensure!(threads <= 1024, "threads: found {threads}, expected 1 to 1024");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     let manifest = args
         .output

@@ -24,12 +24,18 @@ pub(super) struct Team {
 }
 
 impl Team {
-    /// So many threads; with one, everything runs on the caller's. Fewer where the system gives none.
+    /// So many threads; with one, everything runs on the caller's, and so it does with a warning where
+    /// the system gives none.
     pub(super) fn new(threads: usize) -> Self {
-        let pool = (threads > 1)
-            .then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build())
-            .and_then(Result::ok)
-            .map(Arc::new);
+        let build = || rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = match (threads > 1).then(build) {
+            Some(Err(error)) => {
+                tracing::warn!("the solver runs on one thread instead of {threads}: {error}");
+                None
+            }
+            Some(Ok(pool)) => Some(Arc::new(pool)),
+            None => None,
+        };
         Self { pool }
     }
 
