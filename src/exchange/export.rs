@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use super::{
-    csv,
+    csv, data_set,
     error::ExchangeError,
     gns, npz,
     output::Output,
@@ -82,10 +82,12 @@ pub fn export(
         ExportFormat::Vtu => vtu::write(streams, directory()?, watch)?,
         ExportFormat::Ply => ply::write(streams, directory()?, watch)?,
         ExportFormat::Gns if lone_file => gns::write(streams, &tracks, place, None, watch)?,
-        ExportFormat::Gns => gns::write_set(streams, directory()?, watch)?,
+        ExportFormat::Gns => data_set::write_set(streams, directory()?, "npz", gns::write, watch)?,
         ExportFormat::Csv => csv::write(streams, place, watch)?,
         #[cfg(feature = "hdf5")]
-        ExportFormat::Hdf5 => super::hdf5::write_set(streams, directory()?, watch)?,
+        ExportFormat::Hdf5 => {
+            data_set::write_set(streams, directory()?, "h5", super::hdf5::write, watch)?
+        }
         #[cfg(not(feature = "hdf5"))]
         ExportFormat::Hdf5 => return Err(ExchangeError::NoHdf5),
     }

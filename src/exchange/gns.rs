@@ -14,7 +14,7 @@ use npyz::{DType, Field};
 
 use super::{
     arrays::{Archive, ArchiveWriter},
-    data_set::{self, files, one_material},
+    data_set::{files, one_material},
     error::ExchangeError,
     metadata::{Scale, Statistics},
     streams::{Streams, Track, Watch},
@@ -30,15 +30,6 @@ const TYPES: Types = Types([5, 6, 7, 8]);
 
 const RULE: &str = "without pickles, a GNS file holds trajectories of one shape; --frames N takes \
                     the first N frames of each, --stream takes one alone";
-
-/// Writes a data set: `train.npz`, `valid.npz`, `test.npz` and `metadata.json`.
-pub(super) fn write_set(
-    streams: &Streams,
-    directory: &Path,
-    watch: &mut Watch<'_>,
-) -> Result<(), ExchangeError> {
-    data_set::write_set(streams, directory, "npz", write, watch)
-}
 
 /// Writes one file of trajectories, frame by frame.
 pub(super) fn write(

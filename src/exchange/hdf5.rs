@@ -12,7 +12,7 @@ use hdf5::{Dataset, File, Group};
 
 use super::{
     arrays::Array,
-    data_set::{self, files, one_material},
+    data_set::{files, one_material},
     error::ExchangeError,
     metadata::{Scale, Statistics},
     streams::{Streams, Track, Watch},
@@ -29,16 +29,8 @@ const GZIP: u8 = 4;
 const RULE: &str = "LagrangeBench reads files whose trajectories have the same length and keep \
                     their particles; --frames N takes the first N frames of each";
 
-/// Writes a data set: `train.h5`, `valid.h5`, `test.h5` and `metadata.json`.
-pub(super) fn write_set(
-    streams: &Streams,
-    directory: &Path,
-    watch: &mut Watch<'_>,
-) -> Result<(), ExchangeError> {
-    data_set::write_set(streams, directory, "h5", write, watch)
-}
-
-fn write(
+/// Writes one file of trajectories, one after the other.
+pub(super) fn write(
     streams: &Streams,
     tracks: &[&Track],
     path: &Path,

@@ -34,7 +34,7 @@ impl Packs {
     /// Sorts the particles anew.
     pub(super) fn sort(&mut self, step: &Step, field: &Field, team: &Team) {
         let packs = &self.packs;
-        let lowest = (0..self.particles).map(|k| step.lowest(state(packs, k).0.position));
+        let lowest = (0..self.particles).map(|place| lowest(packs, place, step));
         self.order.find(lowest, field);
         let numbered = |place: u32| state(packs, place as usize);
         collect(&self.order.places, numbered, &mut self.sorted, team);
@@ -55,7 +55,7 @@ impl Packs {
             let range = end(k)..end(k + 1);
             let (mut least, mut most) = ([i32::MAX; 2], [i32::MIN; 2]);
             for k in range.clone() {
-                let lowest = step.lowest(state(&self.packs, k).0.position);
+                let lowest = lowest(&self.packs, k, step);
                 for axis in 0..2 {
                     least[axis] = least[axis].min(lowest[axis]);
                     most[axis] = most[axis].max(lowest[axis]);
@@ -70,6 +70,12 @@ impl Packs {
 pub(super) fn state(packs: &[Pack], place: usize) -> (Particle, u32) {
     let (pack, lane) = (&packs[place / LANES], place % LANES);
     (pack.get(lane), pack.index[lane])
+}
+
+/// The lowest node of the stencil of a particle in packs.
+fn lowest(packs: &[Pack], place: usize, step: &Step) -> [i32; 2] {
+    let [x, y] = &packs[place / LANES].position;
+    step.lowest([x[place % LANES], y[place % LANES]])
 }
 
 /// Puts the particles at these places into packs, one after the other.
