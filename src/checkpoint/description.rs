@@ -33,38 +33,132 @@ impl Architecture {
     }
 }
 
-/// Which recurrent core.
+/// Which core.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Core {
+    /// No recurrence: a linear layer and the activation, the paper's baseline.
+    Mlp,
+    /// Long short-term memory (Hochreiter and Schmidhuber 1997), as PyTorch has it.
+    Lstm,
+    /// Gated recurrent unit (Cho et al. 2014), as PyTorch has it.
+    Gru,
+    /// Forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
+    #[value(name = "minlstm")]
+    MinLstm,
     /// One gate, one candidate (Feng et al. 2024, section 3.1).
     #[default]
     #[value(name = "mingru")]
     MinGru,
-    /// Forget gate, input gate, candidate; the gates normalised (Feng et al. 2024, section 3.2).
-    #[value(name = "minlstm")]
-    MinLstm,
 }
 
 impl Core {
+    /// Every core, the paper's order.
+    pub const ALL: [Self; 5] = [Self::Mlp, Self::Lstm, Self::Gru, Self::MinLstm, Self::MinGru];
+
     /// The word in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
-            Self::MinGru => "mingru",
+            Self::Mlp => "mlp",
+            Self::Lstm => "lstm",
+            Self::Gru => "gru",
             Self::MinLstm => "minlstm",
+            Self::MinGru => "mingru",
         }
     }
 }
 
-/// Which form of the recurrence.
+/// Which form of the minimal recurrences; the other cores have only one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
     /// Candidates enter as they are (the paper's Fig. 6).
     #[default]
     Plain,
+    /// Candidates are made positive first, by g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, so that
+    /// the recurrence can be computed in logarithms (Feng et al. 2024, appendix B). Another model.
+    Log,
+}
+
+/// How the frame model makes one row of the particles' rows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Pooling {
+    /// The mean over the particles.
+    #[default]
+    #[serde(rename = "mean")]
+    Mean,
+    /// The largest value over the particles.
+    #[serde(rename = "max")]
+    Max,
+    /// Both, side by side.
+    #[serde(rename = "mean+max")]
+    MeanMax,
+}
+
+/// What follows the frame model's linear layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Activation {
+    /// 1 / (1 + exp(-x)).
+    Sigmoid,
+    /// Hyperbolic tangent.
+    Tanh,
+    /// max(0, x).
+    Relu,
+    /// x for x > 0, exp(x) - 1 below (Clevert et al. 2015), the paper's choice.
+    #[default]
+    Elu,
+}
+
+impl Activation {
+    /// Every activation, the order of the paper's Fig. 5.
+    pub const ALL: [Self; 4] = [Self::Sigmoid, Self::Tanh, Self::Relu, Self::Elu];
+}
+
+/// How the frame model is told a particle's material.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MaterialInput {
+    /// A number each, 1 for the particle's material and 0 for the others.
+    #[default]
+    #[serde(rename = "one-hot")]
+    OneHot,
+    /// The paper's: one number, the material's number divided by the largest, 0..1.
+    #[serde(rename = "scalar")]
+    Scalar,
+}
+
+/// How the frame model's features are scaled, by the statistics of the training split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FeatureScaling {
+    /// To 0..1 by the smallest and the largest value (the paper's eq. 1).
+    #[default]
+    #[serde(rename = "min-max")]
+    MinMax,
+    /// By mean and standard deviation.
+    #[serde(rename = "z-score")]
+    ZScore,
+}
+
+/// What the paper leaves open about the frame model, and what it compares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrameOptions {
+    /// From particles to a frame.
+    pub pooling: Pooling,
+    /// Of the encoder, of the MLP core and of the mixer.
+    pub activation: Activation,
+    /// How materials enter.
+    pub material: MaterialInput,
+    /// How the other features are scaled.
+    pub scaling: FeatureScaling,
+}
+
+impl FrameOptions {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// Widths of the network's layers.
@@ -130,6 +224,9 @@ pub struct Description {
     pub core: Core,
     /// Which form of the recurrence.
     pub form: Form,
+    /// Whether minLSTM's gates are divided by their sum, f' = f / (f + i), i' = i / (f + i).
+    #[serde(default = "normalized", skip_serializing_if = "is_normalized")]
+    pub normalize_gates: bool,
     /// Time between two frames (s).
     pub dt: f32,
     /// Frames a stream must deliver before its predictions count.
@@ -142,12 +239,25 @@ pub struct Description {
     pub data: String,
     /// Widths of the layers.
     pub sizes: Sizes,
+    /// Choices within the frame model; the particle model has the defaults.
+    #[serde(default, skip_serializing_if = "FrameOptions::is_default")]
+    pub frame: FrameOptions,
     /// The box that holds the particles.
     pub domain: Domain,
     /// Scale of the numbers.
     pub normalization: Normalization,
     /// How the weights came about.
     pub training: TrainingSummary,
+}
+
+/// What is left out of the file.
+fn normalized() -> bool {
+    true
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_normalized(normalize_gates: &bool) -> bool {
+    *normalize_gates
 }
 
 /// The text of `model.toml`.
@@ -204,6 +314,10 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     if let Some(expected) = particles {
         let found = sizes.particles.map_or("nothing".to_owned(), |n| n.to_string());
         return Err(field(file, "sizes.particles", found, expected));
+    }
+    if *architecture == Architecture::Particle && !description.frame.is_default() {
+        let found = format!("{:?}", description.frame);
+        return Err(field(file, "frame", found, "nothing for the particle model"));
     }
     if !domain.is_whole() {
         let found = format!("{:?}, {:?}", domain.lower, domain.upper);

@@ -8,43 +8,95 @@
 //! |---|---|
 //! | `encoder.0` | F -> E |
 //! | `encoder.1` | E -> H |
+//! | `core.l.linear` (MLP) | H -> H |
 //! | `core.l.gate`, `core.l.candidate` (minGRU) | H -> H |
 //! | `core.l.forget_gate`, `core.l.input_gate`, `core.l.candidate` (minLSTM) | H -> H |
+//! | `core.*_ih_ll`, `core.*_hh_ll` (GRU; gates r, z, n) | H -> 3 H |
+//! | `core.*_ih_ll`, `core.*_hh_ll` (LSTM; gates i, f, g, o) | H -> 4 H |
 //! | `mixer` | H -> H |
 //! | `decoder` | H -> 2 N (frame model), H -> 4 (particle model) |
+//!
+//! GRU and LSTM have the names that PyTorch gives to a stack of layers, `core.weight_ih_l0`,
+//! `core.bias_ih_l0` and so on. Where mean and maximum are pooled, the input of the first layer of the
+//! core is 2 H wide.
 
 use std::{collections::BTreeMap, path::Path};
 
-use super::{Architecture, CheckpointError, Core, Description, Weights};
+use super::{Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Weights};
 use crate::frame::Material;
 
-/// Input features of the frame model: x, y, vx, vy and the material, one-hot.
-pub(crate) const FRAME_FEATURES: usize = 4 + Material::COUNT;
+/// Input features of the frame model: x, y, vx, vy and the material.
+pub(crate) fn frame_features(material: MaterialInput) -> usize {
+    match material {
+        MaterialInput::OneHot => 4 + Material::COUNT,
+        MaterialInput::Scalar => 5,
+    }
+}
 
 /// Input features of the particle model; `model/features.rs` says which.
 pub(crate) const PARTICLE_FEATURES: usize = 16 + Material::COUNT;
 
-/// The linear layers of a network with their widths: name, in, out.
-pub(crate) fn linear_layers(description: &Description) -> Vec<(String, usize, usize)> {
-    let sizes = &description.sizes;
+/// A linear layer: its tensors' names and its widths.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct LinearLayer {
+    /// Name of the matrix, `[output, input]`.
+    pub(crate) weight: String,
+    /// Name of the bias, `[output]`.
+    pub(crate) bias: String,
+    pub(crate) input: usize,
+    pub(crate) output: usize,
+}
+
+/// The linear parts of a layer of the core, and how many gates each computes.
+pub(crate) fn core_parts(core: Core) -> &'static [(&'static str, usize)] {
+    match core {
+        Core::Mlp => &[("linear", 1)],
+        Core::Lstm => &[("ih", 4), ("hh", 4)],
+        Core::Gru => &[("ih", 3), ("hh", 3)],
+        Core::MinLstm => &[("forget_gate", 1), ("input_gate", 1), ("candidate", 1)],
+        Core::MinGru => &[("gate", 1), ("candidate", 1)],
+    }
+}
+
+/// Names of weight and bias of a part of a layer of the core.
+pub(crate) fn core_names(core: Core, layer: usize, part: &str) -> [String; 2] {
+    ["weight", "bias"].map(|tensor| match core {
+        Core::Lstm | Core::Gru => format!("core.{tensor}_{part}_l{layer}"),
+        Core::Mlp | Core::MinLstm | Core::MinGru => format!("core.{layer}.{part}.{tensor}"),
+    })
+}
+
+/// Names of weight and bias of a layer outside the core.
+pub(crate) fn names(layer: &str) -> [String; 2] {
+    ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
+}
+
+/// The linear layers of a network, from input to output.
+pub(crate) fn linear_layers(description: &Description) -> Vec<LinearLayer> {
+    let Description { architecture, core, sizes, frame, .. } = description;
     let hidden = sizes.hidden;
-    let (features, outputs) = match description.architecture {
-        Architecture::Frame => (FRAME_FEATURES, 2 * sizes.particles.unwrap_or(0)),
+    let (features, outputs) = match architecture {
+        Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
         Architecture::Particle => (PARTICLE_FEATURES, 4),
     };
-    let mut layers = vec![
-        ("encoder.0".to_owned(), features, sizes.encoder),
-        ("encoder.1".to_owned(), sizes.encoder, hidden),
-    ];
-    let parts: &[&str] = match description.core {
-        Core::MinGru => &["gate", "candidate"],
-        Core::MinLstm => &["forget_gate", "input_gate", "candidate"],
+    let pooled = match frame.pooling {
+        Pooling::Mean | Pooling::Max => hidden,
+        Pooling::MeanMax => 2 * hidden,
     };
+    let linear =
+        |[weight, bias]: [String; 2], input, output| LinearLayer { weight, bias, input, output };
+    let mut layers = vec![
+        linear(names("encoder.0"), features, sizes.encoder),
+        linear(names("encoder.1"), sizes.encoder, hidden),
+    ];
     for layer in 0..sizes.layers {
-        layers.extend(parts.iter().map(|part| (format!("core.{layer}.{part}"), hidden, hidden)));
+        for &(part, gates) in core_parts(*core) {
+            let input = if layer == 0 && part != "hh" { pooled } else { hidden };
+            layers.push(linear(core_names(*core, layer, part), input, gates * hidden));
+        }
     }
-    layers.push(("mixer".to_owned(), hidden, hidden));
-    layers.push(("decoder".to_owned(), hidden, outputs));
+    layers.push(linear(names("mixer"), hidden, hidden));
+    layers.push(linear(names("decoder"), hidden, outputs));
     layers
 }
 
@@ -52,11 +104,8 @@ pub(crate) fn linear_layers(description: &Description) -> Vec<(String, usize, us
 pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> {
     linear_layers(description)
         .into_iter()
-        .flat_map(|(name, input, output)| {
-            [
-                (format!("{name}.weight"), vec![output, input]),
-                (format!("{name}.bias"), vec![output]),
-            ]
+        .flat_map(|LinearLayer { weight, bias, input, output }| {
+            [(weight, vec![output, input]), (bias, vec![output])]
         })
         .collect()
 }

@@ -16,7 +16,8 @@ mod files;
 pub(crate) mod layout;
 
 pub use description::{
-    Architecture, Core, Description, FORMAT_VERSION, Form, Normalization, Sizes, TrainingSummary,
+    Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
+    FrameOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};

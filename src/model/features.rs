@@ -1,7 +1,7 @@
 //! From frames to the numbers a network sees.
 //!
-//! Frame model ([`FRAME_FEATURES`]): x, y, vx, vy scaled to 0..1 by the training split's smallest and
-//! largest values (the paper's eq. 1), and the material one-hot.
+//! Frame model: x, y, vx, vy scaled by the training split's smallest and largest values (the paper's
+//! eq. 1) or its means and deviations, and the material, one-hot or as one number.
 //!
 //! Particle model ([`PARTICLE_FEATURES`]), per axis where there are two numbers:
 //!
@@ -22,8 +22,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
 use crate::{
     checkpoint::{
-        Normalization,
-        layout::{FRAME_FEATURES, PARTICLE_FEATURES},
+        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
     },
     frame::Material,
 };
@@ -43,6 +42,13 @@ pub(crate) fn one_hot(material: impl IntoIterator<Item = Material>, device: &Dev
     Tensor::from_data(TensorData::new(values, [rows, Material::COUNT]), device)
 }
 
+/// Each material's number divided by the largest, `[4, 1]`.
+fn material_numbers(device: &Device) -> Tensor<2> {
+    let largest = (Material::COUNT - 1) as f32;
+    let numbers = Material::ALL.map(|material| f32::from(material as u8) / largest);
+    Tensor::<1>::from_floats(numbers, device).reshape([Material::COUNT, 1])
+}
+
 /// Feature scaling for both networks, as tensors.
 #[derive(Clone, Debug)]
 pub(crate) struct Scaling {
@@ -50,10 +56,10 @@ pub(crate) struct Scaling {
     minimum: Tensor<2>,
     /// Largest minus smallest, `[1, 4]`.
     range: Tensor<2>,
-    /// Mean velocity, `[1, 2]`.
-    mean_velocity: Tensor<2>,
-    /// Standard deviation of the velocity, `[1, 2]`.
-    velocity_deviation: Tensor<2>,
+    /// Mean x, y, vx, vy, `[1, 4]`.
+    mean: Tensor<2>,
+    /// Their standard deviations, `[1, 4]`.
+    deviation: Tensor<2>,
     /// Root mean square of the two standard deviations: the unit of velocity changes.
     pub(crate) velocity_unit: f32,
 }
@@ -67,23 +73,29 @@ impl Scaling {
         Self {
             minimum: row(&scale.minimum),
             range: row(&range),
-            mean_velocity: row(&scale.mean[2..]),
-            velocity_deviation: row(&scale.standard_deviation[2..]),
+            mean: row(&scale.mean),
+            deviation: row(&scale.standard_deviation),
             velocity_unit: ((x * x + y * y) / 2.0).sqrt(),
         }
     }
 
-    /// x, y, vx, vy of `bodies` in 0..1, `[R, 4]`.
-    pub(crate) fn min_max(&self, bodies: &Bodies) -> Tensor<2> {
+    /// Input of the frame model, `[R, F]`. `material` is one-hot, `[R, 4]`.
+    pub(crate) fn frame(
+        &self,
+        options: &FrameOptions,
+        bodies: &Bodies,
+        material: Tensor<2>,
+    ) -> Tensor<2> {
         let state = Tensor::cat(vec![bodies.position.clone(), bodies.velocity.clone()], 1);
-        (state - self.minimum.clone()) / self.range.clone()
-    }
-
-    /// Input of the frame model, `[R, F]`.
-    pub(crate) fn frame(&self, bodies: &Bodies, material: Tensor<2>) -> Tensor<2> {
-        let features = Tensor::cat(vec![self.min_max(bodies), material], 1);
-        debug_assert_eq!(features.dims()[1], FRAME_FEATURES);
-        features
+        let state = match options.scaling {
+            FeatureScaling::MinMax => (state - self.minimum.clone()) / self.range.clone(),
+            FeatureScaling::ZScore => (state - self.mean.clone()) / self.deviation.clone(),
+        };
+        let material = match options.material {
+            MaterialInput::OneHot => material,
+            MaterialInput::Scalar => material.matmul(material_numbers(&state.device())),
+        };
+        Tensor::cat(vec![state, material], 1)
     }
 
     /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`.
@@ -99,10 +111,10 @@ impl Scaling {
         let above = (walls.upper.clone() - bodies.position.clone()).clamp_min(0.0);
         let middle = (below.clone() - above.clone()) / (walls.upper.clone() - walls.lower.clone());
         let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
+        let velocity = |row: &Tensor<2>| row.clone().slice([0..1, 2..4]);
         let features = Tensor::cat(
             vec![
-                (bodies.velocity.clone() - self.mean_velocity.clone())
-                    / self.velocity_deviation.clone(),
+                (bodies.velocity.clone() - velocity(&self.mean)) / velocity(&self.deviation),
                 push.div_scalar(self.velocity_unit),
                 fallen.stopped.clone().div_scalar(self.velocity_unit),
                 middle,

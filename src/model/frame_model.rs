@@ -3,34 +3,37 @@
 //! | step | shape |
 //! |---|---|
 //! | features of each particle | `[B, N, 8]` |
-//! | pointwise Linear, ELU | `[B, N, 256]` |
+//! | pointwise Linear, activation | `[B, N, 256]` |
 //! | mean over the particles | `[B, 256]` |
 //! | Linear | `[B, 1250]` |
-//! | two recurrent layers, dropout after each | `[B, 1250]` |
-//! | mixer: Linear, ELU | `[B, 1250]` |
+//! | two layers of the core, dropout after each | `[B, 1250]` |
+//! | mixer: Linear, activation | `[B, 1250]` |
 //! | decoder: one Linear | `[B, N, 2]` |
 //!
 //! Table 1 pools after the encoder's second Linear. A mean commutes with a linear map, so pooling
-//! goes first here: the same numbers for a fortieth of the work (a test compares the two orders).
+//! goes first here: the same numbers for a fortieth of the work (a test compares the two orders). A
+//! maximum does not, and keeps the literal order. Both together are `[B, 2500]`, mean first.
 //! The table does not say whether the "MLP(1250 -> 1250)" has an activation; without one it would
-//! fold into the decoder, so it has the encoder's ELU.
+//! fold into the decoder, so it has the encoder's (ELU if nothing else is chosen).
 //! The decoder's output is dv in domain lengths per second: v' = v + dv, x' = x + v' dt.
 
-use burn::tensor::{Device, Tensor, activation::elu};
+use burn::tensor::{Device, Tensor};
 
 use super::{
     Bodies, Track,
     features::Scaling,
     layers::Layers,
+    mlp::activate,
     network::{Dropout, Hidden},
 };
-use crate::checkpoint::Description;
+use crate::checkpoint::{Description, FrameOptions, Pooling};
 
 /// The frame model with its scales.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameModel {
     pub(crate) layers: Layers,
     pub(crate) scaling: Scaling,
+    options: FrameOptions,
     /// N.
     particles: usize,
     /// Time between two frames (s).
@@ -41,6 +44,7 @@ impl FrameModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         Self {
             scaling: Scaling::new(&description.normalization, device),
+            options: description.frame,
             particles: layers.decoder.weight.dims()[1] / 2,
             layers,
             dt: description.dt,
@@ -60,11 +64,9 @@ impl FrameModel {
         let mut signal: Tensor<3> = Tensor::stack(encoded, 0); // [T, B, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            signal = layer.scan(signal, carried);
-            let [frames, windows, width] = signal.dims();
-            let after = signal.clone().slice([frames - 1..frames, 0..windows, 0..width]);
-            states.push(after.reshape([windows, width]));
-            signal = dropout.apply(signal);
+            let (output, state) = layer.observe(signal, carried);
+            states.push(state);
+            signal = dropout.apply(output);
         }
         let change = self.decode(signal.flatten(0, 1)).reshape([frames, rows, 2]);
         let velocity = track.velocity.clone() + change;
@@ -83,28 +85,36 @@ impl FrameModel {
         let mut signal = self.encode(bodies, material);
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            signal = layer.step(signal, carried);
-            states.push(signal.clone());
-            signal = dropout.apply(signal);
+            let state = layer.step(signal, carried);
+            signal = dropout.apply(state.hidden.clone());
+            states.push(state);
         }
         let velocity = bodies.velocity.clone() + self.decode(signal);
         let position = bodies.position.clone() + velocity.clone().mul_scalar(self.dt);
         (Bodies { position, velocity }, Hidden { states, foretold: None })
     }
 
-    /// One frame of B windows, `[B N, ..]`, to `[B, H]`.
+    /// One frame of B windows, `[B N, ..]`, to `[B, H]` (`[B, 2 H]` with both poolings).
     pub(crate) fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
-        let points = self.scaling.frame(bodies, material.clone()); // [B N, F]
-        let points = elu(self.layers.encoder[0].forward(points), 1.0); // [B N, E]
-        let [rows, width] = points.dims();
-        let points = points.reshape([rows / self.particles, self.particles, width]);
-        let pooled = points.mean_dim(1).squeeze_dim::<2>(1); // [B, E]
-        self.layers.encoder[1].forward(pooled)
+        let points = self.scaling.frame(&self.options, bodies, material.clone()); // [B N, F]
+        let [first, second] = &self.layers.encoder;
+        let points = activate(self.options.activation, first.forward(points)); // [B N, E]
+        let windows = |points: Tensor<2>| {
+            let [rows, width] = points.dims();
+            points.reshape([rows / self.particles, self.particles, width])
+        };
+        let mean = |points| second.forward(windows(points).mean_dim(1).squeeze_dim::<2>(1));
+        let max = |points| windows(second.forward(points)).max_dim(1).squeeze_dim::<2>(1);
+        match self.options.pooling {
+            Pooling::Mean => mean(points),
+            Pooling::Max => max(points),
+            Pooling::MeanMax => Tensor::cat(vec![mean(points.clone()), max(points)], 1),
+        }
     }
 
     /// `[B, H]` to dv, `[B N, 2]`.
     fn decode(&self, signal: Tensor<2>) -> Tensor<2> {
-        let mixed = elu(self.layers.mixer.forward(signal), 1.0);
+        let mixed = activate(self.options.activation, self.layers.mixer.forward(signal));
         let change = self.layers.decoder.forward(mixed); // [B, 2 N]
         let [windows, _] = change.dims();
         change.reshape([windows * self.particles, 2])

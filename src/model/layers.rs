@@ -1,24 +1,37 @@
-//! The linear layers both networks are made of: initial weights, weights in, weights out.
+//! The linear layers both networks are made of: initial weights, weights in, weights out, weights
+//! changed by an optimizer.
 
 use std::collections::BTreeMap;
 
-use burn::{
-    module::{Module, Param},
-    nn::Linear,
-    tensor::{Device, Tensor, TensorData},
-};
+use burn::tensor::{Device, Gradients, Tensor, TensorData, module};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::core::RecurrentLayer;
 use crate::checkpoint::{Architecture, Description, Weights, layout};
 
+/// y = x W + b.
+#[derive(Clone, Debug)]
+pub(crate) struct Linear {
+    /// W, `[in, out]`.
+    pub(crate) weight: Tensor<2>,
+    /// b, `[out]`.
+    pub(crate) bias: Tensor<1>,
+}
+
+impl Linear {
+    /// `[.., in]` to `[.., out]`.
+    pub(crate) fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
+        module::linear(input, self.weight.clone(), Some(self.bias.clone()))
+    }
+}
+
 /// All learned numbers of a network.
-#[derive(Module, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Layers {
     /// `encoder.0`, `encoder.1`.
-    pub(crate) encoder: Vec<Linear>,
-    /// `core.l`, in order.
+    pub(crate) encoder: [Linear; 2],
+    /// The core's layers, in order.
     pub(crate) core: Vec<RecurrentLayer>,
     /// `mixer`.
     pub(crate) mixer: Linear,
@@ -27,46 +40,79 @@ pub(crate) struct Layers {
 }
 
 impl Layers {
-    /// Puts the layers together from tensors that fit the description, on `device`.
+    /// Puts the layers together from tensors that fit the description, on `device`. With autodiff,
+    /// gradients by all of them are recorded.
     pub(crate) fn new(
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
         device: &Device,
     ) -> Self {
-        let linear = |name: &str| linear(name, tensors, device);
+        let linear = |names: [String; 2]| linear(&names, tensors, device);
         Self {
-            encoder: vec![linear("encoder.0"), linear("encoder.1")],
+            encoder: ["encoder.0", "encoder.1"].map(|layer| linear(layout::names(layer))),
             core: (0..description.sizes.layers)
                 .map(|layer| {
-                    RecurrentLayer::new(description.core, |part| {
-                        linear(&format!("core.{layer}.{part}"))
+                    RecurrentLayer::new(description, |part| {
+                        linear(layout::core_names(description.core, layer, part))
                     })
                 })
                 .collect(),
-            mixer: linear("mixer"),
-            decoder: linear("decoder"),
+            mixer: linear(layout::names("mixer")),
+            decoder: linear(layout::names("decoder")),
         }
     }
 
     /// The weights by name, as checkpoints hold them.
-    pub(crate) fn tensors(&self) -> BTreeMap<String, Weights> {
-        let mut named: Vec<(String, &Linear)> = Vec::new();
-        named.extend(self.encoder.iter().enumerate().map(|(i, l)| (format!("encoder.{i}"), l)));
-        for (i, layer) in self.core.iter().enumerate() {
-            named.extend(layer.parts().map(|(part, l)| (format!("core.{i}.{part}"), l)));
-        }
-        named.push(("mixer".to_owned(), &self.mixer));
-        named.push(("decoder".to_owned(), &self.decoder));
+    pub(crate) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
+        let named = layout::linear_layers(description).into_iter().zip(self.linears());
         named
-            .into_iter()
-            .flat_map(|(name, linear)| {
-                let weight = numbers(linear.weight.val().transpose()); // [out, in]
-                let bias = linear.bias.as_ref().map(|bias| numbers(bias.val()));
-                let bias = bias.map(|bias| (format!("{name}.bias"), bias));
-                [Some((format!("{name}.weight"), weight)), bias].into_iter().flatten()
+            .flat_map(|(layer, linear)| {
+                let weight = numbers(linear.weight.clone().transpose()); // [out, in]
+                [(layer.weight, weight), (layer.bias, numbers(linear.bias.clone()))]
             })
             .collect()
     }
+
+    /// Every linear layer, from input to output: the order of [`layout::linear_layers`].
+    pub(crate) fn linears(&self) -> Vec<&Linear> {
+        let core = self.core.iter().flat_map(RecurrentLayer::parts);
+        self.encoder.iter().chain(core).chain([&self.mixer, &self.decoder]).collect()
+    }
+
+    fn linears_mut(&mut self) -> Vec<&mut Linear> {
+        let core = self.core.iter_mut().flat_map(RecurrentLayer::parts_mut);
+        self.encoder.iter_mut().chain(core).chain([&mut self.mixer, &mut self.decoder]).collect()
+    }
+
+    /// Changes every tensor, matrix (`[in, out]`) before bias in the order of [`Layers::linears`]:
+    /// `change` gets the tensor's number in that order, its values and its gradient. A tensor that the
+    /// loss does not depend on has no gradient and is left as it is.
+    pub(crate) fn update(
+        &mut self,
+        gradients: &mut Gradients,
+        mut change: impl FnMut(usize, &mut [f32], &[f32]),
+    ) {
+        for (index, linear) in self.linears_mut().into_iter().enumerate() {
+            update(&mut linear.weight, gradients, |values, by| change(2 * index, values, by));
+            update(&mut linear.bias, gradients, |values, by| change(2 * index + 1, values, by));
+        }
+    }
+}
+
+/// Puts other values in a tensor's place, without a copy where nobody else holds it.
+fn update<const D: usize>(
+    tensor: &mut Tensor<D>,
+    gradients: &mut Gradients,
+    change: impl FnOnce(&mut [f32], &[f32]),
+) {
+    let Some(gradient) = tensor.grad_remove(gradients) else { return };
+    let device = tensor.device();
+    let gradient = gradient.into_data();
+    let empty = Tensor::empty([0; D], &device);
+    let mut values = std::mem::replace(tensor, empty).inner().into_data();
+    let numbers = "weights and their gradients are f32";
+    change(values.as_mut_slice().expect(numbers), gradient.as_slice().expect(numbers));
+    *tensor = Tensor::from_data(values, &device).require_grad();
 }
 
 /// The numbers of a tensor, whatever device they are on.
@@ -76,23 +122,31 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Weights {
     Weights { shape, values }
 }
 
-/// One linear layer: burn keeps its matrix as `[in, out]`.
-fn linear(name: &str, tensors: &BTreeMap<String, Weights>, device: &Device) -> Linear {
-    let data = |part: &str| {
-        let weights = &tensors[&format!("{name}.{part}")];
+/// One linear layer from the tensors of these names.
+fn linear(
+    [weight, bias]: &[String; 2],
+    tensors: &BTreeMap<String, Weights>,
+    device: &Device,
+) -> Linear {
+    let data = |name: &String| {
+        let weights = &tensors[name];
         TensorData::new(weights.values.clone(), weights.shape.clone())
     };
-    let weight = Tensor::<2>::from_data(data("weight"), device).transpose();
-    // A copy in burn's own order, so that products need not walk it sideways.
-    let weight = Tensor::from_data(weight.into_data(), device);
-    let bias = Tensor::<1>::from_data(data("bias"), device);
-    Linear { weight: Param::from_tensor(weight), bias: Some(Param::from_tensor(bias)) }
+    let plain = Tensor::<2>::from_data(data(weight), device).transpose();
+    // A copy in the new order, so that products need not walk it sideways.
+    let weight = Tensor::from_data(plain.into_data(), device);
+    let bias = Tensor::from_data(data(bias), device);
+    if device.is_autodiff() {
+        Linear { weight: weight.require_grad(), bias: bias.require_grad() }
+    } else {
+        Linear { weight, bias }
+    }
 }
 
-/// Initial weights: uniform in +-sqrt(gain / in), biases zero but for gates, which start open
-/// (sigmoid(1) = .73 of the candidate enters at each frame); the decoder is zero, so that an untrained
-/// network adds nothing to the step it sits on. The gain is 1 for the frame model, as in PyTorch's
-/// linear layers, and 3 for the narrow particle model, which keeps the variance of its inputs.
+/// Initial weights: uniform in +-sqrt(gain / in), biases zero but for the gates of minimal cores, which
+/// start open (sigmoid(1) = .73 of the candidate enters at each frame); the decoder is zero, so that an
+/// untrained network adds nothing to the step it sits on. The gain is 1 for the frame model, as in
+/// PyTorch's layers, and 3 for the narrow particle model, which keeps the variance of its inputs.
 pub(crate) fn initial(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let gain = match description.architecture {
@@ -100,14 +154,14 @@ pub(crate) fn initial(description: &Description, seed: u64) -> BTreeMap<String, 
         Architecture::Particle => 3.0,
     };
     let mut tensors = BTreeMap::new();
-    for (name, input, output) in layout::linear_layers(description) {
-        let bound = if name == "decoder" { 0.0 } else { (gain / input as f32).sqrt() };
-        let opens = name.ends_with(".gate") || name.ends_with(".input_gate");
-        let weight = (0..output * input).map(|_| bound * (2.0 * random.random::<f32>() - 1.0));
-        let weight = Weights { shape: vec![output, input], values: weight.collect() };
-        let bias = vec![if opens { 1.0 } else { 0.0 }; output];
-        tensors.insert(format!("{name}.weight"), weight);
-        tensors.insert(format!("{name}.bias"), Weights { shape: vec![output], values: bias });
+    for layout::LinearLayer { weight, bias, input, output } in layout::linear_layers(description) {
+        let bound = if weight.starts_with("decoder") { 0.0 } else { (gain / input as f32).sqrt() };
+        let opens = bias.ends_with(".gate.bias") || bias.ends_with(".input_gate.bias");
+        let values = (0..output * input).map(|_| bound * (2.0 * random.random::<f32>() - 1.0));
+        let values = values.collect();
+        tensors.insert(weight, Weights { shape: vec![output, input], values });
+        let values = vec![if opens { 1.0 } else { 0.0 }; output];
+        tensors.insert(bias, Weights { shape: vec![output], values });
     }
     tensors
 }

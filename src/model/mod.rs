@@ -3,7 +3,8 @@
 //! 1. [`ballistic`]: the step of a particle that nothing else touches; baseline and base.
 //! 2. `features`: frames to the numbers a network sees.
 //! 3. `layers`: the linear layers both networks are made of; weights in, weights out.
-//! 4. `core`, `mingru`, `minlstm`: the recurrent layers, as coefficients of a linear recurrence.
+//! 4. `core`: the layers of the core: `mlp` without recurrence, `gru` and `lstm` frame by frame,
+//!    `mingru` and `minlstm` as coefficients of a linear recurrence.
 //! 5. `scan`: that recurrence over all frames at once (training) or one at a time (streaming).
 //! 6. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
 //! 7. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
@@ -19,9 +20,12 @@ pub mod surrogate;
 pub(crate) mod core;
 pub(crate) mod features;
 pub(crate) mod frame_model;
+pub(crate) mod gru;
 pub(crate) mod layers;
+pub(crate) mod lstm;
 pub(crate) mod mingru;
 pub(crate) mod minlstm;
+pub(crate) mod mlp;
 pub(crate) mod network;
 pub(crate) mod particle_model;
 pub(crate) mod scan;

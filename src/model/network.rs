@@ -2,31 +2,29 @@
 
 use std::collections::BTreeMap;
 
-use burn::{
-    module::Module as _,
-    tensor::{Device, Tensor, TensorData},
-};
+use burn::tensor::{Device, Tensor, TensorData};
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Bodies, Track, frame_model::FrameModel, layers::Layers, particle_model::ParticleModel,
+    Bodies, Track, core::LayerState, frame_model::FrameModel, layers::Layers,
+    particle_model::ParticleModel,
 };
 use crate::checkpoint::{Architecture, Description, Weights};
 
 /// What a network carries from frame to frame. Empty before the first one.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hidden {
-    /// The state of each recurrent layer: `[B, H]` in the frame model, `[R, H]` in the particle
-    /// model.
-    pub(crate) states: Vec<Tensor<2>>,
+    /// The state of each layer of the core: one row a window in the frame model, one a particle in
+    /// the particle model.
+    pub(crate) states: Vec<LayerState>,
     /// Particle model: the velocities that the ballistic step foretold for the coming frame, `[R, 2]`.
     pub(crate) foretold: Option<Tensor<2>>,
 }
 
 impl Hidden {
     /// The carried state for each recurrent layer, `None` before the first frame.
-    pub(crate) fn carried(&self, layers: &Layers) -> Vec<Option<Tensor<2>>> {
+    pub(crate) fn carried(&self, layers: &Layers) -> Vec<Option<LayerState>> {
         (0..layers.core.len()).map(|layer| self.states.get(layer).cloned()).collect()
     }
 }
@@ -99,19 +97,11 @@ impl Network {
         }
     }
 
-    /// Replaces the layers by what `change` makes of them: an optimizer's step.
-    pub(crate) fn map_layers(mut self, change: impl FnOnce(Layers) -> Layers) -> Self {
-        let layers = match &mut self {
+    pub(crate) fn layers_mut(&mut self) -> &mut Layers {
+        match self {
             Self::Frame(model) => &mut model.layers,
             Self::Particle(model) => &mut model.layers,
-        };
-        *layers = change(layers.clone());
-        self
-    }
-
-    /// The same network without a record for gradients.
-    pub(crate) fn valid(&self) -> Self {
-        self.clone().map_layers(|layers| layers.valid())
+        }
     }
 
     /// Observes T consecutive frames at once, from the state `hidden`. Gives the frame predicted

@@ -81,11 +81,9 @@ impl ParticleModel {
         let mut signal = self.encode(input).reshape([frames, rows, width]); // [T, R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            signal = layer.scan(signal, carried);
-            let [frames, rows, width] = signal.dims();
-            let after = signal.clone().slice([frames - 1..frames, 0..rows, 0..width]);
-            states.push(after.reshape([rows, width]));
-            signal = dropout.apply(signal);
+            let (output, state) = layer.observe(signal, carried);
+            states.push(state);
+            signal = dropout.apply(output);
         }
         let next = self.decode(signal.reshape([frames * rows, width]), fallen);
         let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
@@ -112,9 +110,9 @@ impl ParticleModel {
         let mut signal = self.encode(input); // [R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            signal = layer.step(signal, carried);
-            states.push(signal.clone());
-            signal = dropout.apply(signal);
+            let state = layer.step(signal, carried);
+            signal = dropout.apply(state.hidden.clone());
+            states.push(state);
         }
         (self.decode(signal, fallen), Hidden { states, foretold })
     }

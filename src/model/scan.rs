@@ -6,7 +6,12 @@
 //! ceil(log2 T) rounds of operations over whole tensors (Hillis and Steele 1986); no product can
 //! overflow. [`step`] is the same recurrence for one frame; a property test joins the two.
 
-use burn::tensor::Tensor;
+use burn::tensor::{
+    Tensor,
+    activation::{relu, sigmoid},
+};
+
+use crate::checkpoint::Form;
 
 /// Every h_t, `[T, R, H]`, from the coefficients `a` and `b`, both `[T, R, H]`, and the state before
 /// the first frame, `[R, H]` (zero if not given).
@@ -37,9 +42,23 @@ pub(crate) fn scan(a: Tensor<3>, b: Tensor<3>, carried: Option<Tensor<2>>) -> Te
     b // [T, R, H]
 }
 
-/// The next state, `[R, H]`.
-pub(crate) fn step(a: Tensor<2>, b: Tensor<2>, carried: Tensor<2>) -> Tensor<2> {
-    a * carried + b
+/// The next state, `[R, H]`, from the state before (zero if not given).
+pub(crate) fn step(a: Tensor<2>, b: Tensor<2>, carried: Option<Tensor<2>>) -> Tensor<2> {
+    match carried {
+        None => b,
+        Some(state) => a * state + b,
+    }
+}
+
+/// What enters the state where the gate is open: the candidate itself, or in the log form
+/// g(c) = c + 1/2 for c >= 0 and sigmoid(c) below. In that form too the recurrence is computed as it
+/// stands: 0 <= a <= 1 keeps it from overflowing, and a zero state needs no logarithm.
+pub(crate) fn candidate<const D: usize>(form: Form, candidate: Tensor<D>) -> Tensor<D> {
+    match form {
+        Form::Plain => candidate,
+        // sigmoid(min(c, 0)) is 1/2 for c >= 0.
+        Form::Log => relu(candidate.clone()) + sigmoid(candidate.clamp_max(0.0)),
+    }
 }
 
 #[cfg(test)]
@@ -72,7 +91,7 @@ mod tests {
                     let at = |x: &Tensor<3>| {
                         x.clone().slice([t..t + 1, 0..ROWS, 0..HIDDEN]).squeeze_dim::<2>(0)
                     };
-                    state = step(at(&a), at(&b), state);
+                    state = step(at(&a), at(&b), Some(state));
                     states.push(state.clone());
                 }
                 Tensor::stack(states, 0)

@@ -84,8 +84,7 @@ impl Surrogate {
     /// [`ModelError::Checkpoint`] when the weights do not fit the description.
     pub fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
-        let network =
-            Network::new(&checkpoint.description, &checkpoint.tensors, &device.device()).valid();
+        let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
         let digest = checkpoint.digest();
         Ok(Self { description: checkpoint.description.clone(), digest, network, device })
     }

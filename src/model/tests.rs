@@ -5,6 +5,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
+    core::RecurrentLayer,
     features::one_hot,
     frame_model::FrameModel,
     layers::{Layers, initial},
@@ -13,8 +14,8 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Checkpoint, Description, FORMAT_VERSION, Form, Normalization, Sizes, TrainingSummary,
-        Weights,
+        Checkpoint, Description, FORMAT_VERSION, Form, FrameOptions, Normalization, Sizes,
+        TrainingSummary, Weights,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -29,12 +30,14 @@ fn description(architecture: Architecture, core: Core) -> Description {
         architecture,
         core,
         form: Form::Plain,
+        normalize_gates: true,
         dt: DT,
         warm_up: 2,
         gravity: [0.0, -9.8],
         materials: vec![Material::Liquid, Material::Jelly],
         data: String::new(),
         sizes: Sizes { encoder: 6, hidden: 5, layers: 2, particles },
+        frame: FrameOptions::default(),
         domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
@@ -107,17 +110,15 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-const EVERY_NETWORK: [(Architecture, Core); 4] = [
-    (Architecture::Frame, Core::MinGru),
-    (Architecture::Frame, Core::MinLstm),
-    (Architecture::Particle, Core::MinGru),
-    (Architecture::Particle, Core::MinLstm),
-];
+fn every_network() -> impl Iterator<Item = (Architecture, Core)> {
+    let both = [Architecture::Frame, Architecture::Particle];
+    both.into_iter().flat_map(|architecture| Core::ALL.map(|core| (architecture, core)))
+}
 
 #[test]
 fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
     let frames = frames(9);
-    for (architecture, core) in EVERY_NETWORK {
+    for (architecture, core) in every_network() {
         let description = description(architecture, core);
         let checkpoint = Checkpoint { tensors: weights(&description, 1), description };
         let device = DeviceKind::Flex.device();
@@ -151,7 +152,7 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
 #[test]
 fn flex_and_ndarray_agree() {
     let frames = frames(6);
-    for (architecture, core) in EVERY_NETWORK {
+    for (architecture, core) in every_network() {
         let description = description(architecture, core);
         let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
         let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
@@ -195,7 +196,7 @@ fn pooling_before_the_second_linear_is_exact() {
     let material = one_hot(frame.material.iter().copied(), &device);
 
     // Table 1, to the letter: both layers for every particle, then the mean.
-    let points = model.scaling.frame(&bodies, material.clone());
+    let points = model.scaling.frame(&description.frame, &bodies, material.clone());
     let points = elu(layers.encoder[0].forward(points), 1.0);
     let literal = layers.encoder[1].forward(points).mean_dim(0); // [1, H]
 
@@ -209,7 +210,12 @@ fn gates_of_an_untrained_network_are_open() {
         let description = description(Architecture::Particle, core);
         let device = DeviceKind::Flex.device();
         let layers = Layers::new(&description, &initial(&description, 1), &device);
-        let (kept, _) = layers.core[0].coefficients(Tensor::<2>::zeros([1, 5], &device));
+        let nothing = Tensor::<2>::zeros([1, 5], &device);
+        let (kept, _) = match &layers.core[0] {
+            RecurrentLayer::MinGru(layer) => layer.coefficients(nothing),
+            RecurrentLayer::MinLstm(layer) => layer.coefficients(nothing),
+            other => panic!("{other:?}"),
+        };
         assert!(numbers(&kept).iter().all(|a| *a <= 0.5), "{core:?}");
     }
 }

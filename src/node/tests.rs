@@ -5,8 +5,8 @@ use std::time::Duration;
 use super::{Counters, NodeSettings, Publish, Refusal, SurrogateNode};
 use crate::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, FORMAT_VERSION, Form, Normalization, Sizes,
-        TrainingSummary,
+        Architecture, Checkpoint, Core, Description, FORMAT_VERSION, Form, FrameOptions,
+        Normalization, Sizes, TrainingSummary,
     },
     frame::{Domain, Frame, Material, Stamp},
     model::{DeviceKind, Memory, Surrogate, layers::initial},
@@ -23,12 +23,14 @@ fn surrogate() -> Surrogate {
         architecture: Architecture::Particle,
         core: Core::MinGru,
         form: Form::Plain,
+        normalize_gates: true,
         dt: DT,
         warm_up: WARM_UP as u32,
         gravity: [0.0, -9.8],
         materials: vec![Material::Liquid, Material::Jelly],
         data: String::new(),
         sizes: Sizes { encoder: 8, hidden: 8, layers: 1, particles: None },
+        frame: FrameOptions::default(),
         domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.0, 0.0, -1.0, -1.0],

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use crate::checkpoint::{Architecture, Core, Sizes};
+use crate::checkpoint::{Architecture, Core, Form, FrameOptions, Sizes};
 
 /// A training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,8 +56,14 @@ pub struct NetworkConfig {
     pub hidden: usize,
     /// Recurrent layers.
     pub layers: usize,
-    /// Share of the recurrent layers' outputs dropped in training (0 to below 1).
+    /// Share of the core's outputs dropped in training, after each layer (0 to below 1).
     pub dropout: f32,
+    /// Form of the minimal recurrences.
+    pub form: Form,
+    /// Whether minLSTM's gates are divided by their sum.
+    pub normalize_gates: bool,
+    /// Choices within the frame model.
+    pub frame: FrameOptions,
 }
 
 /// What a batch is made of.
@@ -120,6 +126,8 @@ pub struct OptimizerConfig {
     pub final_share: f64,
     /// Largest norm of a tensor's gradient; longer ones are shortened to it.
     pub clip: f32,
+    /// Keeps a step finite where gradients vanish.
+    pub epsilon: f32,
 }
 
 /// What the best epoch is chosen by.
@@ -130,6 +138,21 @@ pub struct ValidationConfig {
     pub horizon: usize,
     /// Rollouts a validation stream.
     pub starts: usize,
+}
+
+impl NetworkConfig {
+    /// Two layers without dropout; everything else by default.
+    fn of_widths(encoder: usize, hidden: usize) -> Self {
+        Self {
+            encoder,
+            hidden,
+            layers: 2,
+            dropout: 0.0,
+            form: Form::default(),
+            normalize_gates: true,
+            frame: FrameOptions::default(),
+        }
+    }
 }
 
 impl TrainConfig {
@@ -155,7 +178,7 @@ impl TrainConfig {
             patience: 10,
             gravity: [0.0, -9.8],
             unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
-            network: NetworkConfig { encoder: 64, hidden: 64, layers: 2, dropout: 0.0 },
+            network: NetworkConfig::of_widths(64, 64),
             windows: WindowConfig {
                 warm_up: 5,
                 batch: 64,
@@ -172,7 +195,12 @@ impl TrainConfig {
                 density_weight: 0.0,
                 density_grid: 32,
             },
-            optimizer: OptimizerConfig { learning_rate: 2e-3, final_share: 0.02, clip: 1.0 },
+            optimizer: OptimizerConfig {
+                learning_rate: 2e-3,
+                final_share: 0.02,
+                clip: 1.0,
+                epsilon: 1e-5,
+            },
             validation: ValidationConfig { horizon: 20, starts: 3 },
         }
     }
@@ -188,7 +216,7 @@ impl TrainConfig {
             patience: 15,
             gravity: [0.0, -9.8],
             unroll: vec![Stage { share: 1.0, frames: 1 }],
-            network: NetworkConfig { encoder: 256, hidden: 1250, layers: 2, dropout: 0.1 },
+            network: NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) },
             windows: WindowConfig {
                 warm_up: 2,
                 batch: 16,
@@ -205,7 +233,12 @@ impl TrainConfig {
                 density_weight: 1e-3,
                 density_grid: 32,
             },
-            optimizer: OptimizerConfig { learning_rate: 1e-3, final_share: 0.02, clip: 1.0 },
+            optimizer: OptimizerConfig {
+                learning_rate: 1e-3,
+                final_share: 0.02,
+                clip: 1.0,
+                epsilon: 1e-8,
+            },
             validation: ValidationConfig { horizon: 20, starts: 3 },
         }
     }
@@ -283,6 +316,16 @@ impl TrainConfig {
         }
         if !(0.0..=1.0).contains(&self.optimizer.final_share) {
             return Err(setting("optimizer.final_share", self.optimizer.final_share, "0 to 1"));
+        }
+        let epsilon = self.optimizer.epsilon;
+        if !(epsilon.is_finite() && epsilon > 0.0) {
+            return Err(setting("optimizer.epsilon", epsilon, "a positive number"));
+        }
+        if self.architecture == Architecture::Particle
+            && self.network.frame != FrameOptions::default()
+        {
+            let found = format!("{:?}", self.network.frame);
+            return Err(setting("network.frame", found, "nothing for the particle model"));
         }
         let clip = self.optimizer.clip;
         if clip.is_nan() || clip <= 0.0 {

@@ -6,12 +6,14 @@
 //! 4. `batch`: windows as tensors.
 //! 5. `loss`, `density`: the network observes the warm-up, predicts the rest from its own output; what
 //!    that costs.
-//! 6. `schedule`: learning rate and length of unroll over the run.
-//! 7. `validate`: free rollouts over streams that are not trained on.
-//! 8. `monitor`: progress bar, lines, `metrics.csv`.
+//! 6. `adam`: how weights follow from gradients.
+//! 7. `schedule`: learning rate and length of unroll over the run.
+//! 8. `validate`: free rollouts over streams that are not trained on.
+//! 9. `monitor`: progress bar, lines, `metrics.csv`.
 //!
 //! [`train`] is the loop.
 
+mod adam;
 mod batch;
 mod config;
 mod density;
@@ -32,15 +34,11 @@ pub use monitor::{Epoch, METRICS_FILE};
 
 use std::{collections::BTreeSet, path::Path};
 
-use burn::{
-    grad_clipping::GradientClippingConfig,
-    optim::{AdamConfig, GradientsParams},
-};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, Form, TrainingSummary},
+    checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, TrainingSummary},
     dataset::Dataset,
     frame::Material,
     model::{
@@ -48,6 +46,7 @@ use crate::{
         network::{Dropout, Network},
     },
 };
+use adam::Adam;
 use batch::Batch;
 use monitor::Monitor;
 use weigh::Scale;
@@ -99,8 +98,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let plain = run.device.device();
     let initial = layers::initial(&description, seeds.next_u64());
     let mut network = Network::new(&description, &initial, &plain.clone().autodiff());
-    let clip = GradientClippingConfig::Norm(config.optimizer.clip);
-    let mut optimizer = AdamConfig::new().with_grad_clipping(Some(clip)).init();
+    let mut adam = Adam::default();
     let mut scale = Scale {
         loss: &config.loss,
         normalization: &dataset.normalization,
@@ -145,16 +143,19 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
                 let windows = names(&windows);
                 return Err(TrainError::NotFinite { epoch, batch: number, windows, found: value });
             }
-            let gradients = GradientsParams::from_grads(loss.backward(), network.layers());
+            let mut gradients = loss.backward();
             let rate = schedule::learning_rate(&config.optimizer, progress);
-            network = network.map_layers(|layers| optimizer.step(rate, layers, gradients));
+            let mut step = adam.step(rate, &config.optimizer);
+            network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
+                step.change(tensor, values, gradient);
+            });
 
             losses += f64::from(value);
             samples += windows.len() as u64;
             monitor.batch(epoch, value);
         }
-        let mut checkpoint =
-            Checkpoint { description: description.clone(), tensors: network.layers().tensors() };
+        let tensors = network.layers().tensors(&description);
+        let mut checkpoint = Checkpoint { description: description.clone(), tensors };
         let score =
             validate::validate(&config.validation, &checkpoint, &dataset.validation, run.device)?;
         let training_loss = losses / per_epoch as f64;
@@ -230,13 +231,15 @@ fn describe(
         format_version: FORMAT_VERSION,
         architecture: config.architecture,
         core: config.core,
-        form: Form::Plain,
+        form: config.network.form,
+        normalize_gates: config.network.normalize_gates,
         dt: first.dt,
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,
         materials: materials.into_iter().collect(),
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
+        frame: config.network.frame,
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {

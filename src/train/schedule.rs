@@ -27,7 +27,8 @@ mod tests {
 
     #[test]
     fn the_learning_rate_falls_from_the_first_to_the_last() {
-        let config = OptimizerConfig { learning_rate: 1e-3, final_share: 0.1, clip: 1.0 };
+        let config =
+            OptimizerConfig { learning_rate: 1e-3, final_share: 0.1, clip: 1.0, epsilon: 1e-8 };
         assert_eq!(learning_rate(&config, 0.0), 1e-3);
         assert!((learning_rate(&config, 0.5) - 5.5e-4).abs() < 1e-12);
         assert!((learning_rate(&config, 1.0) - 1e-4).abs() < 1e-12);

@@ -1,0 +1,58 @@
+//! LSTM as PyTorch has it: (i, f, g, o) = W_ih x + b_ih + W_hh h + b_hh,
+//! c_t = sigmoid(f) c_{t-1} + sigmoid(i) tanh(g), h_t = sigmoid(o) tanh(c_t)
+//! (Hochreiter and Schmidhuber 1997, with the forget gate of Gers et al. 2000).
+
+use burn::tensor::{
+    Tensor,
+    activation::{sigmoid, tanh},
+};
+
+use super::{
+    core::{LayerState, at},
+    layers::Linear,
+};
+
+/// One LSTM layer.
+#[derive(Clone, Debug)]
+pub(crate) struct Lstm {
+    pub(crate) ih: Linear,
+    pub(crate) hh: Linear,
+}
+
+impl Lstm {
+    /// All outputs `[T, R, H]` for the inputs `[T, R, I]`, and the state after the last.
+    pub(crate) fn observe(
+        &self,
+        input: Tensor<3>,
+        carried: Option<LayerState>,
+    ) -> (Tensor<3>, LayerState) {
+        let inputs = self.ih.forward(input); // [T, R, 4 H]
+        let mut state = self.cell(at(&inputs, 0), carried);
+        let mut outputs = vec![state.hidden.clone()];
+        for t in 1..inputs.dims()[0] {
+            state = self.cell(at(&inputs, t), Some(state));
+            outputs.push(state.hidden.clone());
+        }
+        (Tensor::stack(outputs, 0), state)
+    }
+
+    /// The next state for the input `[R, I]`.
+    pub(crate) fn step(&self, input: Tensor<2>, carried: Option<LayerState>) -> LayerState {
+        self.cell(self.ih.forward(input), carried)
+    }
+
+    /// `inputs` is `[R, 4 H]`.
+    fn cell(&self, inputs: Tensor<2>, carried: Option<LayerState>) -> LayerState {
+        let [rows, gates] = inputs.dims();
+        let width = gates / 4;
+        let zero = || Tensor::zeros([rows, width], &inputs.device());
+        let (hidden, cell) = match carried {
+            None => (zero(), zero()),
+            Some(LayerState { hidden, cell }) => (hidden, cell.unwrap_or_else(zero)),
+        };
+        let sums = inputs + self.hh.forward(hidden);
+        let gate = |gate: usize| sums.clone().slice([0..rows, gate * width..(gate + 1) * width]);
+        let cell = sigmoid(gate(1)) * cell + sigmoid(gate(0)) * tanh(gate(2));
+        LayerState { hidden: sigmoid(gate(3)) * tanh(cell.clone()), cell: Some(cell) }
+    }
+}
