@@ -18,6 +18,8 @@ mod batch;
 mod config;
 mod density;
 mod error;
+#[cfg(test)]
+mod golden;
 mod loss;
 mod monitor;
 mod schedule;
