@@ -40,6 +40,13 @@ struct Golden {
     loss: f64,
 }
 
+/// What the metadata holds.
+#[derive(Deserialize)]
+struct Row {
+    description: Description,
+    training: Training,
+}
+
 /// What was minimised; the rest is as [`TrainConfig`] has it.
 #[derive(Deserialize)]
 struct Training {
@@ -59,8 +66,7 @@ impl Golden {
         let bytes = fs::read(file).unwrap();
         let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
         let words = header.metadata().as_ref().unwrap();
-        let description: Description = toml::from_str(&words["model.toml"]).unwrap();
-        let training: Training = serde_json::from_str(&words["training"]).unwrap();
+        let Row { description, training } = serde_json::from_str(&words["row"]).unwrap();
         let mut config = TrainConfig::defaults(Architecture::Frame);
         config.windows.warm_up = training.warm_up;
         config.loss.observed_weight = training.observed_weight;
