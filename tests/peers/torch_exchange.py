@@ -16,8 +16,8 @@ from pathlib import Path
 
 import torch
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, Typestore, get_types_from_msg, get_typestore
-from torch import Tensor
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from torch_model import Bodies, FrameModel, describe, load, save
 
