@@ -70,7 +70,7 @@ def difference(eddy: str, model: FrameModel, checkpoint: Path, bag: Path, work: 
     predicted = frames(output, "/prediction", store)
     material = torch.from_numpy(shown[0].material.copy()).long().unsqueeze(0)
     with torch.no_grad():
-        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), material)
+        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), model.kind(material))
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
         expected = expected[-len(found) :]  # without those of the warm-up

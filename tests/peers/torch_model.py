@@ -169,23 +169,25 @@ class FrameModel(nn.Module):
         self.register_buffer("offset", offset, persistent=False)
         self.register_buffer("unit", unit, persistent=False)
 
-    def forward(self, bodies: Bodies, material: Tensor, state: State = None) -> tuple[Bodies, State]:
-        """`material` is [B, N], its numbers as in `MATERIALS`."""
+    def kind(self, material: Tensor) -> Tensor:
+        """Materials [B, N], numbers as in `MATERIALS`, as features [B, N, F - 4]."""
+        if self.one_hot:
+            return functional.one_hot(material, len(MATERIALS)).float()
+        return material.unsqueeze(-1) / (len(MATERIALS) - 1)
+
+    def forward(self, bodies: Bodies, kind: Tensor, state: State = None) -> tuple[Bodies, State]:
+        """The frame after each of T frames, and the state after the last; `kind` is from `kind()`."""
         position, velocity = bodies
-        signal, state = self.core(self.encode(position, velocity, material), state)
+        signal, state = self.core(self.encode(position, velocity, kind), state)
         change = self.decoder(self.activation(self.mixer(signal)))  # [T, B, 2 N]
         velocity = velocity + change.unflatten(-1, (self.particles, 2))
         return (position + velocity * self.dt, velocity), state
 
-    def encode(self, position: Tensor, velocity: Tensor, material: Tensor) -> Tensor:
+    def encode(self, position: Tensor, velocity: Tensor, kind: Tensor) -> Tensor:
         """[T, B, H], or [T, B, 2 H] with both poolings."""
         scaled = (torch.cat([position, velocity], -1) - self.offset) / self.unit
-        if self.one_hot:
-            kind = functional.one_hot(material, len(MATERIALS))
-        else:
-            kind = material.unsqueeze(-1) / (len(MATERIALS) - 1)
-        kind = kind.to(scaled.dtype).expand(len(scaled), -1, -1, -1)
-        points = self.activation(self.encoder[0](torch.cat([scaled, kind], -1)))  # [T, B, N, E]
+        features = torch.cat([scaled, kind.expand(len(scaled), -1, -1, -1)], -1)  # [T, B, N, F]
+        points = self.activation(self.encoder[0](features))  # [T, B, N, E]
         pooled = []
         if "mean" in self.pooling:  # commutes with the second layer
             pooled.append(self.encoder[1](points.mean(2)))

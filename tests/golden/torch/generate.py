@@ -70,12 +70,12 @@ def particles(frames: int, windows: int) -> tuple[Bodies, Tensor]:
     return (start + 0.016 * velocity.cumsum(0), velocity), torch.randint(len(MATERIALS), (windows, PARTICLES))
 
 
-def unroll(model: FrameModel, observed: Bodies, material: Tensor, frames: int) -> tuple[Bodies, Bodies]:
+def unroll(model: FrameModel, observed: Bodies, kind: Tensor, frames: int) -> tuple[Bodies, Bodies]:
     """Predicts `frames` frames from its own output, and each frame after an observed one."""
-    steps, state = model(observed, material)
+    steps, state = model(observed, kind)
     future = [tuple(track[-1:] for track in steps)]
     while len(future) < frames:
-        predicted, state = model(future[-1], material, state)
+        predicted, state = model(future[-1], kind, state)
         future.append(predicted)
     position, velocity = (torch.cat(track) for track in zip(*future))
     return (position, velocity), steps
@@ -87,13 +87,13 @@ def mean_squared_error(found: Bodies, truth: Bodies, unit: Tensor) -> Tensor:
 
 
 def objective(
-    model: FrameModel, bodies: Bodies, material: Tensor, unit: Tensor, training: dict[str, Any]
+    model: FrameModel, bodies: Bodies, kind: Tensor, unit: Tensor, training: dict[str, Any]
 ) -> tuple[Tensor, Bodies]:
     """The loss of a free unroll and of the one-step predictions in the warm-up; the unroll."""
     warm_up = training["warm_up"]
     position, velocity = bodies
     observed, future = (position[:warm_up], velocity[:warm_up]), (position[warm_up:], velocity[warm_up:])
-    predicted, (steps_position, steps_velocity) = unroll(model, observed, material, FRAMES - warm_up)
+    predicted, (steps_position, steps_velocity) = unroll(model, observed, kind, FRAMES - warm_up)
     known = mean_squared_error(
         (steps_position[:-1], steps_velocity[:-1]), (observed[0][1:], observed[1][1:]), unit
     )
@@ -106,17 +106,18 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
     before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
     bodies, material = particles(FRAMES, WINDOWS)
     scale = description["normalization"]
+    kind = model.kind(material)
     unit = torch.tensor(scale["maximum"]).double() - torch.tensor(scale["minimum"]).double()
 
-    forward, _ = model(bodies, material)
-    loss, predicted = objective(model, bodies, material, unit, training)
+    forward, _ = model(bodies, kind)
+    loss, predicted = objective(model, bodies, kind, unit, training)
     loss.backward()
     gradients = {name: tensor.grad.clone() for name, tensor in model.named_parameters()}
 
     adam = torch.optim.Adam(model.parameters(), LEARNING_RATE, eps=EPSILON)
     for _ in range(STEPS):
         adam.zero_grad()
-        objective(model, bodies, material, unit, training)[0].backward()
+        objective(model, bodies, kind, unit, training)[0].backward()
         if training["clip"] is not None:
             for tensor in model.parameters():  # each on its own
                 tensor.grad *= (training["clip"] / tensor.grad.norm()).clamp(max=1)
@@ -139,7 +140,7 @@ def checkpoint(core: str) -> None:
     save(model, description, directory)
     bodies, material = particles(8, 1)
     with torch.no_grad():
-        predicted, _ = model.double()([track.double() for track in bodies], material)
+        predicted, _ = model.double()(bodies, model.kind(material))
     data = {"input.material": material[0].byte()}
     for name, (position, velocity) in {"input": bodies, "prediction": predicted}.items():
         data |= {f"{name}.position": position[:, 0].float(), f"{name}.velocity": velocity[:, 0].float()}
