@@ -29,8 +29,8 @@ Bodies = tuple[Tensor, Tensor]
 def recurrence(step: Callable[..., Tensor], carried: Tensor | None, *tracks: Tensor) -> Tensor:
     """Every state h_t = step(h_{t-1}, each track at t), [T, B, H], from zero if none is carried.
 
-    The plain loop: from T = 16 on, doubling took 3 to 7 times as long and the scan in logarithms 3 to
-    8 times (B = 16, H = 1250, forward and backward, 2 threads); at T = 2 loop and doubling are alike.
+    The plain loop: for T = 16 and more, doubling and the scan in logarithms took several times as long
+    on two cores (B = 16, H = 1250, forward and backward), and at T = 2 they are no faster.
     """
     hidden = torch.zeros_like(tracks[0][0]) if carried is None else carried
     states = []

@@ -166,13 +166,13 @@ def milliseconds(step: Callable[[], None], seconds: float) -> float:
 def eddy(program: str, case: Case, seconds: float) -> float:
     """Milliseconds by `eddy bench`."""
     if case.what == "inference":
-        arguments = ["inference", "--core", case.core]
+        arguments = ["inference", "--core", case.core, "--threads", str(THREADS), "--engine-only"]
     else:
         arguments = ["training", "--step", f"{case.what}:{case.core}:{case.frames}:{WINDOWS}"]
     command = [program, "--quiet", "bench", *arguments, "--seconds", str(seconds), "--json"]
     report = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     if case.what == "inference":
-        [row] = [row for row in report["rows"] if row["device"] == "engine"]
+        [row] = [row for row in report["timings"] if row["architecture"] == "frame"]
         return row["p50"]
     return report["steps"][0]["milliseconds"]
 
