@@ -20,6 +20,7 @@ pub mod surrogate;
 pub(crate) mod core;
 pub(crate) mod features;
 pub(crate) mod frame_model;
+pub(crate) mod fused;
 pub(crate) mod gru;
 pub(crate) mod layers;
 pub(crate) mod lstm;

@@ -11,13 +11,14 @@
 //! 8. `validate`: free rollouts over streams that are not trained on.
 //! 9. `monitor`: progress bar, lines, `metrics.csv`.
 //!
-//! [`train`] is the loop.
+//! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed.
 
 mod adam;
 mod batch;
 mod config;
 mod density;
 mod error;
+pub mod exercise;
 mod loss;
 mod monitor;
 mod schedule;
