@@ -47,10 +47,9 @@ impl FromStr for Step {
             )
         };
         let words: Vec<&str> = text.split(':').collect();
-        let (&[part, core, frames], windows) = (match words.split_at_checked(3) {
-            Some((first, rest)) => (<&[&str; 3]>::try_from(first).unwrap_or(&[""; 3]), rest),
-            None => return Err(wrong("step", "WHAT:CORE:FRAMES[:WINDOWS]")),
-        });
+        let &[part, core, frames, ref windows @ ..] = words.as_slice() else {
+            return Err(wrong("step", "WHAT:CORE:FRAMES[:WINDOWS]"));
+        };
         let number = |field, word: &str| {
             word.parse().ok().filter(|&n| n > 0).ok_or_else(|| wrong(field, "a number from 1"))
         };

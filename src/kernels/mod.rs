@@ -5,5 +5,20 @@
 //! compiled for it: only so the compiler uses the instructions.
 //!
 //! 1. [`math`]: exponential, sigmoid, hyperbolic tangent, ELU.
+//! 2. [`vectors`]: the same work on every number of several lists.
+//! 3. [`activation`]: the networks' activations with their slopes.
+//!
+//! Values and gradients of whole layers, for training:
+//!
+//! 4. [`encoder`]: particles through a linear layer and an activation to their mean.
+//! 5. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
+//! 6. [`gru`], [`lstm`]: frame by frame; [`matrix`] has the products.
 
+pub mod activation;
+pub mod encoder;
+pub mod gru;
+pub mod lstm;
 pub mod math;
+pub mod matrix;
+pub mod minimal;
+pub mod vectors;
