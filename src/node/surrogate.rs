@@ -7,8 +7,8 @@ use super::{
     track::{Follows, StreamTrack},
 };
 use crate::{
+    engine::Surrogate,
     frame::Frame,
-    model::Surrogate,
     msg::{BadFrame, Header, PredictionStatus, StreamState},
 };
 
