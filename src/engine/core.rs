@@ -95,8 +95,8 @@ impl CoreLayer {
         match self.core {
             Core::Mlp => {
                 let [sums] = self.gates::<S, 1, R, K>(simd, panel, inputs);
-                for r in 0..R {
-                    next.hidden[r] = activate(simd, self.activation, sums[r]);
+                for (output, sum) in next.hidden.iter_mut().zip(sums) {
+                    *output = activate(simd, self.activation, sum);
                 }
             }
             Core::MinGru => {

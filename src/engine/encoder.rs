@@ -59,8 +59,8 @@ impl Encoder {
         let mut base = Aligned::zeros(Material::COUNT * panels * lanes);
         for (unit, row) in weights.chunks_exact(features).enumerate() {
             let (panel, lane) = (unit / lanes, unit % lanes);
-            for feature in 0..STATE {
-                weight.get_mut()[(panel * STATE + feature) * lanes + lane] = row[feature];
+            for (feature, number) in row[..STATE].iter().enumerate() {
+                weight.get_mut()[(panel * STATE + feature) * lanes + lane] = *number;
             }
             for material in Material::ALL {
                 let number = material as u8;
@@ -192,9 +192,9 @@ impl Encoder {
                 });
                 let sums = add_products::<S, 2, R, 1>(simd, weights, rows, biases);
                 for g in 0..2 {
-                    for r in 0..R {
-                        let larger = simd.greater_than_f32s(sums[g][r], largest[g]);
-                        largest[g] = simd.select_f32s(larger, sums[g][r], largest[g]);
+                    for sum in sums[g] {
+                        let larger = simd.greater_than_f32s(sum, largest[g]);
+                        largest[g] = simd.select_f32s(larger, sum, largest[g]);
                     }
                 }
             }
@@ -228,9 +228,8 @@ impl<'a, S: Simd> Panel<'a, S> {
     #[inline(always)]
     fn point(&self, simd: S, state: &[f32; STATE], material: u8) -> S::f32s {
         let mut sum = self.base[usize::from(material) * self.stride];
-        for feature in 0..STATE {
-            let number = simd.splat_f32s(state[feature]);
-            sum = simd.mul_add_e_f32s(self.weights[feature], number, sum);
+        for (weight, number) in self.weights.iter().zip(state) {
+            sum = simd.mul_add_e_f32s(*weight, simd.splat_f32s(*number), sum);
         }
         activate(simd, self.activation, sum)
     }

@@ -11,7 +11,7 @@ use super::{
     core::{CoreLayer, activate},
     crew::{Crew, Parts, Task},
     encoder::{BLOCK, Encoder},
-    linear::{Linear, add_products},
+    linear::{Lanes, Linear, add_products},
     memory::Memory,
 };
 use crate::{
@@ -46,6 +46,8 @@ enum Stage {
 /// The packed network.
 #[derive(Debug)]
 pub(super) struct FrameModel {
+    /// Whose vectors the weights are packed for.
+    arch: Arch,
     encoder: Encoder,
     second: Linear,
     core: Vec<CoreLayer>,
@@ -87,10 +89,11 @@ pub(super) struct Room {
 
 impl FrameModel {
     pub(super) fn pack(
-        lanes: usize,
+        arch: Arch,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
+        let lanes = arch.dispatch(Lanes);
         let linear = |layer| {
             let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
             Linear::pack(lanes, weight, bias, 0, 1)
@@ -107,6 +110,7 @@ impl FrameModel {
         stages.extend((0..layers).map(Stage::Core));
         stages.extend([Stage::Mix, Stage::Decode]);
         Self {
+            arch,
             encoder: Encoder::pack(lanes, description, tensors),
             second: linear("encoder.1"),
             core: (0..layers)
@@ -162,7 +166,6 @@ impl FrameModel {
     /// Observes `frame` and writes the next positions and velocities.
     pub(super) fn step(
         &self,
-        arch: Arch,
         crew: &mut Crew,
         alone: bool,
         room: &mut Room,
@@ -186,7 +189,7 @@ impl FrameModel {
             maxima: Parts::new(&mut room.maxima),
         };
         let items = self.stages.iter().map(|&stage| self.items(stage));
-        crew.run(items, alone, &|task| arch.dispatch(Item { pass: &pass, task }));
+        crew.run(items, alone, &|task| self.arch.dispatch(Item { pass: &pass, task }));
         memory.hidden.copy_from_slice(&room.hidden);
         memory.cell.copy_from_slice(&room.cell);
 

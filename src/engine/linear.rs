@@ -5,12 +5,24 @@
 //! and in the order in which they lie in memory, and a lane sums up one output: nothing is summed
 //! across lanes, and the order of a sum does not depend on the width of the vectors.
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 
 use crate::checkpoint::Weights;
 
 /// Bytes of a cache line, which the widest vectors fill.
 const LINE: usize = 64;
+
+/// Asks how wide vectors are.
+pub(super) struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES
+    }
+}
 
 /// Numbers that begin at a cache line.
 #[derive(Debug)]

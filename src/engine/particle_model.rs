@@ -10,7 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     core::CoreLayer,
     crew::{Crew, Parts, Task},
-    linear::{Linear, add_products},
+    linear::{Lanes, Linear, add_products},
     memory::Memory,
     particle_features::{Features, NEARNESSES},
 };
@@ -30,6 +30,8 @@ const OUTPUTS: usize = 4;
 /// The packed network.
 #[derive(Debug)]
 pub(super) struct ParticleModel {
+    /// Whose vectors the weights are packed for.
+    arch: Arch,
     features: Features,
     encoder: [Linear; 2],
     core: Vec<CoreLayer>,
@@ -57,16 +59,18 @@ pub(super) struct Room {
 
 impl ParticleModel {
     pub(super) fn pack(
-        lanes: usize,
+        arch: Arch,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
+        let lanes = arch.dispatch(Lanes);
         let linear = |layer| {
             let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
             Linear::pack(lanes, weight, bias, 0, 1)
         };
         let (slowest, fastest) = velocity_limits(&description.normalization);
         Self {
+            arch,
             features: Features::new(description),
             encoder: ["encoder.0", "encoder.1"].map(linear),
             core: (0..description.sizes.layers)
@@ -102,7 +106,6 @@ impl ParticleModel {
     /// Observes `frame` and writes the next positions and velocities. There is a room for each thread.
     pub(super) fn step(
         &self,
-        arch: Arch,
         crew: &mut Crew,
         alone: bool,
         rooms: &mut [Room],
@@ -123,7 +126,7 @@ impl ParticleModel {
             velocity: Parts::new(&mut next.velocity),
         };
         let blocks = frame.len().div_ceil(BLOCK);
-        crew.run([blocks], alone, &|task| arch.dispatch(Block { pass: &pass, task }));
+        crew.run([blocks], alone, &|task| self.arch.dispatch(Block { pass: &pass, task }));
         memory.begun = true;
     }
 }

@@ -6,7 +6,7 @@ use std::{
     thread,
 };
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
 
 use super::{
     Memory, ModelError,
@@ -36,14 +36,12 @@ const WORTH_WAKING: usize = 1 << 18;
 pub struct Surrogate {
     description: Description,
     digest: String,
-    arch: Arch,
     network: Network,
     /// Time between two frames (ns).
     interval: i64,
     workshop: Mutex<Workshop>,
 }
 
-#[expect(clippy::large_enum_variant, reason = "one of them lives as long as the process")]
 enum Network {
     Frame(FrameModel),
     Particle(ParticleModel),
@@ -55,22 +53,9 @@ struct Workshop {
     room: Room,
 }
 
-#[expect(clippy::large_enum_variant, reason = "one of them lives as long as the process")]
 enum Room {
     Frame(frame_model::Room),
     Particle(Vec<particle_model::Room>),
-}
-
-/// Asks how wide vectors are.
-struct Lanes;
-
-impl WithSimd for Lanes {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES
-    }
 }
 
 impl Surrogate {
@@ -95,17 +80,16 @@ impl Surrogate {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get);
-        let lanes = arch.dispatch(Lanes);
         let Checkpoint { description, tensors } = checkpoint;
         let (network, crew, room) = match description.architecture {
             Architecture::Frame => {
-                let model = FrameModel::pack(lanes, description, tensors);
+                let model = FrameModel::pack(arch, description, tensors);
                 let crew = Crew::new(threads, model.stages());
                 let room = Room::Frame(model.room(crew.threads(), description.core));
                 (Network::Frame(model), crew, room)
             }
             Architecture::Particle => {
-                let model = ParticleModel::pack(lanes, description, tensors);
+                let model = ParticleModel::pack(arch, description, tensors);
                 let crew = Crew::new(threads, 1);
                 let rooms = (0..crew.threads()).map(|_| model.room()).collect();
                 (Network::Particle(model), crew, Room::Particle(rooms))
@@ -114,7 +98,6 @@ impl Surrogate {
         Ok(Self {
             description: description.clone(),
             digest: checkpoint.digest(),
-            arch,
             network,
             interval: Stamp(0).advance(description.dt, 1).0,
             workshop: Mutex::new(Workshop { crew, room }),
@@ -202,11 +185,11 @@ impl Surrogate {
         match (&self.network, room) {
             (Network::Frame(model), Room::Frame(room)) => {
                 let alone = model.work() < WORTH_WAKING;
-                model.step(self.arch, crew, alone, room, memory, frame, next);
+                model.step(crew, alone, room, memory, frame, next);
             }
             (Network::Particle(model), Room::Particle(rooms)) => {
                 let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
-                model.step(self.arch, crew, alone, rooms, memory, frame, next);
+                model.step(crew, alone, rooms, memory, frame, next);
             }
             _ => unreachable!("a network and its room are made together"),
         }
