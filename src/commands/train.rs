@@ -8,11 +8,12 @@ use eddy::{
     train::{Run, TrainConfig, train},
 };
 
-use super::Interrupt;
+use super::{Interrupt, pages};
 use crate::cli::TrainArgs;
 
 /// Trains a network on the bags at `args.data`; the best checkpoint ends up in `args.output`.
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    pages::keep_freed();
     let config = settings(&args)?;
     let dataset = Dataset::load(&args.data)?;
     if !quiet {

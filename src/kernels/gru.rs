@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     math::{sigmoid, tanh},
-    matrix::{Into, Matrix, multiply, sum_rows},
+    matrix::{Into, Matrix, multiply, product, sum_rows},
     vectors::zip,
 };
 
@@ -73,8 +73,10 @@ impl Gru<'_> {
                 None => self.hidden,
                 Some(start) => &earlier[start..],
             };
-            let weight = Matrix::new(self.weight, width, GATES * width);
-            multiply(Matrix::new(before, rows, width), weight, recurrent, Into::Add);
+            if t > 0 || !self.starts_from_zero() {
+                let weight = Matrix::new(self.weight, width, GATES * width);
+                multiply(Matrix::new(before, rows, width), weight, recurrent, Into::Add);
+            }
             gates
                 .par_chunks_exact_mut(GATES * width)
                 .zip(recurrent.par_chunks_exact(GATES * width))
@@ -87,8 +89,21 @@ impl Gru<'_> {
         Run { states, gates, recurrent }
     }
 
-    /// The gradients from `gradient`, that of the states, `[T, R, H]`.
-    pub fn backward(&self, run: &Run, gradient: &[f32]) -> Gradients {
+    /// Whether there is nothing to multiply the weights with in the first frame.
+    fn starts_from_zero(&self) -> bool {
+        self.hidden.iter().all(|&h| h == 0.0)
+    }
+
+    /// The gradients from `gradient`, that of the `states`, `[T, R, H]`, which `forward` gave with the
+    /// rest; that by the state before the first frame only if asked for.
+    pub fn backward(
+        &self,
+        states: &[f32],
+        gates: &[f32],
+        recurrent: &[f32],
+        gradient: &[f32],
+        by_start: bool,
+    ) -> Gradients {
         let width = self.width();
         let rows = self.hidden.len() / width;
         let frame = rows * GATES * width;
@@ -100,7 +115,7 @@ impl Gru<'_> {
         for t in (0..inputs.len() / frame).rev() {
             let before = match t {
                 0 => self.hidden,
-                _ => &run.states[(t - 1) * rows * width..t * rows * width],
+                _ => &states[(t - 1) * rows * width..t * rows * width],
             };
             let (from, to) = (t * frame, (t + 1) * frame);
             let products = &mut products[from..to];
@@ -114,8 +129,8 @@ impl Gru<'_> {
                     let gate = from + row * GATES * width;
                     let state = (t * rows + row) * width;
                     Arch::new().dispatch(Backward {
-                        gates: &run.gates[gate..gate + GATES * width],
-                        candidate: &run.recurrent[gate + 2 * width..gate + GATES * width],
+                        gates: &gates[gate..gate + GATES * width],
+                        candidate: &recurrent[gate + 2 * width..gate + GATES * width],
                         before: &before[row * width..(row + 1) * width],
                         gradient: &gradient[state..state + width],
                         through,
@@ -124,21 +139,20 @@ impl Gru<'_> {
                         products,
                     });
                 });
-            let weight = Matrix::new(self.weight, width, GATES * width).transposed();
-            multiply(
-                Matrix::new(products, rows, GATES * width),
-                weight,
-                &mut through,
-                Into::Replace,
-            );
+            if t > 0 || by_start {
+                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+                let above = Matrix::new(products, rows, GATES * width);
+                multiply(above, weight, &mut through, Into::Replace);
+            }
         }
-        let mut weight = vec![0.0; self.weight.len()];
         let (first, rest) = products.split_at(frame);
-        let before = Matrix::new(self.hidden, rows, width).transposed();
-        multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Replace);
         let later = rest.len() / (GATES * width);
-        let before = Matrix::new(&run.states[..later * width], later, width).transposed();
-        multiply(before, Matrix::new(rest, later, GATES * width), &mut weight, Into::Add);
+        let before = Matrix::new(states, later, width).transposed();
+        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
+        if !self.starts_from_zero() {
+            let before = Matrix::new(self.hidden, rows, width).transposed();
+            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Add);
+        }
         let mut bias = vec![0.0; self.bias.len()];
         sum_rows(&products, &mut bias);
         direct.iter_mut().zip(&through).for_each(|(direct, through)| *direct += through);

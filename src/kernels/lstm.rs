@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     math::{sigmoid, tanh},
-    matrix::{Into, Matrix, multiply, sum_rows},
+    matrix::{Into, Matrix, multiply, product, sum_rows},
     vectors::zip,
 };
 
@@ -74,8 +74,10 @@ impl Lstm<'_> {
                 None => Matrix::new(self.hidden, rows, width),
                 Some(before) => Matrix::with_stride(before, rows, width, 2 * width),
             };
-            let weight = Matrix::new(self.weight, width, GATES * width);
-            multiply(hidden, weight, gates, Into::Add);
+            if t > 0 || !self.starts_from_zero() {
+                let weight = Matrix::new(self.weight, width, GATES * width);
+                multiply(hidden, weight, gates, Into::Add);
+            }
             gates
                 .par_chunks_exact_mut(GATES * width)
                 .zip(now[..frame / 2].par_chunks_exact_mut(2 * width))
@@ -92,15 +94,27 @@ impl Lstm<'_> {
         Run { states, gates }
     }
 
-    /// The gradients from `gradient`, that of the states, `[T, R, 2 H]`.
-    pub fn backward(&self, run: &Run, gradient: &[f32]) -> Gradients {
+    /// Whether there is nothing to multiply the weights with in the first frame.
+    fn starts_from_zero(&self) -> bool {
+        self.hidden.iter().all(|&h| h == 0.0)
+    }
+
+    /// The gradients from `gradient`, that of the `states`, `[T, R, 2 H]`, which `forward` gave with the
+    /// `gates`; those by output and cell before the first frame only if asked for.
+    pub fn backward(
+        &self,
+        states: &[f32],
+        gates: &[f32],
+        gradient: &[f32],
+        by_start: bool,
+    ) -> Gradients {
         let width = self.width();
         let rows = self.hidden.len() / width;
         let frame = rows * GATES * width;
         let mut inputs = vec![0.0; self.inputs.len()];
         let (mut hidden, mut cell) = (vec![0.0; rows * width], vec![0.0; rows * width]);
         for t in (0..inputs.len() / frame).rev() {
-            let states = |t: usize| &run.states[t * frame / 2..(t + 1) * frame / 2];
+            let states = |t: usize| &states[t * frame / 2..(t + 1) * frame / 2];
             let sums = &mut inputs[t * frame..(t + 1) * frame];
             sums.par_chunks_exact_mut(GATES * width)
                 .zip(cell.par_chunks_exact_mut(width))
@@ -115,7 +129,7 @@ impl Lstm<'_> {
                     let start = (t * rows + row) * GATES * width;
                     let from = (t * rows + row) * 2 * width;
                     Arch::new().dispatch(Backward {
-                        gates: &run.gates[start..start + GATES * width],
+                        gates: &gates[start..start + GATES * width],
                         before,
                         cell: &states(t)[second],
                         gradient: &gradient[from..from + 2 * width],
@@ -124,16 +138,24 @@ impl Lstm<'_> {
                         sums,
                     });
                 });
-            let weight = Matrix::new(self.weight, width, GATES * width).transposed();
-            multiply(Matrix::new(sums, rows, GATES * width), weight, &mut hidden, Into::Replace);
+            if t > 0 || by_start {
+                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+                multiply(
+                    Matrix::new(sums, rows, GATES * width),
+                    weight,
+                    &mut hidden,
+                    Into::Replace,
+                );
+            }
         }
-        let mut weight = vec![0.0; self.weight.len()];
         let (first, rest) = inputs.split_at(frame);
-        let before = Matrix::new(self.hidden, rows, width).transposed();
-        multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Replace);
         let later = rest.len() / (GATES * width);
-        let before = Matrix::with_stride(&run.states, later, width, 2 * width).transposed();
-        multiply(before, Matrix::new(rest, later, GATES * width), &mut weight, Into::Add);
+        let before = Matrix::with_stride(states, later, width, 2 * width).transposed();
+        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
+        if !self.starts_from_zero() {
+            let before = Matrix::new(self.hidden, rows, width).transposed();
+            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Add);
+        }
         let mut bias = vec![0.0; self.bias.len()];
         sum_rows(&inputs, &mut bias);
         Gradients { inputs, weight, bias, hidden, cell }

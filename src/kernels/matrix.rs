@@ -54,18 +54,42 @@ pub enum Into {
 /// # Panics
 /// When the shapes do not fit.
 pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
+    assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
+    // SAFETY: there is a place for each number, and each holds one.
+    unsafe { gemm(a, b, product.as_mut_ptr(), into) }
+}
+
+/// `a b`, its rows one after the other.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
+    let length = a.shape[0] * b.shape[1];
+    let mut product = Vec::with_capacity(length);
+    // SAFETY: there is a place for each number, each is written, and none is read before.
+    unsafe {
+        gemm(a, b, product.as_mut_ptr(), Into::Replace);
+        product.set_len(length);
+    }
+    product
+}
+
+/// # Safety
+/// There is a place for each number of the product; if the product is added, each holds a number.
+unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into) {
     let ([m, k], [inner, n]) = (a.shape, b.shape);
-    assert!(k == inner && product.len() == m * n, "shapes {:?}, {:?}", a.shape, b.shape);
+    assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
     let large = m * n * k >= LARGE;
     let parallelism = if large { Parallelism::Rayon(0) } else { Parallelism::None };
     let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
-    // SAFETY: the shapes fit, and every matrix was checked to be inside its list.
+    // SAFETY: the shapes fit, every matrix was checked to be inside its list, and the caller answers
+    // for the product.
     unsafe {
         gemm::gemm(
             m,
             n,
             k,
-            product.as_mut_ptr(),
+            product,
             1,
             n as isize,
             into == Into::Add,

@@ -10,13 +10,15 @@
 //!
 //! Values and gradients of whole layers, for training:
 //!
-//! 4. [`encoder`]: particles through a linear layer and an activation to their mean.
-//! 5. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
-//! 6. [`gru`], [`lstm`]: frame by frame; [`matrix`] has the products.
+//! 4. [`linear`]: a linear layer; [`matrix`] has the products.
+//! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
+//! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
+//! 7. [`gru`], [`lstm`]: frame by frame.
 
 pub mod activation;
 pub mod encoder;
 pub mod gru;
+pub mod linear;
 pub mod lstm;
 pub mod math;
 pub mod matrix;

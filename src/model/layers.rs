@@ -7,7 +7,7 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::core::RecurrentLayer;
+use super::{core::RecurrentLayer, fused, training};
 use crate::checkpoint::{Architecture, Description, Weights, layout};
 
 /// y = x W + b.
@@ -26,9 +26,15 @@ impl Linear {
         let mut shape = input.dims();
         let [width, outputs] = self.weight.dims();
         let rows = shape.iter().product::<usize>() / width;
-        let product = input.reshape([rows, width]).matmul(self.weight.clone());
+        let input = input.reshape([rows, width]);
+        let Self { weight, bias } = self.clone();
+        let output = if fused::runs_on(&weight.device()) {
+            training::linear(input, weight, bias)
+        } else {
+            input.matmul(weight) + bias.unsqueeze()
+        };
         shape[D - 1] = outputs;
-        (product + self.bias.clone().unsqueeze()).reshape(shape)
+        output.reshape(shape)
     }
 }
 

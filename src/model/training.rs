@@ -9,10 +9,40 @@ use crate::{
         activation::{Elu, Relu, Sigmoid, Tanh},
         encoder::{Encoder, Gradients},
         gru::{self, Gru},
+        linear::Linear,
         lstm::{self, Lstm},
         minimal::Minimal,
     },
 };
+
+/// A linear layer: `input` `[R, I]`, `weight` `[I, O]` and `bias` `[O]` to `[R, O]`.
+pub(crate) fn linear(input: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
+    let shape = [input.dims()[0], bias.dims()[0]];
+    apply(LinearLayer, [self::input(input), self::input(weight), self::input(bias)], shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LinearLayer;
+
+impl Operation<3> for LinearLayer {
+    type Kept = ();
+
+    fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+        (Linear { weight, bias }.forward(input), ())
+    }
+
+    fn backward(
+        &self,
+        [input, weight, bias]: [&[f32]; 3],
+        _output: &[f32],
+        (): (),
+        gradient: &[f32],
+        [by_input, by_weight, _]: [bool; 3],
+    ) -> [Vec<f32>; 3] {
+        let by = Linear { weight, bias }.backward(input, gradient, by_input, by_weight);
+        [by.input, by.weight, by.bias]
+    }
+}
 
 /// Mean over the particles of the activated linear layer: `points` `[B N, F]`, `weight` `[F, E]` and
 /// `bias` `[E]` to `[B, E]`. `F` is 5 or 8.
@@ -173,10 +203,10 @@ impl Operation<4> for GruLayer {
         states: &[f32],
         [gates, recurrent]: Self::Kept,
         gradient: &[f32],
-        _wanted: [bool; 4],
+        [_, _, _, by_start]: [bool; 4],
     ) -> [Vec<f32>; 4] {
-        let run = gru::Run { states: states.to_vec(), gates, recurrent };
-        let by = Gru { inputs, weight, bias, hidden }.backward(&run, gradient);
+        let layer = Gru { inputs, weight, bias, hidden };
+        let by = layer.backward(states, &gates, &recurrent, gradient, by_start);
         [by.inputs, by.weight, by.bias, by.hidden]
     }
 }
@@ -214,11 +244,11 @@ impl Operation<5> for LstmLayer {
         states: &[f32],
         gates: Self::Kept,
         gradient: &[f32],
-        _wanted: [bool; 5],
+        [_, _, _, by_hidden, by_cell]: [bool; 5],
     ) -> [Vec<f32>; 5] {
         let [inputs, weight, bias, hidden, cell] = inputs;
-        let run = lstm::Run { states: states.to_vec(), gates };
-        let by = Lstm { inputs, weight, bias, hidden, cell }.backward(&run, gradient);
+        let layer = Lstm { inputs, weight, bias, hidden, cell };
+        let by = layer.backward(states, &gates, gradient, by_hidden || by_cell);
         [by.inputs, by.weight, by.bias, by.hidden, by.cell]
     }
 }

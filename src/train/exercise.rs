@@ -61,11 +61,17 @@ impl Exercise {
         config.core = core;
         config.windows.warm_up = frames;
         config.loss.density_weight = 0.0;
+        config.optimizer.clip = f32::INFINITY;
         let description = description(&config);
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let plain = device.device();
         let recorded = plain.clone().autodiff();
-        let network = Network::new(&description, &initial(&description, 1), &recorded);
+        // A decoder of zeros would leave the other layers without gradients.
+        let mut tensors = initial(&description, 1);
+        for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
+            *weight = random.random_range(-0.03..0.03);
+        }
+        let network = Network::new(&description, &tensors, &recorded);
         let task = match part {
             Part::Core => Task::Core(encodings(
                 [frames, windows, description.sizes.hidden],

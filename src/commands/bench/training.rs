@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::table;
 use crate::{
     cli::BenchTrainingArgs,
-    commands::{Interrupt, progress_bar},
+    commands::{Interrupt, pages, progress_bar},
 };
 use eddy::{
     bench::training::{CORES, FRAMES, PAPER_SAMPLES, Step, Timing, products},
@@ -25,6 +25,7 @@ struct Report {
 pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.windows > 0, "windows: found 0, expected at least 1");
+    pages::keep_freed();
     let steps = if args.step.is_empty() { paper() } else { args.step.clone() };
     let bar = progress_bar(steps.len() as u64, "steps", quiet);
     let mut timings = Vec::new();
