@@ -25,6 +25,9 @@ const INTERVAL_TOLERANCE: f32 = 1e-3;
 /// How far a stream's domain corners may be from the checkpoint's (domain lengths).
 const DOMAIN_TOLERANCE: f32 = 1e-6;
 
+/// More threads than this have nothing to do: no layer has many more panels.
+const MOST_THREADS: usize = 256;
+
 /// Multiplications of a frame for which the other threads are woken: some ten microseconds.
 const WORTH_WAKING: usize = 1 << 18;
 
@@ -59,8 +62,8 @@ enum Room {
 }
 
 impl Surrogate {
-    /// Packs the checkpoint's network, to run on `threads` threads; on as many as there are cores if
-    /// not given.
+    /// Packs the checkpoint's network, to run on `threads` threads (at most 256); on as many as there
+    /// are cores if not given.
     ///
     /// # Errors
     /// [`ModelError::Checkpoint`] when the weights do not fit the description.
@@ -79,7 +82,7 @@ impl Surrogate {
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
-        let threads = threads.map_or_else(cores, NonZeroUsize::get);
+        let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MOST_THREADS);
         let Checkpoint { description, tensors } = checkpoint;
         let (network, crew, room) = match description.architecture {
             Architecture::Frame => {
