@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use crate::{checkpoint::CheckpointError, eval::EvalError, model::ModelError};
+use crate::{checkpoint::CheckpointError, engine::ModelError, eval::EvalError};
 
 /// Why a network cannot be trained, or not any further.
 #[derive(Debug, thiserror::Error)]

@@ -159,8 +159,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         }
         let tensors = network.layers().tensors(&description);
         let mut checkpoint = Checkpoint { description: description.clone(), tensors };
-        let score =
-            validate::validate(&config.validation, &checkpoint, &dataset.validation, run.device)?;
+        let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
         let training_loss = losses / per_epoch as f64;
         let best = outcome
             .best

@@ -4,8 +4,8 @@ use super::{TrainError, ValidationConfig};
 use crate::{
     checkpoint::Checkpoint,
     dataset::Stream,
+    engine::Surrogate,
     eval::{EvalError, Report, Settings, judge},
-    model::{DeviceKind, Surrogate},
 };
 
 /// What free rollouts came to.
@@ -24,9 +24,8 @@ pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
     streams: &[Stream],
-    device: DeviceKind,
 ) -> Result<Score, TrainError> {
-    let surrogate = Surrogate::load(checkpoint, device)?;
+    let surrogate = Surrogate::load(checkpoint, None)?;
     let settings = Settings { horizon: config.horizon, starts: config.starts };
     let judgement = judge(&surrogate, streams, settings, || {}).map_err(TrainError::Validation)?;
     let name = String::new();
