@@ -114,8 +114,8 @@ impl Step {
     }
 }
 
-/// Multiplications and additions of a core's matrix products, relative to minGRU's: 2 H^2, 3 H^2, 6 H^2
-/// and 8 H^2 for each layer and frame.
+/// Multiplications (each with an addition) of a core's matrix products for each layer and frame, in units
+/// of H^2.
 pub fn products(core: Core) -> f64 {
     match core {
         Core::Mlp => 1.0,

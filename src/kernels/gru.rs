@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::{
     math::{sigmoid, tanh},
     matrix::{Into, Matrix, multiply, product, sum_rows},
-    vectors::zip,
+    vectors::{parts, parts_mut, zip},
 };
 
 /// Gates of a cell.
@@ -158,19 +158,6 @@ impl Gru<'_> {
         direct.iter_mut().zip(&through).for_each(|(direct, through)| *direct += through);
         Gradients { inputs, weight, bias, hidden: direct }
     }
-}
-
-/// The three gates of a row.
-fn parts(gates: &[f32]) -> [&[f32]; GATES] {
-    let width = gates.len() / GATES;
-    std::array::from_fn(|gate| &gates[gate * width..(gate + 1) * width])
-}
-
-fn parts_mut(gates: &mut [f32]) -> [&mut [f32]; GATES] {
-    let width = gates.len() / GATES;
-    let (first, rest) = gates.split_at_mut(width);
-    let (second, third) = rest.split_at_mut(width);
-    [first, second, third]
 }
 
 struct Forward<'a> {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::{
     math::{sigmoid, tanh},
     matrix::{Into, Matrix, multiply, product, sum_rows},
-    vectors::zip,
+    vectors::{parts, parts_mut, zip},
 };
 
 /// Gates of a cell.
@@ -160,19 +160,6 @@ impl Lstm<'_> {
         sum_rows(&inputs, &mut bias);
         Gradients { inputs, weight, bias, hidden, cell }
     }
-}
-
-/// The four gates of a row.
-fn parts(gates: &[f32]) -> [&[f32]; GATES] {
-    let width = gates.len() / GATES;
-    std::array::from_fn(|gate| &gates[gate * width..(gate + 1) * width])
-}
-
-fn parts_mut(gates: &mut [f32]) -> [&mut [f32]; GATES] {
-    let width = gates.len() / GATES;
-    let (first, second) = gates.split_at_mut(2 * width);
-    let ([a, b], [c, d]) = (first.split_at_mut(width).into(), second.split_at_mut(width).into());
-    [a, b, c, d]
 }
 
 struct Forward<'a> {
