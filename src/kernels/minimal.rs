@@ -16,7 +16,7 @@ const STRIP: usize = 512;
 /// What the recurrence is made of. `M` columns are the rows times the width of the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Minimal {
-    /// Whether the candidate c enters as g(c), see [`crate::checkpoint::Form::Log`].
+    /// Whether the candidate c enters as g(c) = c + 1/2 for c >= 0 and sigmoid(c) below: the log form.
     pub log: bool,
     /// minLSTM: whether f and i are divided by their sum.
     pub normalize: bool,

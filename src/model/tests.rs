@@ -190,6 +190,10 @@ fn every_option() -> Vec<Description> {
         frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
         frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
     ]);
+    // So wide that threads share the work.
+    all.extend([Core::Lstm, Core::Gru, Core::MinLstm, Core::MinGru].map(|core| {
+        frame(core, |d| d.sizes = Sizes { encoder: 40, hidden: 600, ..d.sizes.clone() })
+    }));
     all.extend(Activation::ALL.map(|activation| {
         let mut description = description(Architecture::Frame, Core::Mlp);
         description.frame.activation = activation;
