@@ -5,21 +5,13 @@ use std::num::NonZeroUsize;
 use serde::Serialize;
 
 use crate::{
-    checkpoint::{
-        Architecture, Checkpoint, CheckpointError, Core, Description, FORMAT_VERSION, Form,
-        FrameOptions, Normalization, Sizes, TrainingSummary,
-    },
+    checkpoint::{Architecture, Checkpoint, CheckpointError, Core, Description, Sizes},
     clock::Clock,
     engine::{ModelError, Surrogate},
-    frame::{Domain, Frame, Material, Stamp},
+    frame::{Frame, Stamp},
     model::{DeviceKind, Reference, layers::initial},
 };
 
-/// Particles of the paper's scenes.
-pub const PARTICLES: usize = 2500;
-
-/// Time between two frames of the paper's scenes (s).
-const DT: f32 = 0.016;
 /// Frames before the clock starts.
 const WARM_UP: usize = 5;
 /// Fewest frames that are timed, for the 99th percentile to be one.
@@ -67,7 +59,8 @@ pub struct Timing {
 impl Case {
     /// The paper's frame model for so many particles, with initial weights.
     pub fn frame(core: Core, particles: usize) -> Self {
-        let description = description(core, particles);
+        let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) };
+        let description = Description::untrained(Architecture::Frame, core, sizes);
         let frame = frame(&description, particles);
         Self { checkpoint: Checkpoint { tensors: initial(&description, 1), description }, frame }
     }
@@ -166,43 +159,10 @@ fn frame(description: &Description, particles: usize) -> Frame {
     }
 }
 
-/// The paper's widths (Table 1).
-fn description(core: Core, particles: usize) -> Description {
-    Description {
-        format_version: FORMAT_VERSION,
-        architecture: Architecture::Frame,
-        core,
-        form: Form::Plain,
-        normalize_gates: true,
-        dt: DT,
-        warm_up: 2,
-        gravity: [0.0, -9.8],
-        materials: Material::ALL.to_vec(),
-        data: String::new(),
-        sizes: Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) },
-        frame: FrameOptions::default(),
-        domain: Domain::UNIT,
-        normalization: Normalization {
-            minimum: [0.0, 0.0, -1.0, -1.0],
-            maximum: [1.0; 4],
-            mean: [0.5, 0.5, 0.0, 0.0],
-            standard_deviation: [0.3, 0.3, 0.6, 0.6],
-        },
-        training: TrainingSummary {
-            command: String::new(),
-            seed: 1,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
-            validation_loss: 0.0,
-            samples: 0,
-        },
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::train::exercise::PARTICLES;
 
     #[test]
     fn both_networks_are_timed_by_everything_that_predicts() {

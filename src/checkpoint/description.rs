@@ -250,6 +250,43 @@ pub struct Description {
     pub training: TrainingSummary,
 }
 
+impl Description {
+    /// An untrained network of the given widths with every choice by default: frames of the paper's 16
+    /// ms in the unit square, velocities up to 1 domain length per second.
+    pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {
+        Self {
+            format_version: FORMAT_VERSION,
+            architecture,
+            core,
+            form: Form::default(),
+            normalize_gates: true,
+            dt: 0.016,
+            warm_up: 2,
+            gravity: [0.0, -9.8],
+            materials: Material::ALL.to_vec(),
+            data: String::new(),
+            sizes,
+            frame: FrameOptions::default(),
+            domain: Domain::UNIT,
+            normalization: Normalization {
+                minimum: [0.0, 0.0, -1.0, -1.0],
+                maximum: [1.0; 4],
+                mean: [0.5, 0.5, 0.0, 0.0],
+                standard_deviation: [0.3, 0.3, 0.6, 0.6],
+            },
+            training: TrainingSummary {
+                command: String::new(),
+                seed: 0,
+                epochs: 0,
+                best_epoch: 0,
+                training_loss: 0.0,
+                validation_loss: 0.0,
+                samples: 0,
+            },
+        }
+    }
+}
+
 /// What is left out of the file.
 fn normalized() -> bool {
     true

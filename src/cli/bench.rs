@@ -5,9 +5,10 @@ use std::{num::NonZeroUsize, path::PathBuf};
 use clap::{Args, Subcommand};
 
 use eddy::{
-    bench::{inference::PARTICLES, training::Step},
+    bench::training::Step,
     model::{Core, DeviceKind},
     mpm::Law,
+    train::exercise::PARTICLES,
 };
 
 /// `eddy bench`

@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use super::{Memory, Surrogate};
 use crate::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, FORMAT_VERSION, FeatureScaling,
-        Form, FrameOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
+        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
+        FrameOptions, MaterialInput, Normalization, Pooling, Sizes,
     },
     frame::{Domain, Frame, Material, Stamp},
     model::{DeviceKind, Reference, layers::initial},
@@ -21,34 +21,13 @@ const DT: f32 = 0.016;
 
 fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Description {
     Description {
-        format_version: FORMAT_VERSION,
-        architecture,
-        core,
-        form: Form::Plain,
-        normalize_gates: true,
-        dt: DT,
-        warm_up: 2,
-        gravity: [0.0, -9.8],
-        materials: Material::ALL.to_vec(),
-        data: String::new(),
-        sizes,
-        frame: FrameOptions::default(),
-        domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
             maximum: [0.95, 0.95, 3.0, 3.0],
             mean: [0.5, 0.3, 0.1, -0.5],
             standard_deviation: [0.2, 0.2, 0.7, 0.9],
         },
-        training: TrainingSummary {
-            command: String::new(),
-            seed: 0,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
-            validation_loss: 0.0,
-            samples: 0,
-        },
+        ..Description::untrained(architecture, core, sizes)
     }
 }
 

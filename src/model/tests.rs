@@ -14,8 +14,8 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Activation, Checkpoint, Description, FORMAT_VERSION, FeatureScaling, Form, FrameOptions,
-        MaterialInput, Normalization, Pooling, Sizes, TrainingSummary, Weights, tensor_shapes,
+        Activation, Checkpoint, Description, FeatureScaling, Form, MaterialInput, Normalization,
+        Pooling, Sizes, Weights, tensor_shapes,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -26,34 +26,18 @@ const DT: f32 = 0.016;
 fn description(architecture: Architecture, core: Core) -> Description {
     let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
     Description {
-        format_version: FORMAT_VERSION,
-        architecture,
-        core,
-        form: Form::Plain,
-        normalize_gates: true,
-        dt: DT,
-        warm_up: 2,
-        gravity: [0.0, -9.8],
         materials: vec![Material::Liquid, Material::Jelly],
-        data: String::new(),
-        sizes: Sizes { encoder: 6, hidden: 5, layers: 2, particles },
-        frame: FrameOptions::default(),
-        domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
             maximum: [0.95, 0.95, 3.0, 3.0],
             mean: [0.5, 0.3, 0.1, -0.5],
             standard_deviation: [0.2, 0.2, 0.7, 0.9],
         },
-        training: TrainingSummary {
-            command: String::new(),
-            seed: 0,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
-            validation_loss: 0.0,
-            samples: 0,
-        },
+        ..Description::untrained(
+            architecture,
+            core,
+            Sizes { encoder: 6, hidden: 5, layers: 2, particles },
+        )
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     window::Window,
 };
 use crate::{
-    checkpoint::{Architecture, Core, Description, FORMAT_VERSION, Normalization, TrainingSummary},
+    checkpoint::{Architecture, Core, Description},
     dataset::State,
     frame::{Domain, Material},
     model::{
@@ -21,9 +21,6 @@ use crate::{
 
 /// Particles of the paper's scenes.
 pub const PARTICLES: usize = 2500;
-
-/// Time between two frames of the paper's scenes (s).
-const DT: f32 = 0.016;
 
 /// What takes a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -58,11 +55,10 @@ impl Exercise {
     /// The paper's widths, and windows of so many frames.
     pub fn new(part: Part, core: Core, frames: usize, windows: usize, device: DeviceKind) -> Self {
         let mut config = TrainConfig::defaults(Architecture::Frame);
-        config.core = core;
-        config.windows.warm_up = frames;
         config.loss.density_weight = 0.0;
         config.optimizer.clip = f32::INFINITY;
-        let description = description(&config);
+        let sizes = config.sizes(PARTICLES);
+        let description = Description::untrained(Architecture::Frame, core, sizes);
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let plain = device.device();
         let recorded = plain.clone().autodiff();
@@ -80,7 +76,7 @@ impl Exercise {
             )),
             Part::Frame => {
                 let windows: Vec<Window> =
-                    (0..windows).map(|_| window(frames + 1, &mut random)).collect();
+                    (0..windows).map(|_| window(frames + 1, description.dt, &mut random)).collect();
                 let scale = Scale {
                     loss: &config.loss,
                     normalization: &description.normalization,
@@ -130,14 +126,14 @@ fn encodings(shape: [usize; 3], device: &Device, random: &mut ChaCha8Rng) -> Ten
 }
 
 /// Particles that move evenly.
-fn window(frames: usize, random: &mut ChaCha8Rng) -> Window {
+fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
     let mut pairs = |low: f32, high: f32| -> Vec<[f32; 2]> {
         (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
     };
     let (start, velocity) = (pairs(0.2, 0.8), pairs(-1.0, 1.0));
     let states = (0..frames).map(|t| {
         let moved = |(x, v): (&[f32; 2], &[f32; 2])| {
-            [x[0] + v[0] * DT * t as f32, x[1] + v[1] * DT * t as f32]
+            [x[0] + v[0] * dt * t as f32, x[1] + v[1] * dt * t as f32]
         };
         let position = start.iter().zip(&velocity).map(moved).collect();
         State { position, velocity: velocity.clone() }
@@ -147,38 +143,5 @@ fn window(frames: usize, random: &mut ChaCha8Rng) -> Window {
         start: 0,
         material: vec![Material::Liquid; PARTICLES],
         states: states.collect(),
-    }
-}
-
-fn description(config: &TrainConfig) -> Description {
-    Description {
-        format_version: FORMAT_VERSION,
-        architecture: Architecture::Frame,
-        core: config.core,
-        form: config.network.form,
-        normalize_gates: config.network.normalize_gates,
-        dt: DT,
-        warm_up: config.windows.warm_up as u32,
-        gravity: config.gravity,
-        materials: Material::ALL.to_vec(),
-        data: String::new(),
-        sizes: config.sizes(PARTICLES),
-        frame: config.network.frame,
-        domain: Domain::UNIT,
-        normalization: Normalization {
-            minimum: [0.0, 0.0, -1.0, -1.0],
-            maximum: [1.0; 4],
-            mean: [0.5, 0.5, 0.0, 0.0],
-            standard_deviation: [0.3, 0.3, 0.6, 0.6],
-        },
-        training: TrainingSummary {
-            command: String::new(),
-            seed: config.seed,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
-            validation_loss: 0.0,
-            samples: 0,
-        },
     }
 }
