@@ -49,6 +49,9 @@ pub enum DeviceKind {
     Flex,
     /// burn-ndarray: this machine's CPU; deprecated upstream, kept for comparison.
     Ndarray,
+    /// The best GPU that Vulkan finds.
+    #[cfg(feature = "vulkan")]
+    Vulkan,
 }
 
 impl DeviceKind {
@@ -58,6 +61,8 @@ impl DeviceKind {
             Self::Flex => Device::flex(),
             #[expect(deprecated, reason = "selectable on purpose, see the variant")]
             Self::Ndarray => Device::ndarray(),
+            #[cfg(feature = "vulkan")]
+            Self::Vulkan => Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
         }
     }
 }

@@ -19,6 +19,8 @@ mod config;
 mod density;
 mod error;
 pub mod exercise;
+#[cfg(test)]
+mod golden;
 mod loss;
 mod monitor;
 mod schedule;
