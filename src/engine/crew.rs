@@ -69,7 +69,7 @@ struct Board {
     stages: Box<[Stage]>,
     /// Stages of the open job.
     length: AtomicUsize,
-    /// A thread panicked at work: the stage will never be done.
+    /// A thread panicked at work: the stage of this job will never be done.
     broken: AtomicBool,
     /// The crew is dismissed.
     dismissed: AtomicBool,
@@ -134,6 +134,7 @@ impl Crew {
             length += 1;
         }
         board.length.store(length, Ordering::Relaxed);
+        board.broken.store(false, Ordering::Relaxed);
         if alone || self.members.is_empty() {
             board.attend(0, work);
             return;
@@ -336,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_reaches_the_caller_whoever_had_it() {
+    fn a_panic_reaches_the_caller_whoever_had_it_and_the_crew_goes_on() {
         for culprit in [0, 1] {
             let mut crew = Crew::new(2, 1);
             let met = AtomicUsize::new(0);
@@ -349,6 +350,12 @@ mod tests {
                 });
             }));
             assert!(outcome.is_err(), "thread {culprit}");
+
+            let done = AtomicUsize::new(0);
+            crew.run([9], false, &|_| {
+                done.fetch_add(1, Ordering::SeqCst);
+            });
+            assert_eq!(done.into_inner(), 9, "the crew goes on");
         }
     }
 }

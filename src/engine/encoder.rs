@@ -9,7 +9,7 @@ use pulp::Simd;
 
 use super::{
     core::activate,
-    linear::{Aligned, Linear, add_products},
+    linear::{Aligned, Linear, add_products, outputs},
 };
 use crate::{
     checkpoint::{
@@ -138,7 +138,7 @@ impl Encoder {
     ) {
         for panel in 0..self.panels() {
             let units = Panel::new(simd, self, panel);
-            let range = super::linear::outputs(panel, self.lanes, self.width);
+            let range = outputs(panel, self.lanes, self.width);
             let rows = points.chunks_exact_mut(self.width);
             for (row, (state, material)) in rows.zip(features.iter().zip(material)) {
                 let point = units.point(simd, state, *material);

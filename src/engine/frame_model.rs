@@ -11,7 +11,7 @@ use super::{
     core::{CoreLayer, activate},
     crew::{Crew, Parts, Task},
     encoder::{BLOCK, Encoder},
-    linear::{Lanes, Linear, add_products},
+    linear::{Lanes, Linear, add_products, outputs},
     memory::Memory,
 };
 use crate::{
@@ -256,7 +256,7 @@ impl WithSimd for Item<'_> {
                 let mean =
                     model.encoder.mean(simd, task.item, pass.features, &pass.memory.material);
                 let lanes = S::F32_LANES;
-                let units = super::linear::outputs(task.item, lanes, model.encoder.width());
+                let units = outputs(task.item, lanes, model.encoder.width());
                 // SAFETY: these units are this item's alone.
                 simd.partial_store_f32s(unsafe { pass.pooled.part(units) }, mean);
             }

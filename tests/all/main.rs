@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod bag;
+mod bench;
 mod exchange;
 mod graph;
 mod launch_configs;

@@ -98,4 +98,12 @@ fn print(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) {
          floor: reading the weights once, by threads",
         timings[0].particles
     );
+    for floor in &floors[..threads] {
+        println!(
+            "the {} weights are read at {:.1} GB/s by {} threads",
+            timings[0].core.name(),
+            floor.rate * 1e-9,
+            floor.threads
+        );
+    }
 }

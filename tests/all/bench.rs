@@ -1,0 +1,39 @@
+//! Tables of this machine: that they come out, not what is in them.
+
+use serde_json::Value;
+
+use crate::support::{fail, succeed};
+
+#[test]
+fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
+    let arguments = ["bench", "inference", "--particles", "30", "--core", "mingru"];
+    let quickly = ["--threads", "1,2", "--device", "flex", "--seconds", "0.01"];
+    let table = succeed(arguments.iter().chain(&quickly));
+    let header = ["model", "core", "weights", "floor, 2", "engine, 1", "engine, 2", "flex"];
+    assert!(header.iter().all(|title| table.contains(title)), "{table}");
+
+    let json = succeed(arguments.iter().chain(&quickly).chain(&["--json"]));
+    let report: Value = serde_json::from_str(&json).unwrap();
+    let timings = report["timings"].as_array().unwrap();
+    let named = |timing: &Value| format!("{} {}", timing["architecture"], timing["engine"]);
+    let expected = [
+        r#""frame" "engine""#,
+        r#""frame" "engine""#,
+        r#""frame" "flex""#,
+        r#""particle" "engine""#,
+        r#""particle" "engine""#,
+        r#""particle" "flex""#,
+    ];
+    assert_eq!(timings.iter().map(named).collect::<Vec<_>>(), expected);
+    for timing in timings {
+        assert!(timing["p50"].as_f64().unwrap() <= timing["p99"].as_f64().unwrap(), "{timing}");
+    }
+}
+
+#[test]
+fn a_benchmark_without_threads_or_time_is_wrong_usage() {
+    let message = fail(2, ["bench", "inference", "--threads", "0"]);
+    assert!(message.contains("--threads"), "{message}");
+    let message = fail(1, ["bench", "inference", "--seconds", "0"]);
+    assert!(message.contains("seconds: found 0, expected more than 0"), "{message}");
+}
