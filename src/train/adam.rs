@@ -39,6 +39,8 @@ pub(super) struct AdamStep<'a> {
     correction: f32,
     epsilon: f32,
     clip: f32,
+    /// Sum of the squared norms of the gradients so far.
+    squares: f64,
 }
 
 impl Adam {
@@ -52,6 +54,7 @@ impl Adam {
             correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
+            squares: 0.0,
         }
     }
 }
@@ -67,8 +70,9 @@ impl AdamStep<'_> {
         let Moments { first, second } = &mut moments[tensor];
         first.resize(values.len(), 0.0);
         second.resize(values.len(), 0.0);
-        let shorter =
-            if self.clip.is_finite() { (self.clip / norm(gradient)).min(1.0) } else { 1.0 };
+        let norm = norm(gradient);
+        self.squares += f64::from(norm) * f64::from(norm);
+        let shorter = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
         values
             .par_chunks_mut(CHUNK)
             .zip(gradient.par_chunks(CHUNK))
@@ -82,6 +86,11 @@ impl AdamStep<'_> {
                     *x -= rate * *m / (v.sqrt() / correction + epsilon);
                 }
             });
+    }
+
+    /// Norm of the gradient by all tensors changed so far, before any was shortened.
+    pub(super) fn gradient_norm(&self) -> f64 {
+        self.squares.sqrt()
     }
 }
 
