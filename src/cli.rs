@@ -15,7 +15,7 @@ use eddy::{
 };
 
 pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
-pub use bench::{BenchArgs, BenchCommand, BenchSolverArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchSolverArgs, BenchTrainingArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]

@@ -15,7 +15,7 @@
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset` |
 //! | L2 | `bag`, `transport`, `model` |
-//! | L1 | `checkpoint`, `clock`, `mpm`, `msg`, `picture` |
+//! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
 
 pub mod bag;
@@ -27,6 +27,7 @@ pub mod dataset;
 pub mod eval;
 pub mod exchange;
 pub mod frame;
+pub mod kernels;
 pub mod model;
 pub mod mpm;
 pub mod msg;

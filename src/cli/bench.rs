@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use eddy::mpm::Law;
+use eddy::{bench::training::Step, model::DeviceKind, mpm::Law};
 
 /// `eddy bench`
 #[derive(Debug, Args)]
@@ -17,6 +17,8 @@ pub struct BenchArgs {
 pub enum BenchCommand {
     /// Times substeps of the Material Point Method by particles and threads.
     Solver(BenchSolverArgs),
+    /// Times training steps of the paper's network by core and length of the window (its Table 4).
+    Training(BenchTrainingArgs),
 }
 
 /// `eddy bench solver`
@@ -37,6 +39,28 @@ pub struct BenchSolverArgs {
     /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
     #[arg(long, short)]
     pub output: Option<PathBuf>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench training`
+#[derive(Debug, Args)]
+pub struct BenchTrainingArgs {
+    /// One kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
+    /// core:lstm:16 (its core alone); may be given several times. If not given: the table of all
+    /// recurrent cores at 2, 16, 64 and 256 frames.
+    #[arg(long, value_name = "STEP")]
+    pub step: Vec<Step>,
+    /// Windows a batch, where a step does not say.
+    #[arg(long, default_value_t = 16)]
+    pub windows: usize,
+    /// About how long each kind of step is timed (s); at least three steps are.
+    #[arg(long, default_value_t = 3.0)]
+    pub seconds: f64,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
     /// Prints JSON instead of a table.
     #[arg(long)]
     pub json: bool,

@@ -14,6 +14,7 @@ pub mod train;
 mod interrupt;
 mod live;
 mod pace;
+mod pages;
 mod surrogate;
 
 pub use interrupt::Interrupt;

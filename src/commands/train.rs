@@ -13,7 +13,7 @@ use eddy::{
 };
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, progress_bar, simulate::memory};
+use super::{Interrupt, pages, progress_bar, simulate::memory};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
@@ -25,6 +25,7 @@ const PATIENCE: f64 = 2.0;
 /// Trains a network on the bags at `args.data`; the best checkpoint ends up in `args.output`. With
 /// several seeds, each has a run in a folder of its own there.
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    pages::keep_freed();
     let config = settings(&args)?;
     let runs = runs(&args, &config)?;
     for (_, output) in &runs {

@@ -3,13 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::{
-    gru::Gru,
-    layers::Linear,
-    lstm::Lstm,
-    mingru::MinGru,
-    minlstm::MinLstm,
-    mlp::Mlp,
-    scan::{scan, step},
+    gru::Gru, layers::Linear, lstm::Lstm, mingru::MinGru, minlstm::MinLstm, mlp::Mlp, scan::step,
 };
 use crate::checkpoint::{Core, Description};
 
@@ -93,14 +87,8 @@ impl RecurrentLayer {
             Self::Mlp(layer) => layer.forward(input),
             Self::Lstm(layer) => return layer.observe(input, carried),
             Self::Gru(layer) => layer.observe(input, hidden),
-            Self::MinLstm(layer) => {
-                let (a, b) = layer.coefficients(input);
-                scan(a, b, hidden)
-            }
-            Self::MinGru(layer) => {
-                let (a, b) = layer.coefficients(input);
-                scan(a, b, hidden)
-            }
+            Self::MinLstm(layer) => layer.observe(input, hidden),
+            Self::MinGru(layer) => layer.observe(input, hidden),
         };
         let last = output.dims()[0] - 1;
         let hidden = at(&output, last);

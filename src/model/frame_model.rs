@@ -22,9 +22,11 @@ use burn::tensor::{Device, Tensor};
 use super::{
     Bodies, Track,
     features::Scaling,
-    layers::Layers,
+    fused,
+    layers::{Layers, Linear},
     mlp::activate,
     network::{Dropout, Hidden},
+    training,
 };
 use crate::checkpoint::{Description, FrameOptions, Pooling};
 
@@ -98,6 +100,11 @@ impl FrameModel {
     pub(crate) fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
         let points = self.scaling.frame(&self.options, bodies, material.clone()); // [B N, F]
         let [first, second] = &self.layers.encoder;
+        if self.options.pooling == Pooling::Mean && fused::runs_on(&first.weight.device()) {
+            let Linear { weight, bias } = first.clone();
+            let kind = self.options.activation;
+            return second.forward(training::encode(kind, self.particles, points, weight, bias));
+        }
         let points = activate(self.options.activation, first.forward(points)); // [B N, E]
         let windows = |points: Tensor<2>| {
             let [rows, width] = points.dims();

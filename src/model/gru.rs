@@ -7,7 +7,7 @@ use burn::tensor::{
     activation::{sigmoid, tanh},
 };
 
-use super::{core::at, layers::Linear};
+use super::{core::at, fused, layers::Linear, training};
 
 /// One GRU layer.
 #[derive(Clone, Debug)]
@@ -20,6 +20,12 @@ impl Gru {
     /// All states `[T, R, H]` for the inputs `[T, R, I]`.
     pub(crate) fn observe(&self, input: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
         let inputs = self.ih.forward(input); // [T, R, 3 H]
+        if fused::runs_on(&inputs.device()) {
+            let [_, rows, gates] = inputs.dims();
+            let Linear { weight, bias } = self.hh.clone();
+            let zero = || Tensor::zeros([rows, gates / 3], &inputs.device());
+            return training::gru(inputs.clone(), weight, bias, carried.unwrap_or_else(zero));
+        }
         let mut hidden = carried;
         let mut states = Vec::new();
         for t in 0..inputs.dims()[0] {

@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Gradients, Tensor, TensorData, module};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::core::RecurrentLayer;
+use super::{core::RecurrentLayer, fused, training};
 use crate::checkpoint::{Architecture, Description, Weights, layout};
 
 /// y = x W + b.
@@ -22,7 +22,19 @@ pub(crate) struct Linear {
 impl Linear {
     /// `[.., in]` to `[.., out]`.
     pub(crate) fn forward<const D: usize>(&self, input: Tensor<D>) -> Tensor<D> {
-        module::linear(input, self.weight.clone(), Some(self.bias.clone()))
+        // As one matrix: the gradient of a product with a stack of matrices would be a stack.
+        let mut shape = input.dims();
+        let [width, outputs] = self.weight.dims();
+        let rows = shape.iter().product::<usize>() / width;
+        let input = input.reshape([rows, width]);
+        let Self { weight, bias } = self.clone();
+        let output = if fused::runs_on(&weight.device()) {
+            training::linear(input, weight, bias)
+        } else {
+            input.matmul(weight) + bias.unsqueeze()
+        };
+        shape[D - 1] = outputs;
+        output.reshape(shape)
     }
 }
 

@@ -9,7 +9,9 @@ use burn::tensor::{
 
 use super::{
     core::{LayerState, at},
+    fused,
     layers::Linear,
+    training,
 };
 
 /// One LSTM layer.
@@ -27,6 +29,9 @@ impl Lstm {
         carried: Option<LayerState>,
     ) -> (Tensor<3>, LayerState) {
         let inputs = self.ih.forward(input); // [T, R, 4 H]
+        if fused::runs_on(&inputs.device()) {
+            return self.observe_fused(inputs, carried);
+        }
         let mut state = self.cell(at(&inputs, 0), carried);
         let mut outputs = vec![state.hidden.clone()];
         for t in 1..inputs.dims()[0] {
@@ -34,6 +39,33 @@ impl Lstm {
             outputs.push(state.hidden.clone());
         }
         (Tensor::stack(outputs, 0), state)
+    }
+
+    fn observe_fused(
+        &self,
+        inputs: Tensor<3>,
+        carried: Option<LayerState>,
+    ) -> (Tensor<3>, LayerState) {
+        let [frames, rows, gates] = inputs.dims();
+        let width = gates / 4;
+        let before = self.before(rows, width, carried);
+        let Linear { weight, bias } = self.hh.clone();
+        let states = training::lstm(inputs, weight, bias, before); // [T, R, 2 H]
+        let last = at(&states, frames - 1);
+        let state = LayerState {
+            hidden: last.clone().slice([0..rows, 0..width]),
+            cell: Some(last.slice([0..rows, width..2 * width])),
+        };
+        (states.slice([0..frames, 0..rows, 0..width]), state)
+    }
+
+    /// Output and cell before the first frame, zero if not given.
+    fn before(&self, rows: usize, width: usize, carried: Option<LayerState>) -> [Tensor<2>; 2] {
+        let zero = || Tensor::zeros([rows, width], &self.hh.weight.device());
+        match carried {
+            None => [zero(), zero()],
+            Some(LayerState { hidden, cell }) => [hidden, cell.unwrap_or_else(zero)],
+        }
     }
 
     /// The next state for the input `[R, I]`.
@@ -45,11 +77,7 @@ impl Lstm {
     fn cell(&self, inputs: Tensor<2>, carried: Option<LayerState>) -> LayerState {
         let [rows, gates] = inputs.dims();
         let width = gates / 4;
-        let zero = || Tensor::zeros([rows, width], &inputs.device());
-        let (hidden, cell) = match carried {
-            None => (zero(), zero()),
-            Some(LayerState { hidden, cell }) => (hidden, cell.unwrap_or_else(zero)),
-        };
+        let [hidden, cell] = self.before(rows, width, carried);
         let sums = inputs + self.hh.forward(hidden);
         let gate = |gate: usize| sums.clone().slice([0..rows, gate * width..(gate + 1) * width]);
         let cell = sigmoid(gate(1)) * cell + sigmoid(gate(0)) * tanh(gate(2));

@@ -4,8 +4,16 @@
 
 use burn::tensor::{Tensor, activation::sigmoid};
 
-use super::{layers::Linear, scan::candidate};
-use crate::checkpoint::Form;
+use super::{
+    fused,
+    layers::Linear,
+    scan::{candidate, scan},
+    training,
+};
+use crate::{
+    checkpoint::Form,
+    kernels::minimal::{LEAST_SUM, Minimal},
+};
 
 /// One minLSTM layer.
 #[derive(Clone, Debug)]
@@ -17,10 +25,21 @@ pub(crate) struct MinLstm {
     pub(crate) normalize_gates: bool,
 }
 
-/// Keeps f + i from zero where both gates are shut as far as f32 goes.
-pub(crate) const LEAST_SUM: f32 = 1e-12;
-
 impl MinLstm {
+    /// All states `[T, R, H]` for the inputs `[T, R, I]`, from the state before (zero if not given).
+    pub(crate) fn observe(&self, input: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
+        if !fused::runs_on(&self.candidate.weight.device()) {
+            let (a, b) = self.coefficients(input);
+            return scan(a, b, carried);
+        }
+        let gates = [&self.forget_gate, &self.input_gate].map(|gate| gate.forward(input.clone()));
+        let candidate = self.candidate.forward(input);
+        let [_, rows, width] = candidate.dims();
+        let carried = carried.unwrap_or_else(|| Tensor::zeros([rows, width], &candidate.device()));
+        let kind = Minimal { log: self.form == Form::Log, normalize: self.normalize_gates };
+        training::minlstm(kind, gates, candidate, carried)
+    }
+
     /// a = f', b = i' c. Normalised, f' is 1 - i', so that a + i' is 1 whatever the rounding.
     pub(crate) fn coefficients<const D: usize>(&self, input: Tensor<D>) -> (Tensor<D>, Tensor<D>) {
         let forget = sigmoid(self.forget_gate.forward(input.clone()));

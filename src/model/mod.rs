@@ -6,10 +6,12 @@
 //! 4. `core`: the layers of the core: `mlp` without recurrence, `gru` and `lstm` frame by frame,
 //!    `mingru` and `minlstm` as coefficients of a linear recurrence.
 //! 5. `scan`: that recurrence over all frames at once (training) or one at a time (streaming).
-//! 6. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
-//! 7. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
-//! 8. `network`: either of the two, behind one set of calls.
-//! 9. [`surrogate`]: a checkpoint that predicts frames, one after the other.
+//! 6. `fused`, `training`: layers whose values and gradients are computed by [`kernels`](crate::kernels)
+//!    rather than by tensor operations, where gradients are recorded on the CPU.
+//! 7. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
+//! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
+//! 9. `network`: either of the two, behind one set of calls.
+//! 10. [`surrogate`]: a checkpoint that predicts frames, one after the other.
 //!
 //! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input
 //! features, `E` encoder width, `H` hidden width.
@@ -20,6 +22,7 @@ pub mod surrogate;
 pub(crate) mod core;
 pub(crate) mod features;
 pub(crate) mod frame_model;
+pub(crate) mod fused;
 pub(crate) mod gru;
 pub(crate) mod layers;
 pub(crate) mod lstm;
@@ -29,6 +32,7 @@ pub(crate) mod mlp;
 pub(crate) mod network;
 pub(crate) mod particle_model;
 pub(crate) mod scan;
+pub(crate) mod training;
 
 pub use ballistic::Ballistic;
 pub use surrogate::{Memory, ModelError, Surrogate};

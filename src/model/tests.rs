@@ -14,8 +14,8 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Checkpoint, Description, FORMAT_VERSION, Form, FrameOptions, Normalization, Sizes,
-        TrainingSummary, Weights,
+        Activation, Checkpoint, Description, FORMAT_VERSION, FeatureScaling, Form, FrameOptions,
+        MaterialInput, Normalization, Pooling, Sizes, TrainingSummary, Weights, tensor_shapes,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -164,6 +164,79 @@ fn flex_and_ndarray_agree() {
         for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
             let difference = largest_difference(a.as_flattened(), b.as_flattened());
             assert!(difference <= 1e-4, "{architecture:?} {core:?}: {difference}");
+        }
+    }
+}
+
+/// Descriptions that together have every core, form, pooling, activation, scaling and kind of input.
+fn every_option() -> Vec<Description> {
+    let mut all: Vec<Description> =
+        every_network().map(|(architecture, core)| description(architecture, core)).collect();
+    let frame = |core, change: fn(&mut Description)| {
+        let mut description = description(Architecture::Frame, core);
+        change(&mut description);
+        description
+    };
+    all.extend([
+        frame(Core::MinGru, |d| d.form = Form::Log),
+        frame(Core::MinLstm, |d| d.form = Form::Log),
+        frame(Core::MinLstm, |d| d.normalize_gates = false),
+        frame(Core::MinLstm, |d| {
+            d.form = Form::Log;
+            d.normalize_gates = false;
+        }),
+        frame(Core::MinGru, |d| d.frame.pooling = Pooling::Max),
+        frame(Core::Gru, |d| d.frame.pooling = Pooling::MeanMax),
+        frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
+        frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
+    ]);
+    all.extend(Activation::ALL.map(|activation| {
+        let mut description = description(Architecture::Frame, Core::Mlp);
+        description.frame.activation = activation;
+        description
+    }));
+    all
+}
+
+/// Predictions over a warm-up and two free frames of three windows' particles, and the gradients of
+/// their weighted squares by every tensor.
+fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Vec<f32>> {
+    let recorded = device.device().autodiff();
+    let mut network = Network::new(description, &weights(description, 3), &recorded);
+    let frames = frames(9);
+    let windows: Vec<Track> =
+        frames.chunks(3).map(|frames| track(frames, &device.device())).collect();
+    let side_by_side = |pick: fn(&Track) -> &Tensor<3>| {
+        Tensor::cat(windows.iter().map(|track| pick(track).clone()).collect(), 1)
+    };
+    let track =
+        Track { position: side_by_side(|t| &t.position), velocity: side_by_side(|t| &t.velocity) };
+    let material = one_hot(frames[0].material.iter().copied(), &device.device()).repeat(&[3, 1]);
+    let none = &mut Dropout::none();
+    let (steps, hidden) = network.observe(&track, &material, Hidden::default(), none);
+    let (next, hidden) = network.step(&steps.at(2), &material, hidden, none);
+    let (after, _) = network.step(&next, &material, hidden, none);
+    let mut values = vec![numbers(&steps.position), numbers(&steps.velocity)];
+    values.extend([&next, &after].map(|bodies| numbers(&bodies.velocity)));
+    let loss = steps.velocity.square().sum()
+        + next.position.square().sum()
+        + after.velocity.square().sum().mul_scalar(0.5);
+    let mut gradients = loss.backward();
+    network.layers_mut().update(&mut gradients, |_, _, gradient| values.push(gradient.to_vec()));
+    values
+}
+
+#[test]
+fn kernels_and_tensor_operations_give_the_same_values_and_gradients() {
+    for description in every_option() {
+        let fused = values_and_gradients(&description, DeviceKind::Flex);
+        let plain = values_and_gradients(&description, DeviceKind::Ndarray);
+        let tensors = tensor_shapes(&description).len();
+        assert!(fused.len() == plain.len() && fused.len() >= tensors, "{}", fused.len());
+        for (index, (found, expected)) in fused.iter().zip(&plain).enumerate() {
+            let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
+            let difference = largest_difference(found, expected) / largest;
+            assert!(difference <= 2e-5, "{index}: {difference}: {description:?}");
         }
     }
 }

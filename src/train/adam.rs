@@ -1,8 +1,10 @@
 //! Adam (Kingma and Ba 2015), one pass over the numbers of a tensor.
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::OptimizerConfig;
+use crate::kernels::vectors::zip;
 
 /// Numbers that a thread takes at once.
 const CHUNK: usize = 1 << 16;
@@ -39,6 +41,8 @@ pub(super) struct AdamStep<'a> {
     correction: f32,
     epsilon: f32,
     clip: f32,
+    /// Whether norms are computed although nothing is shortened.
+    measured: bool,
     /// Sum of the squared norms of the gradients so far.
     squares: f64,
 }
@@ -54,6 +58,7 @@ impl Adam {
             correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
+            measured: false,
             squares: 0.0,
         }
     }
@@ -62,7 +67,6 @@ impl Adam {
 impl AdamStep<'_> {
     /// Changes one tensor. A gradient whose norm is above the limit is shortened to it.
     pub(super) fn change(&mut self, tensor: usize, values: &mut [f32], gradient: &[f32]) {
-        let Self { rate, correction, epsilon, .. } = *self;
         let moments = &mut self.adam.moments;
         if moments.len() <= tensor {
             moments.resize_with(tensor + 1, Moments::default);
@@ -70,27 +74,79 @@ impl AdamStep<'_> {
         let Moments { first, second } = &mut moments[tensor];
         first.resize(values.len(), 0.0);
         second.resize(values.len(), 0.0);
-        let norm = norm(gradient);
+        let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
         self.squares += f64::from(norm) * f64::from(norm);
-        let shorter = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
+        let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
+        let numbers = Numbers {
+            scale,
+            rate: self.rate,
+            inverse: 1.0 / self.correction,
+            epsilon: self.epsilon,
+        };
         values
             .par_chunks_mut(CHUNK)
             .zip(gradient.par_chunks(CHUNK))
             .zip(first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK)))
             .for_each(|((values, gradient), (first, second))| {
-                let moments = first.iter_mut().zip(second);
-                for ((x, g), (m, v)) in values.iter_mut().zip(gradient).zip(moments) {
-                    let g = g * shorter;
-                    *m += (1.0 - BETA_1) * (g - *m);
-                    *v = BETA_2 * *v + (1.0 - BETA_2) * (g * g);
-                    *x -= rate * *m / (v.sqrt() / correction + epsilon);
-                }
+                Arch::new().dispatch(Change { numbers, values, gradient, first, second });
             });
+    }
+
+    /// The same step, with [`AdamStep::gradient_norm`] known whatever the limit is.
+    pub(super) fn measured(self) -> Self {
+        Self { measured: true, ..self }
     }
 
     /// Norm of the gradient by all tensors changed so far, before any was shortened.
     pub(super) fn gradient_norm(&self) -> f64 {
         self.squares.sqrt()
+    }
+}
+
+/// What is the same for all numbers of a tensor.
+#[derive(Clone, Copy)]
+struct Numbers {
+    /// What gradients are multiplied by.
+    scale: f32,
+    rate: f32,
+    /// By which the root of the second moment grows.
+    inverse: f32,
+    epsilon: f32,
+}
+
+struct Change<'a> {
+    numbers: Numbers,
+    values: &'a mut [f32],
+    gradient: &'a [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl WithSimd for Change<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Numbers { scale, rate, inverse, epsilon } = self.numbers;
+        let [scale, rate, inverse, epsilon] =
+            [scale, -rate, inverse, epsilon].map(|number| simd.splat_f32s(number));
+        let (to_first, to_second) = (simd.splat_f32s(1.0 - BETA_1), simd.splat_f32s(1.0 - BETA_2));
+        zip(
+            simd,
+            [self.gradient],
+            [self.values, self.first, self.second],
+            #[inline(always)]
+            |[gradient], [value, first, second]| {
+                let gradient = simd.mul_f32s(gradient, scale);
+                let change = simd.sub_f32s(gradient, first);
+                let first = simd.mul_add_e_f32s(to_first, change, first);
+                let change = simd.sub_f32s(simd.mul_f32s(gradient, gradient), second);
+                let second = simd.mul_add_e_f32s(to_second, change, second);
+                let root = simd.sqrt_f32s(second);
+                let slope = simd.div_f32s(first, simd.mul_add_e_f32s(root, inverse, epsilon));
+                [simd.mul_add_e_f32s(rate, slope, value), first, second]
+            },
+        );
     }
 }
 

@@ -14,7 +14,7 @@
 //!     on after a stop.
 //! 11. `footprint`: memory and disk that a run needs, known before it starts.
 //!
-//! [`train`] is the loop.
+//! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed.
 
 mod adam;
 mod batch;
@@ -22,6 +22,7 @@ mod config;
 mod density;
 mod error;
 mod events;
+pub mod exercise;
 mod footprint;
 mod loss;
 mod moments;
@@ -162,7 +163,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
             }
             let mut gradients = loss.backward();
             learning_rate = schedule::learning_rate(&config.optimizer, progress);
-            let mut step = state.adam.step(learning_rate, &config.optimizer);
+            let mut step = state.adam.step(learning_rate, &config.optimizer).measured();
             state.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
                 step.change(tensor, values, gradient); // clips it first
             });

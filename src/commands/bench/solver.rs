@@ -1,13 +1,15 @@
-//! `eddy bench`: tables for this machine.
+//! `eddy bench solver`: how long substeps take.
 
 use std::{fs, path::Path};
 
 use anyhow::{Context, anyhow, bail, ensure};
-use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
-use super::{Interrupt, progress_bar};
-use crate::cli::{BenchArgs, BenchCommand, BenchSolverArgs};
+use super::table;
+use crate::{
+    cli::BenchSolverArgs,
+    commands::{Interrupt, progress_bar},
+};
 use eddy::{
     bag::{BagWriter, WriterOptions},
     bench::{
@@ -18,13 +20,6 @@ use eddy::{
     mpm::{GRAVITY, Law, Materials},
     msg::{Message, ParticleFrame},
 };
-
-/// Runs one of the benchmarks.
-pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    match args.command {
-        BenchCommand::Solver(args) => solver(args, quiet, interrupt),
-    }
-}
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -38,7 +33,8 @@ struct SolverReport {
     timings: Vec<Timing>,
 }
 
-fn solver(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+/// Times the cases.
+pub fn run(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let chosen = CASES
         .into_iter()
         .filter(|(particles, _)| args.particles.is_empty() || args.particles.contains(particles));
@@ -107,22 +103,18 @@ fn keep(case: &Case, output: &Path) -> anyhow::Result<()> {
 }
 
 fn print_timings(timings: &[Timing], limits: &[Limit]) {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"]);
-    for timing in timings {
-        table.add_row([
+    let header = ["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"];
+    let rows = timings.iter().map(|timing| {
+        vec![
             timing.particles.to_string(),
             format!("{0}x{0}", timing.cells),
             timing.threads.to_string(),
             format!("{:.1}", timing.microseconds),
             format!("{:.2}", timing.nanoseconds_per_particle),
             format!("{:.0} %", 100.0 * timing.share_of_limit),
-        ]);
-    }
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
+        ]
+    });
+    let table = table(header, rows.collect());
     println!("{}", table.trim_fmt());
     println!("\nliquid, snow and jelly in equal parts; the fastest of 5 rounds");
     for Limit { threads, operations, bytes } in limits {

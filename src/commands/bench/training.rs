@@ -1,0 +1,107 @@
+//! `eddy bench training`: how long training steps take.
+
+use anyhow::ensure;
+use serde::Serialize;
+
+use super::table;
+use crate::{
+    cli::BenchTrainingArgs,
+    commands::{Interrupt, pages, progress_bar},
+};
+use eddy::{
+    bench::training::{CORES, FRAMES, PAPER_SAMPLES, Step, Timing, products},
+    model::Core,
+    train::exercise::{PARTICLES, Part},
+};
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    threads: usize,
+    steps: Vec<Timing>,
+}
+
+/// Times the steps.
+pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure!(args.windows > 0, "windows: found 0, expected at least 1");
+    pages::keep_freed();
+    let steps = if args.step.is_empty() { paper() } else { args.step.clone() };
+    let bar = progress_bar(steps.len() as u64, "steps", quiet);
+    let mut timings = Vec::new();
+    for step in &steps {
+        ensure!(!interrupt.requested(), "interrupted");
+        timings.push(step.time(args.windows, args.seconds, args.device));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let threads = std::thread::available_parallelism()?.get();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&Report { threads, steps: timings })?);
+        return Ok(());
+    }
+    print_timings(&timings);
+    if args.step.is_empty() {
+        print_ratios(&timings);
+    }
+    println!(
+        "\nmedian of a step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
+         encoder 256, two layers of 1250; an epoch as in the paper's Table 4: {PAPER_SAMPLES} windows"
+    );
+    Ok(())
+}
+
+/// The whole network and the core alone, by core and length of the window.
+fn paper() -> Vec<Step> {
+    let mut steps = Vec::new();
+    for part in [Part::Frame, Part::Core] {
+        for frames in FRAMES {
+            steps.extend(CORES.map(|core| Step { part, core, frames, windows: None }));
+        }
+    }
+    steps
+}
+
+fn print_timings(timings: &[Timing]) {
+    let header = ["what", "core", "frames", "windows", "ms/step", "ms/sample", "s/epoch"];
+    let rows = timings.iter().map(|timing| {
+        let sample = timing.milliseconds / timing.windows as f64;
+        vec![
+            if timing.what == Part::Frame { "network" } else { "core" }.to_owned(),
+            timing.core.name().to_owned(),
+            timing.frames.to_string(),
+            timing.windows.to_string(),
+            format!("{:.1}", timing.milliseconds),
+            format!("{sample:.2}"),
+            format!("{:.0}", 1e-3 * sample * f64::from(PAPER_SAMPLES)),
+        ]
+    });
+    println!("{}", table(header, rows.collect()).trim_fmt());
+}
+
+/// The paper's claim, beside what the products alone would give.
+fn print_ratios(timings: &[Timing]) {
+    let time = |what, core, frames| {
+        let of =
+            |timing: &&Timing| (timing.what, timing.core, timing.frames) == (what, core, frames);
+        timings.iter().find(of).map_or(f64::NAN, |timing| timing.milliseconds)
+    };
+    let pairs = [(Core::Lstm, Core::MinLstm), (Core::Gru, Core::MinGru)];
+    let mut rows = Vec::new();
+    for what in [Part::Frame, Part::Core] {
+        for frames in FRAMES {
+            let name = if what == Part::Frame { "network" } else { "core" };
+            let mut row = vec![name.to_owned(), frames.to_string()];
+            row.extend(pairs.map(|(classic, minimal)| {
+                format!("{:.2}", time(what, classic, frames) / time(what, minimal, frames))
+            }));
+            rows.push(row);
+        }
+    }
+    let mut row = vec!["products".to_owned(), "any".to_owned()];
+    row.extend(
+        pairs.map(|(classic, minimal)| format!("{:.2}", products(classic) / products(minimal))),
+    );
+    rows.push(row);
+    println!("\n{}", table(["what", "frames", "LSTM/minLSTM", "GRU/minGRU"], rows).trim_fmt());
+}

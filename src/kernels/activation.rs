@@ -1,0 +1,73 @@
+//! The networks' activations with their slopes.
+
+use pulp::Simd;
+
+use super::math::{elu, relu, sigmoid, tanh};
+
+/// An activation y = f(x), number by number.
+pub trait Activate: Copy + Send + Sync {
+    /// y.
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s;
+    /// dy/dx, from both.
+    fn slope<S: Simd>(self, simd: S, x: S::f32s, y: S::f32s) -> S::f32s;
+}
+
+/// 1 / (1 + exp(-x)).
+#[derive(Clone, Copy, Debug)]
+pub struct Sigmoid;
+/// Hyperbolic tangent.
+#[derive(Clone, Copy, Debug)]
+pub struct Tanh;
+/// max(0, x).
+#[derive(Clone, Copy, Debug)]
+pub struct Relu;
+/// x for x > 0, exp(x) - 1 below.
+#[derive(Clone, Copy, Debug)]
+pub struct Elu;
+
+impl Activate for Sigmoid {
+    #[inline(always)]
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s {
+        sigmoid(simd, x)
+    }
+    #[inline(always)]
+    fn slope<S: Simd>(self, simd: S, _x: S::f32s, y: S::f32s) -> S::f32s {
+        simd.mul_f32s(y, simd.sub_f32s(simd.splat_f32s(1.0), y))
+    }
+}
+
+impl Activate for Tanh {
+    #[inline(always)]
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s {
+        tanh(simd, x)
+    }
+    #[inline(always)]
+    fn slope<S: Simd>(self, simd: S, _x: S::f32s, y: S::f32s) -> S::f32s {
+        simd.sub_f32s(simd.splat_f32s(1.0), simd.mul_f32s(y, y))
+    }
+}
+
+impl Activate for Relu {
+    #[inline(always)]
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s {
+        relu(simd, x)
+    }
+    #[inline(always)]
+    fn slope<S: Simd>(self, simd: S, x: S::f32s, _y: S::f32s) -> S::f32s {
+        let zero = simd.splat_f32s(0.0);
+        simd.select_f32s(simd.greater_than_f32s(x, zero), simd.splat_f32s(1.0), zero)
+    }
+}
+
+impl Activate for Elu {
+    #[inline(always)]
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s {
+        elu(simd, x)
+    }
+    #[inline(always)]
+    fn slope<S: Simd>(self, simd: S, x: S::f32s, y: S::f32s) -> S::f32s {
+        let one = simd.splat_f32s(1.0);
+        let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
+        simd.select_f32s(positive, one, simd.add_f32s(y, one))
+    }
+}

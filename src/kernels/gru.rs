@@ -1,0 +1,247 @@
+//! A GRU layer frame by frame, from its inputs' products to its states, and back. The equations are
+//! those of `model/gru.rs`, which computes them by tensor operations.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::{
+    math::{sigmoid, tanh},
+    matrix::{Into, Matrix, multiply, product, sum_rows},
+    vectors::zip,
+};
+
+/// Gates of a cell.
+const GATES: usize = 3;
+
+/// The recurrent part of a layer. `R` rows, `H` wide.
+#[derive(Clone, Copy, Debug)]
+pub struct Gru<'a> {
+    /// Products of the inputs with their weights, `[T, R, 3 H]`: gates r, z, n.
+    pub inputs: &'a [f32],
+    /// W_hh, `[H, 3 H]`.
+    pub weight: &'a [f32],
+    /// b_hh, `[3 H]`.
+    pub bias: &'a [f32],
+    /// The state before the first frame, `[R, H]`.
+    pub hidden: &'a [f32],
+}
+
+/// States of all frames.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// `[T, R, H]`.
+    pub states: Vec<f32>,
+    /// The gates after their activations, `[T, R, 3 H]`.
+    pub gates: Vec<f32>,
+    /// Products of the states with the recurrent weights, `[T, R, 3 H]`.
+    pub recurrent: Vec<f32>,
+}
+
+/// Gradients of the layer.
+#[derive(Clone, Debug)]
+pub struct Gradients {
+    /// By the inputs' products, `[T, R, 3 H]`.
+    pub inputs: Vec<f32>,
+    /// By W_hh, `[H, 3 H]`.
+    pub weight: Vec<f32>,
+    /// By b_hh, `[3 H]`.
+    pub bias: Vec<f32>,
+    /// By the state before the first frame, `[R, H]`.
+    pub hidden: Vec<f32>,
+}
+
+impl Gru<'_> {
+    fn width(&self) -> usize {
+        self.bias.len() / GATES
+    }
+
+    /// The states.
+    pub fn forward(&self) -> Run {
+        let width = self.width();
+        let rows = self.hidden.len() / width;
+        let frame = rows * GATES * width;
+        let mut gates = self.inputs.to_vec();
+        let mut recurrent = vec![0.0; self.inputs.len()];
+        for row in recurrent.chunks_exact_mut(GATES * width) {
+            row.copy_from_slice(self.bias);
+        }
+        let mut states = vec![0.0; self.inputs.len() / GATES];
+        let all = gates.chunks_exact_mut(frame).zip(recurrent.chunks_exact_mut(frame));
+        for (t, (gates, recurrent)) in all.enumerate() {
+            let (earlier, now) = states.split_at_mut(t * rows * width);
+            let before = match earlier.len().checked_sub(rows * width) {
+                None => self.hidden,
+                Some(start) => &earlier[start..],
+            };
+            if t > 0 || !self.starts_from_zero() {
+                let weight = Matrix::new(self.weight, width, GATES * width);
+                multiply(Matrix::new(before, rows, width), weight, recurrent, Into::Add);
+            }
+            gates
+                .par_chunks_exact_mut(GATES * width)
+                .zip(recurrent.par_chunks_exact(GATES * width))
+                .zip(before.par_chunks_exact(width))
+                .zip(now[..rows * width].par_chunks_exact_mut(width))
+                .for_each(|(((gates, recurrent), before), state)| {
+                    Arch::new().dispatch(Forward { gates, recurrent, before, state });
+                });
+        }
+        Run { states, gates, recurrent }
+    }
+
+    /// Whether there is nothing to multiply the weights with in the first frame.
+    fn starts_from_zero(&self) -> bool {
+        self.hidden.iter().all(|&h| h == 0.0)
+    }
+
+    /// The gradients from `gradient`, that of the `states`, `[T, R, H]`, which `forward` gave with the
+    /// rest; that by the state before the first frame only if asked for.
+    pub fn backward(
+        &self,
+        states: &[f32],
+        gates: &[f32],
+        recurrent: &[f32],
+        gradient: &[f32],
+        by_start: bool,
+    ) -> Gradients {
+        let width = self.width();
+        let rows = self.hidden.len() / width;
+        let frame = rows * GATES * width;
+        let mut inputs = vec![0.0; self.inputs.len()];
+        // By the recurrent products: n differs from that of the inputs.
+        let mut products = vec![0.0; self.inputs.len()];
+        // By the state: directly (z h), and through the products.
+        let (mut direct, mut through) = (vec![0.0; rows * width], vec![0.0; rows * width]);
+        for t in (0..inputs.len() / frame).rev() {
+            let before = match t {
+                0 => self.hidden,
+                _ => &states[(t - 1) * rows * width..t * rows * width],
+            };
+            let (from, to) = (t * frame, (t + 1) * frame);
+            let products = &mut products[from..to];
+            inputs[from..to]
+                .par_chunks_exact_mut(GATES * width)
+                .zip(products.par_chunks_exact_mut(GATES * width))
+                .zip(direct.par_chunks_exact_mut(width))
+                .zip(through.par_chunks_exact(width))
+                .enumerate()
+                .for_each(|(row, (((inputs, products), direct), through))| {
+                    let gate = from + row * GATES * width;
+                    let state = (t * rows + row) * width;
+                    Arch::new().dispatch(Backward {
+                        gates: &gates[gate..gate + GATES * width],
+                        candidate: &recurrent[gate + 2 * width..gate + GATES * width],
+                        before: &before[row * width..(row + 1) * width],
+                        gradient: &gradient[state..state + width],
+                        through,
+                        direct,
+                        inputs,
+                        products,
+                    });
+                });
+            if t > 0 || by_start {
+                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+                let above = Matrix::new(products, rows, GATES * width);
+                multiply(above, weight, &mut through, Into::Replace);
+            }
+        }
+        let (first, rest) = products.split_at(frame);
+        let later = rest.len() / (GATES * width);
+        let before = Matrix::new(states, later, width).transposed();
+        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
+        if !self.starts_from_zero() {
+            let before = Matrix::new(self.hidden, rows, width).transposed();
+            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Add);
+        }
+        let mut bias = vec![0.0; self.bias.len()];
+        sum_rows(&products, &mut bias);
+        direct.iter_mut().zip(&through).for_each(|(direct, through)| *direct += through);
+        Gradients { inputs, weight, bias, hidden: direct }
+    }
+}
+
+/// The three gates of a row.
+fn parts(gates: &[f32]) -> [&[f32]; GATES] {
+    let width = gates.len() / GATES;
+    std::array::from_fn(|gate| &gates[gate * width..(gate + 1) * width])
+}
+
+fn parts_mut(gates: &mut [f32]) -> [&mut [f32]; GATES] {
+    let width = gates.len() / GATES;
+    let (first, rest) = gates.split_at_mut(width);
+    let (second, third) = rest.split_at_mut(width);
+    [first, second, third]
+}
+
+struct Forward<'a> {
+    /// The inputs' products before, values after.
+    gates: &'a mut [f32],
+    recurrent: &'a [f32],
+    before: &'a [f32],
+    state: &'a mut [f32],
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let [reset, update, candidate] = parts(self.recurrent);
+        let [r, z, n] = parts_mut(self.gates);
+        zip(
+            simd,
+            [reset, update, candidate, self.before],
+            [r, z, n, self.state],
+            #[inline(always)]
+            |[reset, update, candidate, before], [r, z, n, _]| {
+                let r = sigmoid(simd, simd.add_f32s(r, reset));
+                let z = sigmoid(simd, simd.add_f32s(z, update));
+                let n = tanh(simd, simd.mul_add_e_f32s(r, candidate, n));
+                [r, z, n, simd.mul_add_e_f32s(z, simd.sub_f32s(before, n), n)]
+            },
+        );
+    }
+}
+
+struct Backward<'a> {
+    gates: &'a [f32],
+    /// The recurrent product of n.
+    candidate: &'a [f32],
+    before: &'a [f32],
+    gradient: &'a [f32],
+    /// By the state through the next frame's products.
+    through: &'a [f32],
+    /// By the state directly from the next frame; by the state before, afterwards.
+    direct: &'a mut [f32],
+    inputs: &'a mut [f32],
+    products: &'a mut [f32],
+}
+
+impl WithSimd for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let [r, z, n] = parts(self.gates);
+        let [by_r, by_z, by_n] = parts_mut(self.inputs);
+        let [product_r, product_z, product_n] = parts_mut(self.products);
+        let one = simd.splat_f32s(1.0);
+        zip(
+            simd,
+            [r, z, n, self.candidate, self.before, self.gradient, self.through],
+            [self.direct, by_r, by_z, by_n, product_r, product_z, product_n],
+            #[inline(always)]
+            |[r, z, n, candidate, before, gradient, through], [direct, _, _, _, _, _, _]| {
+                let by_state = simd.add_f32s(simd.add_f32s(direct, through), gradient);
+                let new = simd.mul_f32s(by_state, simd.sub_f32s(one, z));
+                let by_n = simd.mul_f32s(new, simd.sub_f32s(one, simd.mul_f32s(n, n)));
+                // y (1 - y) is the slope of a sigmoid.
+                let slope = |y| simd.mul_f32s(y, simd.sub_f32s(one, y));
+                let by_r = simd.mul_f32s(simd.mul_f32s(by_n, candidate), slope(r));
+                let by_z = simd.mul_f32s(by_state, simd.sub_f32s(before, n));
+                let by_z = simd.mul_f32s(by_z, slope(z));
+                [simd.mul_f32s(by_state, z), by_r, by_z, by_n, by_r, by_z, simd.mul_f32s(by_n, r)]
+            },
+        );
+    }
+}

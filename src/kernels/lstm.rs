@@ -1,0 +1,257 @@
+//! An LSTM layer frame by frame, from its inputs' products to its outputs, and back. The equations are
+//! those of `model/lstm.rs`, which computes them by tensor operations.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::{
+    math::{sigmoid, tanh},
+    matrix::{Into, Matrix, multiply, product, sum_rows},
+    vectors::zip,
+};
+
+/// Gates of a cell.
+const GATES: usize = 4;
+
+/// The recurrent part of a layer. `R` rows, `H` wide.
+#[derive(Clone, Copy, Debug)]
+pub struct Lstm<'a> {
+    /// Products of the inputs with their weights, `[T, R, 4 H]`: gates i, f, g, o.
+    pub inputs: &'a [f32],
+    /// W_hh, `[H, 4 H]`.
+    pub weight: &'a [f32],
+    /// b_hh, `[4 H]`.
+    pub bias: &'a [f32],
+    /// The output before the first frame, `[R, H]`.
+    pub hidden: &'a [f32],
+    /// The cell before the first frame, `[R, H]`.
+    pub cell: &'a [f32],
+}
+
+/// Outputs and cells of all frames.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// `[T, R, 2 H]`: output, cell.
+    pub states: Vec<f32>,
+    /// The gates after their activations, `[T, R, 4 H]`.
+    pub gates: Vec<f32>,
+}
+
+/// Gradients of the layer.
+#[derive(Clone, Debug)]
+pub struct Gradients {
+    /// By the inputs' products, `[T, R, 4 H]`.
+    pub inputs: Vec<f32>,
+    /// By W_hh, `[H, 4 H]`.
+    pub weight: Vec<f32>,
+    /// By b_hh, `[4 H]`.
+    pub bias: Vec<f32>,
+    /// By the output before the first frame, `[R, H]`.
+    pub hidden: Vec<f32>,
+    /// By the cell before the first frame, `[R, H]`.
+    pub cell: Vec<f32>,
+}
+
+impl Lstm<'_> {
+    fn width(&self) -> usize {
+        self.bias.len() / GATES
+    }
+
+    /// Outputs and cells.
+    pub fn forward(&self) -> Run {
+        let width = self.width();
+        let rows = self.hidden.len() / width;
+        let frame = rows * GATES * width;
+        let mut gates = self.inputs.to_vec();
+        for row in gates.chunks_exact_mut(GATES * width) {
+            row.iter_mut().zip(self.bias).for_each(|(sum, bias)| *sum += bias);
+        }
+        let mut states = vec![0.0; self.inputs.len() / 2];
+        for (t, gates) in gates.chunks_exact_mut(frame).enumerate() {
+            let (earlier, now) = states.split_at_mut(t * frame / 2);
+            let before = earlier.len().checked_sub(frame / 2).map(|start| &earlier[start..]);
+            let hidden = match before {
+                None => Matrix::new(self.hidden, rows, width),
+                Some(before) => Matrix::with_stride(before, rows, width, 2 * width),
+            };
+            if t > 0 || !self.starts_from_zero() {
+                let weight = Matrix::new(self.weight, width, GATES * width);
+                multiply(hidden, weight, gates, Into::Add);
+            }
+            gates
+                .par_chunks_exact_mut(GATES * width)
+                .zip(now[..frame / 2].par_chunks_exact_mut(2 * width))
+                .enumerate()
+                .for_each(|(row, (gates, state))| {
+                    let cell = match before {
+                        None => &self.cell[row * width..(row + 1) * width],
+                        Some(before) => &before[(2 * row + 1) * width..2 * (row + 1) * width],
+                    };
+                    let (output, next) = state.split_at_mut(width);
+                    Arch::new().dispatch(Forward { gates, cell, output, next });
+                });
+        }
+        Run { states, gates }
+    }
+
+    /// Whether there is nothing to multiply the weights with in the first frame.
+    fn starts_from_zero(&self) -> bool {
+        self.hidden.iter().all(|&h| h == 0.0)
+    }
+
+    /// The gradients from `gradient`, that of the `states`, `[T, R, 2 H]`, which `forward` gave with the
+    /// `gates`; those by output and cell before the first frame only if asked for.
+    pub fn backward(
+        &self,
+        states: &[f32],
+        gates: &[f32],
+        gradient: &[f32],
+        by_start: bool,
+    ) -> Gradients {
+        let width = self.width();
+        let rows = self.hidden.len() / width;
+        let frame = rows * GATES * width;
+        let mut inputs = vec![0.0; self.inputs.len()];
+        let (mut hidden, mut cell) = (vec![0.0; rows * width], vec![0.0; rows * width]);
+        for t in (0..inputs.len() / frame).rev() {
+            let states = |t: usize| &states[t * frame / 2..(t + 1) * frame / 2];
+            let sums = &mut inputs[t * frame..(t + 1) * frame];
+            sums.par_chunks_exact_mut(GATES * width)
+                .zip(cell.par_chunks_exact_mut(width))
+                .zip(hidden.par_chunks_exact(width))
+                .enumerate()
+                .for_each(|(row, ((sums, by_cell), by_hidden))| {
+                    let second = (2 * row + 1) * width..2 * (row + 1) * width;
+                    let before = match t {
+                        0 => &self.cell[row * width..(row + 1) * width],
+                        _ => &states(t - 1)[second.clone()],
+                    };
+                    let start = (t * rows + row) * GATES * width;
+                    let from = (t * rows + row) * 2 * width;
+                    Arch::new().dispatch(Backward {
+                        gates: &gates[start..start + GATES * width],
+                        before,
+                        cell: &states(t)[second],
+                        gradient: &gradient[from..from + 2 * width],
+                        by_hidden,
+                        by_cell,
+                        sums,
+                    });
+                });
+            if t > 0 || by_start {
+                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+                multiply(
+                    Matrix::new(sums, rows, GATES * width),
+                    weight,
+                    &mut hidden,
+                    Into::Replace,
+                );
+            }
+        }
+        let (first, rest) = inputs.split_at(frame);
+        let later = rest.len() / (GATES * width);
+        let before = Matrix::with_stride(states, later, width, 2 * width).transposed();
+        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
+        if !self.starts_from_zero() {
+            let before = Matrix::new(self.hidden, rows, width).transposed();
+            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Add);
+        }
+        let mut bias = vec![0.0; self.bias.len()];
+        sum_rows(&inputs, &mut bias);
+        Gradients { inputs, weight, bias, hidden, cell }
+    }
+}
+
+/// The four gates of a row.
+fn parts(gates: &[f32]) -> [&[f32]; GATES] {
+    let width = gates.len() / GATES;
+    std::array::from_fn(|gate| &gates[gate * width..(gate + 1) * width])
+}
+
+fn parts_mut(gates: &mut [f32]) -> [&mut [f32]; GATES] {
+    let width = gates.len() / GATES;
+    let (first, second) = gates.split_at_mut(2 * width);
+    let ([a, b], [c, d]) = (first.split_at_mut(width).into(), second.split_at_mut(width).into());
+    [a, b, c, d]
+}
+
+struct Forward<'a> {
+    /// Sums before, values after.
+    gates: &'a mut [f32],
+    cell: &'a [f32],
+    output: &'a mut [f32],
+    next: &'a mut [f32],
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let [i, f, g, o] = parts_mut(self.gates);
+        zip(
+            simd,
+            [self.cell],
+            [i, f, g, o, self.output, self.next],
+            #[inline(always)]
+            |[cell], [i, f, g, o, _, _]| {
+                let (i, f, o) = (sigmoid(simd, i), sigmoid(simd, f), sigmoid(simd, o));
+                let g = tanh(simd, g);
+                let cell = simd.mul_add_e_f32s(f, cell, simd.mul_f32s(i, g));
+                [i, f, g, o, simd.mul_f32s(o, tanh(simd, cell)), cell]
+            },
+        );
+    }
+}
+
+struct Backward<'a> {
+    gates: &'a [f32],
+    /// The cell before and after.
+    before: &'a [f32],
+    cell: &'a [f32],
+    /// By output and cell, from outside the layer.
+    gradient: &'a [f32],
+    /// By the output, from the next frame.
+    by_hidden: &'a [f32],
+    /// By the cell, from the next frame; by the cell before, afterwards.
+    by_cell: &'a mut [f32],
+    /// By the gates' sums.
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let [i, f, g, o] = parts(self.gates);
+        let [by_i, by_f, by_g, by_o] = parts_mut(self.sums);
+        let (by_output, by_state) = self.gradient.split_at(self.before.len());
+        let one = simd.splat_f32s(1.0);
+        zip(
+            simd,
+            [i, f, g, o, self.before, self.cell, by_output, by_state, self.by_hidden],
+            [self.by_cell, by_i, by_f, by_g, by_o],
+            #[inline(always)]
+            |[i, f, g, o, before, cell, by_output, by_state, by_hidden], [by_cell, _, _, _, _]| {
+                let bent = tanh(simd, cell);
+                let by_output = simd.add_f32s(by_output, by_hidden);
+                let flat = simd.sub_f32s(one, simd.mul_f32s(bent, bent));
+                let through = simd.mul_f32s(simd.mul_f32s(by_output, o), flat);
+                let by_cell = simd.add_f32s(simd.add_f32s(by_cell, by_state), through);
+                // y (1 - y) is the slope of a sigmoid.
+                let slope = |y| simd.mul_f32s(y, simd.sub_f32s(one, y));
+                [
+                    simd.mul_f32s(by_cell, f),
+                    simd.mul_f32s(simd.mul_f32s(by_cell, g), slope(i)),
+                    simd.mul_f32s(simd.mul_f32s(by_cell, before), slope(f)),
+                    simd.mul_f32s(
+                        simd.mul_f32s(by_cell, i),
+                        simd.sub_f32s(one, simd.mul_f32s(g, g)),
+                    ),
+                    simd.mul_f32s(simd.mul_f32s(by_output, bent), slope(o)),
+                ]
+            },
+        );
+    }
+}

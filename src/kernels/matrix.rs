@@ -1,0 +1,136 @@
+//! Products of matrices.
+
+use gemm::Parallelism;
+
+/// Multiplications and additions that are worth other threads.
+const LARGE: usize = 1 << 18;
+
+/// A matrix in a list of numbers, which need not lie side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Matrix<'a> {
+    values: &'a [f32],
+    /// Rows and columns.
+    shape: [usize; 2],
+    /// Numbers from one row to the next, and from one column to the next.
+    strides: [usize; 2],
+}
+
+impl<'a> Matrix<'a> {
+    /// Rows one after the other.
+    ///
+    /// # Panics
+    /// When there are not that many numbers.
+    pub fn new(values: &'a [f32], rows: usize, columns: usize) -> Self {
+        Self::with_stride(values, rows, columns, columns)
+    }
+
+    /// Rows `stride` numbers apart.
+    ///
+    /// # Panics
+    /// When there are not that many numbers.
+    pub fn with_stride(values: &'a [f32], rows: usize, columns: usize, stride: usize) -> Self {
+        assert!(rows == 0 || values.len() >= (rows - 1) * stride + columns, "a matrix too short");
+        Self { values, shape: [rows, columns], strides: [stride, 1] }
+    }
+
+    /// Rows and columns exchanged.
+    pub fn transposed(self) -> Self {
+        let ([rows, columns], [row, column]) = (self.shape, self.strides);
+        Self { shape: [columns, rows], strides: [column, row], ..self }
+    }
+}
+
+/// What happens to the numbers that were there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Into {
+    /// They are replaced.
+    Replace,
+    /// The product is added to them.
+    Add,
+}
+
+/// Puts `a b` into `product`, whose rows lie one after the other.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
+    assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
+    // SAFETY: there is a place for each number, and each holds one.
+    unsafe { gemm(a, b, product.as_mut_ptr(), into) }
+}
+
+/// `a b`, its rows one after the other.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
+    let length = a.shape[0] * b.shape[1];
+    let mut product = Vec::with_capacity(length);
+    // SAFETY: there is a place for each number, each is written, and none is read before.
+    unsafe {
+        gemm(a, b, product.as_mut_ptr(), Into::Replace);
+        product.set_len(length);
+    }
+    product
+}
+
+/// # Safety
+/// There is a place for each number of the product; if the product is added, each holds a number.
+unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into) {
+    let ([m, k], [inner, n]) = (a.shape, b.shape);
+    assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
+    let large = m * n * k >= LARGE;
+    let parallelism = if large { Parallelism::Rayon(0) } else { Parallelism::None };
+    let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
+    // SAFETY: the shapes fit, every matrix was checked to be inside its list, and the caller answers
+    // for the product.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            product,
+            1,
+            n as isize,
+            into == Into::Add,
+            a.values.as_ptr(),
+            stride(a.strides, 1),
+            stride(a.strides, 0),
+            b.values.as_ptr(),
+            stride(b.strides, 1),
+            stride(b.strides, 0),
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            parallelism,
+        );
+    }
+}
+
+/// Adds up the rows of a matrix with rows of `sums.len()` numbers.
+pub fn sum_rows(values: &[f32], sums: &mut [f32]) {
+    for row in values.chunks_exact(sums.len()) {
+        for (sum, value) in sums.iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_of_strided_and_transposed_matrices() {
+        let a = [1.0, 2.0, 9.0, 3.0, 4.0, 9.0]; // rows (1, 2), (3, 4)
+        let b = [5.0, 6.0, 7.0, 8.0];
+        let a = Matrix::with_stride(&a, 2, 2, 3);
+        let mut product = [1.0; 4];
+        multiply(a, Matrix::new(&b, 2, 2), &mut product, Into::Replace);
+        assert_eq!(product, [19.0, 22.0, 43.0, 50.0]);
+        multiply(a.transposed(), Matrix::new(&b, 2, 2), &mut product, Into::Add);
+        assert_eq!(product, [19.0 + 26.0, 22.0 + 30.0, 43.0 + 38.0, 50.0 + 44.0]);
+    }
+}

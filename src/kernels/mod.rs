@@ -1,0 +1,26 @@
+//! Numbers in vectors: what training and streaming both compute with.
+//!
+//! Written once for every set of vector instructions (crate `pulp`), which is chosen while the program
+//! runs. A function here takes the set as its first argument and has to be inlined into one that was
+//! compiled for it: only so the compiler uses the instructions.
+//!
+//! 1. [`math`]: exponential, sigmoid, hyperbolic tangent, ELU.
+//! 2. [`vectors`]: the same work on every number of several lists.
+//! 3. [`activation`]: the networks' activations with their slopes.
+//!
+//! Values and gradients of whole layers, for training:
+//!
+//! 4. [`linear`]: a linear layer; [`matrix`] has the products.
+//! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
+//! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
+//! 7. [`gru`], [`lstm`]: frame by frame.
+
+pub mod activation;
+pub mod encoder;
+pub mod gru;
+pub mod linear;
+pub mod lstm;
+pub mod math;
+pub mod matrix;
+pub mod minimal;
+pub mod vectors;

@@ -1,0 +1,184 @@
+//! Training steps on made-up numbers, to be timed: the paper's network, or its core alone.
+
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    LossConfig, OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, weigh::Scale,
+    window::Window,
+};
+use crate::{
+    checkpoint::{Architecture, Core, Description, FORMAT_VERSION, Normalization, TrainingSummary},
+    dataset::State,
+    frame::{Domain, Material},
+    model::{
+        Ballistic, DeviceKind,
+        layers::initial,
+        network::{Dropout, Network},
+    },
+};
+
+/// Particles of the paper's scenes.
+pub const PARTICLES: usize = 2500;
+
+/// Time between two frames of the paper's scenes (s).
+const DT: f32 = 0.016;
+
+/// What takes a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Part {
+    /// The whole frame model: it observes the frames, predicts the next one, and learns from the mean
+    /// squared error.
+    Frame,
+    /// The core alone on made-up encodings; its mean squared output is made smaller.
+    Core,
+}
+
+/// A network with a batch.
+pub struct Exercise {
+    network: Network,
+    task: Task,
+    adam: Adam,
+    optimizer: OptimizerConfig,
+}
+
+enum Task {
+    Frame {
+        batch: Box<Batch>,
+        loss: LossConfig,
+        domain: Domain,
+    },
+    /// Encodings, `[T, B, H]`.
+    Core(Tensor<3>),
+}
+
+impl Exercise {
+    /// The paper's widths, and windows of so many frames.
+    pub fn new(part: Part, core: Core, frames: usize, windows: usize, device: DeviceKind) -> Self {
+        let mut config = TrainConfig::defaults(Architecture::Frame);
+        config.core = core;
+        config.windows.warm_up = frames;
+        config.loss.density_weight = 0.0;
+        config.optimizer.clip = f32::INFINITY;
+        let description = description(&config);
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let plain = device.device();
+        let recorded = plain.clone().autodiff();
+        // A decoder of zeros would leave the other layers without gradients.
+        let mut tensors = initial(&description, 1);
+        for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
+            *weight = random.random_range(-0.03..0.03);
+        }
+        let network = Network::new(&description, &tensors, &recorded);
+        let task = match part {
+            Part::Core => Task::Core(encodings(
+                [frames, windows, description.sizes.hidden],
+                &recorded,
+                &mut random,
+            )),
+            Part::Frame => {
+                let windows: Vec<Window> =
+                    (0..windows).map(|_| window(frames + 1, &mut random)).collect();
+                let scale = Scale {
+                    loss: &config.loss,
+                    normalization: &description.normalization,
+                    ballistic: Ballistic::of(&description),
+                    common: Vec::new(),
+                };
+                let batch = Batch::new(&windows, frames, &scale, &plain);
+                let domain = description.domain;
+                Task::Frame { batch: Box::new(batch), loss: config.loss.clone(), domain }
+            }
+        };
+        Self { network, task, adam: Adam::default(), optimizer: config.optimizer }
+    }
+
+    /// Forward, loss, backward, Adam. Gives the loss before the step.
+    pub fn step(&mut self) -> f32 {
+        let (value, mut gradients) = self.gradients();
+        let mut step = self.adam.step(self.optimizer.learning_rate, &self.optimizer);
+        self.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
+            step.change(tensor, values, gradient);
+        });
+        value
+    }
+
+    fn gradients(&self) -> (f32, Gradients) {
+        let loss = match &self.task {
+            Task::Frame { batch, loss, domain } => {
+                let (predicted, steps) = loss::unroll(&self.network, batch, &mut Dropout::none());
+                loss::loss(loss, batch, &predicted, &steps, *domain)
+            }
+            Task::Core(encodings) => {
+                let layers = &self.network.layers().core;
+                let signal = layers
+                    .iter()
+                    .fold(encodings.clone(), |signal, layer| layer.observe(signal, None).0);
+                signal.square().mean()
+            }
+        };
+        (loss.clone().inner().into_scalar(), loss.backward())
+    }
+}
+
+fn encodings(shape: [usize; 3], device: &Device, random: &mut ChaCha8Rng) -> Tensor<3> {
+    let values: Vec<f32> =
+        (0..shape.iter().product()).map(|_| random.random_range(-1.0..1.0)).collect();
+    Tensor::from_data(TensorData::new(values, shape), device).require_grad()
+}
+
+/// Particles that move evenly.
+fn window(frames: usize, random: &mut ChaCha8Rng) -> Window {
+    let mut pairs = |low: f32, high: f32| -> Vec<[f32; 2]> {
+        (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    let (start, velocity) = (pairs(0.2, 0.8), pairs(-1.0, 1.0));
+    let states = (0..frames).map(|t| {
+        let moved = |(x, v): (&[f32; 2], &[f32; 2])| {
+            [x[0] + v[0] * DT * t as f32, x[1] + v[1] * DT * t as f32]
+        };
+        let position = start.iter().zip(&velocity).map(moved).collect();
+        State { position, velocity: velocity.clone() }
+    });
+    Window {
+        stream: 0,
+        start: 0,
+        material: vec![Material::Liquid; PARTICLES],
+        states: states.collect(),
+    }
+}
+
+fn description(config: &TrainConfig) -> Description {
+    Description {
+        format_version: FORMAT_VERSION,
+        architecture: Architecture::Frame,
+        core: config.core,
+        form: config.network.form,
+        normalize_gates: config.network.normalize_gates,
+        dt: DT,
+        warm_up: config.windows.warm_up as u32,
+        gravity: config.gravity,
+        materials: Material::ALL.to_vec(),
+        data: String::new(),
+        sizes: config.sizes(PARTICLES),
+        frame: config.network.frame,
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.0, 0.0, -1.0, -1.0],
+            maximum: [1.0; 4],
+            mean: [0.5, 0.5, 0.0, 0.0],
+            standard_deviation: [0.3, 0.3, 0.6, 0.6],
+        },
+        training: TrainingSummary {
+            command: String::new(),
+            seed: config.seed,
+            epochs: 0,
+            best_epoch: 0,
+            training_loss: 0.0,
+            validation_loss: 0.0,
+            samples: 0,
+        },
+    }
+}
