@@ -1,7 +1,7 @@
 //! What a run will need, estimated before it starts: a lower bound, so that what is refused would
 //! really have failed.
 
-use super::{Machine, TrainConfig, TrainError};
+use super::{COMMON_WINDOWS, Machine, Run, TrainConfig, TrainError};
 use crate::checkpoint::{Architecture, Description, Pooling, tensor_shapes};
 
 /// Bytes of a number.
@@ -13,9 +13,10 @@ const NUMBER: usize = 4;
 const IN_TRAINING: usize = 5;
 const IN_VALIDATION: usize = 7;
 
-/// Copies of the weights on disk at most: the best checkpoint, the last one with the moments, and the
-/// next last one beside it.
+/// Copies of the weights that come to the disk: the best checkpoint, the last one with the moments, and
+/// the next last one before that one goes. A run that goes on has all but the next last one.
 const ON_DISK: usize = 7;
+const ON_DISK_AGAIN: usize = 3;
 
 /// Numbers of the particle model's features.
 const PARTICLE_FEATURES: usize = 20;
@@ -24,9 +25,9 @@ const PARTICLE_FEATURES: usize = 20;
 pub(super) fn check(
     config: &TrainConfig,
     description: &Description,
-    output: &std::path::Path,
-    machine: Machine,
+    run: &Run,
 ) -> Result<(), TrainError> {
+    let Machine { memory: free, disk: found } = run.machine;
     let numbers: usize =
         tensor_shapes(description).values().map(|shape| shape.iter().product::<usize>()).sum();
     let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
@@ -34,13 +35,13 @@ pub(super) fn check(
     let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
     let batch = if training + batch < validation { 0 } else { batch };
     let weights = if batch == 0 { validation } else { training };
-    let free = machine.memory;
     if weights + batch > free {
         return Err(TrainError::Memory { weights, batch, free });
     }
-    let (found, expected) = (machine.disk, bytes(ON_DISK * numbers));
+    let copies = if run.goes_on() { ON_DISK_AGAIN } else { ON_DISK };
+    let expected = bytes(copies * numbers);
     if found < expected {
-        return Err(TrainError::Disk { output: output.to_owned(), found, expected });
+        return Err(TrainError::Disk { output: run.output.to_owned(), found, expected });
     }
     Ok(())
 }
@@ -73,5 +74,7 @@ fn batch_numbers(config: &TrainConfig, description: &Description) -> usize {
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
     let computed = 2 * (particles * of_particle + of_window);
-    batch.saturating_mul(frames).saturating_mul(window + computed)
+    let of_batch = batch.saturating_mul(frames).saturating_mul(window + computed);
+    // Before the first batch: positions and velocities alone, of many windows.
+    of_batch.max(COMMON_WINDOWS * frames * 4 * particles)
 }

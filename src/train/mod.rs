@@ -78,6 +78,13 @@ pub struct Run<'a> {
     pub interrupted: &'a dyn Fn() -> bool,
 }
 
+impl Run<'_> {
+    /// Whether there is an epoch to go on from.
+    fn goes_on(&self) -> bool {
+        self.resume && self.output.join(LAST_FOLDER).exists()
+    }
+}
+
 /// What a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
@@ -120,8 +127,12 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     config.check()?;
     let mut description = describe(config, dataset, &run.command)?;
     check_streams(config, dataset)?;
-    footprint::check(config, &description, run.output, run.machine)?;
+    footprint::check(config, &description, run)?;
     let mut state = resume::begin(config, &mut description, run)?;
+    if state.is_over(config) {
+        let State { epochs, best, seconds, samples, .. } = state;
+        return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
+    }
 
     let plain = run.device.device();
     let mut sampler = sampler_for(config, dataset, state.unroll.max(1))?;

@@ -84,6 +84,22 @@ fn a_run_that_is_done_stays_as_it_is() {
 }
 
 #[test]
+fn a_run_that_stopped_early_stays_so_until_it_is_given_more_patience() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    (config.epochs, config.patience, config.windows.per_epoch) = (9, 2, 8);
+    config.optimizer.learning_rate = 1e-12;
+    let epochs = run(&config, &dataset(), folder.path()).unwrap().epochs.len();
+    assert!(epochs < 9, "it was to stop early");
+    assert_eq!(resume(&config, &dataset(), folder.path()).unwrap().epochs.len(), epochs);
+    config.patience = 3;
+    let more = resume(&config, &dataset(), folder.path()).unwrap().epochs;
+    assert!(more.len() > epochs);
+    let best = more.iter().rfind(|epoch| epoch.best).unwrap().epoch;
+    assert_eq!(more.len() as u32, (best + 3).min(9));
+}
+
+#[test]
 fn to_resume_what_has_not_begun_begins_it() {
     let (once, resumed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut config = small(Architecture::Particle, Core::MinGru);
