@@ -62,7 +62,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             break;
         }
     }
-    if runs.len() > 1 {
+    if outcomes.len() > 1 {
         println!("{}", comparison(&outcomes, config.validation.horizon));
     }
     Ok(())

@@ -8,7 +8,7 @@ use eddy::{
 };
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
-use crate::support::{Process, eddy, succeed, wait_for};
+use crate::support::{Process, eddy, succeed, talking_eddy, wait_for};
 
 /// What must be the same in one go and in several.
 const OUTCOME: [&str; 6] = [
@@ -268,4 +268,30 @@ fn a_process_that_is_killed_within_an_epoch_goes_on_to_the_same_bits() {
         let read = |output: &str| fs::read(Path::new(&path(output)).join(file)).unwrap();
         assert!(read("once") == read("killed"), "{file} differs");
     }
+}
+
+#[test]
+fn a_process_that_is_interrupted_ends_well_and_says_how_to_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    write_bag(&folder.path().join("bag"), &[0, 1, 2].map(stream));
+    fs::write(
+        path("train.toml"),
+        "windows.per_epoch = 1024\nwindows.particles = 8\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n",
+    )
+    .unwrap();
+    let mut command = talking_eddy();
+    command.args(["train", "--data", &path("bag"), "--config", &path("train.toml")]);
+    command.args(["--epochs", "100000", "--output", &path("model")]);
+    let mut process = Process::start(&mut command);
+    let last = folder.path().join("model/last/resume.toml");
+    wait_for("an epoch is done", || last.exists().then_some(()));
+    process.interrupt();
+    assert!(process.wait().success());
+    let printed = process.rest();
+    assert!(printed.contains("interrupted: "), "{printed}");
+    assert!(printed.contains("go on: the same command with --resume"), "{printed}");
+    let epochs = |folder: &Path| Checkpoint::load(folder).unwrap().description.training.epochs;
+    let (best, last) = (folder.path().join("model"), folder.path().join("model/last"));
+    assert_eq!(epochs(&best), epochs(&last), "both tell how many epochs were done");
 }
