@@ -15,7 +15,7 @@ use eddy::{
 };
 
 pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
-pub use bench::{BenchArgs, BenchCommand, BenchSolverArgs, BenchTrainingArgs};
+pub use bench::{BenchArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -264,9 +264,9 @@ pub struct NodeArgs {
     /// What happens when a subscriber cannot keep up [default: drop].
     #[arg(long, value_enum)]
     pub reliability: Option<Reliability>,
-    /// What computes.
-    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
-    pub device: DeviceKind,
+    /// Threads that predict; as many as there are cores if not given.
+    #[arg(long)]
+    pub threads: Option<NonZeroUsize>,
 }
 
 /// `eddy predict`
@@ -290,9 +290,9 @@ pub struct PredictArgs {
     /// Which of the frames up to the horizon are published.
     #[arg(long, value_enum, default_value_t = eddy::node::Publish::Last)]
     pub publish: eddy::node::Publish,
-    /// What computes.
-    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
-    pub device: DeviceKind,
+    /// Threads that predict; as many as there are cores if not given.
+    #[arg(long)]
+    pub threads: Option<NonZeroUsize>,
 }
 
 /// `eddy eval`
@@ -313,7 +313,7 @@ pub struct EvalArgs {
     /// Start frames a stream, spread evenly over it.
     #[arg(long, default_value_t = 7)]
     pub starts: usize,
-    /// What computes.
-    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
-    pub device: DeviceKind,
+    /// Threads that predict; as many as there are cores if not given.
+    #[arg(long)]
+    pub threads: Option<NonZeroUsize>,
 }

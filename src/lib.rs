@@ -13,7 +13,7 @@
 //! | L6 | `bench`, `config` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
-//! | L3 | `dataset` |
+//! | L3 | `dataset`, `engine` |
 //! | L2 | `bag`, `transport`, `model` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
@@ -24,6 +24,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod config;
 pub mod dataset;
+pub mod engine;
 pub mod eval;
 pub mod exchange;
 pub mod frame;

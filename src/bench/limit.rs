@@ -1,8 +1,9 @@
 //! An estimate of the fastest that the solver could be on this machine: the slower one of doing its
-//! arithmetic and of moving its data.
+//! arithmetic and of moving its data. And how fast memory is read, which limits streaming networks.
 
 use std::{hint::black_box, thread};
 
+use pulp::Arch;
 use serde::Serialize;
 
 use crate::{clock::Clock, mpm};
@@ -19,6 +20,8 @@ const BYTES: f64 = 2.0 * 52.0;
 const ROUNDS: u64 = 2_000_000;
 /// Numbers that each thread moves when memory is timed: far more than caches hold.
 const NUMBERS: usize = 1 << 24;
+/// Bytes that each thread reads when reading is timed: some 50 ms.
+const PASSED: usize = 1 << 29;
 /// Times that something is timed; the best one counts.
 const TRIES: usize = 5;
 
@@ -55,6 +58,23 @@ impl Limit {
         let arithmetic = OPERATIONS / self.operations;
         if in_memory { arithmetic.max(BYTES / self.bytes) } else { arithmetic }
     }
+}
+
+/// How fast so many threads together read a list of so many bytes, again and again (bytes/s).
+pub fn read_rate(threads: usize, bytes: usize) -> f64 {
+    let length = (bytes / size_of::<u32>() / threads).max(1);
+    let mut lists: Vec<Vec<u32>> = (0..threads).map(|_| vec![1; length]).collect();
+    let rounds = (PASSED / (length * size_of::<u32>())).max(1);
+    best_of(&mut lists, |list| {
+        for _ in 0..rounds {
+            let sum = Arch::new().dispatch(
+                #[inline(always)]
+                || black_box(&*list).iter().fold(0u32, |sum, &number| sum.wrapping_add(number)),
+            );
+            black_box(sum);
+        }
+        (rounds * length * size_of::<u32>()) as f64
+    })
 }
 
 /// The best rate at which so many threads do `work` at once; `work` says how much it did.

@@ -1,10 +1,14 @@
 //! What can be typed after `eddy bench`.
 
-use std::path::PathBuf;
+use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Subcommand};
 
-use eddy::{bench::training::Step, model::DeviceKind, mpm::Law};
+use eddy::{
+    bench::{inference::PARTICLES, training::Step},
+    model::{Core, DeviceKind},
+    mpm::Law,
+};
 
 /// `eddy bench`
 #[derive(Debug, Args)]
@@ -17,6 +21,8 @@ pub struct BenchArgs {
 pub enum BenchCommand {
     /// Times substeps of the Material Point Method by particles and threads.
     Solver(BenchSolverArgs),
+    /// Times the prediction of a frame by core: the paper's frame model, the shipped particle model.
+    Inference(BenchInferenceArgs),
     /// Times training steps of the paper's network by core and length of the window (its Table 4).
     Training(BenchTrainingArgs),
 }
@@ -39,6 +45,32 @@ pub struct BenchSolverArgs {
     /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
     #[arg(long, short)]
     pub output: Option<PathBuf>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench inference`
+#[derive(Debug, Args)]
+pub struct BenchInferenceArgs {
+    /// Particles of a frame.
+    #[arg(long, default_value_t = PARTICLES)]
+    pub particles: usize,
+    /// Cores of the frame model; the particle model is always there.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "mlp,lstm,gru,minlstm,mingru")]
+    pub core: Vec<Core>,
+    /// Numbers of threads of the engine.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    pub threads: Vec<NonZeroUsize>,
+    /// Devices on which the network in burn is timed beside it.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "flex,ndarray")]
+    pub device: Vec<DeviceKind>,
+    /// Times the engine alone.
+    #[arg(long)]
+    pub engine_only: bool,
+    /// About how long each is timed (s); a hundred frames at least.
+    #[arg(long, default_value_t = 1.0)]
+    pub seconds: f64,
     /// Prints JSON instead of a table.
     #[arg(long)]
     pub json: bool,

@@ -17,7 +17,7 @@ use eddy::{
     clock::{self, Clock},
     dataset,
     eval::Settings,
-    model::{Ballistic, DeviceKind},
+    model::Ballistic,
     mpm::{self, Preset, Scene, Simulation},
     msg::{Message, ParticleFrame, PredictionStatus, cdr},
     node::{FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode, drive},
@@ -33,7 +33,7 @@ const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Runs the demo.
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), DeviceKind::Flex)?;
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), None)?;
     let ballistic = Ballistic::of(surrogate.description());
     let scene = Scene::generate(Preset::MultiMaterial, args.seed, SCENE);
     let settings = mpm::Settings { duration: Some(args.seconds), ..mpm::Settings::default() };

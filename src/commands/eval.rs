@@ -10,8 +10,8 @@ use crate::cli::EvalArgs;
 use eddy::{
     checkpoint::Checkpoint,
     dataset::{self, Stream},
+    engine::Surrogate,
     eval::{Report, Settings, judge},
-    model::Surrogate,
 };
 
 /// Judges each checkpoint, prints its tables and writes its report.
@@ -26,7 +26,7 @@ pub fn run(args: EvalArgs, quiet: bool, _interrupt: &Interrupt) -> anyhow::Resul
         let name = path.display().to_string();
         let checkpoint = surrogate::checkpoint(Some(path))?;
         let unseen = unseen(&checkpoint, &digest, &streams);
-        let surrogate = Surrogate::load(&checkpoint, args.device).context(name.clone())?;
+        let surrogate = Surrogate::load(&checkpoint, args.threads).context(name.clone())?;
         let bar = progress_bar((unseen.len() * settings.starts) as u64, "rollouts", quiet);
         let report = judge_one(&surrogate, name, &digest, &unseen, settings, &bar)?;
         bar.finish_and_clear();

@@ -52,7 +52,7 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
-    let surrogate = surrogate::load(checkpoint.as_deref(), args.device)?;
+    let surrogate = surrogate::load(checkpoint.as_deref(), args.threads)?;
     let queue = FrameQueue::new(settings.queue, reliability);
     let mut node = SurrogateNode::new(surrogate, settings)?;
 

@@ -19,7 +19,7 @@ const PREDICTION: &str = "/prediction";
 /// Writes the predictions of every frame of a bag into another one. Log time is the predicted stamp,
 /// so that two runs give equal files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.device)?;
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads)?;
     let settings =
         NodeSettings { horizon: args.horizon, publish: args.publish, ..NodeSettings::default() };
     let mut node = SurrogateNode::new(surrogate, settings)?;

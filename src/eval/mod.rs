@@ -21,7 +21,8 @@ pub use window::starts;
 use crate::{
     checkpoint::Normalization,
     dataset::{Bounds, Stream},
-    model::{Ballistic, ModelError, Surrogate},
+    engine::{ModelError, Surrogate},
+    model::Ballistic,
 };
 
 /// How to judge.
@@ -193,13 +194,13 @@ fn ranges(normalization: &Normalization) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{checkpoint::Checkpoint, dataset::load_streams, model::DeviceKind};
+    use crate::{checkpoint::Checkpoint, dataset::load_streams};
 
     #[test]
     fn a_future_of_nan_changes_no_rollout() {
         let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
         let stream = load_streams(&[sample.into()]).unwrap().remove(0);
-        let surrogate = Surrogate::load(&Checkpoint::shipped().unwrap(), DeviceKind::Flex).unwrap();
+        let surrogate = Surrogate::load(&Checkpoint::shipped().unwrap(), None).unwrap();
         let (start, horizon) = (8, 10);
         let mut blind = stream.clone();
         for state in &mut blind.states[start + 1..] {

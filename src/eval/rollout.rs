@@ -2,8 +2,8 @@
 
 use crate::{
     dataset::State,
+    engine::{ModelError, Surrogate},
     frame::Frame,
-    model::{ModelError, Surrogate},
 };
 
 /// Predicted states, one for each frame ahead.

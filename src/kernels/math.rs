@@ -18,7 +18,7 @@ const LN2_LOW: f32 = -2.121_944_4e-4;
 const ROUNDER: f32 = 12_582_912.0;
 /// Coefficients of q, the highest power first.
 const Q: [f32; 6] =
-    [1.987_569_1e-4, 1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.500_000_0];
+    [1.987_569_1e-4, 1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5];
 /// Bits of an exponent's zero.
 const EXPONENT_BIAS: u32 = 127;
 /// Bits of a mantissa.

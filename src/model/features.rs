@@ -49,6 +49,13 @@ fn material_numbers(device: &Device) -> Tensor<2> {
     Tensor::<1>::from_floats(numbers, device).reshape([Material::COUNT, 1])
 }
 
+/// The unit of velocity changes (domain lengths per second): root mean square of the velocity
+/// components' standard deviations.
+pub(crate) fn velocity_unit(scale: &Normalization) -> f32 {
+    let [_, _, x, y] = scale.standard_deviation;
+    ((x * x + y * y) / 2.0).sqrt()
+}
+
 /// Feature scaling for both networks, as tensors.
 #[derive(Clone, Debug)]
 pub(crate) struct Scaling {
@@ -60,7 +67,7 @@ pub(crate) struct Scaling {
     mean: Tensor<2>,
     /// Their standard deviations, `[1, 4]`.
     deviation: Tensor<2>,
-    /// Root mean square of the two standard deviations: the unit of velocity changes.
+    /// [`velocity_unit`].
     pub(crate) velocity_unit: f32,
 }
 
@@ -69,13 +76,12 @@ impl Scaling {
         let row = |values: &[f32]| Tensor::<1>::from_floats(values, device).unsqueeze::<2>();
         let range: Vec<f32> =
             scale.maximum.iter().zip(&scale.minimum).map(|(high, low)| high - low).collect();
-        let [_, _, x, y] = scale.standard_deviation;
         Self {
             minimum: row(&scale.minimum),
             range: row(&range),
             mean: row(&scale.mean),
             deviation: row(&scale.standard_deviation),
-            velocity_unit: ((x * x + y * y) / 2.0).sqrt(),
+            velocity_unit: velocity_unit(scale),
         }
     }
 

@@ -11,13 +11,13 @@
 //! 7. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
 //! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
 //! 9. `network`: either of the two, behind one set of calls.
-//! 10. [`surrogate`]: a checkpoint that predicts frames, one after the other.
+//! 10. [`reference`]: a network that predicts frames one after the other, for comparison.
 //!
 //! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input
 //! features, `E` encoder width, `H` hidden width.
 
 pub mod ballistic;
-pub mod surrogate;
+pub mod reference;
 
 pub(crate) mod core;
 pub(crate) mod features;
@@ -35,7 +35,7 @@ pub(crate) mod scan;
 pub(crate) mod training;
 
 pub use ballistic::Ballistic;
-pub use surrogate::{Memory, ModelError, Surrogate};
+pub use reference::Reference;
 
 pub use crate::checkpoint::{Architecture, Core};
 
@@ -49,6 +49,9 @@ pub enum DeviceKind {
     Flex,
     /// burn-ndarray: this machine's CPU; deprecated upstream, kept for comparison.
     Ndarray,
+    /// The best GPU that Vulkan finds.
+    #[cfg(feature = "vulkan")]
+    Vulkan,
 }
 
 impl DeviceKind {
@@ -58,6 +61,8 @@ impl DeviceKind {
             Self::Flex => Device::flex(),
             #[expect(deprecated, reason = "selectable on purpose, see the variant")]
             Self::Ndarray => Device::ndarray(),
+            #[cfg(feature = "vulkan")]
+            Self::Vulkan => Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
         }
     }
 }

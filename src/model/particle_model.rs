@@ -17,10 +17,20 @@ use super::{
     layers::Layers,
     network::{Dropout, Hidden},
 };
-use crate::checkpoint::Description;
+use crate::checkpoint::{Description, Normalization};
 
 /// How far v' may leave the range of training velocities, as a share of that range.
 const VELOCITY_MARGIN: f32 = 0.25;
+
+/// The smallest and the largest velocities that are predicted, by axis (domain lengths per second).
+pub(crate) fn velocity_limits(scale: &Normalization) -> ([f32; 2], [f32; 2]) {
+    let bound = |side: f32, of: [f32; 4]| {
+        [2, 3].map(|axis| {
+            of[axis] + side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis])
+        })
+    };
+    (bound(-1.0, scale.minimum), bound(1.0, scale.maximum))
+}
 
 /// The particle model with its scales.
 #[derive(Clone, Debug)]
@@ -35,17 +45,14 @@ pub(crate) struct ParticleModel {
 impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
-        let bound = |side: f32, of: [f32; 4]| {
-            let margin =
-                |axis: usize| side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis]);
-            Tensor::<1>::from_floats([of[2] + margin(2), of[3] + margin(3)], device).unsqueeze()
-        };
+        let row = |values: [f32; 2]| Tensor::<1>::from_floats(values, device).unsqueeze::<2>();
+        let (slowest, fastest) = velocity_limits(scale);
         Self {
             layers,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::of(description), device),
-            slowest: bound(-1.0, scale.minimum),
-            fastest: bound(1.0, scale.maximum),
+            slowest: row(slowest),
+            fastest: row(fastest),
         }
     }
 

@@ -132,10 +132,10 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
         let (second, _) = network.observe(&track(rest, &device), &material, hidden, none);
         let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
 
-        let surrogate = Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap();
-        let mut memory = surrogate.start(&frames[0]).unwrap();
+        let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+        let mut memory = reference.start(&frames[0]);
         let streamed: Vec<Frame> =
-            frames.iter().map(|frame| surrogate.step(&mut memory, frame)).collect();
+            frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
         let flat = |pick: fn(&Frame) -> &Vec<[f32; 2]>| -> Vec<f32> {
             streamed.iter().flat_map(|f| pick(f).as_flattened()).copied().collect()
         };
@@ -156,9 +156,9 @@ fn flex_and_ndarray_agree() {
         let description = description(architecture, core);
         let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
         let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
-            let surrogate = Surrogate::load(&checkpoint, device).unwrap();
-            let mut memory = surrogate.start(&frames[0]).unwrap();
-            let last = frames.iter().map(|frame| surrogate.step(&mut memory, frame)).last();
+            let reference = Reference::load(&checkpoint, device).unwrap();
+            let mut memory = reference.start(&frames[0]);
+            let last = frames.iter().map(|frame| reference.step(&mut memory, frame)).last();
             last.unwrap()
         });
         for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
@@ -245,13 +245,13 @@ fn kernels_and_tensor_operations_give_the_same_values_and_gradients() {
 fn an_untrained_particle_model_is_the_ballistic_step() {
     let description = description(Architecture::Particle, Core::MinGru);
     let checkpoint = Checkpoint { tensors: initial(&description, 5), description };
-    let surrogate = Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap();
+    let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
     let frames = frames(3);
-    let mut memory = surrogate.start(&frames[0]).unwrap();
+    let mut memory = reference.start(&frames[0]);
     for frame in &frames {
-        let next = surrogate.step(&mut memory, frame);
+        let next = reference.step(&mut memory, frame);
         let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
-        Ballistic::of(surrogate.description()).step_all(&mut position, &mut velocity);
+        Ballistic::of(&checkpoint.description).step_all(&mut position, &mut velocity);
         let found = [next.position.as_flattened(), next.velocity.as_flattened()].concat();
         let expected = [position.as_flattened(), velocity.as_flattened()].concat();
         assert!(largest_difference(&found, &expected) <= 1e-6);
@@ -291,37 +291,4 @@ fn gates_of_an_untrained_network_are_open() {
         };
         assert!(numbers(&kept).iter().all(|a| *a <= 0.5), "{core:?}");
     }
-}
-
-#[test]
-fn particles_that_a_network_cannot_predict_are_refused() {
-    let frame = frames(1).remove(0);
-    let surrogate = |architecture| {
-        let description = description(architecture, Core::MinGru);
-        let checkpoint = Checkpoint { tensors: weights(&description, 1), description };
-        Surrogate::load(&checkpoint, DeviceKind::Flex).unwrap()
-    };
-    let refusal = |architecture, change: fn(&mut Frame)| {
-        let mut frame = frame.clone();
-        change(&mut frame);
-        surrogate(architecture).start(&frame).err().unwrap().to_string()
-    };
-    let fewer = |frame: &mut Frame| {
-        frame.position.pop();
-        frame.velocity.pop();
-        frame.material.pop();
-    };
-    let message = refusal(Architecture::Frame, fewer);
-    assert_eq!(message, "particles: found 6, expected 7 as in the checkpoint");
-    let message = refusal(Architecture::Particle, |frame| frame.material[2] = Material::Snow);
-    let expected = "expected one of liquid, jelly as in the checkpoint";
-    assert_eq!(message, format!("material[2]: found snow, {expected}"));
-    let message = refusal(Architecture::Particle, |frame| frame.dt = 0.02);
-    assert_eq!(message, "dt: found 0.02 s, expected 0.016 s as in the checkpoint");
-    let message = refusal(Architecture::Particle, |frame| frame.domain.upper = [2.0, 1.0]);
-    assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
-
-    let mut fewer_particles = frame.clone();
-    fewer(&mut fewer_particles);
-    assert!(surrogate(Architecture::Particle).start(&fewer_particles).is_ok());
 }

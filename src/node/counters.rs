@@ -1,6 +1,6 @@
 //! Everything that was not used, and why.
 
-use crate::{frame::InvalidFrame, model::ModelError, msg::BadFrame};
+use crate::{engine::ModelError, frame::InvalidFrame, msg::BadFrame};
 
 /// Why a frame was not used.
 #[derive(Debug, thiserror::Error)]

@@ -7,8 +7,8 @@ use super::{
     track::{Follows, StreamTrack},
 };
 use crate::{
+    engine::{Memory, Surrogate},
     frame::Frame,
-    model::Surrogate,
     msg::{BadFrame, Header, PredictionStatus, StreamState},
 };
 
@@ -47,6 +47,8 @@ pub struct SurrogateNode {
     surrogate: Surrogate,
     settings: NodeSettings,
     streams: BTreeMap<u64, StreamTrack>,
+    /// Room for the copy of a stream's state that looks ahead.
+    ahead: Option<Memory>,
     /// Counted up with every use of a stream: which was used last must not depend on the time.
     uses: u64,
     counters: Counters,
@@ -60,7 +62,7 @@ impl SurrogateNode {
     pub fn new(surrogate: Surrogate, settings: NodeSettings) -> Result<Self, InvalidSettings> {
         settings.check()?;
         let (streams, counters) = (BTreeMap::new(), Counters::default());
-        Ok(Self { surrogate, settings, streams, uses: 0, counters })
+        Ok(Self { surrogate, settings, streams, ahead: None, uses: 0, counters })
     }
 
     /// The surrogate that predicts.
@@ -199,7 +201,7 @@ impl SurrogateNode {
                     track.predicted = self.surrogate.step(&mut track.memory, &track.predicted);
                 }
                 self.counters.filled += gap;
-                track.predicted = self.surrogate.step(&mut track.memory, frame);
+                self.surrogate.step_into(&mut track.memory, frame, &mut track.predicted);
                 Ok(track)
             }
             Follows::After { gap } => {
@@ -220,8 +222,8 @@ impl SurrogateNode {
     }
 
     /// Predicts up to the horizon, beyond the first frame from a copy of the stream's state.
-    fn look_ahead(&self, track: &StreamTrack) -> Vec<Prediction> {
-        let Self { surrogate, settings, .. } = self;
+    fn look_ahead(&mut self, track: &StreamTrack) -> Vec<Prediction> {
+        let Self { surrogate, settings, ahead: memory, .. } = self;
         let prediction = |frame, horizon| Prediction {
             frame,
             source_sequence: track.sequence,
@@ -230,10 +232,11 @@ impl SurrogateNode {
         };
         let mut predictions = vec![prediction(track.predicted.clone(), 1)];
         if settings.horizon > 1 {
-            let mut memory = track.memory.clone();
+            let memory = memory.get_or_insert_with(|| track.memory.clone());
+            memory.clone_from(&track.memory);
             let mut frame = track.predicted.clone();
             for ahead in 2..=settings.horizon {
-                frame = surrogate.step(&mut memory, &frame);
+                frame = surrogate.step(memory, &frame);
                 if settings.publish == Publish::Last {
                     predictions.clear();
                 }

@@ -8,8 +8,9 @@ use crate::{
         Architecture, Checkpoint, Core, Description, FORMAT_VERSION, Form, FrameOptions,
         Normalization, Sizes, TrainingSummary,
     },
+    engine::{Memory, Surrogate},
     frame::{Domain, Frame, Material, Stamp},
-    model::{DeviceKind, Memory, Surrogate, layers::initial},
+    model::layers::initial,
     msg::{BadFrame, StreamState},
 };
 
@@ -53,7 +54,7 @@ fn surrogate() -> Surrogate {
     for (index, weight) in decoder.values.iter_mut().enumerate() {
         *weight = 0.1 * (index as f32).sin();
     }
-    Surrogate::load(&Checkpoint { description, tensors }, DeviceKind::Flex).unwrap()
+    Surrogate::load(&Checkpoint { description, tensors }, None).unwrap()
 }
 
 fn node(settings: NodeSettings) -> SurrogateNode {

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use crate::{
+    engine::Memory,
     frame::{Frame, Material, Stamp},
-    model::Memory,
 };
 
 /// Frames older than so many intervals mean that the stream started again (a looped bag).

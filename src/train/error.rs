@@ -5,7 +5,7 @@ use std::{io, path::PathBuf};
 use indicatif::HumanBytes;
 
 use crate::{
-    checkpoint::CheckpointError, dataset::DatasetError, eval::EvalError, model::ModelError,
+    checkpoint::CheckpointError, dataset::DatasetError, engine::ModelError, eval::EvalError,
 };
 
 /// Why a network cannot be trained, or not any further.

@@ -24,6 +24,8 @@ mod error;
 mod events;
 pub mod exercise;
 mod footprint;
+#[cfg(test)]
+mod golden;
 mod loss;
 mod moments;
 mod monitor;
@@ -195,8 +197,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
             description: description.clone(),
             tensors: state.network.layers().tensors(&description),
         };
-        let score =
-            validate::validate(&config.validation, &checkpoint, &dataset.validation, run.device)?;
+        let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
         let best = state.best_loss().is_none_or(|best| score.loss < best);
         let done = Epoch {
             epoch,

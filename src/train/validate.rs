@@ -4,8 +4,8 @@ use super::{TrainError, ValidationConfig};
 use crate::{
     checkpoint::Checkpoint,
     dataset::{Bounds, Trajectory},
+    engine::Surrogate,
     eval::{EvalError, Judge, Report, Settings, starts},
-    model::{DeviceKind, Surrogate},
 };
 
 /// What free rollouts came to.
@@ -24,9 +24,8 @@ pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
     streams: &[Trajectory],
-    device: DeviceKind,
 ) -> Result<Score, TrainError> {
-    let surrogate = Surrogate::load(checkpoint, device)?;
+    let surrogate = Surrogate::load(checkpoint, None)?;
     let settings = Settings { horizon: config.horizon, starts: config.starts };
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));

@@ -10,6 +10,7 @@ mod layers;
 mod mpm;
 mod physics;
 mod pipeline;
+mod pytorch;
 mod scenes;
 mod support;
 mod train;

@@ -1,5 +1,6 @@
 //! `eddy bench`: tables for this machine.
 
+mod inference;
 mod solver;
 mod training;
 
@@ -12,6 +13,7 @@ use crate::cli::{BenchArgs, BenchCommand};
 pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     match args.command {
         BenchCommand::Solver(args) => solver::run(args, quiet, interrupt),
+        BenchCommand::Inference(args) => inference::run(args, quiet, interrupt),
         BenchCommand::Training(args) => training::run(args, quiet, interrupt),
     }
 }

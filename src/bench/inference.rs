@@ -1,0 +1,228 @@
+//! How long the prediction of a frame takes, one stream, one frame after the other.
+
+use std::num::NonZeroUsize;
+
+use serde::Serialize;
+
+use crate::{
+    checkpoint::{
+        Architecture, Checkpoint, CheckpointError, Core, Description, FORMAT_VERSION, Form,
+        FrameOptions, Normalization, Sizes, TrainingSummary,
+    },
+    clock::Clock,
+    engine::{ModelError, Surrogate},
+    frame::{Domain, Frame, Material, Stamp},
+    model::{DeviceKind, Reference, layers::initial},
+};
+
+/// Particles of the paper's scenes.
+pub const PARTICLES: usize = 2500;
+
+/// Time between two frames of the paper's scenes (s).
+const DT: f32 = 0.016;
+/// Frames before the clock starts.
+const WARM_UP: usize = 5;
+/// Fewest frames that are timed, for the 99th percentile to be one.
+const FEWEST: usize = 100;
+
+/// A network with a frame to observe.
+pub struct Case {
+    /// The network.
+    pub checkpoint: Checkpoint,
+    frame: Frame,
+}
+
+/// What predicts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Engine {
+    /// [`engine`](crate::engine) on so many threads: what streams.
+    Own(NonZeroUsize),
+    /// The network as it is trained, in burn.
+    Burn(DeviceKind),
+}
+
+/// The time of a frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct Timing {
+    /// Which network: `frame` or `particle`.
+    pub architecture: Architecture,
+    /// Its core.
+    pub core: Core,
+    /// Particles of a frame.
+    pub particles: usize,
+    /// Bytes of its weights.
+    pub weights: usize,
+    /// What predicts: `engine`, or burn's device, `flex` or `ndarray`.
+    pub engine: String,
+    /// Threads of the engine; burn takes what there is.
+    pub threads: Option<usize>,
+    /// Median time of a frame (ms).
+    pub p50: f64,
+    /// 99th percentile of it (ms).
+    pub p99: f64,
+    /// Frames timed.
+    pub frames: usize,
+}
+
+impl Case {
+    /// The paper's frame model for so many particles, with initial weights.
+    pub fn frame(core: Core, particles: usize) -> Self {
+        let description = description(core, particles);
+        let frame = frame(&description, particles);
+        Self { checkpoint: Checkpoint { tensors: initial(&description, 1), description }, frame }
+    }
+
+    /// The shipped particle model, on so many particles.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::shipped`].
+    pub fn shipped(particles: usize) -> Result<Self, CheckpointError> {
+        let checkpoint = Checkpoint::shipped()?;
+        let frame = frame(&checkpoint.description, particles);
+        Ok(Self { checkpoint, frame })
+    }
+
+    /// Bytes of the weights; each is read once a frame.
+    pub fn weights(&self) -> usize {
+        self.checkpoint.parameters() * size_of::<f32>()
+    }
+
+    /// Times frames for about so long (s), a hundred at least.
+    ///
+    /// # Errors
+    /// [`ModelError`] when the network cannot take the frame.
+    pub fn time(&self, engine: Engine, seconds: f64) -> Result<Timing, ModelError> {
+        let times = match engine {
+            Engine::Own(threads) => {
+                let surrogate = Surrogate::load(&self.checkpoint, Some(threads))?;
+                let mut memory = surrogate.start(&self.frame)?;
+                let mut next = self.frame.clone();
+                time(seconds, || surrogate.step_into(&mut memory, &self.frame, &mut next))
+            }
+            Engine::Burn(device) => {
+                let reference = Reference::load(&self.checkpoint, device)?;
+                let mut memory = reference.start(&self.frame);
+                time(seconds, || {
+                    reference.step(&mut memory, &self.frame);
+                })
+            }
+        };
+        let Description { architecture, core, .. } = self.checkpoint.description;
+        Ok(Timing {
+            architecture,
+            core,
+            particles: self.frame.len(),
+            weights: self.weights(),
+            engine: match engine {
+                Engine::Own(_) => "engine".to_owned(),
+                Engine::Burn(DeviceKind::Flex) => "flex".to_owned(),
+                Engine::Burn(DeviceKind::Ndarray) => "ndarray".to_owned(),
+            },
+            threads: match engine {
+                Engine::Own(threads) => Some(threads.get()),
+                Engine::Burn(_) => None,
+            },
+            p50: 1e3 * times[times.len() / 2],
+            p99: 1e3 * times[times.len() * 99 / 100],
+            frames: times.len(),
+        })
+    }
+}
+
+/// The time of each step (s), the shortest first.
+fn time(seconds: f64, mut step: impl FnMut()) -> Vec<f64> {
+    for _ in 0..WARM_UP {
+        step();
+    }
+    let total = Clock::start();
+    let mut times = Vec::new();
+    while times.len() < FEWEST || total.now().as_secs_f64() < seconds {
+        let clock = Clock::start();
+        step();
+        times.push(clock.now().as_secs_f64());
+    }
+    times.sort_by(f64::total_cmp);
+    times
+}
+
+/// Particles all over the box, of the network's materials.
+fn frame(description: &Description, particles: usize) -> Frame {
+    let Description { domain, materials, dt, .. } = description;
+    // Multiples of irrational numbers fill the box evenly.
+    let place = |n: usize, axis: usize| {
+        let part = (n as f64 * [0.618_033_988_7, 0.754_877_666_2][axis]).fract() as f32;
+        domain.lower[axis] + (0.1 + 0.8 * part) * (domain.upper[axis] - domain.lower[axis])
+    };
+    let pace = |n: usize| [(n as f32 * 0.7).sin(), (n as f32 * 1.3).cos()];
+    Frame {
+        stream: 0,
+        sequence: 0,
+        stamp: Stamp(0),
+        dt: *dt,
+        domain: *domain,
+        position: (0..particles).map(|n| [place(n, 0), place(n, 1)]).collect(),
+        velocity: (0..particles).map(pace).collect(),
+        material: (0..particles).map(|n| materials[n % materials.len()]).collect(),
+    }
+}
+
+/// The paper's widths (Table 1).
+fn description(core: Core, particles: usize) -> Description {
+    Description {
+        format_version: FORMAT_VERSION,
+        architecture: Architecture::Frame,
+        core,
+        form: Form::Plain,
+        normalize_gates: true,
+        dt: DT,
+        warm_up: 2,
+        gravity: [0.0, -9.8],
+        materials: Material::ALL.to_vec(),
+        data: String::new(),
+        sizes: Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) },
+        frame: FrameOptions::default(),
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.0, 0.0, -1.0, -1.0],
+            maximum: [1.0; 4],
+            mean: [0.5, 0.5, 0.0, 0.0],
+            standard_deviation: [0.3, 0.3, 0.6, 0.6],
+        },
+        training: TrainingSummary {
+            command: String::new(),
+            seed: 1,
+            epochs: 0,
+            best_epoch: 0,
+            training_loss: 0.0,
+            validation_loss: 0.0,
+            samples: 0,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_networks_are_timed_by_everything_that_predicts() {
+        let cases = [Case::shipped(50).unwrap(), Case::frame(Core::MinGru, 10)];
+        for case in cases {
+            for engine in [Engine::Own(NonZeroUsize::MIN), Engine::Burn(DeviceKind::Flex)] {
+                let timing = case.time(engine, 0.0).unwrap();
+                assert!(0.0 < timing.p50 && timing.p50 <= timing.p99, "{timing:?}");
+                assert_eq!(timing.frames, FEWEST);
+            }
+        }
+    }
+
+    #[test]
+    fn the_timed_networks_are_the_papers() {
+        // Millions of parameters, with PyTorch's two biases in GRU and LSTM.
+        let cores = [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm];
+        for (core, expected) in cores.into_iter().zip([14.40, 17.52, 26.91, 33.16]) {
+            let found = Case::frame(core, PARTICLES).checkpoint.parameters() as f64 * 1e-6;
+            assert!((found - expected).abs() < 0.01, "{core:?}: {found}");
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! The layers of the core, one panel of units of some rows at a time.
+//!
+//! The equations are those of `model/mlp.rs`, `lstm.rs`, `gru.rs`, `minlstm.rs` and `mingru.rs`. All gates
+//! of a unit are computed at once, and the unit's state from them, so that no gate is ever stored.
+
+use std::collections::BTreeMap;
+
+use pulp::Simd;
+
+use super::linear::{Linear, add_products};
+use crate::{
+    checkpoint::{Activation, Core, Description, Form, Weights, layout},
+    kernels::{
+        math::{elu, relu, sigmoid, tanh},
+        minimal::LEAST_SUM,
+    },
+};
+
+/// One layer of the core.
+#[derive(Debug)]
+pub(super) struct CoreLayer {
+    core: Core,
+    form: Form,
+    normalize_gates: bool,
+    activation: Activation,
+    /// What the layer computes from its input, gate by gate.
+    input: Vec<Linear>,
+    /// What LSTM and GRU compute from their own last output, gate by gate.
+    hidden: Vec<Linear>,
+}
+
+/// The state of a panel of units in R rows.
+pub(super) struct Units<S: Simd, const R: usize> {
+    /// Their outputs.
+    pub(super) hidden: [S::f32s; R],
+    /// Their cells (LSTM only).
+    pub(super) cell: Option<[S::f32s; R]>,
+}
+
+impl CoreLayer {
+    /// Packs layer number `layer` of the described core.
+    pub(super) fn pack(
+        lanes: usize,
+        description: &Description,
+        tensors: &BTreeMap<String, Weights>,
+        layer: usize,
+    ) -> Self {
+        let core = description.core;
+        let (mut input, mut hidden) = (Vec::new(), Vec::new());
+        for &(part, gates) in layout::core_parts(core) {
+            let [weight, bias] = layout::core_names(core, layer, part).map(|name| &tensors[&name]);
+            let packed = (0..gates).map(|gate| Linear::pack(lanes, weight, bias, gate, gates));
+            if part == "hh" { hidden.extend(packed) } else { input.extend(packed) }
+        }
+        let Description { form, normalize_gates, frame, .. } = description;
+        Self {
+            core,
+            form: *form,
+            normalize_gates: *normalize_gates,
+            activation: frame.activation,
+            input,
+            hidden,
+        }
+    }
+
+    /// Panels of its units.
+    pub(super) fn panels(&self) -> usize {
+        self.input[0].panels()
+    }
+
+    /// The units of a panel.
+    #[inline(always)]
+    pub(super) fn units(&self, panel: usize) -> std::ops::Range<usize> {
+        self.input[0].outputs(panel)
+    }
+
+    /// Its linear parts.
+    pub(super) fn linears(&self) -> impl Iterator<Item = &Linear> {
+        self.input.iter().chain(&self.hidden)
+    }
+
+    /// One frame on: the new state of a panel of units from the layer's inputs, and from its last
+    /// outputs and cells (all units of each row). Sums are in K parts, as in [`add_products`].
+    #[inline(always)]
+    pub(super) fn step<S: Simd, const R: usize, const K: usize>(
+        &self,
+        simd: S,
+        panel: usize,
+        inputs: [&[f32]; R],
+        hidden: [&[f32]; R],
+        cells: [&[f32]; R],
+    ) -> Units<S, R> {
+        let units = self.units(panel);
+        let mut next = Units { hidden: [simd.splat_f32s(0.0); R], cell: None };
+        match self.core {
+            Core::Mlp => {
+                let [sums] = self.gates::<S, 1, R, K>(simd, panel, inputs);
+                for (output, sum) in next.hidden.iter_mut().zip(sums) {
+                    *output = activate(simd, self.activation, sum);
+                }
+            }
+            Core::MinGru => {
+                let [gate, candidate] = self.gates::<S, 2, R, K>(simd, panel, inputs);
+                for r in 0..R {
+                    let update = sigmoid(simd, gate[r]);
+                    let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
+                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
+                }
+            }
+            Core::MinLstm => {
+                let [forget, input, candidate] = self.gates::<S, 3, R, K>(simd, panel, inputs);
+                for r in 0..R {
+                    let mut kept = sigmoid(simd, forget[r]);
+                    let mut update = sigmoid(simd, input[r]);
+                    if self.normalize_gates {
+                        let sum = simd.add_f32s(kept, update);
+                        let sum = simd.add_f32s(sum, simd.splat_f32s(LEAST_SUM));
+                        update = simd.div_f32s(update, sum);
+                        kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
+                    }
+                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
+                }
+            }
+            Core::Gru => {
+                let [ir, iz, input] = self.gates::<S, 3, R, K>(simd, panel, inputs);
+                let [hr, hz, hn] = self.biases::<S, 3, R>(simd, panel);
+                let (mut reset, mut update) = (ir, iz);
+                for r in 0..R {
+                    reset[r] = simd.add_f32s(ir[r], hr[r]);
+                    update[r] = simd.add_f32s(iz[r], hz[r]);
+                }
+                let panels = self.recurrent::<3>(panel);
+                let sums = [reset, update, hn];
+                let [reset, update, recurrent] =
+                    add_products::<S, 3, R, K>(simd, panels, hidden, sums);
+                for r in 0..R {
+                    let reset = sigmoid(simd, reset[r]);
+                    let update = sigmoid(simd, update[r]);
+                    let sum = simd.mul_add_e_f32s(reset, recurrent[r], input[r]);
+                    let candidate = tanh(simd, sum);
+                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    let change = simd.sub_f32s(last, candidate);
+                    next.hidden[r] = simd.mul_add_e_f32s(update, change, candidate);
+                }
+            }
+            Core::Lstm => {
+                let mut sums = self.gates::<S, 4, R, K>(simd, panel, inputs);
+                let biases = self.biases::<S, 4, R>(simd, panel);
+                for gate in 0..4 {
+                    for r in 0..R {
+                        sums[gate][r] = simd.add_f32s(sums[gate][r], biases[gate][r]);
+                    }
+                }
+                let panels = self.recurrent::<4>(panel);
+                let [input, forget, candidate, output] =
+                    add_products::<S, 4, R, K>(simd, panels, hidden, sums);
+                let mut cell = [simd.splat_f32s(0.0); R];
+                for r in 0..R {
+                    let last = simd.partial_load_f32s(&cells[r][units.clone()]);
+                    let kept = simd.mul_f32s(sigmoid(simd, forget[r]), last);
+                    let (input, candidate) = (sigmoid(simd, input[r]), tanh(simd, candidate[r]));
+                    cell[r] = simd.mul_add_e_f32s(input, candidate, kept);
+                    next.hidden[r] = simd.mul_f32s(sigmoid(simd, output[r]), tanh(simd, cell[r]));
+                }
+                next.cell = Some(cell);
+            }
+        }
+        next
+    }
+
+    /// The G sums from the input.
+    #[inline(always)]
+    fn gates<S: Simd, const G: usize, const R: usize, const K: usize>(
+        &self,
+        simd: S,
+        panel: usize,
+        inputs: [&[f32]; R],
+    ) -> [[S::f32s; R]; G] {
+        let mut panels = [[].as_slice(); G];
+        let mut sums = [[simd.splat_f32s(0.0); R]; G];
+        for (g, linear) in self.input.iter().enumerate() {
+            panels[g] = linear.panel(panel);
+            sums[g] = linear.bias(simd, panel);
+        }
+        add_products::<S, G, R, K>(simd, panels, inputs, sums)
+    }
+
+    /// The G biases of what is computed from the last output.
+    #[inline(always)]
+    fn biases<S: Simd, const G: usize, const R: usize>(
+        &self,
+        simd: S,
+        panel: usize,
+    ) -> [[S::f32s; R]; G] {
+        let mut biases = [[simd.splat_f32s(0.0); R]; G];
+        for (bias, linear) in biases.iter_mut().zip(&self.hidden) {
+            *bias = linear.bias(simd, panel);
+        }
+        biases
+    }
+
+    /// The G panels that the last output is multiplied with.
+    #[inline(always)]
+    fn recurrent<const G: usize>(&self, panel: usize) -> [&[f32]; G] {
+        let mut panels = [[].as_slice(); G];
+        for (weights, linear) in panels.iter_mut().zip(&self.hidden) {
+            *weights = linear.panel(panel);
+        }
+        panels
+    }
+
+    /// `kept` h + `update` c, in the log form with g(c) = relu(c) + sigmoid(min(c, 0)) for c.
+    #[inline(always)]
+    fn mix<S: Simd>(
+        &self,
+        simd: S,
+        kept: S::f32s,
+        last: S::f32s,
+        update: S::f32s,
+        candidate: S::f32s,
+    ) -> S::f32s {
+        let candidate = match self.form {
+            Form::Plain => candidate,
+            Form::Log => {
+                let positive = relu(simd, candidate);
+                let negative = simd.sub_f32s(candidate, positive);
+                simd.add_f32s(positive, sigmoid(simd, negative))
+            }
+        };
+        simd.mul_add_e_f32s(kept, last, simd.mul_f32s(update, candidate))
+    }
+}
+
+/// The activation, number by number.
+#[inline(always)]
+pub(super) fn activate<S: Simd>(simd: S, kind: Activation, x: S::f32s) -> S::f32s {
+    match kind {
+        Activation::Sigmoid => sigmoid(simd, x),
+        Activation::Tanh => tanh(simd, x),
+        Activation::Relu => relu(simd, x),
+        Activation::Elu => elu(simd, x),
+    }
+}

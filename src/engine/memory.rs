@@ -1,0 +1,69 @@
+//! What a network remembers of a stream.
+
+use crate::{checkpoint::Core, checkpoint::Description, frame::Frame};
+
+/// The hidden state of one stream: what the network remembers of the frames it observed.
+///
+/// `clone_from` copies into a memory of the same network and number of particles without asking for
+/// more room, as a look-ahead does at every frame.
+#[derive(Debug, PartialEq)]
+pub struct Memory {
+    /// Each particle's material number, `[N]`.
+    pub(super) material: Vec<u8>,
+    /// Last outputs of the core, `[layer, R, H]`, R being 1 in the frame model and N in the particle
+    /// model. Zero before the first frame.
+    pub(super) hidden: Vec<f32>,
+    /// Cells of an LSTM, of the same shape; empty in other cores.
+    pub(super) cell: Vec<f32>,
+    /// Particle model: velocities that the ballistic step foretold for the coming frame, `[N, 2]`;
+    /// empty in the frame model.
+    pub(super) foretold: Vec<[f32; 2]>,
+    /// Whether a frame was observed.
+    pub(super) begun: bool,
+}
+
+impl Memory {
+    /// The empty memory for the particles of `frame`.
+    pub(super) fn new(description: &Description, frame: &Frame) -> Self {
+        let particles = frame.len();
+        let (rows, foretold) = match description.sizes.particles {
+            Some(_) => (1, 0),
+            None => (particles, particles),
+        };
+        let states = description.sizes.layers * rows * description.sizes.hidden;
+        let cells = if description.core == Core::Lstm { states } else { 0 };
+        Self {
+            material: frame.material.iter().map(|&material| material as u8).collect(),
+            hidden: vec![0.0; states],
+            cell: vec![0.0; cells],
+            foretold: vec![[0.0; 2]; foretold],
+            begun: false,
+        }
+    }
+
+    /// How many particles it is for.
+    pub fn particles(&self) -> usize {
+        self.material.len()
+    }
+}
+
+impl Clone for Memory {
+    fn clone(&self) -> Self {
+        Self {
+            material: self.material.clone(),
+            hidden: self.hidden.clone(),
+            cell: self.cell.clone(),
+            foretold: self.foretold.clone(),
+            begun: self.begun,
+        }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { material, hidden, cell, foretold, begun } = self;
+        material.clone_from(&other.material);
+        hidden.clone_from(&other.hidden);
+        cell.clone_from(&other.cell);
+        foretold.clone_from(&other.foretold);
+        *begun = other.begun;
+    }
+}

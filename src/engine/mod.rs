@@ -1,0 +1,35 @@
+//! The networks of [`model`](crate::model), for streaming: one frame of one stream at a time.
+//!
+//! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers.
+//! 2. `encoder`: the frame model's pointwise encoder with its pooling, fused.
+//! 3. `particle_features`: what the particle model sees of each particle.
+//! 4. `core`: the layers of the five cores.
+//! 5. `crew`: threads that stay and share the items of a frame's stages.
+//! 6. `frame_model`: the paper's network (Table 1) out of these.
+//! 7. `particle_model`: one hidden state a particle, blocks of particles through all layers.
+//! 8. `memory`: what a network remembers of a stream.
+//! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
+//!
+//! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
+//! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
+//! give the same numbers within 1e-5 (a property test holds the two together).
+//!
+//! Letters in shapes are those of `model`.
+
+mod core;
+mod crew;
+mod encoder;
+mod error;
+mod frame_model;
+mod linear;
+mod memory;
+mod particle_features;
+mod particle_model;
+mod surrogate;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::ModelError;
+pub use memory::Memory;
+pub use surrogate::Surrogate;

@@ -1,0 +1,315 @@
+//! The engine beside the networks in burn, and beside itself.
+
+use std::num::NonZeroUsize;
+
+use proptest::{prelude::*, sample::select};
+use pulp::Arch;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{Memory, Surrogate};
+use crate::{
+    checkpoint::{
+        Activation, Architecture, Checkpoint, Core, Description, FORMAT_VERSION, FeatureScaling,
+        Form, FrameOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
+    },
+    frame::{Domain, Frame, Material, Stamp},
+    model::{DeviceKind, Reference, layers::initial},
+};
+
+const DT: f32 = 0.016;
+
+fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Description {
+    Description {
+        format_version: FORMAT_VERSION,
+        architecture,
+        core,
+        form: Form::Plain,
+        normalize_gates: true,
+        dt: DT,
+        warm_up: 2,
+        gravity: [0.0, -9.8],
+        materials: Material::ALL.to_vec(),
+        data: String::new(),
+        sizes,
+        frame: FrameOptions::default(),
+        domain: Domain::UNIT,
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -4.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.1, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        training: TrainingSummary {
+            command: String::new(),
+            seed: 0,
+            epochs: 0,
+            best_epoch: 0,
+            training_loss: 0.0,
+            validation_loss: 0.0,
+            samples: 0,
+        },
+    }
+}
+
+/// Random weights, biases and decoder included.
+fn checkpoint(description: Description, seed: u64) -> Checkpoint {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial(&description, seed);
+    for (name, weights) in &mut tensors {
+        if name.starts_with("decoder") || weights.shape.len() == 1 {
+            for value in &mut weights.values {
+                *value += random.random_range(-0.3..0.3);
+            }
+        }
+    }
+    Checkpoint { description, tensors }
+}
+
+/// Particles that jump about, on and beyond the walls too: no network can tell them from truth.
+fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let material: Vec<_> =
+        (0..particles).map(|_| Material::ALL[random.random_range(0..4)]).collect();
+    let mut pairs = |low: f32, high: f32| {
+        (0..particles).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    (0..count)
+        .map(|sequence| Frame {
+            stream: 4,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: pairs(0.0, 1.0),
+            velocity: pairs(-2.0, 2.0),
+            material: material.clone(),
+        })
+        .collect()
+}
+
+fn largest_difference(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+fn threads(number: usize) -> Option<NonZeroUsize> {
+    NonZeroUsize::new(number)
+}
+
+/// Sets of instructions of this processor, the plainest first.
+fn sets() -> Vec<Arch> {
+    let mut sets = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        sets.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        sets.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    sets.push(Arch::new());
+    sets
+}
+
+/// Predictions from one frame after the other.
+fn stream(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
+    let mut memory = surrogate.start(&frames[0]).unwrap();
+    frames.iter().map(|frame| surrogate.step(&mut memory, frame)).collect()
+}
+
+/// Everything a frame model can be.
+fn frame_options() -> impl Strategy<Value = FrameOptions> {
+    (
+        select(&[Pooling::Mean, Pooling::Max, Pooling::MeanMax][..]),
+        select(&Activation::ALL[..]),
+        select(&[MaterialInput::OneHot, MaterialInput::Scalar][..]),
+        select(&[FeatureScaling::MinMax, FeatureScaling::ZScore][..]),
+    )
+        .prop_map(|(pooling, activation, material, scaling)| FrameOptions {
+            pooling,
+            activation,
+            material,
+            scaling,
+        })
+}
+
+/// Everything a checkpoint can describe, with the number of particles to predict.
+fn descriptions() -> impl Strategy<Value = (Description, usize)> {
+    let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
+    (any::<bool>(), select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), sizes).prop_map(
+        |(whole, core, [log, normalize_gates], frame, (encoder, hidden, layers, particles))| {
+            let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
+            let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
+            let description = Description {
+                form: if log { Form::Log } else { Form::Plain },
+                normalize_gates,
+                frame: if whole { frame } else { FrameOptions::default() },
+                ..description(architecture, core, sizes)
+            };
+            (description, particles)
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+    #[test]
+    fn every_network_predicts_what_the_one_in_burn_predicts(
+        (description, particles) in descriptions(),
+        seed in any::<u64>(),
+    ) {
+        let checkpoint = checkpoint(description, seed);
+        let frames = frames(5, particles, seed);
+        let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+        let mut memory = reference.start(&frames[0]);
+        let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
+        for set in sets() {
+            let surrogate = Surrogate::load_for(&checkpoint, threads(1), set).unwrap();
+            for (found, expected) in stream(&surrogate, &frames).iter().zip(&expected) {
+                let position = largest_difference(&found.position, &expected.position);
+                let velocity = largest_difference(&found.velocity, &expected.velocity);
+                prop_assert!(position <= 1e-5 && velocity <= 1e-5, "{set:?}: {position}, {velocity}");
+                prop_assert_eq!(
+                    (found.sequence, found.stamp, &found.material),
+                    (expected.sequence, expected.stamp, &expected.material)
+                );
+            }
+        }
+    }
+}
+
+/// One network of each kind, wide enough for all threads to work on it.
+fn wide(core: Core) -> Vec<(Checkpoint, Vec<Frame>)> {
+    let frame_sizes = Sizes { encoder: 70, hidden: 210, layers: 2, particles: Some(301) };
+    let frame = description(Architecture::Frame, core, frame_sizes);
+    let options = FrameOptions { pooling: Pooling::MeanMax, ..FrameOptions::default() };
+    let both = Description { frame: options, ..frame.clone() };
+    let sizes = Sizes { encoder: 40, hidden: 50, layers: 2, particles: None };
+    let particle = description(Architecture::Particle, core, sizes);
+    let make = |description| (checkpoint(description, 5), frames(4, 301, 6));
+    [frame, both, particle].map(make).into()
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    for core in Core::ALL {
+        for (checkpoint, frames) in wide(core) {
+            let expected = stream(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+            for number in [2, 3, 8] {
+                let surrogate = Surrogate::load(&checkpoint, threads(number)).unwrap();
+                assert_eq!(stream(&surrogate, &frames), expected, "{core:?}, {number} threads");
+            }
+        }
+    }
+}
+
+#[test]
+fn sets_of_instructions_with_a_fused_multiply_add_give_the_same_bits() {
+    for core in Core::ALL {
+        for (checkpoint, frames) in wide(core) {
+            let sets = sets();
+            let all = sets[1..].iter().map(|&set| {
+                stream(&Surrogate::load_for(&checkpoint, threads(2), set).unwrap(), &frames)
+            });
+            let all: Vec<_> = all.collect();
+            assert!(all.windows(2).all(|pair| pair[0] == pair[1]), "{core:?}");
+        }
+    }
+}
+
+#[test]
+fn a_stream_among_others_is_predicted_as_if_it_were_alone() {
+    for (checkpoint, first) in wide(Core::Lstm) {
+        let surrogate = Surrogate::load(&checkpoint, threads(2)).unwrap();
+        let second = frames(4, 301, 7);
+        let alone = [stream(&surrogate, &first), stream(&surrogate, &second)];
+        let mut memories = [&first, &second].map(|frames| surrogate.start(&frames[0]).unwrap());
+        for number in 0..4 {
+            for (which, frames) in [&first, &second].into_iter().enumerate() {
+                let found = surrogate.step(&mut memories[which], &frames[number]);
+                assert_eq!(found, alone[which][number]);
+            }
+        }
+        // From several threads at once as well.
+        std::thread::scope(|scope| {
+            for (frames, expected) in [&first, &second].into_iter().zip(&alone) {
+                let surrogate = &surrogate;
+                scope.spawn(move || assert_eq!(&stream(surrogate, frames), expected));
+            }
+        });
+    }
+}
+
+#[test]
+fn a_copied_memory_goes_on_from_where_it_was_copied() {
+    for (checkpoint, frames) in wide(Core::Gru) {
+        let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
+        let mut memory = surrogate.start(&frames[0]).unwrap();
+        surrogate.step(&mut memory, &frames[0]);
+        let mut copy = Memory::clone(&memory);
+        let expected = surrogate.step(&mut copy, &frames[1]);
+        assert_ne!(copy, memory, "a step leaves no trace");
+        copy.clone_from(&memory);
+        assert_eq!(surrogate.step(&mut copy, &frames[1]), expected);
+    }
+}
+
+#[test]
+fn what_is_not_finite_stays_so() {
+    for (checkpoint, mut frames) in wide(Core::MinGru) {
+        let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
+        let mut memory = surrogate.start(&frames[0]).unwrap();
+        frames[0].velocity[200][1] = f32::NAN;
+        assert!(surrogate.step(&mut memory, &frames[0]).check().is_err());
+    }
+}
+
+#[test]
+fn particles_that_a_network_cannot_predict_are_refused() {
+    let frame = frames(1, 7, 1).remove(0);
+    let surrogate = |architecture| {
+        let particles = (architecture == Architecture::Frame).then_some(7);
+        let sizes = Sizes { encoder: 6, hidden: 5, layers: 2, particles };
+        let mut description = description(architecture, Core::MinGru, sizes);
+        description.materials.retain(|&material| material != Material::Snow);
+        Surrogate::load(&checkpoint(description, 1), threads(1)).unwrap()
+    };
+    let refusal = |architecture, change: fn(&mut Frame)| {
+        let mut frame = frame.clone();
+        frame.material.fill(Material::Liquid);
+        change(&mut frame);
+        surrogate(architecture).start(&frame).err().unwrap().to_string()
+    };
+    let fewer = |frame: &mut Frame| {
+        frame.position.pop();
+        frame.velocity.pop();
+        frame.material.pop();
+    };
+    let message = refusal(Architecture::Frame, fewer);
+    assert_eq!(message, "particles: found 6, expected 7 as in the checkpoint");
+    let message = refusal(Architecture::Particle, |frame| frame.material[2] = Material::Snow);
+    let expected = "expected one of liquid, jelly, rope as in the checkpoint";
+    assert_eq!(message, format!("material[2]: found snow, {expected}"));
+    let message = refusal(Architecture::Particle, |frame| frame.dt = 0.02);
+    assert_eq!(message, "dt: found 0.02 s, expected 0.016 s as in the checkpoint");
+    let message = refusal(Architecture::Particle, |frame| frame.domain.upper = [2.0, 1.0]);
+    assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
+
+    let mut fewer_particles = frame.clone();
+    fewer_particles.material.fill(Material::Jelly);
+    fewer(&mut fewer_particles);
+    assert!(surrogate(Architecture::Particle).start(&fewer_particles).is_ok());
+}
+
+#[test]
+fn weights_that_do_not_fit_are_refused_by_name() {
+    let (mut checkpoint, _) = wide(Core::Gru).remove(0);
+    checkpoint.tensors.remove("core.weight_hh_l1");
+    let message = Surrogate::load(&checkpoint, None).err().unwrap().to_string();
+    assert!(message.contains("core.weight_hh_l1: found nothing"), "{message}");
+
+    let (mut checkpoint, _) = wide(Core::Gru).remove(0);
+    checkpoint.description.sizes.hidden = 1 << 20;
+    let message = Surrogate::load(&checkpoint, None).err().unwrap().to_string();
+    assert!(message.contains("sizes.hidden: found 1048576, expected 1 to 65536"), "{message}");
+}

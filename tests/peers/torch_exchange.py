@@ -1,0 +1,112 @@
+"""Checkpoints go both ways between eddy and PyTorch.
+
+    pip install -r tests/peers/requirements-bench.txt
+    cargo build --release
+    python tests/peers/torch_exchange.py target/release/eddy
+
+For every core: a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
+with `strict=True`, each predict a bag through `eddy predict` and in PyTorch. A table shows the largest
+difference as a share of the largest number; exits with 1 if one is above 1e-5.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import torch
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from torch_model import Bodies, FrameModel, describe, load, save
+
+MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
+FRAME = "eddy_msgs/msg/ParticleFrame"
+CORES = ("mlp", "lstm", "gru", "minlstm", "mingru")
+SIZES = {"encoder": 32, "hidden": 48, "layers": 2}
+TRAINING = """
+epochs = 1
+network.encoder = 32
+network.hidden = 48
+windows.per_epoch = 64
+validation.horizon = 4
+"""
+NEAR = 1e-5
+
+
+def typestore() -> Typestore:
+    """ROS 2's messages and ours."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(MSGS.glob("*.msg")):
+        store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
+    return store
+
+
+def frames(bag: Path, topic: str, store: Typestore) -> dict[int, object]:
+    """The frames on a topic of a bag, by sequence."""
+    with Reader(bag) as reader:
+        chosen = [connection for connection in reader.connections if connection.topic == topic]
+        found = [store.deserialize_cdr(data, FRAME) for _, _, data in reader.messages(chosen)]
+    return {frame.sequence: frame for frame in found}
+
+
+def stack(found: list[object]) -> Bodies:
+    """Positions and velocities of frames, [T, 1, N, 2]."""
+    position, velocity = (
+        torch.stack([torch.from_numpy(getattr(frame, part).copy()).reshape(1, -1, 2) for frame in found])
+        for part in ("position", "velocity")
+    )
+    return position, velocity
+
+
+def difference(eddy: str, model: FrameModel, checkpoint: Path, bag: Path, work: Path) -> float:
+    """Between eddy's and PyTorch's predictions, as a share of the largest number."""
+    store = typestore()
+    output = work / f"predicted_{checkpoint.name}"
+    command = [eddy, "--quiet", "predict", "--checkpoint", checkpoint, "--input", bag, "--output", output]
+    subprocess.run(command, check=True)
+    shown = frames(bag, "/particles", store)
+    predicted = frames(output, "/prediction", store)
+    material = torch.from_numpy(shown[0].material.copy()).long().unsqueeze(0)
+    with torch.no_grad():
+        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), model.kind(material))
+    apart = 0.0
+    for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
+        expected = expected[-len(found) :]  # without those of the warm-up
+        apart = max(apart, float((found - expected).abs().max() / expected.abs().max()))
+    return apart
+
+
+def main() -> None:
+    [eddy] = sys.argv[1:]
+    torch.manual_seed(1)
+    apart: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        simulate = ["--scenes", "3", "--seed", "7", "--duration", "0.5", "--output", work / "truth"]
+        subprocess.run([eddy, "--quiet", "simulate", *simulate], check=True)
+        bag = work / "truth" / "scene_0002"
+        particles = len(frames(bag, "/particles", typestore())[0].material)
+        (work / "train.toml").write_text(TRAINING)
+        print("core     by PyTorch  by eddy")
+        for core in CORES:
+            written = work / f"{core}_torch"
+            description = describe(core, SIZES | {"particles": particles})
+            model = FrameModel(description)
+            save(model, description, written)
+            trained = work / f"{core}_eddy"
+            train = ["--architecture", "frame", "--core", core, "--config", work / "train.toml"]
+            train += ["--data", work / "truth", "--output", trained]
+            subprocess.run([eddy, "--quiet", "train", *train], check=True)
+            both = [
+                difference(eddy, model, written, bag, work),
+                difference(eddy, load(trained), trained, bag, work),
+            ]
+            print(f"{core:8} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
+            apart += both
+    raise SystemExit(0 if max(apart) <= NEAR else 1)
+
+
+if __name__ == "__main__":
+    main()
