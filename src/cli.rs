@@ -203,9 +203,15 @@ pub struct TrainArgs {
     /// Bags, or directories of bags.
     #[arg(long, required = true, num_args = 1..)]
     pub data: Vec<PathBuf>,
-    /// Where the checkpoint goes.
+    /// Where everything goes: the best checkpoint, the last epoch (last/), metrics.csv, TensorBoard's
+    /// event files.
     #[arg(long, short)]
     pub output: PathBuf,
+    /// Go on, bit for bit, with the run in the output, from its last finished epoch; begin one if there
+    /// is none. Data, settings and device must be the same; only --epochs and patience may be others,
+    /// and the schedules are then those of the new number.
+    #[arg(long)]
+    pub resume: bool,
     /// Settings from a TOML file; what is given here on the command line goes first.
     #[arg(long)]
     pub config: Option<PathBuf>,
@@ -215,12 +221,17 @@ pub struct TrainArgs {
     /// Which recurrent core.
     #[arg(long, value_enum)]
     pub core: Option<Core>,
-    /// Passes over the training data.
+    /// Most epochs.
     #[arg(long)]
     pub epochs: Option<u32>,
-    /// Seed of initial weights and of the order of the data.
-    #[arg(long)]
-    pub seed: Option<u64>,
+    /// Seed of initial weights, of the order of the data and of dropout. With several, each has a run
+    /// of its own in OUTPUT/seed-N, and a table compares them.
+    #[arg(long, num_args = 1..)]
+    pub seed: Vec<u64>,
+    /// Memory for the frames of the data (GiB); frames beyond it stay on disk and are read when they
+    /// are needed, which changes nothing but the time [default: half of the memory that is available].
+    #[arg(long, value_name = "GIB")]
+    pub memory: Option<f64>,
     /// What computes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,

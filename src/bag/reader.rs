@@ -231,7 +231,29 @@ impl BagReader {
     /// As [`BagReader::messages_of`] with the type `eddy_msgs/msg/ParticleFrame`.
     pub fn frames(&self, topic: &str) -> Result<Frames, BagError> {
         let messages = self.messages_of(topic, ParticleFrame::TYPE)?;
-        Ok(Frames { messages, path: self.path().into(), topic: topic.into(), read: 0 })
+        Ok(self.frames_in(messages, topic))
+    }
+
+    /// The frames of a topic that were logged from `from` to `until`, both included. Only the pieces
+    /// of the files that hold them are read.
+    ///
+    /// # Errors
+    /// As [`BagReader::frames`].
+    pub fn frames_between(
+        &self,
+        topic: &str,
+        from: Stamp,
+        until: Stamp,
+    ) -> Result<Frames, BagError> {
+        self.messages_of(topic, ParticleFrame::TYPE)?;
+        let topics = Some(vec![topic.into()]);
+        let (from, until) = (Some(from), Some(until));
+        Ok(self.frames_in(self.select(&Selection { topics, from, until }), topic))
+    }
+
+    fn frames_in(&self, messages: Messages, topic: &str) -> Frames {
+        let path = self.path().into();
+        Frames { messages, path, topic: topic.into(), read: 0, log_time: Stamp::default() }
     }
 
     /// For messages: each topic with its type.
@@ -257,6 +279,14 @@ pub struct Frames {
     path: PathBuf,
     topic: String,
     read: u64,
+    log_time: Stamp,
+}
+
+impl Frames {
+    /// Log time of the message that came last; zero before the first.
+    pub fn log_time(&self) -> Stamp {
+        self.log_time
+    }
 }
 
 impl Iterator for Frames {
@@ -264,7 +294,10 @@ impl Iterator for Frames {
 
     fn next(&mut self) -> Option<Self::Item> {
         let data = match self.messages.next()? {
-            Ok(message) => message.data,
+            Ok(message) => {
+                self.log_time = message.log_time;
+                message.data
+            }
             Err(error) => return Some(Err(error)),
         };
         let message = self.read;

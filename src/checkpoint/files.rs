@@ -81,8 +81,8 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
     Ok((text, bytes))
 }
 
-/// The bytes of `model.safetensors`.
-pub(super) fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
+/// The bytes of a safetensors file.
+pub(crate) fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
     let bytes: Vec<Vec<u8>> = tensors
         .values()
         .map(|weights| weights.values.iter().flat_map(|value| value.to_le_bytes()).collect())
@@ -95,8 +95,8 @@ pub(super) fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
     safetensors::serialize(views, None).expect("names and shapes are all JSON")
 }
 
-/// Reads `model.safetensors`.
-pub(super) fn parse_weights(
+/// The tensors in the bytes of a safetensors file; `file` is named in errors.
+pub(crate) fn parse_weights(
     file: &Path,
     bytes: &[u8],
 ) -> Result<BTreeMap<String, Weights>, CheckpointError> {

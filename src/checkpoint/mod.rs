@@ -21,6 +21,7 @@ pub use description::{
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
+pub(crate) use files::{parse_weights, render_weights};
 pub use layout::tensor_shapes;
 
 use std::{collections::BTreeMap, path::Path};
@@ -81,7 +82,7 @@ impl Checkpoint {
 
     fn parse(directory: &Path, description: &str, weights: &[u8]) -> Result<Self, CheckpointError> {
         let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
-        let tensors = files::parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
+        let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
         let checkpoint = Self { description, tensors };
         checkpoint.check(directory)?;
         Ok(checkpoint)
@@ -124,7 +125,7 @@ impl Checkpoint {
     }
 
     fn render_weights(&self) -> Vec<u8> {
-        files::render_weights(&self.tensors)
+        render_weights(&self.tensors)
     }
 }
 

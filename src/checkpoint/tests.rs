@@ -70,7 +70,7 @@ fn edit_weights(change: impl FnOnce(&mut BTreeMap<String, Weights>)) -> impl FnO
     move |folder| {
         let mut tensors = checkpoint().tensors;
         change(&mut tensors);
-        fs::write(folder.join(WEIGHTS_FILE), files::render_weights(&tensors)).unwrap();
+        fs::write(folder.join(WEIGHTS_FILE), render_weights(&tensors)).unwrap();
     }
 }
 

@@ -1,54 +1,69 @@
 //! `eddy train`: bags to a checkpoint.
 
-use anyhow::Context as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail, ensure};
+use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 use eddy::{
+    clock::Clock,
     config::Overrides,
     dataset::Dataset,
     model::Architecture,
-    train::{Run, TrainConfig, train},
+    train::{Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, check_output, train},
 };
+use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, pages};
+use super::{Interrupt, pages, progress_bar, simulate::memory};
 use crate::cli::TrainArgs;
 
-/// Trains a network on the bags at `args.data`; the best checkpoint ends up in `args.output`.
+/// Bytes of a GiB.
+const GIB: f64 = (1u64 << 30) as f64;
+
+/// Loading shows a bar when it takes longer (s).
+const PATIENCE: f64 = 2.0;
+
+/// Trains a network on the bags at `args.data`; the best checkpoint ends up in `args.output`. With
+/// several seeds, each has a run in a folder of its own there.
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     pages::keep_freed();
     let config = settings(&args)?;
-    let dataset = Dataset::load(&args.data)?;
-    if !quiet {
-        println!(
-            "{} {}: {} streams to train on, {} to validate on, {} set aside",
-            config.architecture.name(),
-            config.core.name(),
-            dataset.train.len(),
-            dataset.validation.len(),
-            dataset.test.len(),
-        );
+    let runs = runs(&args, &config)?;
+    for (_, output) in &runs {
+        check_output(output, args.resume)?;
     }
-    let run = Run {
-        device: args.device,
-        output: &args.output,
-        command: std::env::args().collect::<Vec<_>>().join(" "),
-        quiet,
-        interrupted: &|| interrupt.requested(),
-    };
-    let outcome = train(&config, &dataset, &run)?;
-    let Some(best) = outcome.best else {
-        anyhow::bail!("{}: interrupted before the first epoch was done", args.output.display());
-    };
+    let dataset = load(&args, quiet)?;
     if !quiet {
-        let summary = &best.description.training;
-        let how = if outcome.interrupted { "interrupted" } else { "done" };
-        println!(
-            "{how} after {} epochs: {} holds epoch {} (validation loss {:.4}), {} parameters, digest {}",
-            summary.epochs,
-            args.output.display(),
-            summary.best_epoch,
-            summary.validation_loss,
-            best.parameters(),
-            best.short_digest(),
-        );
+        introduce(&config, &dataset);
+    }
+    let mut outcomes = Vec::new();
+    for (config, output) in &runs {
+        let run = Run {
+            device: args.device,
+            output,
+            resume: args.resume,
+            machine: Machine { memory: memory::available(), disk: free_disk(output)? },
+            command: std::env::args().collect::<Vec<_>>().join(" "),
+            quiet,
+            interrupted: &|| interrupt.requested(),
+        };
+        if !quiet && runs.len() > 1 {
+            println!("seed {}", config.seed);
+        }
+        let outcome = train(config, &dataset, &run)?;
+        if !quiet {
+            summarize(&args, config, output, &outcome);
+        }
+        if outcome.best.is_none() {
+            bail!("{}: interrupted before the first epoch was done", output.display());
+        }
+        let interrupted = outcome.interrupted;
+        outcomes.push((config.seed, outcome));
+        if interrupted {
+            break;
+        }
+    }
+    if outcomes.len() > 1 {
+        println!("{}", comparison(&outcomes, config.validation.horizon));
     }
     Ok(())
 }
@@ -68,10 +83,155 @@ fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
     config.architecture = architecture;
     config.core = args.core.unwrap_or(config.core);
     config.epochs = args.epochs.unwrap_or(config.epochs);
-    config.seed = args.seed.unwrap_or(config.seed);
+    config.seed = args.seed.first().copied().unwrap_or(config.seed);
     config.check().with_context(|| match &args.config {
         Some(file) => format!("{}", file.display()),
         None => "command line".to_owned(),
     })?;
     Ok(config)
+}
+
+/// Settings and output of each run: one for each seed.
+fn runs(args: &TrainArgs, config: &TrainConfig) -> anyhow::Result<Vec<(TrainConfig, PathBuf)>> {
+    let [_, others @ ..] = args.seed.as_slice() else {
+        return Ok(vec![(config.clone(), args.output.clone())]);
+    };
+    if others.is_empty() {
+        return Ok(vec![(config.clone(), args.output.clone())]);
+    }
+    let mut runs = Vec::new();
+    for (number, &seed) in args.seed.iter().enumerate() {
+        ensure!(
+            !args.seed[..number].contains(&seed),
+            "--seed: found {seed} twice, expected different seeds"
+        );
+        let config = TrainConfig { seed, ..config.clone() };
+        config.check().context("command line")?;
+        runs.push((config, args.output.join(format!("seed-{seed}"))));
+    }
+    Ok(runs)
+}
+
+/// Reads the bags, with a progress bar when it takes long.
+fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
+    let memory = match args.memory {
+        None => memory::available() / 2,
+        Some(gib) => {
+            ensure!(
+                gib.is_finite() && gib > 0.0,
+                "--memory: found {gib}, expected a positive number of GiB"
+            );
+            (gib * GIB) as u64
+        }
+    };
+    let bar = progress_bar(0, "frames read", true);
+    let clock = Clock::start();
+    let mut hidden = !quiet;
+    let dataset = Dataset::load(&args.data, memory, &mut |done, all| {
+        if hidden && clock.now().as_secs_f64() > PATIENCE {
+            bar.set_draw_target(ProgressDrawTarget::stderr());
+            hidden = false;
+        }
+        bar.set_length(all);
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
+    Ok(dataset)
+}
+
+fn introduce(config: &TrainConfig, dataset: &Dataset) {
+    println!(
+        "{} {}: {} streams to train on, {} to validate on, {} set aside",
+        config.architecture.name(),
+        config.core.name(),
+        dataset.train.len(),
+        dataset.validation.len(),
+        dataset.test.len(),
+    );
+    if let Some(shelf) = dataset.shelf() {
+        println!("frames stay on disk, at most {} of them in memory", HumanBytes(shelf.limit()));
+    }
+}
+
+/// What is free where the output is, or will be (bytes).
+fn free_disk(output: &Path) -> anyhow::Result<u64> {
+    let there = output.ancestors().find(|folder| folder.exists()).unwrap_or(".".as_ref());
+    let there = if there.as_os_str().is_empty() { ".".as_ref() } else { there };
+    fs4::available_space(there).with_context(|| there.display().to_string())
+}
+
+/// What a run came to, where everything is, and how to go on.
+fn summarize(args: &TrainArgs, config: &TrainConfig, output: &Path, outcome: &Outcome) {
+    let Outcome { epochs, best, interrupted, seconds, samples } = outcome;
+    let how = if *interrupted { "interrupted" } else { "done" };
+    println!(
+        "{how}: {} epochs, {} samples in {seconds:.0} s ({:.0} a second, validation included)",
+        epochs.len(),
+        HumanCount(*samples),
+        *samples as f64 / seconds.max(1e-9),
+    );
+    let (Some(checkpoint), Some(best)) = (best, best_of(epochs)) else { return };
+    println!(
+        "best: epoch {}, validation loss {:.4} (1 is the best trivial predictor's), skill {:+.2} at frame 1, {:+.2} at frame {}",
+        best.epoch,
+        best.validation_loss,
+        best.first_skill,
+        best.last_skill,
+        config.validation.horizon,
+    );
+    let place = output.display();
+    println!(
+        "{place}: the best checkpoint, {} parameters, digest {}; the last epoch is in {LAST_FOLDER}/; curves: tensorboard --logdir {place}",
+        HumanCount(checkpoint.parameters() as u64),
+        checkpoint.short_digest(),
+    );
+    if *interrupted {
+        println!("go on: the same command with --resume");
+    }
+    let data: Vec<_> = args.data.iter().map(|path| path.display().to_string()).collect();
+    let name = output.file_name().unwrap_or_default().display();
+    println!(
+        "judge: eddy eval --checkpoint {place} --data {} --output reports/{name}",
+        data.join(" ")
+    );
+}
+
+/// The best epoch so far.
+fn best_of(epochs: &[Epoch]) -> Option<&Epoch> {
+    epochs.iter().rfind(|epoch| epoch.best)
+}
+
+/// The runs of several seeds side by side.
+fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> String {
+    let mut table = Table::new();
+    table.load_style(UTF8_BORDERS_ONLY);
+    let last = format!("skill at {horizon}");
+    table.set_header(["seed", "best epoch", "validation loss", "skill at 1", &last]);
+    let best: Vec<_> = outcomes
+        .iter()
+        .filter_map(|(seed, outcome)| Some((seed, best_of(&outcome.epochs)?)))
+        .collect();
+    let numbers = |epoch: &Epoch| [epoch.validation_loss, epoch.first_skill, epoch.last_skill];
+    let row = |name: String, epoch: String, [loss, first, last]: [f64; 3]| {
+        [name, epoch, format!("{loss:.4}"), format!("{first:+.4}"), format!("{last:+.4}")]
+    };
+    for (seed, epoch) in &best {
+        table.add_row(row(seed.to_string(), epoch.epoch.to_string(), numbers(epoch)));
+    }
+    let column = |index: usize| best.iter().map(move |(_, epoch)| numbers(epoch)[index]);
+    let mean = |index| column(index).sum::<f64>() / best.len() as f64;
+    let deviation = |index| {
+        let mean = mean(index);
+        let squares: f64 = column(index).map(|x| (x - mean) * (x - mean)).sum();
+        (squares / (best.len() as f64 - 1.0)).sqrt()
+    };
+    let each = [0, 1, 2];
+    let extreme = |index| match index {
+        0 => column(0).fold(f64::INFINITY, f64::min),
+        _ => column(index).fold(f64::NEG_INFINITY, f64::max),
+    };
+    table.add_row(row("mean".into(), String::new(), each.map(mean)));
+    table.add_row(row("standard deviation".into(), String::new(), each.map(deviation)));
+    table.add_row(row("best".into(), String::new(), each.map(extreme)));
+    table.to_string()
 }

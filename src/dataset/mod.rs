@@ -1,21 +1,32 @@
 //! From bags to what networks learn from.
 //!
 //! 1. [`stream`]: the frames of one trajectory, in memory, cut where frames are missing.
-//! 2. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
-//! 3. [`statistics`]: range, mean and deviation of each feature, over the training part only.
+//! 2. [`load`]: the streams of all bags, in memory while they fit; [`trajectory`] is one of them.
+//! 3. [`shelf`]: streams that do not fit stay on disk and are read again block by block.
+//! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
+//! 5. [`statistics`]: range, mean and deviation of each feature, over the training part only.
+//!
+//! Everything that is computed from a set is the same, bit for bit, wherever its frames are.
 
+mod load;
+mod shelf;
 mod split;
 mod statistics;
 mod stream;
+mod trajectory;
 
 use std::path::PathBuf;
 
 use sha2::{Digest, Sha256};
 
+pub use shelf::{Residency, Shelf};
 pub use split::Part;
+pub use statistics::Bounds;
 pub use stream::{State, Stream};
+pub use trajectory::Trajectory;
 
-use crate::{bag::BagError, checkpoint::Normalization};
+use crate::{bag::BagError, checkpoint::Normalization, frame::Material};
+use statistics::Statistics;
 
 /// The topic that holds the truth.
 pub const TRUTH_TOPIC: &str = "/particles";
@@ -24,11 +35,11 @@ pub const TRUTH_TOPIC: &str = "/particles";
 #[derive(Clone, Debug)]
 pub struct Dataset {
     /// What weights are fitted to: the first 80 % of the stream ids.
-    pub train: Vec<Stream>,
+    pub train: Vec<Trajectory>,
     /// What the best epoch is chosen by: the next 10 %.
-    pub validation: Vec<Stream>,
+    pub validation: Vec<Trajectory>,
     /// What nobody has seen: the rest.
-    pub test: Vec<Stream>,
+    pub test: Vec<Trajectory>,
     /// Statistics of the training part.
     pub normalization: Normalization,
     /// SHA-256 over every stream, hexadecimal.
@@ -66,6 +77,14 @@ pub enum DatasetError {
         /// Its value in the first stream.
         expected: String,
     },
+    /// A stream on disk is not what it was when the set was loaded.
+    #[error("{}: stream {stream}: found other frames, expected those it had when it was read first", path.display())]
+    Changed {
+        /// The bag.
+        path: PathBuf,
+        /// The stream.
+        stream: u64,
+    },
 }
 
 fn list(paths: &[PathBuf]) -> String {
@@ -73,27 +92,49 @@ fn list(paths: &[PathBuf]) -> String {
 }
 
 impl Dataset {
-    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them.
+    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them. Frames
+    /// that take more than `memory` bytes together stay on disk and are read again when they are
+    /// needed; at most that many bytes of them are in memory at a time.
+    ///
+    /// `progress` is called after every frame with how many were read and how many there are.
     ///
     /// # Errors
     /// [`DatasetError`] when a bag cannot be read, holds no frames, or streams differ in `dt` or domain.
-    pub fn load(paths: &[PathBuf]) -> Result<Self, DatasetError> {
-        let streams = load_streams(paths)?;
-        let digest = digest(&streams);
-        let ids = split::distinct_ids(&streams);
+    pub fn load(
+        paths: &[PathBuf],
+        memory: u64,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<Self, DatasetError> {
+        let streams = load::load(paths, memory, progress)?;
+        let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
         if ids.len() < 2 {
             return Err(DatasetError::TooFew { paths: paths.to_vec(), found: ids.len() });
         }
+        let mut hasher = Sha256::new();
+        let mut statistics = Statistics::new();
         let (mut train, mut validation, mut test) = (Vec::new(), Vec::new(), Vec::new());
         for stream in streams {
-            match split::part_of(&ids, &stream) {
+            let part = Part::of(&ids, stream.id);
+            begin_digest(&mut hasher, stream.id, stream.dt, &stream.material);
+            stream.visit(0..stream.frames, |state| {
+                add_to_digest(&mut hasher, state);
+                if part == Part::Train {
+                    statistics.add(state);
+                }
+            })?;
+            match part {
                 Part::Train => train.push(stream),
                 Part::Validation => validation.push(stream),
                 Part::Test => test.push(stream),
             }
         }
-        let normalization = statistics::normalization(&train);
+        let (normalization, digest) = (statistics.normalization(), in_words(hasher));
         Ok(Self { train, validation, test, normalization, digest })
+    }
+
+    /// Where the frames are, unless they are in memory.
+    pub fn shelf(&self) -> Option<&Shelf> {
+        self.train.first()?.shelf().map(AsRef::as_ref)
     }
 }
 
@@ -138,15 +179,32 @@ fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
 
 /// The streams among `streams` that a training on all of them sets aside.
 pub fn test_part(streams: &[Stream]) -> Vec<Stream> {
-    let ids = split::distinct_ids(streams);
-    streams.iter().filter(|stream| split::part_of(&ids, stream) == Part::Test).cloned().collect()
+    let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
+    streams.iter().filter(|stream| Part::of(&ids, stream.id) == Part::Test).cloned().collect()
 }
 
 /// SHA-256 over ids, materials and states of all streams, hexadecimal.
 pub fn digest(streams: &[Stream]) -> String {
     let mut hasher = Sha256::new();
     for stream in streams {
-        stream.update(&mut hasher);
+        begin_digest(&mut hasher, stream.id, stream.dt, &stream.material);
+        stream.states.iter().for_each(|state| add_to_digest(&mut hasher, state));
     }
+    in_words(hasher)
+}
+
+fn begin_digest(hasher: &mut Sha256, id: u64, dt: f32, material: &[Material]) {
+    hasher.update(id.to_le_bytes());
+    hasher.update(dt.to_le_bytes());
+    hasher.update(material.iter().map(|&m| m as u8).collect::<Vec<_>>());
+}
+
+fn add_to_digest(hasher: &mut Sha256, state: &State) {
+    for x in state.position.iter().chain(&state.velocity).flatten() {
+        hasher.update(x.to_le_bytes());
+    }
+}
+
+fn in_words(hasher: Sha256) -> String {
     format!("{:x}", hasher.finalize())
 }

@@ -2,8 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use super::Stream;
-
 /// Share of the ids that train (the paper's 80:10:10).
 const TRAIN_SHARE: f64 = 0.8;
 /// Share of the ids that train or validate.
@@ -21,13 +19,8 @@ pub enum Part {
 }
 
 /// The ids of all streams, ascending. Pieces of a trajectory that was cut share one id.
-pub(super) fn distinct_ids(streams: &[Stream]) -> Vec<u64> {
-    streams.iter().map(|stream| stream.id).collect::<BTreeSet<_>>().into_iter().collect()
-}
-
-/// The part of the stream among `ids` (at least two).
-pub(super) fn part_of(ids: &[u64], stream: &Stream) -> Part {
-    Part::of(ids, stream.id)
+pub(super) fn distinct_ids(ids: impl Iterator<Item = u64>) -> Vec<u64> {
+    ids.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 impl Part {

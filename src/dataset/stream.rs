@@ -5,8 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use sha2::{Digest, Sha256};
-
 use crate::{
     bag::{BagError, BagReader},
     frame::{Domain, Frame, Material, Stamp},
@@ -43,7 +41,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    fn begin(source: &Path, frame: Frame) -> Self {
+    pub(super) fn begin(source: &Path, frame: Frame) -> Self {
         Self {
             id: frame.stream,
             source: source.to_owned(),
@@ -56,9 +54,9 @@ impl Stream {
         }
     }
 
-    /// Whether `frame` is the one that comes after the last state.
-    fn is_continued_by(&self, frame: &Frame) -> bool {
-        frame.sequence == self.first_sequence + self.states.len() as u64
+    /// Whether `frame` is the one that comes after the first `frames` frames.
+    pub(super) fn is_continued_by(&self, frame: &Frame, frames: usize) -> bool {
+        frame.sequence == self.first_sequence + frames as u64
             && frame.dt == self.dt
             && frame.domain == self.domain
             && frame.material == self.material
@@ -78,18 +76,6 @@ impl Stream {
             material: self.material.clone(),
         }
     }
-
-    /// Adds everything a network could learn from to a digest.
-    pub(super) fn update(&self, hasher: &mut Sha256) {
-        hasher.update(self.id.to_le_bytes());
-        hasher.update(self.dt.to_le_bytes());
-        hasher.update(self.material.iter().map(|&m| m as u8).collect::<Vec<_>>());
-        for state in &self.states {
-            for x in state.position.iter().chain(&state.velocity).flatten() {
-                hasher.update(x.to_le_bytes());
-            }
-        }
-    }
 }
 
 /// The streams of one bag, cut in two wherever a frame is missing or the particles change.
@@ -99,7 +85,7 @@ pub(super) fn read(path: &Path, topic: &str) -> Result<Vec<Stream>, BagError> {
     for frame in BagReader::open(path)?.frames(topic)? {
         let frame = frame?;
         match open.get_mut(&frame.stream) {
-            Some(stream) if stream.is_continued_by(&frame) => {
+            Some(stream) if stream.is_continued_by(&frame, stream.states.len()) => {
                 stream.states.push(State { position: frame.position, velocity: frame.velocity });
             }
             _ => ended.extend(open.insert(frame.stream, Stream::begin(path, frame))),

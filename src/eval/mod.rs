@@ -20,7 +20,7 @@ pub use window::starts;
 
 use crate::{
     checkpoint::Normalization,
-    dataset::Stream,
+    dataset::{Bounds, Stream},
     engine::{ModelError, Surrogate},
     model::Ballistic,
 };
@@ -86,41 +86,84 @@ pub fn judge(
     settings: Settings,
     mut progress: impl FnMut(),
 ) -> Result<Judgement, EvalError> {
-    let description = surrogate.description();
-    let warm_up = description.warm_up as usize;
-    let (lower, upper) = walls_around(streams);
-    let ballistic = Ballistic { gravity: description.gravity, dt: description.dt, lower, upper };
-    let sums = || ErrorSums::new(settings.horizon, &description.normalization);
-    let mut judgement = Judgement {
-        model: sums(),
-        baselines: Baseline::ALL.map(|baseline| (baseline, sums())),
-        windows: 0,
-        diverged: 0,
-    };
+    let mut judge = Judge::new(surrogate, settings, walls_around(streams));
     for stream in streams {
-        for start in starts(stream.states.len(), warm_up, settings) {
-            let rollout = predict(surrogate, stream, start, settings.horizon)
-                .map_err(|reason| EvalError::Model { stream: stream.id, reason })?;
-            let truth = &stream.states[start + 1..=start + settings.horizon];
-            judgement.windows += 1;
-            judgement.diverged += usize::from(rollout.diverged);
-            judgement.model.add(&stream.material, &rollout.states, truth);
-            for (baseline, errors) in &mut judgement.baselines {
-                let states = baseline.roll_out(&stream.states[start], settings.horizon, &ballistic);
-                errors.add(&stream.material, &states, truth);
-            }
+        for start in judge.starts(stream.states.len()) {
+            judge.window(stream, start)?;
             progress();
         }
     }
-    if judgement.windows == 0 {
-        return Err(EvalError::TooShort {
-            found: streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0),
-            expected: warm_up + settings.horizon,
-            warm_up,
-            horizon: settings.horizon,
-        });
+    judge.finish(streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0))
+}
+
+/// Judges one window after the other, for streams that are not all in memory.
+pub struct Judge<'a> {
+    surrogate: &'a Surrogate,
+    settings: Settings,
+    ballistic: Ballistic,
+    judgement: Judgement,
+}
+
+impl<'a> Judge<'a> {
+    /// Nothing is judged yet. `walls` is where the particles of all streams are: the best walls a
+    /// baseline can know.
+    pub fn new(surrogate: &'a Surrogate, settings: Settings, walls: Bounds) -> Self {
+        let description = surrogate.description();
+        let sums = || ErrorSums::new(settings.horizon, &description.normalization);
+        let judgement = Judgement {
+            model: sums(),
+            baselines: Baseline::ALL.map(|baseline| (baseline, sums())),
+            windows: 0,
+            diverged: 0,
+        };
+        let Bounds { lower, upper } = walls;
+        let ballistic =
+            Ballistic { gravity: description.gravity, dt: description.dt, lower, upper };
+        Self { surrogate, settings, ballistic, judgement }
     }
-    Ok(judgement)
+
+    /// The frames of a stream of `frames` frames from which rollouts start.
+    pub fn starts(&self, frames: usize) -> Vec<usize> {
+        starts(frames, self.warm_up(), self.settings)
+    }
+
+    /// Frames the model observes up to each start.
+    pub fn warm_up(&self) -> usize {
+        self.surrogate.description().warm_up as usize
+    }
+
+    /// Rolls out from frame `start`, which has the warm-up up to it and the horizon after it.
+    ///
+    /// # Errors
+    /// [`EvalError::Model`] when the stream does not fit the model.
+    pub fn window(&mut self, stream: &Stream, start: usize) -> Result<(), EvalError> {
+        let horizon = self.settings.horizon;
+        let rollout = predict(self.surrogate, stream, start, horizon)
+            .map_err(|reason| EvalError::Model { stream: stream.id, reason })?;
+        let truth = &stream.states[start + 1..=start + horizon];
+        let judgement = &mut self.judgement;
+        judgement.windows += 1;
+        judgement.diverged += usize::from(rollout.diverged);
+        judgement.model.add(&stream.material, &rollout.states, truth);
+        for (baseline, errors) in &mut judgement.baselines {
+            let states = baseline.roll_out(&stream.states[start], horizon, &self.ballistic);
+            errors.add(&stream.material, &states, truth);
+        }
+        Ok(())
+    }
+
+    /// The judgement. `longest` is the number of frames of the longest stream, for the error.
+    ///
+    /// # Errors
+    /// [`EvalError::TooShort`] when there was no window.
+    pub fn finish(self, longest: usize) -> Result<Judgement, EvalError> {
+        let (warm_up, horizon) = (self.warm_up(), self.settings.horizon);
+        if self.judgement.windows == 0 {
+            let expected = warm_up + horizon;
+            return Err(EvalError::TooShort { found: longest, expected, warm_up, horizon });
+        }
+        Ok(self.judgement)
+    }
 }
 
 /// The model's rollout from frame `start`, of which it sees the warm-up frames up to `start`.
@@ -135,16 +178,10 @@ fn predict(
     roll_out(surrogate, &observed, horizon)
 }
 
-/// The smallest and largest coordinates of the particles: the best walls a baseline can know.
-fn walls_around(streams: &[Stream]) -> ([f32; 2], [f32; 2]) {
-    let (mut lower, mut upper) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for position in streams.iter().flat_map(|s| &s.states).flat_map(|state| &state.position) {
-        for axis in 0..2 {
-            lower[axis] = lower[axis].min(position[axis]);
-            upper[axis] = upper[axis].max(position[axis]);
-        }
-    }
-    (lower, upper)
+fn walls_around(streams: &[Stream]) -> Bounds {
+    let mut walls = Bounds::default();
+    streams.iter().flat_map(|stream| &stream.states).for_each(|state| walls.widen(state));
+    walls
 }
 
 /// The ranges that MinMax errors are divided by.

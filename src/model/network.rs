@@ -47,6 +47,11 @@ impl Dropout {
         Self { training: (rate > 0.0).then_some((rate, random)) }
     }
 
+    /// The source of the choice, if there is one.
+    pub(crate) fn random(&self) -> Option<&ChaCha8Rng> {
+        self.training.as_ref().map(|(_, random)| random)
+    }
+
     /// What is left, scaled up so that its expected value stays.
     pub(crate) fn apply<const D: usize>(&mut self, signal: Tensor<D>) -> Tensor<D> {
         let Some((rate, random)) = &mut self.training else {

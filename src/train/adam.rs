@@ -41,6 +41,10 @@ pub(super) struct AdamStep<'a> {
     correction: f32,
     epsilon: f32,
     clip: f32,
+    /// Whether norms are computed although nothing is shortened.
+    measured: bool,
+    /// Sum of the squared norms of the gradients so far.
+    squares: f64,
 }
 
 impl Adam {
@@ -54,6 +58,8 @@ impl Adam {
             correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
+            measured: false,
+            squares: 0.0,
         }
     }
 }
@@ -68,7 +74,9 @@ impl AdamStep<'_> {
         let Moments { first, second } = &mut moments[tensor];
         first.resize(values.len(), 0.0);
         second.resize(values.len(), 0.0);
-        let scale = if self.clip.is_finite() { (self.clip / norm(gradient)).min(1.0) } else { 1.0 };
+        let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
+        self.squares += f64::from(norm) * f64::from(norm);
+        let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
         let numbers = Numbers {
             scale,
             rate: self.rate,
@@ -82,6 +90,16 @@ impl AdamStep<'_> {
             .for_each(|((values, gradient), (first, second))| {
                 Arch::new().dispatch(Change { numbers, values, gradient, first, second });
             });
+    }
+
+    /// The same step, with [`AdamStep::gradient_norm`] known whatever the limit is.
+    pub(super) fn measured(self) -> Self {
+        Self { measured: true, ..self }
+    }
+
+    /// Norm of the gradient by all tensors changed so far, before any was shortened.
+    pub(super) fn gradient_norm(&self) -> f64 {
+        self.squares.sqrt()
     }
 }
 

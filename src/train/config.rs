@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::TrainError;
 use crate::checkpoint::{Architecture, Core, Form, FrameOptions, Sizes};
 
+/// The largest width a checkpoint may have.
+const LARGEST_WIDTH: usize = 1 << 16;
+
 /// A training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -17,8 +20,8 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Most epochs; one epoch is `windows.per_epoch` windows.
     pub epochs: u32,
-    /// Epochs without a better validation loss after which training stops; not counted before the
-    /// last stage of `unroll` has begun.
+    /// Epochs without a better validation loss after which training stops early; it never does before
+    /// the last stage of `unroll` has begun.
     pub patience: u32,
     /// Gravity of the data (domain lengths per second squared). Bags do not carry it.
     pub gravity: [f32; 2],
@@ -116,15 +119,30 @@ pub struct LossConfig {
     pub density_grid: usize,
 }
 
+/// What becomes of the learning rate over the run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// It falls to its final share along half a cosine (Loshchilov and Hutter 2017, without restarts).
+    Cosine,
+    /// It stays as it is, the paper's.
+    Constant,
+}
+
 /// Adam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerConfig {
-    /// Learning rate at the start.
+    /// The largest learning rate.
     pub learning_rate: f64,
-    /// Learning rate at the end as a share of the first; the way there is half a cosine.
+    /// Share of the run in which the learning rate rises evenly from 0 to its largest, 0 to below 1.
+    pub warm_up: f64,
+    /// How the learning rate goes on from there.
+    pub schedule: Schedule,
+    /// Learning rate at the end of a falling schedule, as a share of the largest.
     pub final_share: f64,
-    /// Largest norm of a tensor's gradient; longer ones are shortened to it.
+    /// Largest norm of a tensor's gradient; longer ones are shortened to it, tensor by tensor. `inf`
+    /// leaves all as they are.
     pub clip: f32,
     /// Keeps a step finite where gradients vanish.
     pub epsilon: f32,
@@ -197,6 +215,8 @@ impl TrainConfig {
             },
             optimizer: OptimizerConfig {
                 learning_rate: 2e-3,
+                warm_up: 0.0,
+                schedule: Schedule::Cosine,
                 final_share: 0.02,
                 clip: 1.0,
                 epsilon: 1e-5,
@@ -235,6 +255,8 @@ impl TrainConfig {
             },
             optimizer: OptimizerConfig {
                 learning_rate: 1e-3,
+                warm_up: 0.0,
+                schedule: Schedule::Cosine,
                 final_share: 0.02,
                 clip: 1.0,
                 epsilon: 1e-8,
@@ -281,6 +303,9 @@ impl TrainConfig {
                 return Err(setting(field, "0", "at least 1"));
             }
         }
+        if i64::try_from(self.seed).is_err() {
+            return Err(setting("seed", self.seed, "at most 9223372036854775807, TOML's largest"));
+        }
         let loss = &self.loss;
         let not_negative = [
             ("loss.position_weight", loss.position_weight),
@@ -317,6 +342,10 @@ impl TrainConfig {
         if !(0.0..=1.0).contains(&self.optimizer.final_share) {
             return Err(setting("optimizer.final_share", self.optimizer.final_share, "0 to 1"));
         }
+        let warm_up = self.optimizer.warm_up;
+        if !(0.0..1.0).contains(&warm_up) {
+            return Err(setting("optimizer.warm_up", warm_up, "0 to below 1"));
+        }
         let epsilon = self.optimizer.epsilon;
         if !(epsilon.is_finite() && epsilon > 0.0) {
             return Err(setting("optimizer.epsilon", epsilon, "a positive number"));
@@ -330,6 +359,18 @@ impl TrainConfig {
         let clip = self.optimizer.clip;
         if clip.is_nan() || clip <= 0.0 {
             return Err(setting("optimizer.clip", clip, "a positive number"));
+        }
+        if !self.gravity.iter().all(|g| g.is_finite()) {
+            return Err(setting("gravity", format!("{:?}", self.gravity), "finite numbers"));
+        }
+        for (field, found) in [
+            ("network.encoder", self.network.encoder),
+            ("network.hidden", self.network.hidden),
+            ("network.layers", self.network.layers),
+        ] {
+            if found > LARGEST_WIDTH {
+                return Err(setting(field, found, "at most 65536"));
+            }
         }
         Ok(())
     }

@@ -2,7 +2,11 @@
 
 use std::{io, path::PathBuf};
 
-use crate::{checkpoint::CheckpointError, engine::ModelError, eval::EvalError};
+use indicatif::HumanBytes;
+
+use crate::{
+    checkpoint::CheckpointError, dataset::DatasetError, engine::ModelError, eval::EvalError,
+};
 
 /// Why a network cannot be trained, or not any further.
 #[derive(Debug, thiserror::Error)]
@@ -69,12 +73,76 @@ pub enum TrainError {
     /// The checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// `metrics.csv` cannot be written.
+    /// Frames on disk cannot be read again.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A file of the run cannot be read or written, or the folder for it cannot be made.
     #[error("{}: {reason}", file.display())]
-    Metrics {
-        /// The file.
+    File {
+        /// The file or folder.
         file: PathBuf,
         /// What the system said.
         reason: io::Error,
+    },
+    /// There is a run already, and nobody asked to go on with it.
+    #[error(
+        "{}: found {found}, expected a folder without a run (--resume goes on with the run that is there)",
+        output.display()
+    )]
+    Exists {
+        /// The output folder.
+        output: PathBuf,
+        /// What is there.
+        found: &'static str,
+    },
+    /// The run that is to go on was another one.
+    #[error("{}: {field}: found {found}, expected {expected} as in the run that is to go on", file.display())]
+    OtherRun {
+        /// The record of the run.
+        file: PathBuf,
+        /// What differs.
+        field: String,
+        /// What it is now.
+        found: String,
+        /// What it was.
+        expected: String,
+    },
+    /// The record of a run is damaged, or of another format version.
+    #[error("{}: {field}: found {found}, expected {expected}", file.display())]
+    Record {
+        /// The file.
+        file: PathBuf,
+        /// The key, or what else is wrong.
+        field: String,
+        /// What is there.
+        found: String,
+        /// What should be there.
+        expected: String,
+    },
+    /// The run needs more memory than there is.
+    #[error(
+        "memory: found at least {} needed ({} for weights and optimizer, {} for a batch), expected at most the {} that are free; make network, windows.batch or the windows smaller",
+        HumanBytes(weights + batch), HumanBytes(*weights), HumanBytes(*batch), HumanBytes(*free)
+    )]
+    Memory {
+        /// For weights, gradients, optimizer and checkpoints (bytes).
+        weights: u64,
+        /// For the windows of a batch and what is computed from them (bytes).
+        batch: u64,
+        /// What there is (bytes).
+        free: u64,
+    },
+    /// The run needs more disk than there is.
+    #[error(
+        "{}: disk: found {} free, expected at least {} for the best and the last checkpoint",
+        output.display(), HumanBytes(*found), HumanBytes(*expected)
+    )]
+    Disk {
+        /// The output folder.
+        output: PathBuf,
+        /// What is free (bytes).
+        found: u64,
+        /// What is needed (bytes).
+        expected: u64,
     },
 }

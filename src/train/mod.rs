@@ -9,7 +9,10 @@
 //! 6. `adam`: how weights follow from gradients.
 //! 7. `schedule`: learning rate and length of unroll over the run.
 //! 8. `validate`: free rollouts over streams that are not trained on.
-//! 9. `monitor`: progress bar, lines, `metrics.csv`.
+//! 9. `monitor`, `events`: progress bar, lines, `metrics.csv`, TensorBoard's event file.
+//! 10. `state`, `resume`, `record`, `moments`: what a run carries from batch to batch, and how it goes
+//!     on after a stop.
+//! 11. `footprint`: memory and disk that a run needs, known before it starts.
 //!
 //! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed.
 
@@ -18,40 +21,41 @@ mod batch;
 mod config;
 mod density;
 mod error;
+mod events;
 pub mod exercise;
+mod footprint;
 #[cfg(test)]
 mod golden;
 mod loss;
+mod moments;
 mod monitor;
+mod record;
+mod resume;
 mod schedule;
+mod state;
 mod validate;
 mod weigh;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, OptimizerConfig, Stage, TrainConfig, ValidationConfig,
-    WindowConfig,
+    LossConfig, LossKind, NetworkConfig, OptimizerConfig, Schedule, Stage, TrainConfig,
+    ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
+pub use resume::{LAST_FOLDER, check_output};
 
 use std::{collections::BTreeSet, path::Path};
-
-use rand::{Rng as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
 
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, TrainingSummary},
     dataset::Dataset,
     frame::Material,
-    model::{
-        Ballistic, DeviceKind, layers,
-        network::{Dropout, Network},
-    },
+    model::{Ballistic, DeviceKind},
 };
-use adam::Adam;
 use batch::Batch;
-use monitor::Monitor;
+use monitor::{BatchDone, Monitor};
+use state::State;
 use weigh::Scale;
 use window::{Sampler, Window};
 
@@ -62,84 +66,108 @@ const COMMON_WINDOWS: usize = 512;
 pub struct Run<'a> {
     /// What computes.
     pub device: DeviceKind,
-    /// Where the checkpoint and `metrics.csv` go.
+    /// Where the best checkpoint, `metrics.csv`, the event files and [`LAST_FOLDER`] go.
     pub output: &'a Path,
+    /// Whether to go on with the run in `output`; where no epoch of one is there, a new one begins.
+    pub resume: bool,
+    /// What the machine has left for it.
+    pub machine: Machine,
     /// The command line, for the checkpoint's summary.
     pub command: String,
     /// No progress bar, no lines.
     pub quiet: bool,
-    /// Whether to stop after the batch at hand; the best checkpoint so far is kept.
+    /// Whether to stop before the next batch; the best and the last epoch are kept.
     pub interrupted: &'a dyn Fn() -> bool,
+}
+
+impl Run<'_> {
+    /// Whether there is an epoch to go on from.
+    fn goes_on(&self) -> bool {
+        self.resume && self.output.join(LAST_FOLDER).exists()
+    }
+}
+
+/// What a run may use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Machine {
+    /// Memory beside what the data takes (bytes).
+    pub memory: u64,
+    /// Disk for the output (bytes).
+    pub disk: u64,
+}
+
+impl Machine {
+    /// A machine on which nothing is too large.
+    pub const UNLIMITED: Self = Self { memory: u64::MAX, disk: u64::MAX };
 }
 
 /// What a run came to.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Every epoch done.
+    /// Every epoch done, those before the run was resumed included.
     pub epochs: Vec<Epoch>,
     /// The best checkpoint, as saved; none if not one epoch was finished.
     pub best: Option<Checkpoint>,
     /// Whether the run was interrupted.
     pub interrupted: bool,
+    /// Time spent on it, that before it was resumed included (s).
+    pub seconds: f64,
+    /// Windows seen.
+    pub samples: u64,
 }
 
-/// Trains a network and keeps the checkpoint with the best validation loss in `run.output`.
+/// Trains a network. The checkpoint with the best validation loss is kept in `run.output`, the last
+/// epoch with everything that is needed to go on in the folder [`LAST_FOLDER`] there.
 ///
-/// The same settings, data and device give the same weights.
+/// The same settings, data and device give the same weights, in one go or in several.
 ///
 /// # Errors
-/// [`TrainError`]: a setting out of range, streams too short or unlike each other, a loss that is
-/// not finite (the best checkpoint so far stays), a file that cannot be written.
+/// [`TrainError`]: a setting out of range, streams too short or unlike each other, a machine too
+/// small, an output that holds a run or another one than is to go on; a loss that is not finite, a
+/// file that cannot be written (the best and the last checkpoint so far stay).
 pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outcome, TrainError> {
     config.check()?;
-    let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
-    let mut order = ChaCha8Rng::seed_from_u64(seeds.next_u64());
-    let mut dropout =
-        Dropout::new(config.network.dropout, ChaCha8Rng::seed_from_u64(seeds.next_u64()));
+    let mut description = describe(config, dataset, &run.command)?;
+    check_streams(config, dataset)?;
+    footprint::check(config, &description, run)?;
+    let mut state = resume::begin(config, &mut description, run)?;
+    if state.is_over(config) {
+        let State { epochs, best, seconds, samples, .. } = state;
+        return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
+    }
 
-    let description = describe(config, dataset, &run.command)?;
     let plain = run.device.device();
-    let initial = layers::initial(&description, seeds.next_u64());
-    let mut network = Network::new(&description, &initial, &plain.clone().autodiff());
-    let mut adam = Adam::default();
+    let mut sampler = sampler_for(config, dataset, state.unroll.max(1))?;
     let mut scale = Scale {
         loss: &config.loss,
         normalization: &dataset.normalization,
         ballistic: Ballistic::of(&description),
-        common: Vec::new(),
+        common: state.common.clone(),
     };
-
-    for stage in &config.unroll {
-        // Streams too short for a later stage are better refused now than in an hour.
-        sampler_for(config, dataset, stage.frames)?;
-    }
-    let per_epoch = config.batches();
-    let batches = (per_epoch * config.epochs as usize) as u64;
-    let mut monitor = Monitor::new(run.output, batches, run.quiet)?;
-    let mut outcome = Outcome { epochs: Vec::new(), best: None, interrupted: false };
-    let (mut unroll, mut samples, mut since_best) = (0, 0, 0);
-    let mut sampler = None;
-    'run: for epoch in 1..=config.epochs {
-        let mut losses = 0.0;
-        let mut progress = 0.0;
-        for number in 1..=per_epoch {
+    let mut monitor = Monitor::new(run.output, config, &state, run.quiet)?;
+    let mut interrupted = false;
+    'run: while !state.is_over(config) {
+        let epoch = state.epoch() + 1;
+        let (mut losses, mut learning_rate) = (0.0, 0.0);
+        for number in 1..=config.batches() {
             if (run.interrupted)() {
-                outcome.interrupted = true;
+                interrupted = true;
                 break 'run;
             }
-            progress = ((epoch as usize - 1) * per_epoch + number - 1) as f64 / batches as f64;
+            let progress = schedule::progress(config, epoch, number);
             let stage = config.unroll[schedule::stage(&config.unroll, progress)];
-            if stage.frames != unroll {
-                unroll = stage.frames;
-                let new = sampler_for(config, dataset, unroll)?;
-                scale.common = scale.trivial(&new.draw(COMMON_WINDOWS, &mut order), unroll);
-                sampler = Some(new);
+            if stage.frames != state.unroll {
+                state.unroll = stage.frames;
+                sampler = sampler_for(config, dataset, state.unroll)?;
+                let windows = sampler.draw(COMMON_WINDOWS, &mut state.order)?;
+                state.common = scale.trivial(&windows, state.unroll);
+                scale.common = state.common.clone();
             }
-            let sampler = sampler.as_ref().expect("made when the first stage began");
 
-            let windows = sampler.draw(config.windows.batch, &mut order);
+            let left = schedule::batches_of_stage(config, epoch, number);
+            let windows = sampler.batch(config.windows.batch, left, &mut state.order)?;
             let batch = Batch::new(&windows, config.windows.warm_up, &scale, &plain);
-            let (predicted, steps) = loss::unroll(&network, &batch, &mut dropout);
+            let (predicted, steps) = loss::unroll(&state.network, &batch, &mut state.dropout);
             let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
             let value: f32 = loss.clone().inner().into_scalar();
             if !value.is_finite() {
@@ -147,59 +175,80 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
                 return Err(TrainError::NotFinite { epoch, batch: number, windows, found: value });
             }
             let mut gradients = loss.backward();
-            let rate = schedule::learning_rate(&config.optimizer, progress);
-            let mut step = adam.step(rate, &config.optimizer);
-            network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
-                step.change(tensor, values, gradient);
+            learning_rate = schedule::learning_rate(&config.optimizer, progress);
+            let mut step = state.adam.step(learning_rate, &config.optimizer).measured();
+            state.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
+                step.change(tensor, values, gradient); // clips it first
             });
+            let gradient_norm = step.gradient_norm();
 
             losses += f64::from(value);
-            samples += windows.len() as u64;
-            monitor.batch(epoch, value);
+            state.samples += windows.len() as u64;
+            let samples = state.samples;
+            monitor.batch(&BatchDone {
+                epoch,
+                samples,
+                loss: value,
+                learning_rate,
+                gradient_norm,
+            })?;
         }
-        let tensors = network.layers().tensors(&description);
-        let mut checkpoint = Checkpoint { description: description.clone(), tensors };
+        let mut checkpoint = Checkpoint {
+            description: description.clone(),
+            tensors: state.network.layers().tensors(&description),
+        };
         let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
-        let training_loss = losses / per_epoch as f64;
-        let best = outcome
-            .best
-            .as_ref()
-            .is_none_or(|best| score.loss < best.description.training.validation_loss);
+        let best = state.best_loss().is_none_or(|best| score.loss < best);
         let done = Epoch {
             epoch,
-            samples,
-            unroll,
-            training_loss,
+            samples: state.samples,
+            unroll: state.unroll,
+            training_loss: losses / config.batches() as f64,
             validation_loss: score.loss,
             first_skill: score.first_skill,
             last_skill: score.last_skill,
-            learning_rate: schedule::learning_rate(&config.optimizer, progress),
+            learning_rate,
             best,
         };
-        outcome.epochs.push(done);
-        since_best = if best { 0 } else { since_best + 1 };
+        summarize(&mut checkpoint.description.training, &done);
+        state.epochs.push(done);
+        state.since_best = if best { 0 } else { state.since_best + 1 };
         if best {
-            let summary = &mut checkpoint.description.training;
-            summary.epochs = epoch;
-            summary.best_epoch = epoch;
-            summary.training_loss = training_loss;
-            summary.validation_loss = score.loss;
-            summary.samples = samples;
             checkpoint.save(run.output)?;
-            outcome.best = Some(checkpoint);
+            state.best = Some(checkpoint.clone());
         }
+        let seconds = state.seconds + monitor.elapsed().as_secs_f64();
+        resume::save(run, config, &state, &checkpoint, seconds)?;
         monitor.epoch(&done, config.validation.horizon)?;
-        let last_stage = schedule::stage(&config.unroll, progress) + 1 == config.unroll.len();
-        if last_stage && since_best >= config.patience {
-            break;
-        }
     }
     monitor.finish();
-    if let Some(best) = &mut outcome.best {
-        best.description.training.epochs = outcome.epochs.len() as u32;
+    let seconds = state.seconds + monitor.elapsed().as_secs_f64();
+    let epochs = state.epoch();
+    let State { epochs: all, mut best, samples, .. } = state;
+    if let Some(best) = &mut best
+        && best.description.training.epochs != epochs
+    {
+        best.description.training.epochs = epochs;
         best.save(run.output)?;
     }
-    Ok(outcome)
+    Ok(Outcome { epochs: all, best, interrupted, seconds, samples })
+}
+
+/// Enters an epoch in its checkpoint.
+fn summarize(summary: &mut TrainingSummary, epoch: &Epoch) {
+    summary.epochs = epoch.epoch;
+    summary.best_epoch = epoch.epoch;
+    summary.training_loss = epoch.training_loss;
+    summary.validation_loss = epoch.validation_loss;
+    summary.samples = epoch.samples;
+}
+
+/// Refuses streams that are too short, for a later stage as well: better now than in an hour.
+fn check_streams(config: &TrainConfig, dataset: &Dataset) -> Result<(), TrainError> {
+    for stage in &config.unroll {
+        sampler_for(config, dataset, stage.frames)?;
+    }
+    validate::check(&config.validation, config.windows.warm_up, &dataset.validation)
 }
 
 /// What the network will be.
@@ -214,7 +263,7 @@ fn describe(
     };
     let particles = first.material.len();
     if config.architecture == Architecture::Frame {
-        let streams = dataset.train.iter().chain(&dataset.validation);
+        let streams = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
         if let Some(other) = streams.clone().find(|stream| stream.material.len() != particles) {
             return Err(TrainError::Particles {
                 source_file: other.source.clone(),

@@ -3,9 +3,9 @@
 use super::{TrainError, ValidationConfig};
 use crate::{
     checkpoint::Checkpoint,
-    dataset::Stream,
+    dataset::{Bounds, Trajectory},
     engine::Surrogate,
-    eval::{EvalError, Report, Settings, judge},
+    eval::{EvalError, Judge, Report, Settings, starts},
 };
 
 /// What free rollouts came to.
@@ -23,25 +23,49 @@ pub(super) struct Score {
 pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
-    streams: &[Stream],
+    streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
     let surrogate = Surrogate::load(checkpoint, None)?;
     let settings = Settings { horizon: config.horizon, starts: config.starts };
-    let judgement = judge(&surrogate, streams, settings, || {}).map_err(TrainError::Validation)?;
+    let mut walls = Bounds::default();
+    streams.iter().for_each(|stream| walls.join(&stream.bounds));
+    let mut judge = Judge::new(&surrogate, settings, walls);
+    let warm_up = judge.warm_up();
+    for stream in streams {
+        for start in judge.starts(stream.frames) {
+            let window = stream.cut(start + 1 - warm_up..start + 1 + config.horizon)?;
+            judge.window(&window, warm_up - 1).map_err(TrainError::Validation)?;
+        }
+    }
+    let judgement = judge.finish(longest(streams)).map_err(TrainError::Validation)?;
     let name = String::new();
     let dt = checkpoint.description.dt;
     let report = Report::new(name.clone(), name.clone(), name, streams.len(), dt, &judgement);
     let skill: Vec<f64> =
         (1..=config.horizon).filter_map(|ahead| report.mean_skill(ahead)).collect();
-    let (Some(&first_skill), Some(&last_skill)) = (skill.first(), skill.last()) else {
-        let warm_up = checkpoint.description.warm_up as usize;
-        let expected = warm_up + config.horizon;
-        let horizon = config.horizon;
-        let short = EvalError::TooShort { found: 0, expected, warm_up, horizon };
-        return Err(TrainError::Validation(short));
-    };
+    let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
+    let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // A rollout that diverged has no finite error; it must lose against any that has.
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;
     let loss = if mean.is_finite() { 1.0 - mean } else { f64::INFINITY };
     Ok(Score { loss, first_skill, last_skill })
+}
+
+/// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.
+pub(super) fn check(
+    config: &ValidationConfig,
+    warm_up: usize,
+    streams: &[Trajectory],
+) -> Result<(), TrainError> {
+    let settings = Settings { horizon: config.horizon, starts: config.starts };
+    if streams.iter().any(|stream| !starts(stream.frames, warm_up, settings).is_empty()) {
+        return Ok(());
+    }
+    let (found, horizon) = (longest(streams), config.horizon);
+    let expected = warm_up + horizon;
+    Err(TrainError::Validation(EvalError::TooShort { found, expected, warm_up, horizon }))
+}
+
+fn longest(streams: &[Trajectory]) -> usize {
+    streams.iter().map(|stream| stream.frames).max().unwrap_or(0)
 }

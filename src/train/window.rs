@@ -1,11 +1,13 @@
 //! Which pieces of which streams a batch is made of.
 
+use std::collections::VecDeque;
+
 use rand::{RngExt as _, seq::index::sample};
 use rand_chacha::ChaCha8Rng;
 
 use super::TrainError;
 use crate::{
-    dataset::{State, Stream},
+    dataset::{State, Trajectory},
     frame::Material,
 };
 
@@ -23,8 +25,12 @@ pub(super) struct Window {
 }
 
 /// Draws windows from streams, each window alike.
+///
+/// Which windows a seed draws does not depend on where the frames are. What does is when they are
+/// read: of streams on disk, the windows of many batches are drawn at once and cut out in the order of
+/// their streams, so that a block is read once for all of them.
 pub(super) struct Sampler<'a> {
-    streams: &'a [Stream],
+    streams: &'a [Trajectory],
     /// Number of windows up to and with each stream.
     ends: Vec<usize>,
     /// Frames a window.
@@ -33,12 +39,25 @@ pub(super) struct Sampler<'a> {
     particles: usize,
     /// Whether to mirror every other window.
     mirror: bool,
+    /// Windows that were drawn ahead.
+    ahead: VecDeque<Window>,
+}
+
+/// A window that was drawn, but not yet cut out.
+struct Draw {
+    /// Number of the stream.
+    stream: usize,
+    /// First frame.
+    start: usize,
+    /// Numbers of its particles.
+    chosen: Vec<usize>,
+    mirrored: bool,
 }
 
 impl<'a> Sampler<'a> {
     /// Windows of `warm_up + unroll` frames.
     pub(super) fn new(
-        streams: &'a [Stream],
+        streams: &'a [Trajectory],
         warm_up: usize,
         unroll: usize,
         particles: usize,
@@ -47,38 +66,78 @@ impl<'a> Sampler<'a> {
         let frames = warm_up + unroll;
         let mut windows = 0;
         let ends = streams.iter().map(|stream| {
-            windows += (stream.states.len() + 1).saturating_sub(frames);
+            windows += (stream.frames + 1).saturating_sub(frames);
             windows
         });
-        let sampler = Self { streams, ends: ends.collect(), frames, particles, mirror };
+        let ends = ends.collect();
         if windows == 0 {
-            let found = streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0);
+            let found = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
             return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
         }
-        Ok(sampler)
+        Ok(Self { streams, ends, frames, particles, mirror, ahead: VecDeque::new() })
+    }
+
+    /// The next batch of `size` windows, of which at least `left` batches are still to come.
+    pub(super) fn batch(
+        &mut self,
+        size: usize,
+        left: usize,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<Window>, TrainError> {
+        if self.ahead.is_empty() {
+            let batches = left.min(self.batches_ahead(size)).max(1);
+            self.ahead = self.draw(batches * size, random)?.into();
+        }
+        Ok(self.ahead.drain(..size).collect())
+    }
+
+    /// How many batches are drawn at once: one from memory; from disk as many as fit into a third of
+    /// what the shelf may hold.
+    fn batches_ahead(&self, size: usize) -> usize {
+        let Some(shelf) = self.streams[0].shelf() else { return 1 };
+        let all = self.streams.iter().map(|stream| stream.material.len()).max().unwrap_or(1);
+        let particles = if self.particles == 0 { all } else { self.particles.min(all) };
+        let window = self.frames * particles * size_of::<[f32; 4]>();
+        usize::try_from(shelf.limit() / 3).unwrap_or(usize::MAX) / (window * size).max(1)
     }
 
     /// `count` windows, drawn with replacement.
-    pub(super) fn draw(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<Window> {
+    pub(super) fn draw(
+        &self,
+        count: usize,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<Window>, TrainError> {
         let windows = self.ends.last().copied().unwrap_or(0);
-        (0..count)
+        let mut draws: Vec<_> = (0..count)
             .map(|_| {
                 let window = random.random_range(0..windows);
                 let stream = self.ends.partition_point(|&end| end <= window);
                 let before = if stream == 0 { 0 } else { self.ends[stream - 1] };
-                self.cut(&self.streams[stream], window - before, random)
+                self.choose(stream, window - before, random)
             })
-            .collect()
+            .enumerate()
+            .collect();
+        draws.sort_by_key(|(_, draw)| (draw.stream, draw.start));
+        let cut = |(place, draw): (usize, Draw)| Ok((place, self.cut(draw)?));
+        let mut windows = draws.into_iter().map(cut).collect::<Result<Vec<_>, TrainError>>()?;
+        windows.sort_by_key(|&(place, _)| place);
+        Ok(windows.into_iter().map(|(_, window)| window).collect())
     }
 
-    fn cut(&self, stream: &Stream, start: usize, random: &mut ChaCha8Rng) -> Window {
-        let count = stream.material.len();
+    fn choose(&self, stream: usize, start: usize, random: &mut ChaCha8Rng) -> Draw {
+        let count = self.streams[stream].material.len();
         let chosen = match self.particles {
             wanted if wanted == 0 || wanted >= count => (0..count).collect(),
             wanted => sample(random, count, wanted).into_vec(),
         };
-        let sides = stream.domain.lower[0] + stream.domain.upper[0];
         let mirrored = self.mirror && random.random();
+        Draw { stream, start, chosen, mirrored }
+    }
+
+    fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
+        let Draw { stream, start, chosen, mirrored } = draw;
+        let stream = &self.streams[stream];
+        let sides = stream.domain.lower[0] + stream.domain.upper[0];
         let pick = |values: &[[f32; 2]], sides: f32| {
             let value = |&i: &usize| {
                 let [x, y] = values[i];
@@ -86,17 +145,12 @@ impl<'a> Sampler<'a> {
             };
             chosen.iter().map(value).collect()
         };
-        Window {
-            stream: stream.id,
-            start,
-            material: chosen.iter().map(|&i| stream.material[i]).collect(),
-            states: stream.states[start..start + self.frames]
-                .iter()
-                .map(|s| State {
-                    position: pick(&s.position, sides),
-                    velocity: pick(&s.velocity, 0.0),
-                })
-                .collect(),
-        }
+        let mut states = Vec::with_capacity(self.frames);
+        stream.visit(start..start + self.frames, |s| {
+            let (position, velocity) = (pick(&s.position, sides), pick(&s.velocity, 0.0));
+            states.push(State { position, velocity });
+        })?;
+        let material = chosen.iter().map(|&i| stream.material[i]).collect();
+        Ok(Window { stream: stream.id, start, material, states })
     }
 }

@@ -23,18 +23,14 @@ fn the_node_runs_with_its_settings() {
 
 #[test]
 fn training_takes_its_settings() {
-    // Settings are read before the data, so the data is what is missing.
-    let message = fail(
-        1,
-        [
-            "train",
-            "--config",
-            &file("train_frame.toml"),
-            "--data",
-            "/no/bags/here",
-            "--output",
-            "/no/output/here",
-        ],
-    );
-    assert!(message.contains("/no/bags/here"), "{message}");
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("model").display().to_string();
+    for settings in ["train_frame.toml", "train_frame_mingru.toml"] {
+        // Settings are read before the data, so the data is what is missing.
+        let config = file(settings);
+        let arguments =
+            ["train", "--config", &config, "--data", "/no/bags/here", "--output", &output];
+        let message = fail(1, arguments);
+        assert!(message.contains("/no/bags/here"), "{settings}: {message}");
+    }
 }

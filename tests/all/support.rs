@@ -93,6 +93,11 @@ impl Process {
         wait_for("the process ends", || self.child.try_wait().unwrap())
     }
 
+    /// What it has printed since the line that was waited for, once it has ended.
+    pub fn rest(&mut self) -> String {
+        std::io::read_to_string(&mut self.printed).unwrap()
+    }
+
     /// Whether it runs.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()

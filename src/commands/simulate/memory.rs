@@ -6,7 +6,7 @@ use indicatif::HumanBytes;
 use eddy::mpm::{MpmError, Scene};
 
 /// Bytes that the machine, or the container, has left for this process.
-pub(super) fn available() -> u64 {
+pub(crate) fn available() -> u64 {
     let mut system = sysinfo::System::new();
     system.refresh_memory();
     let machine = system.available_memory();

@@ -10,7 +10,7 @@
 //!    but no directory is made again.
 
 mod manifest;
-mod memory;
+pub(crate) mod memory;
 mod plan;
 mod publish;
 mod recording;

@@ -1,0 +1,127 @@
+//! One trajectory of a data set: what is known of it, and a way to its frames, wherever they are.
+
+use std::{ops::Range, path::PathBuf, sync::Arc};
+
+use super::{DatasetError, Shelf, State, Stream, statistics::Bounds};
+use crate::frame::{Domain, Material, Stamp};
+
+/// Consecutive frames of one simulated trajectory, in memory or on disk.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    /// The stream's number in its bag: the scene id for simulated data.
+    pub id: u64,
+    /// The bag it is from.
+    pub source: PathBuf,
+    /// Time between two frames (s).
+    pub dt: f32,
+    /// The box that holds the particles.
+    pub domain: Domain,
+    /// Materials, `[N]`, the same in every frame.
+    pub material: Vec<Material>,
+    /// Sequence number of the first frame.
+    pub first_sequence: u64,
+    /// Stamp of the first frame.
+    pub first_stamp: Stamp,
+    /// How many frames it has.
+    pub frames: usize,
+    /// Where its particles have been (domain lengths).
+    pub bounds: Bounds,
+    place: Place,
+}
+
+/// Where frames are.
+#[derive(Clone, Debug)]
+enum Place {
+    Memory(Arc<Vec<State>>),
+    /// On disk: number of the stream on the shelf.
+    Disk(Arc<Shelf>, usize),
+}
+
+impl Trajectory {
+    /// A stream that is `number` on the shelf; of its states, none need be there.
+    pub(super) fn on_shelf(
+        stream: Stream,
+        frames: usize,
+        bounds: Bounds,
+        shelf: &Arc<Shelf>,
+        number: usize,
+    ) -> Self {
+        Self::placed(stream, frames, bounds, Place::Disk(shelf.clone(), number))
+    }
+
+    fn placed(stream: Stream, frames: usize, bounds: Bounds, place: Place) -> Self {
+        let Stream { id, source, dt, domain, material, first_sequence, first_stamp, .. } = stream;
+        Self {
+            id,
+            source,
+            dt,
+            domain,
+            material,
+            first_sequence,
+            first_stamp,
+            frames,
+            bounds,
+            place,
+        }
+    }
+
+    /// The shelf its frames are on, unless they are in memory.
+    pub fn shelf(&self) -> Option<&Arc<Shelf>> {
+        match &self.place {
+            Place::Memory(_) => None,
+            Place::Disk(shelf, _) => Some(shelf),
+        }
+    }
+
+    /// Looks at some of its frames, one after the other.
+    ///
+    /// # Errors
+    /// [`DatasetError::Bag`], [`DatasetError::Changed`] when frames on disk cannot be read again.
+    ///
+    /// # Panics
+    /// When the range goes beyond its frames.
+    pub fn visit(
+        &self,
+        frames: Range<usize>,
+        mut look: impl FnMut(&State),
+    ) -> Result<(), DatasetError> {
+        match &self.place {
+            Place::Memory(states) => states[frames].iter().for_each(look),
+            Place::Disk(shelf, number) => shelf.visit(*number, frames, &mut look)?,
+        }
+        Ok(())
+    }
+
+    /// Some of its frames as a stream of their own.
+    ///
+    /// # Errors
+    /// As [`Trajectory::visit`].
+    ///
+    /// # Panics
+    /// As [`Trajectory::visit`].
+    pub fn cut(&self, frames: Range<usize>) -> Result<Stream, DatasetError> {
+        let start = frames.start;
+        let mut states = Vec::with_capacity(frames.len());
+        self.visit(frames, |state| states.push(state.clone()))?;
+        Ok(Stream {
+            id: self.id,
+            source: self.source.clone(),
+            dt: self.dt,
+            domain: self.domain,
+            material: self.material.clone(),
+            first_sequence: self.first_sequence + start as u64,
+            first_stamp: self.first_stamp.advance(self.dt, start as u32),
+            states,
+        })
+    }
+}
+
+impl From<Stream> for Trajectory {
+    /// A stream in memory.
+    fn from(mut stream: Stream) -> Self {
+        let states = std::mem::take(&mut stream.states);
+        let mut bounds = Bounds::default();
+        states.iter().for_each(|state| bounds.widen(state));
+        Self::placed(stream, states.len(), bounds, Place::Memory(Arc::new(states)))
+    }
+}
