@@ -71,6 +71,8 @@ struct Board {
     length: AtomicUsize,
     /// A thread panicked at work: the stage of this job will never be done.
     broken: AtomicBool,
+    /// Threads of the crew that have begun to wait for jobs.
+    ready: AtomicUsize,
     /// The crew is dismissed.
     dismissed: AtomicBool,
 }
@@ -92,6 +94,7 @@ impl Crew {
             stages: (0..stages).map(|_| Stage::default()).collect(),
             length: AtomicUsize::new(0),
             broken: AtomicBool::new(false),
+            ready: AtomicUsize::new(0),
             dismissed: AtomicBool::new(false),
         });
         let mut members = Vec::new();
@@ -106,6 +109,8 @@ impl Crew {
                 }
             }
         }
+        // The system allocates for a thread as it starts: that is over when jobs begin.
+        wait_until(|| board.ready.load(Ordering::Acquire) == members.len());
         Self { board, members }
     }
 
@@ -182,6 +187,7 @@ impl Drop for Closing<'_> {
 impl Board {
     /// The life of a thread: waits for jobs and takes part.
     fn serve(&self, thread: usize) {
+        self.ready.fetch_add(1, Ordering::Release);
         let mut last = 0;
         while let Some(number) = self.enter(last) {
             last = number;
