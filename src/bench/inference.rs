@@ -108,15 +108,14 @@ impl Case {
             weights: self.weights(),
             engine: match engine {
                 Engine::Own(_) => "engine".to_owned(),
-                Engine::Burn(DeviceKind::Flex) => "flex".to_owned(),
-                Engine::Burn(DeviceKind::Ndarray) => "ndarray".to_owned(),
+                Engine::Burn(device) => device.name().to_owned(),
             },
             threads: match engine {
                 Engine::Own(threads) => Some(threads.get()),
                 Engine::Burn(_) => None,
             },
             p50: 1e3 * times[times.len() / 2],
-            p99: 1e3 * times[times.len() * 99 / 100],
+            p99: 1e3 * times[(times.len() * 99).div_ceil(100) - 1],
             frames: times.len(),
         })
     }

@@ -36,12 +36,15 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         introduce(&config, &dataset);
     }
     let mut outcomes = Vec::new();
+    let mut failure = None;
+    // Once for all runs: what one of them frees stays with this process, for the next.
+    let memory = memory::available();
     for (config, output) in &runs {
         let run = Run {
             device: args.device,
             output,
             resume: args.resume,
-            machine: Machine { memory: memory::available(), disk: free_disk(output)? },
+            machine: Machine { memory, disk: free_disk(output)? },
             command: std::env::args().collect::<Vec<_>>().join(" "),
             quiet,
             interrupted: &|| interrupt.requested(),
@@ -49,7 +52,13 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         if !quiet && runs.len() > 1 {
             println!("seed {}", config.seed);
         }
-        let outcome = train(config, &dataset, &run)?;
+        let outcome = match train(config, &dataset, &run) {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                failure = Some(error);
+                break;
+            }
+        };
         if !quiet {
             summarize(&args, config, output, &outcome);
         }
@@ -65,7 +74,14 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     if outcomes.len() > 1 {
         println!("{}", comparison(&outcomes, config.validation.horizon));
     }
-    Ok(())
+    match failure {
+        None => Ok(()),
+        Some(error) if runs.len() == 1 => Err(error.into()),
+        Some(error) => {
+            let seed = runs[outcomes.len()].0.seed;
+            Err(anyhow::Error::new(error).context(format!("seed {seed}")))
+        }
+    }
 }
 
 /// The defaults of the architecture, then the file, then the command line.
@@ -232,6 +248,6 @@ fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> String {
     };
     table.add_row(row("mean".into(), String::new(), each.map(mean)));
     table.add_row(row("standard deviation".into(), String::new(), each.map(deviation)));
-    table.add_row(row("best".into(), String::new(), each.map(extreme)));
+    table.add_row(row("best of each".into(), String::new(), each.map(extreme)));
     table.to_string()
 }

@@ -11,7 +11,7 @@ use super::linear::{Linear, add_products};
 use crate::{
     checkpoint::{Activation, Core, Description, Form, Weights, layout},
     kernels::{
-        math::{elu, relu, sigmoid, tanh},
+        math::{elu, positive, relu, sigmoid, tanh},
         minimal::LEAST_SUM,
     },
 };
@@ -211,7 +211,7 @@ impl CoreLayer {
         panels
     }
 
-    /// `kept` h + `update` c, in the log form with g(c) = relu(c) + sigmoid(min(c, 0)) for c.
+    /// `kept` h + `update` c, in the log form with g(c) for c.
     #[inline(always)]
     fn mix<S: Simd>(
         &self,
@@ -223,11 +223,7 @@ impl CoreLayer {
     ) -> S::f32s {
         let candidate = match self.form {
             Form::Plain => candidate,
-            Form::Log => {
-                let positive = relu(simd, candidate);
-                let negative = simd.sub_f32s(candidate, positive);
-                simd.add_f32s(positive, sigmoid(simd, negative))
-            }
+            Form::Log => positive(simd, candidate),
         };
         simd.mul_add_e_f32s(kept, last, simd.mul_f32s(update, candidate))
     }

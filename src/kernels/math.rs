@@ -1,4 +1,4 @@
-//! Exponential, sigmoid, hyperbolic tangent, ELU and ReLU of vectors.
+//! Exponential, sigmoid, hyperbolic tangent, ELU, ReLU and the log form's g of vectors.
 //!
 //! All but ReLU rest on one reduction: e^x = 2^n e^r with n the integer nearest to x / ln 2, and
 //! e^r = 1 + r + r^2 q(r) for |r| <= ln 2 / 2, where q has the coefficients of Cephes' `expf`
@@ -71,6 +71,14 @@ pub fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 #[inline(always)]
 pub fn relu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     at_least(simd, x, 0.0)
+}
+
+/// g(x) = x + 1/2 for x > 0, sigmoid(x) below: positive and smooth, for the candidates of the log form
+/// (Feng et al. 2024, appendix B).
+#[inline(always)]
+pub fn positive<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let above = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
+    simd.select_f32s(above, simd.add_f32s(x, simd.splat_f32s(0.5)), sigmoid(simd, x))
 }
 
 /// e^x - 1 for -30 <= x <= 88; anything but NaN beyond.

@@ -6,7 +6,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{
-    math::sigmoid,
+    math::{positive, sigmoid},
     vectors::{strips, zip},
 };
 
@@ -111,14 +111,10 @@ impl Minimal {
         if !self.log {
             return [candidate, one];
         }
-        let (zero, half) = (simd.splat_f32s(0.0), simd.splat_f32s(0.5));
-        let above = simd.greater_than_f32s(candidate, zero);
-        let below = sigmoid(simd, candidate);
-        let slope = simd.mul_f32s(below, simd.sub_f32s(one, below));
-        [
-            simd.select_f32s(above, simd.add_f32s(candidate, half), below),
-            simd.select_f32s(above, one, slope),
-        ]
+        let value = positive(simd, candidate);
+        let above = simd.greater_than_f32s(candidate, simd.splat_f32s(0.0));
+        let below = simd.mul_f32s(value, simd.sub_f32s(one, value)); // of a sigmoid
+        [value, simd.select_f32s(above, one, below)]
     }
 }
 

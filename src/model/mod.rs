@@ -55,6 +55,16 @@ pub enum DeviceKind {
 }
 
 impl DeviceKind {
+    /// The word in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Flex => "flex",
+            Self::Ndarray => "ndarray",
+            #[cfg(feature = "vulkan")]
+            Self::Vulkan => "vulkan",
+        }
+    }
+
     /// The device, without a record for gradients.
     pub(crate) fn device(self) -> Device {
         match self {

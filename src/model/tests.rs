@@ -1,11 +1,12 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor, TensorData, activation::elu};
-use rand::{RngExt as _, SeedableRng as _};
+use proptest::prelude::*;
+use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    core::RecurrentLayer,
+    core::{LayerState, RecurrentLayer},
     features::one_hot,
     frame_model::FrameModel,
     layers::{Layers, initial},
@@ -14,8 +15,8 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Activation, Checkpoint, Description, FeatureScaling, Form, MaterialInput, Normalization,
-        Pooling, Sizes, Weights, tensor_shapes,
+        Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
+        Normalization, Pooling, Sizes, Weights, tensor_shapes,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -225,6 +226,62 @@ fn kernels_and_tensor_operations_give_the_same_values_and_gradients() {
             let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
             let difference = largest_difference(found, expected) / largest;
             assert!(difference <= 2e-5, "{index}: {difference}: {description:?}");
+        }
+    }
+}
+
+/// Outputs of a layer, its state after the last frame, and the gradients of a sum of their squares by
+/// the inputs, by the state before the first (learned, or carried from earlier frames) and by the
+/// weights.
+fn from_a_state(description: &Description, frames: usize, device: DeviceKind) -> Vec<Vec<f32>> {
+    const ROWS: usize = 2;
+    let recorded = device.device().autodiff();
+    let mut layers = Layers::new(description, &weights(description, 3), &recorded);
+    let width = description.sizes.hidden;
+    let mut random = ChaCha8Rng::seed_from_u64(frames as u64);
+    let mut made_up =
+        |count: usize| -> Vec<f32> { (0..count).map(|_| random.random_range(-1.0..1.0)).collect() };
+    let input = TensorData::new(made_up(frames * ROWS * width), [frames, ROWS, width]);
+    let input = Tensor::<3>::from_data(input, &recorded).require_grad();
+    let mut state = || {
+        let data = TensorData::new(made_up(ROWS * width), [ROWS, width]);
+        Tensor::<2>::from_data(data, &recorded).require_grad()
+    };
+    let (hidden, cell) = (state(), state());
+    let has_cell = description.core == Core::Lstm;
+    let before = LayerState { hidden: hidden.clone(), cell: has_cell.then(|| cell.clone()) };
+    let (outputs, after) = layers.core[0].observe(input.clone(), Some(before));
+    let mut values = vec![numbers(&outputs), numbers(&after.hidden)];
+    let mut loss = outputs.square().sum() + after.hidden.square().sum();
+    if let Some(cell) = &after.cell {
+        values.push(numbers(cell));
+        loss = loss + cell.clone().square().sum();
+    }
+    let mut gradients = loss.backward();
+    values.push(numbers(&input.grad(&gradients).unwrap()));
+    values.extend(hidden.grad(&gradients).map(|by| numbers(&by)));
+    values.extend(cell.grad(&gradients).map(|by| numbers(&by)));
+    layers.update(&mut gradients, |_, _, gradient| values.push(gradient.to_vec()));
+    values
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn layers_go_on_from_a_state_by_kernels_as_by_tensor_operations(
+        frames in (0u32..=10).prop_flat_map(|power| (1usize << power) / 2 + 1..=1 << power),
+    ) {
+        let cores = every_option().into_iter().filter(|d| d.frame == FrameOptions::default());
+        for description in cores.filter(|d| d.sizes.hidden < 100) {
+            let fused = from_a_state(&description, frames, DeviceKind::Flex);
+            let plain = from_a_state(&description, frames, DeviceKind::Ndarray);
+            let recurrent = description.core != Core::Mlp;
+            prop_assert!(fused.len() == plain.len() && fused.len() >= 5 + usize::from(recurrent));
+            for (index, (found, expected)) in fused.iter().zip(&plain).enumerate() {
+                let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
+                let difference = largest_difference(found, expected) / largest;
+                prop_assert!(difference <= 5e-5, "{index}: {difference}: {:?}", description.core);
+            }
         }
     }
 }

@@ -356,6 +356,13 @@ impl TrainConfig {
             let found = format!("{:?}", self.network.frame);
             return Err(setting("network.frame", found, "nothing for the particle model"));
         }
+        if self.network.form == Form::Log && !matches!(self.core, Core::MinGru | Core::MinLstm) {
+            return Err(setting("network.form", "log", "plain: only minGRU and minLSTM have both"));
+        }
+        if !self.network.normalize_gates && self.core != Core::MinLstm {
+            let expected = "true: only minLSTM has gates to divide by their sum";
+            return Err(setting("network.normalize_gates", "false", expected));
+        }
         let clip = self.optimizer.clip;
         if clip.is_nan() || clip <= 0.0 {
             return Err(setting("optimizer.clip", clip, "a positive number"));

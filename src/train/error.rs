@@ -35,6 +35,16 @@ pub enum TrainError {
         /// Predicted frames of a window.
         unroll: usize,
     },
+    /// A feature is the same for all particles at all times: there is no scale to divide it by.
+    #[error(
+        "training streams: {feature}: found {found} everywhere, expected at least two different values"
+    )]
+    Constant {
+        /// The feature.
+        feature: &'static str,
+        /// Its value.
+        found: f32,
+    },
     /// The frame model needs the same number of particles everywhere.
     #[error(
         "{}: stream {stream}: particles: found {found}, expected {expected} as in the first stream (the frame model takes one number only)",

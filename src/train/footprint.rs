@@ -1,8 +1,10 @@
 //! What a run will need, estimated before it starts: a lower bound, so that what is refused would
 //! really have failed.
 
-use super::{COMMON_WINDOWS, Machine, Run, TrainConfig, TrainError};
-use crate::checkpoint::{Architecture, Description, Pooling, tensor_shapes};
+use super::{Machine, Run, TrainConfig, TrainError};
+use crate::checkpoint::{
+    Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
+};
 
 /// Bytes of a number.
 const NUMBER: usize = 4;
@@ -18,24 +20,22 @@ const IN_VALIDATION: usize = 7;
 const ON_DISK: usize = 7;
 const ON_DISK_AGAIN: usize = 3;
 
-/// Numbers of the particle model's features.
-const PARTICLE_FEATURES: usize = 20;
-
-/// Refuses a run that does not fit into what is free.
+/// Refuses a run that does not fit into what is free. The streams have at least so many `particles`.
 pub(super) fn check(
     config: &TrainConfig,
     description: &Description,
+    particles: usize,
     run: &Run,
 ) -> Result<(), TrainError> {
     let Machine { memory: free, disk: found } = run.machine;
     let numbers: usize =
         tensor_shapes(description).values().map(|shape| shape.iter().product::<usize>()).sum();
     let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
-    let batch = bytes(batch_numbers(config, description));
+    let batch = bytes(batch_numbers(config, description, particles));
     let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
-    let batch = if training + batch < validation { 0 } else { batch };
+    let batch = if training.saturating_add(batch) < validation { 0 } else { batch };
     let weights = if batch == 0 { validation } else { training };
-    if weights + batch > free {
+    if weights.saturating_add(batch) > free {
         return Err(TrainError::Memory { weights, batch, free });
     }
     let copies = if run.goes_on() { ON_DISK_AGAIN } else { ON_DISK };
@@ -47,7 +47,7 @@ pub(super) fn check(
 }
 
 /// The windows of a batch, and the output of every layer with its gradient.
-fn batch_numbers(config: &TrainConfig, description: &Description) -> usize {
+fn batch_numbers(config: &TrainConfig, description: &Description, particles: usize) -> usize {
     let sizes = &description.sizes;
     let (encoder, hidden) = (sizes.encoder, sizes.hidden);
     let gates: usize = tensor_shapes(description)
@@ -61,7 +61,6 @@ fn batch_numbers(config: &TrainConfig, description: &Description) -> usize {
     // Numbers a frame: in rows of particles, and in rows of windows.
     let (particles, of_particle, of_window) = match description.architecture {
         Architecture::Frame => {
-            let particles = sizes.particles.unwrap_or(0);
             let pooled = match description.frame.pooling {
                 Pooling::Mean => 0,
                 Pooling::Max | Pooling::MeanMax => hidden,
@@ -69,12 +68,14 @@ fn batch_numbers(config: &TrainConfig, description: &Description) -> usize {
             (particles, encoder + pooled, 2 * hidden + gates + 2 * particles)
         }
         Architecture::Particle => {
-            (config.windows.particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0)
+            let drawn = match config.windows.particles {
+                0 => particles,
+                wanted => wanted.min(particles),
+            };
+            (drawn, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0)
         }
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
     let computed = 2 * (particles * of_particle + of_window);
-    let of_batch = batch.saturating_mul(frames).saturating_mul(window + computed);
-    // Before the first batch: positions and velocities alone, of many windows.
-    of_batch.max(COMMON_WINDOWS * frames * 4 * particles)
+    batch.saturating_mul(frames).saturating_mul(window + computed)
 }

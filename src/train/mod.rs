@@ -56,11 +56,13 @@ use crate::{
 use batch::Batch;
 use monitor::{BatchDone, Monitor};
 use state::State;
-use weigh::Scale;
+use weigh::{Scale, TrivialErrors, TrivialSums};
 use window::{Sampler, Window};
 
-/// Windows over which trivial errors are averaged before training starts.
+/// Windows over which trivial errors are averaged when a stage begins.
 const COMMON_WINDOWS: usize = 512;
+/// How many of them are in memory at once.
+const COMMON_GROUP: usize = 32;
 
 /// A run beside its settings and data.
 pub struct Run<'a> {
@@ -129,7 +131,8 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     config.check()?;
     let mut description = describe(config, dataset, &run.command)?;
     check_streams(config, dataset)?;
-    footprint::check(config, &description, run)?;
+    let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
+    footprint::check(config, &description, particles, run)?;
     let mut state = resume::begin(config, &mut description, run)?;
     if state.is_over(config) {
         let State { epochs, best, seconds, samples, .. } = state;
@@ -159,12 +162,11 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
             if stage.frames != state.unroll {
                 state.unroll = stage.frames;
                 sampler = sampler_for(config, dataset, state.unroll)?;
-                let windows = sampler.draw(COMMON_WINDOWS, &mut state.order)?;
-                state.common = scale.trivial(&windows, state.unroll);
+                state.common = common(config, &sampler, &scale, &mut state)?;
                 scale.common = state.common.clone();
             }
 
-            let left = schedule::batches_of_stage(config, epoch, number);
+            let left = || schedule::batches_of_stage(config, epoch, number);
             let windows = sampler.batch(config.windows.batch, left, &mut state.order)?;
             let batch = Batch::new(&windows, config.windows.warm_up, &scale, &plain);
             let (predicted, steps) = loss::unroll(&state.network, &batch, &mut state.dropout);
@@ -213,12 +215,12 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         summarize(&mut checkpoint.description.training, &done);
         state.epochs.push(done);
         state.since_best = if best { 0 } else { state.since_best + 1 };
-        if best {
-            checkpoint.save(run.output)?;
-            state.best = Some(checkpoint.clone());
-        }
         let seconds = state.seconds + monitor.elapsed().as_secs_f64();
         resume::save(run, config, &state, &checkpoint, seconds)?;
+        if best {
+            checkpoint.save(run.output)?;
+            state.best = Some(checkpoint);
+        }
         monitor.epoch(&done, config.validation.horizon)?;
     }
     monitor.finish();
@@ -232,6 +234,25 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         best.save(run.output)?;
     }
     Ok(Outcome { epochs: all, best, interrupted, seconds, samples })
+}
+
+/// Errors of the best trivial predictor over many windows; none where the loss does not ask for them.
+fn common(
+    config: &TrainConfig,
+    sampler: &Sampler,
+    scale: &Scale,
+    state: &mut State,
+) -> Result<TrivialErrors, TrainError> {
+    if config.loss.kind == LossKind::Mse {
+        return Ok(Vec::new());
+    }
+    let mut sums = TrivialSums::new(state.unroll);
+    for _ in 0..COMMON_WINDOWS / COMMON_GROUP {
+        for window in sampler.draw(COMMON_GROUP, &mut state.order)? {
+            sums.add(&window, &scale.ballistic);
+        }
+    }
+    Ok(sums.best())
 }
 
 /// Enters an epoch in its checkpoint.
@@ -272,6 +293,12 @@ fn describe(
                 expected: particles,
             });
         }
+    }
+    let scale = &dataset.normalization;
+    let constant = |&feature: &usize| scale.minimum[feature] >= scale.maximum[feature];
+    if let Some(feature) = (0..4).find(constant) {
+        let found = scale.minimum[feature];
+        return Err(TrainError::Constant { feature: ["x", "y", "vx", "vy"][feature], found });
     }
     // Of every part: in a small set, a material may be in the validation part only.
     let parts = [&dataset.train, &dataset.validation, &dataset.test];

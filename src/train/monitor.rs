@@ -116,9 +116,8 @@ impl Monitor {
         let metrics = Output { file, path };
         let file = EventFile::create(output, clock::wall()).map_err(failed(output))?;
         let mut events = Output { file, path: output.to_owned() };
-        if state.samples > 0 {
-            events.write(|events| events.goes_on_after(clock::wall(), state.samples))?;
-        }
+        // Also at 0: a run that ended before its first epoch was done may have left events.
+        events.write(|events| events.goes_on_after(clock::wall(), state.samples))?;
 
         let target =
             if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };

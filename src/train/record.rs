@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Epoch, Run, TrainConfig, TrainError, weigh::TrivialErrors};
-use crate::{checkpoint::Description, model::DeviceKind};
+use super::{Epoch, LossKind, Run, TrainConfig, TrainError, weigh::TrivialErrors};
+use crate::checkpoint::Description;
 
 /// Version of the record's format. It goes up when a record of the old form would be misread.
 pub(super) const RECORD_VERSION: u32 = 1;
@@ -101,8 +101,12 @@ pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
     if record.epochs.is_empty() {
         return Err(damaged(file, "epochs", "none", "at least one"));
     }
-    if record.common.len() != record.unroll {
-        return Err(damaged(file, "common", record.common.len(), record.unroll));
+    let expected = match record.config.loss.kind {
+        LossKind::Mse => 0,
+        LossKind::Relative => record.unroll,
+    };
+    if record.common.len() != expected {
+        return Err(damaged(file, "common", record.common.len(), expected));
     }
     Ok(record)
 }
@@ -130,7 +134,7 @@ pub(super) fn same_run(
     {
         return other(&field, found, expected);
     }
-    let device = device_name(run.device);
+    let device = run.device.name().to_owned();
     if record.device != device {
         return other("device", device, record.device.clone());
     }
@@ -175,10 +179,6 @@ pub(super) fn damaged(
 }
 
 /// The word for a device on the command line.
-pub(super) fn device_name(device: DeviceKind) -> String {
-    format!("{device:?}").to_lowercase()
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -237,6 +237,7 @@ mod tests {
             let generator = Generator::of(&ChaCha8Rng::seed_from_u64(seed));
             let mut config = TrainConfig::defaults(Architecture::Frame);
             config.optimizer.clip = f32::INFINITY;
+            config.loss.kind = LossKind::Relative;
             let record = Record {
                 format_version: RECORD_VERSION,
                 data: "0123".to_owned(),

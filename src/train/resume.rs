@@ -25,7 +25,7 @@ use super::{
     METRICS_FILE, Run, TrainConfig, TrainError,
     adam::Adam,
     moments::{checksum, moments_by_name, moments_by_number},
-    record::{self, Generator, RECORD_VERSION, Record, damaged, device_name, same_run},
+    record::{self, Generator, RECORD_VERSION, Record, damaged, same_run},
     state::State,
 };
 use crate::{
@@ -115,7 +115,7 @@ pub(super) fn save(
     let record = Record {
         format_version: RECORD_VERSION,
         data: last.description.data.clone(),
-        device: device_name(run.device),
+        device: run.device.name().to_owned(),
         weights: checksum(&last.tensors),
         moments: checksum(&moments),
         steps: state.adam.steps,
@@ -202,6 +202,10 @@ fn load(
         if found != *expected {
             return Err(damaged(&file, "checksum", found, expected));
         }
+    }
+    // A process that ended between its two writes has left the best epoch in `last` only.
+    if record.epochs.last().is_some_and(|epoch| epoch.best) {
+        last.save(run.output)?;
     }
     let best = Checkpoint::load(run.output)?;
     let random = |field: &str, generator: &Generator| {

@@ -55,7 +55,7 @@ impl Scale<'_> {
                 }
             }
             LossKind::Relative => {
-                let own = self.trivial(std::slice::from_ref(window), unroll);
+                let own = self.trivial(window, unroll);
                 let counts = counts(&window.material);
                 let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
                 let share = f64::from(self.loss.common_share);
@@ -83,45 +83,57 @@ impl Scale<'_> {
         (RESOLUTION / unit).powi(2)
     }
 
-    /// What the best trivial predictor gets wrong over the last `unroll` frames of the windows.
-    pub(super) fn trivial(&self, windows: &[Window], unroll: usize) -> TrivialErrors {
-        let mut best = vec![[[f64::INFINITY; 2]; Material::COUNT]; unroll];
-        for baseline in Baseline::ALL {
-            let errors = self.baseline_errors(baseline, windows, unroll);
+    /// What the best trivial predictor gets wrong over the last `unroll` frames of a window.
+    fn trivial(&self, window: &Window, unroll: usize) -> TrivialErrors {
+        let mut sums = TrivialSums::new(unroll);
+        sums.add(window, &self.ballistic);
+        sums.best()
+    }
+}
+
+/// Squared errors of the trivial predictors over the last frames of windows, added up.
+pub(super) struct TrivialSums {
+    baselines: [TrivialErrors; Baseline::ALL.len()],
+    /// Particles of each material.
+    particles: [f64; Material::COUNT],
+}
+
+impl TrivialSums {
+    /// Of no window yet; of so many frames of each.
+    pub(super) fn new(unroll: usize) -> Self {
+        let zero = vec![[[0.0; 2]; Material::COUNT]; unroll];
+        Self { baselines: Baseline::ALL.map(|_| zero.clone()), particles: [0.0; Material::COUNT] }
+    }
+
+    /// Adds a window's.
+    pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
+        for (baseline, sums) in Baseline::ALL.into_iter().zip(&mut self.baselines) {
+            let unroll = sums.len();
+            let (observed, truth) = window.states.split_at(window.states.len() - unroll);
+            let predicted = baseline.roll_out(&observed[observed.len() - 1], unroll, ballistic);
+            for ((sums, predicted), truth) in sums.iter_mut().zip(&predicted).zip(truth) {
+                add(sums, &window.material, predicted, truth);
+            }
+        }
+        for (total, count) in self.particles.iter_mut().zip(counts(&window.material)) {
+            *total += count;
+        }
+    }
+
+    /// Means of the predictor that is best for each material and frame.
+    pub(super) fn best(self) -> TrivialErrors {
+        let Self { baselines, particles } = self;
+        let mut best = vec![[[f64::INFINITY; 2]; Material::COUNT]; baselines[0].len()];
+        for errors in &baselines {
             for (best, errors) in best.iter_mut().zip(errors) {
-                for (best, errors) in best.iter_mut().flatten().zip(errors.into_iter().flatten()) {
-                    *best = best.min(errors);
+                for ((best, errors), count) in best.iter_mut().zip(errors).zip(particles) {
+                    for (best, error) in best.iter_mut().zip(errors) {
+                        *best = best.min(error / count.max(1.0));
+                    }
                 }
             }
         }
         best
-    }
-
-    fn baseline_errors(
-        &self,
-        baseline: Baseline,
-        windows: &[Window],
-        unroll: usize,
-    ) -> TrivialErrors {
-        let mut sums = vec![[[0.0; 2]; Material::COUNT]; unroll];
-        let mut particles = [0.0; Material::COUNT];
-        for window in windows {
-            let (observed, truth) = window.states.split_at(window.states.len() - unroll);
-            let predicted =
-                baseline.roll_out(&observed[observed.len() - 1], unroll, &self.ballistic);
-            for ((sums, predicted), truth) in sums.iter_mut().zip(&predicted).zip(truth) {
-                add(sums, &window.material, predicted, truth);
-            }
-            for (total, count) in particles.iter_mut().zip(counts(&window.material)) {
-                *total += count;
-            }
-        }
-        for sums in &mut sums {
-            for (sum, count) in sums.iter_mut().zip(particles) {
-                *sum = sum.map(|error| error / count.max(1.0));
-            }
-        }
-        sums
     }
 }
 

@@ -81,11 +81,11 @@ impl<'a> Sampler<'a> {
     pub(super) fn batch(
         &mut self,
         size: usize,
-        left: usize,
+        left: impl FnOnce() -> usize,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<Window>, TrainError> {
         if self.ahead.is_empty() {
-            let batches = left.min(self.batches_ahead(size)).max(1);
+            let batches = left().min(self.batches_ahead(size)).max(1);
             self.ahead = self.draw(batches * size, random)?.into();
         }
         Ok(self.ahead.drain(..size).collect())

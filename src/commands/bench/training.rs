@@ -9,7 +9,7 @@ use crate::{
     commands::{Interrupt, pages, progress_bar},
 };
 use eddy::{
-    bench::training::{CORES, FRAMES, PAPER_SAMPLES, Step, Timing, products},
+    bench::training::{CORES, FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Step, Timing, products},
     model::Core,
     train::exercise::{PARTICLES, Part},
 };
@@ -92,16 +92,21 @@ fn print_ratios(timings: &[Timing]) {
         for frames in FRAMES {
             let name = if what == Part::Frame { "network" } else { "core" };
             let mut row = vec![name.to_owned(), frames.to_string()];
-            row.extend(pairs.map(|(classic, minimal)| {
-                format!("{:.2}", time(what, classic, frames) / time(what, minimal, frames))
-            }));
+            let rival = PYTORCH_CORES.iter().find(|rival| what == Part::Core && rival.0 == frames);
+            for (pair, (classic, minimal)) in pairs.into_iter().enumerate() {
+                let ratio = time(what, classic, frames) / time(what, minimal, frames);
+                row.push(format!("{ratio:.2}"));
+                row.push(rival.map_or(String::new(), |(_, ratios)| format!("{:.2}", ratios[pair])));
+            }
             rows.push(row);
         }
     }
     let mut row = vec!["products".to_owned(), "any".to_owned()];
-    row.extend(
-        pairs.map(|(classic, minimal)| format!("{:.2}", products(classic) / products(minimal))),
-    );
+    for (classic, minimal) in pairs {
+        row.extend([format!("{:.2}", products(classic) / products(minimal)), String::new()]);
+    }
     rows.push(row);
-    println!("\n{}", table(["what", "frames", "LSTM/minLSTM", "GRU/minGRU"], rows).trim_fmt());
+    let header = ["what", "frames", "LSTM/minLSTM", "PyTorch", "GRU/minGRU", "PyTorch"];
+    println!("\n{}", table(header, rows).trim_fmt());
+    println!("PyTorch: 2.15, eager, two cores of an Intel Xeon, by tests/peers/torch_speed.py");
 }

@@ -4,7 +4,7 @@
 use std::{fs, path::Path};
 
 use eddy::{
-    checkpoint::{Architecture, Checkpoint, Core},
+    checkpoint::{Architecture, Checkpoint, Core, Form, Pooling},
     train::{Machine, Run, TrainConfig, train},
 };
 
@@ -63,6 +63,23 @@ fn a_number_that_is_no_setting_is_named() {
     says(&refused(|c| c.network.hidden = 1 << 20), &["network.hidden: found 1048576"]);
     says(&refused(|c| c.gravity[0] = f32::NAN), &["gravity: found [NaN, -9.8]"]);
     says(&refused(|c| c.optimizer.learning_rate = f64::NAN), &["optimizer.learning_rate"]);
+    let other_form = |c: &mut TrainConfig| (c.core, c.network.form) = (Core::Gru, Form::Log);
+    says(&refused(other_form), &["network.form: found log, expected plain"]);
+    let refusal = "network.normalize_gates: found false, expected true";
+    says(&refused(|c| c.network.normalize_gates = false), &[refusal]);
+    says(&refused(|c| c.network.frame.pooling = Pooling::Max), &["network.frame: found"]);
+}
+
+#[test]
+fn a_feature_that_never_changes_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut still = dataset();
+    (still.normalization.minimum[2], still.normalization.maximum[2]) = (0.5, 0.5);
+    let config = small(Architecture::Frame, Core::MinGru);
+    let message = run(&config, &still, folder.path()).unwrap_err().to_string();
+    let expected = "found 0.5 everywhere, expected at least two different values";
+    assert_eq!(message, format!("training streams: vx: {expected}"));
+    assert!(files(folder.path()).is_empty());
 }
 
 #[test]
@@ -190,6 +207,14 @@ fn a_network_that_does_not_fit_into_memory_is_refused_with_the_numbers() {
     let message = train(&config, &dataset(), &run).unwrap_err().to_string();
     says(&message, &["memory: found at least", "needed", "at most the 64.00 KiB that are free"]);
     assert!(files(folder.path()).is_empty());
+
+    // A batch of so many windows that their bytes are no number any more.
+    let mut config = config;
+    config.windows.batch = usize::MAX / 2;
+    let machine = Machine { memory: 1 << 40, ..Machine::UNLIMITED };
+    let run = Run { machine, ..settings(folder.path(), &|| false) };
+    let message = train(&config, &dataset(), &run).unwrap_err().to_string();
+    says(&message, &["memory: found at least", "at most the 1.00 TiB that are free"]);
 
     // The real machine, and a network of 170 billion numbers.
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
