@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::{
     math::{sigmoid, tanh},
     matrix::{Into, Matrix, multiply, product, sum_rows},
+    packed::Recurrent,
     vectors::{parts, parts_mut, zip},
 };
 
@@ -66,6 +67,8 @@ impl Gru<'_> {
             row.copy_from_slice(self.bias);
         }
         let mut states = vec![0.0; self.inputs.len() / GATES];
+        let weight =
+            Recurrent::new(Matrix::new(self.weight, width, GATES * width), gates.len() / frame);
         let all = gates.chunks_exact_mut(frame).zip(recurrent.chunks_exact_mut(frame));
         for (t, (gates, recurrent)) in all.enumerate() {
             let (earlier, now) = states.split_at_mut(t * rows * width);
@@ -74,8 +77,7 @@ impl Gru<'_> {
                 Some(start) => &earlier[start..],
             };
             if t > 0 || !self.starts_from_zero() {
-                let weight = Matrix::new(self.weight, width, GATES * width);
-                multiply(Matrix::new(before, rows, width), weight, recurrent, Into::Add);
+                weight.add_product(Matrix::new(before, rows, width), recurrent);
             }
             gates
                 .par_chunks_exact_mut(GATES * width)
@@ -112,6 +114,8 @@ impl Gru<'_> {
         let mut products = vec![0.0; self.inputs.len()];
         // By the state: directly (z h), and through the products.
         let (mut direct, mut through) = (vec![0.0; rows * width], vec![0.0; rows * width]);
+        let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+        let weight = Recurrent::new(weight, inputs.len() / frame);
         for t in (0..inputs.len() / frame).rev() {
             let before = match t {
                 0 => self.hidden,
@@ -140,9 +144,8 @@ impl Gru<'_> {
                     });
                 });
             if t > 0 || by_start {
-                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
-                let above = Matrix::new(products, rows, GATES * width);
-                multiply(above, weight, &mut through, Into::Replace);
+                through.fill(0.0);
+                weight.add_product(Matrix::new(products, rows, GATES * width), &mut through);
             }
         }
         let (first, rest) = products.split_at(frame);

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::{
     math::{sigmoid, tanh},
     matrix::{Into, Matrix, multiply, product, sum_rows},
+    packed::Recurrent,
     vectors::{parts, parts_mut, zip},
 };
 
@@ -67,6 +68,8 @@ impl Lstm<'_> {
             row.iter_mut().zip(self.bias).for_each(|(sum, bias)| *sum += bias);
         }
         let mut states = vec![0.0; self.inputs.len() / 2];
+        let weight =
+            Recurrent::new(Matrix::new(self.weight, width, GATES * width), gates.len() / frame);
         for (t, gates) in gates.chunks_exact_mut(frame).enumerate() {
             let (earlier, now) = states.split_at_mut(t * frame / 2);
             let before = earlier.len().checked_sub(frame / 2).map(|start| &earlier[start..]);
@@ -75,8 +78,7 @@ impl Lstm<'_> {
                 Some(before) => Matrix::with_stride(before, rows, width, 2 * width),
             };
             if t > 0 || !self.starts_from_zero() {
-                let weight = Matrix::new(self.weight, width, GATES * width);
-                multiply(hidden, weight, gates, Into::Add);
+                weight.add_product(hidden, gates);
             }
             gates
                 .par_chunks_exact_mut(GATES * width)
@@ -113,6 +115,8 @@ impl Lstm<'_> {
         let frame = rows * GATES * width;
         let mut inputs = vec![0.0; self.inputs.len()];
         let (mut hidden, mut cell) = (vec![0.0; rows * width], vec![0.0; rows * width]);
+        let weight = Matrix::new(self.weight, width, GATES * width).transposed();
+        let weight = Recurrent::new(weight, inputs.len() / frame);
         for t in (0..inputs.len() / frame).rev() {
             let states = |t: usize| &states[t * frame / 2..(t + 1) * frame / 2];
             let sums = &mut inputs[t * frame..(t + 1) * frame];
@@ -139,13 +143,8 @@ impl Lstm<'_> {
                     });
                 });
             if t > 0 || by_start {
-                let weight = Matrix::new(self.weight, width, GATES * width).transposed();
-                multiply(
-                    Matrix::new(sums, rows, GATES * width),
-                    weight,
-                    &mut hidden,
-                    Into::Replace,
-                );
+                hidden.fill(0.0);
+                weight.add_product(Matrix::new(sums, rows, GATES * width), &mut hidden);
             }
         }
         let (first, rest) = inputs.split_at(frame);

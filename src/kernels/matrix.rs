@@ -33,6 +33,17 @@ impl<'a> Matrix<'a> {
         Self { values, shape: [rows, columns], strides: [stride, 1] }
     }
 
+    /// Rows and columns.
+    pub fn shape(&self) -> [usize; 2] {
+        self.shape
+    }
+
+    /// One number.
+    #[inline(always)]
+    pub fn at(&self, row: usize, column: usize) -> f32 {
+        self.values[row * self.strides[0] + column * self.strides[1]]
+    }
+
     /// Rows and columns exchanged.
     pub fn transposed(self) -> Self {
         let ([rows, columns], [row, column]) = (self.shape, self.strides);

@@ -13,7 +13,7 @@
 //! 4. [`linear`]: a linear layer; [`matrix`] has the products.
 //! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
 //! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
-//! 7. [`gru`], [`lstm`]: frame by frame.
+//! 7. [`gru`], [`lstm`]: frame by frame, with recurrent weights that are [`packed`].
 
 pub mod activation;
 pub mod encoder;
@@ -23,4 +23,5 @@ pub mod lstm;
 pub mod math;
 pub mod matrix;
 pub mod minimal;
+pub mod packed;
 pub mod vectors;

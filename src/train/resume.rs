@@ -180,6 +180,24 @@ fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
     file.sync_all()
 }
 
+/// The checkpoint with the smallest validation loss. A process that ended between its two writes has left
+/// it in [`LAST_FOLDER`] only; then it is put where it belongs.
+fn best(output: &Path, record: &Record, last: &Checkpoint) -> Result<Checkpoint, TrainError> {
+    let newest = record.epochs.last().filter(|epoch| epoch.best);
+    let none = ![DESCRIPTION_FILE, WEIGHTS_FILE].iter().any(|file| output.join(file).exists());
+    if newest.is_some() && none {
+        last.save(output)?;
+    }
+    let best = Checkpoint::load(output)?;
+    match newest {
+        Some(epoch) if best.description.training.best_epoch != epoch.epoch => {
+            last.save(output)?;
+            Ok(last.clone())
+        }
+        _ => Ok(best),
+    }
+}
+
 fn load(
     config: &TrainConfig,
     description: &mut Description,
@@ -203,11 +221,7 @@ fn load(
             return Err(damaged(&file, "checksum", found, expected));
         }
     }
-    // A process that ended between its two writes has left the best epoch in `last` only.
-    if record.epochs.last().is_some_and(|epoch| epoch.best) {
-        last.save(run.output)?;
-    }
-    let best = Checkpoint::load(run.output)?;
+    let best = best(run.output, &record, &last)?;
     let random = |field: &str, generator: &Generator| {
         generator.generator().ok_or_else(|| {
             damaged(&file, field, format!("{generator:?}"), "64 hexadecimal digits and a number")

@@ -188,6 +188,29 @@ fn a_folder_that_holds_a_run_is_not_written_over() {
 }
 
 #[test]
+fn a_best_epoch_that_was_not_yet_in_its_place_is_put_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    config.epochs = 2;
+    let outcome = run(&config, &dataset(), output).unwrap();
+    assert!(outcome.epochs[1].best, "another epoch than the last is the best");
+    let paths = ["model.toml", "model.safetensors"].map(|name| output.join(name));
+    let whole = paths.each_ref().map(|path| fs::read(path).unwrap());
+    let restored = || {
+        resume(&config, &dataset(), output).unwrap();
+        assert!(paths.each_ref().map(|path| fs::read(path).unwrap()) == whole);
+    };
+    for path in &paths {
+        fs::remove_file(path).unwrap();
+    }
+    restored();
+    let text = String::from_utf8(whole[0].clone()).unwrap();
+    fs::write(&paths[0], text.replace("best_epoch = 2", "best_epoch = 1")).unwrap();
+    restored();
+}
+
+#[test]
 fn what_is_damaged_or_newer_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();

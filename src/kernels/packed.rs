@@ -1,0 +1,199 @@
+//! A matrix that many small ones are multiplied with: the recurrent weights of a layer, once a frame.
+//!
+//! A product of a few rows reads every weight for little arithmetic, so that it takes as long as the
+//! reading. Weights are therefore packed once, in the order in which they are read: in panels as wide
+//! as a vector, each holding its columns for one inner index after the other.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::matrix::{Into, Matrix, multiply};
+
+/// Rows that are worked on at once, where vectors are as long as a cache line and where not: each needs
+/// a register.
+const ROWS: [usize; 2] = [16, 8];
+
+/// A packed matrix, `[K, N]`.
+#[derive(Clone, Debug)]
+pub struct Packed {
+    /// `[panel, K, lane]`; zero where the last panel reaches beyond the columns.
+    panels: Vec<f32>,
+    inner: usize,
+    columns: usize,
+    lanes: usize,
+}
+
+/// Asks how wide vectors are.
+struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES
+    }
+}
+
+impl Packed {
+    /// Packs a matrix.
+    pub fn new(matrix: Matrix) -> Self {
+        let [inner, columns] = matrix.shape();
+        let lanes = Arch::new().dispatch(Lanes);
+        let mut panels = vec![0.0; columns.div_ceil(lanes) * inner * lanes];
+        panels.par_chunks_exact_mut(inner * lanes).enumerate().for_each(|(panel, packed)| {
+            let first = panel * lanes;
+            for (k, group) in packed.chunks_exact_mut(lanes).enumerate() {
+                for (column, value) in (first..columns).zip(group) {
+                    *value = matrix.at(k, column);
+                }
+            }
+        });
+        Self { panels, inner, columns, lanes }
+    }
+
+    /// Adds the product of `rows` `[M, K]` with the matrix to `sums` `[M, N]`.
+    pub fn add_product(&self, rows: Matrix, sums: &mut [f32]) {
+        let [count, inner] = rows.shape();
+        assert!(inner == self.inner && sums.len() == count * self.columns, "{:?}", rows.shape());
+        // Inner index first, as the panels have it.
+        let rows: Vec<f32> =
+            (0..inner).flat_map(|k| (0..count).map(move |row| rows.at(row, k))).collect();
+        let mut products = vec![0.0; self.columns.div_ceil(self.lanes) * count * self.lanes];
+        products
+            .par_chunks_exact_mut(count * self.lanes)
+            .zip(self.panels.par_chunks_exact(inner * self.lanes))
+            .with_min_len(8)
+            .for_each(|(products, panel)| {
+                Arch::new().dispatch(Product { panel, rows: &rows, count, products });
+            });
+        for (panel, products) in products.chunks_exact(count * self.lanes).enumerate() {
+            let first = panel * self.lanes;
+            let last = (first + self.lanes).min(self.columns);
+            let sums = sums.chunks_exact_mut(self.columns);
+            for (sums, products) in sums.zip(products.chunks_exact(self.lanes)) {
+                for (sum, product) in sums[first..last].iter_mut().zip(products) {
+                    *sum += product;
+                }
+            }
+        }
+    }
+}
+
+/// Frames from which on packing pays: it takes about as long as two products of 16 rows.
+const MANY: usize = 4;
+
+/// Recurrent weights, packed if there are frames enough.
+#[derive(Clone, Debug)]
+pub enum Recurrent<'a> {
+    /// As they are.
+    Plain(Matrix<'a>),
+    /// Packed.
+    Packed(Packed),
+}
+
+impl<'a> Recurrent<'a> {
+    /// For so many frames.
+    pub fn new(weight: Matrix<'a>, frames: usize) -> Self {
+        if frames < MANY { Self::Plain(weight) } else { Self::Packed(Packed::new(weight)) }
+    }
+
+    /// As [`Packed::add_product`].
+    pub fn add_product(&self, rows: Matrix, sums: &mut [f32]) {
+        match self {
+            Self::Plain(weight) => multiply(rows, *weight, sums, Into::Add),
+            Self::Packed(packed) => packed.add_product(rows, sums),
+        }
+    }
+}
+
+/// A panel of a product.
+struct Product<'a> {
+    /// `[K, lane]`.
+    panel: &'a [f32],
+    /// `[K, M]`.
+    rows: &'a [f32],
+    /// M.
+    count: usize,
+    /// `[M, lane]`.
+    products: &'a mut [f32],
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { panel, rows, count, products } = self;
+        let (panel, _) = S::as_simd_f32s(panel);
+        let (products, _) = S::as_mut_simd_f32s(products);
+        let mut first = 0;
+        while first < count {
+            let left = count - first;
+            if S::F32_LANES == 16 && left >= ROWS[0] {
+                block::<S, { ROWS[0] }>(simd, panel, rows, count, first, products);
+                first += ROWS[0];
+            } else if left >= ROWS[1] {
+                block::<S, { ROWS[1] }>(simd, panel, rows, count, first, products);
+                first += ROWS[1];
+            } else {
+                block::<S, 1>(simd, panel, rows, count, first, products);
+                first += 1;
+            }
+        }
+    }
+}
+
+/// R rows, from number `first` on.
+#[inline(always)]
+fn block<S: Simd, const R: usize>(
+    simd: S,
+    panel: &[S::f32s],
+    rows: &[f32],
+    count: usize,
+    first: usize,
+    products: &mut [S::f32s],
+) {
+    let mut sums = [simd.splat_f32s(0.0); R];
+    for (weights, row) in panel.iter().zip(rows.chunks_exact(count)) {
+        let (numbers, _) = row[first..first + R].as_chunks::<R>();
+        let numbers = &numbers[0];
+        for r in 0..R {
+            sums[r] = simd.mul_add_e_f32s(*weights, simd.splat_f32s(numbers[r]), sums[r]);
+        }
+    }
+    products[first..first + R].copy_from_slice(&sums);
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_packed_product_is_the_product(
+            count in 1usize..40,
+            inner in 1usize..20,
+            columns in 1usize..60,
+            transposed: bool,
+            seed in proptest::collection::vec(-1f32..1.0, 40 * 20 + 20 * 60),
+        ) {
+            let (rows, rest) = seed.split_at(count * inner);
+            let rows = Matrix::new(rows, count, inner);
+            let matrix = if transposed {
+                Matrix::new(rest, columns, inner).transposed()
+            } else {
+                Matrix::new(rest, inner, columns)
+            };
+            let mut expected = vec![0.5; count * columns];
+            let mut found = expected.clone();
+            multiply(rows, matrix, &mut expected, Into::Add);
+            Packed::new(matrix).add_product(rows, &mut found);
+            for (found, expected) in found.iter().zip(&expected) {
+                prop_assert!((found - expected).abs() <= 1e-5);
+            }
+        }
+    }
+}
