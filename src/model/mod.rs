@@ -11,7 +11,7 @@
 //! 7. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
 //! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
 //! 9. `network`: either of the two, behind one set of calls.
-//! 10. [`reference`]: a network that predicts frames one after the other, for comparison.
+//! 10. [`mod@reference`]: a network that predicts frames one after the other, for comparison.
 //!
 //! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input
 //! features, `E` encoder width, `H` hidden width.
