@@ -81,8 +81,8 @@ pub struct BenchInferenceArgs {
 #[derive(Debug, Args)]
 pub struct BenchTrainingArgs {
     /// One kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
-    /// core:lstm:16 (its core alone); may be given several times. If not given: the table of all
-    /// recurrent cores at 2, 16, 64 and 256 frames.
+    /// core:lstm:16 (its core alone); may be given several times. If not given: all
+    /// recurrent cores, in the network at 2 frames and alone at 2, 16, 64 and 256.
     #[arg(long, value_name = "STEP")]
     pub step: Vec<Step>,
     /// Windows a batch, where a step does not say.

@@ -51,15 +51,14 @@ pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyho
     Ok(())
 }
 
-/// The whole network and the core alone, by core and length of the window.
+/// Rows of the table: the whole network with the paper's window, and the core alone by frames.
+fn kinds() -> impl Iterator<Item = (Part, usize)> {
+    [(Part::Frame, FRAMES[0])].into_iter().chain(FRAMES.map(|frames| (Part::Core, frames)))
+}
+
 fn paper() -> Vec<Step> {
-    let mut steps = Vec::new();
-    for part in [Part::Frame, Part::Core] {
-        for frames in FRAMES {
-            steps.extend(CORES.map(|core| Step { part, core, frames, windows: None }));
-        }
-    }
-    steps
+    let steps = |(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None });
+    kinds().flat_map(steps).collect()
 }
 
 fn print_timings(timings: &[Timing]) {
@@ -88,18 +87,16 @@ fn print_ratios(timings: &[Timing]) {
     };
     let pairs = [(Core::Lstm, Core::MinLstm), (Core::Gru, Core::MinGru)];
     let mut rows = Vec::new();
-    for what in [Part::Frame, Part::Core] {
-        for frames in FRAMES {
-            let name = if what == Part::Frame { "network" } else { "core" };
-            let mut row = vec![name.to_owned(), frames.to_string()];
-            let rival = PYTORCH_CORES.iter().find(|rival| what == Part::Core && rival.0 == frames);
-            for (pair, (classic, minimal)) in pairs.into_iter().enumerate() {
-                let ratio = time(what, classic, frames) / time(what, minimal, frames);
-                row.push(format!("{ratio:.2}"));
-                row.push(rival.map_or(String::new(), |(_, ratios)| format!("{:.2}", ratios[pair])));
-            }
-            rows.push(row);
+    for (what, frames) in kinds() {
+        let name = if what == Part::Frame { "network" } else { "core" };
+        let mut row = vec![name.to_owned(), frames.to_string()];
+        let rival = PYTORCH_CORES.iter().find(|rival| what == Part::Core && rival.0 == frames);
+        for (pair, (classic, minimal)) in pairs.into_iter().enumerate() {
+            let ratio = time(what, classic, frames) / time(what, minimal, frames);
+            row.push(format!("{ratio:.2}"));
+            row.push(rival.map_or(String::new(), |(_, ratios)| format!("{:.2}", ratios[pair])));
         }
+        rows.push(row);
     }
     let mut row = vec!["products".to_owned(), "any".to_owned()];
     for (classic, minimal) in pairs {
