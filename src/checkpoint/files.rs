@@ -63,7 +63,7 @@ pub(super) fn write(
 }
 
 /// Writes a file and waits until the disk has it.
-fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(file)?;
     file.write_all(bytes)?;
     file.sync_all()

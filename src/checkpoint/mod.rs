@@ -21,7 +21,7 @@ pub use description::{
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
-pub(crate) use files::{parse_weights, render_weights};
+pub(crate) use files::{parse_weights, render_weights, write_through};
 pub use layout::tensor_shapes;
 
 use std::{collections::BTreeMap, path::Path};

@@ -11,12 +11,13 @@ use super::{
     core::{CoreLayer, activate},
     crew::{Crew, Parts, Task},
     encoder::{BLOCK, Encoder},
-    linear::{Lanes, Linear, add_products, outputs},
+    linear::{Linear, add_products, outputs},
     memory::Memory,
 };
 use crate::{
-    checkpoint::{Activation, Core, Description, Pooling, Weights, layout},
+    checkpoint::{Activation, Core, Description, Pooling, Weights},
     frame::Frame,
+    kernels::vectors::Lanes,
 };
 
 /// Parts of each sum over a layer's inputs: enough for the additions not to wait for each other.
@@ -94,10 +95,7 @@ impl FrameModel {
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
         let lanes = arch.dispatch(Lanes);
-        let linear = |layer| {
-            let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
-            Linear::pack(lanes, weight, bias, 0, 1)
-        };
+        let linear = |layer| Linear::named(lanes, tensors, layer);
         let decoder = linear("decoder");
         let layers = description.sizes.layers;
         let mut stages = match description.frame.pooling {

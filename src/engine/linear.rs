@@ -5,24 +5,14 @@
 //! and in the order in which they lie in memory, and a lane sums up one output: nothing is summed
 //! across lanes, and the order of a sum does not depend on the width of the vectors.
 
-use pulp::{Simd, WithSimd};
+use std::collections::BTreeMap;
 
-use crate::checkpoint::Weights;
+use pulp::Simd;
+
+use crate::checkpoint::{Weights, layout};
 
 /// Bytes of a cache line, which the widest vectors fill.
 const LINE: usize = 64;
-
-/// Asks how wide vectors are.
-pub(super) struct Lanes;
-
-impl WithSimd for Lanes {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES
-    }
-}
 
 /// Numbers that begin at a cache line.
 #[derive(Debug)]
@@ -88,6 +78,12 @@ impl Linear {
             }
         }
         Self { lanes, input, output, weight: packed, bias: packed_bias }
+    }
+
+    /// Packs a layer outside the core by its name.
+    pub(super) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
+        let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
+        Self::pack(lanes, weight, bias, 0, 1)
     }
 
     /// Number of inputs.

@@ -10,14 +10,15 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     core::CoreLayer,
     crew::{Crew, Parts, Task},
-    linear::{Lanes, Linear, add_products},
+    linear::{Linear, add_products},
     memory::Memory,
     particle_features::{Features, NEARNESSES},
 };
 use crate::{
-    checkpoint::{Description, Weights, layout},
+    checkpoint::{Description, Weights},
     frame::Frame,
     kernels::math::relu,
+    kernels::vectors::Lanes,
     model::particle_model::velocity_limits,
 };
 
@@ -64,10 +65,7 @@ impl ParticleModel {
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
         let lanes = arch.dispatch(Lanes);
-        let linear = |layer| {
-            let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
-            Linear::pack(lanes, weight, bias, 0, 1)
-        };
+        let linear = |layer| Linear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
         Self {
             arch,

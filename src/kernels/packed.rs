@@ -7,7 +7,10 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::matrix::{Into, Matrix, multiply};
+use super::{
+    matrix::{Into, Matrix, multiply},
+    vectors::Lanes,
+};
 
 /// Rows that are worked on at once, where vectors are as long as a cache line and where not: each needs
 /// a register.
@@ -21,18 +24,6 @@ pub struct Packed {
     inner: usize,
     columns: usize,
     lanes: usize,
-}
-
-/// Asks how wide vectors are.
-struct Lanes;
-
-impl WithSimd for Lanes {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES
-    }
 }
 
 impl Packed {

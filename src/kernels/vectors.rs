@@ -1,6 +1,18 @@
 //! The same work on every number of several lists.
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
+
+/// Asks a set of instructions how many numbers its vectors hold.
+pub struct Lanes;
+
+impl WithSimd for Lanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F32_LANES
+    }
+}
 
 /// Gives `work` the numbers of `inputs` and `outputs` at each index, in vectors, and puts what comes back
 /// in the places of the outputs. All lists are equally long; numbers that do not fill a vector are
@@ -74,7 +86,7 @@ pub fn strips(values: &mut [f32], width: usize, strip: usize) -> Vec<Vec<&mut [f
 
 #[cfg(test)]
 mod tests {
-    use pulp::{Arch, WithSimd};
+    use pulp::Arch;
 
     use super::*;
 

@@ -16,8 +16,7 @@
 //! then on those of the new number, as if it had been asked for from the start.
 
 use std::{
-    fs::{self, File},
-    io::{self, Write as _},
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -56,7 +55,7 @@ pub fn check_output(output: &Path, resume: bool) -> Result<(), TrainError> {
         .collect();
     fs::create_dir_all(output).map_err(failed)?;
     let probe = output.join(".eddy-was-here");
-    let outcome = write_through(&probe, b"whether anything can be written\n");
+    let outcome = checkpoint::write_through(&probe, b"whether anything can be written\n");
     // What cannot be taken away again does no harm.
     let _ = fs::remove_file(&probe);
     for folder in missing {
@@ -134,7 +133,7 @@ pub(super) fn save(
     last.save(&new)?;
     let write = |name: &str, bytes: &[u8]| {
         let file = new.join(name);
-        write_through(&file, bytes).map_err(|reason| TrainError::File { file, reason })
+        checkpoint::write_through(&file, bytes).map_err(|reason| TrainError::File { file, reason })
     };
     write(MOMENTS_FILE, &checkpoint::render_weights(&moments))?;
     write(RECORD_FILE, record.render().as_bytes())?;
@@ -171,13 +170,6 @@ fn remove(folder: &Path) -> Result<(), TrainError> {
         }
         _ => Ok(()),
     }
-}
-
-/// Writes a file and waits until the disk has it.
-fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(file)?;
-    file.write_all(bytes)?;
-    file.sync_all()
 }
 
 /// The checkpoint with the smallest validation loss. A process that ended between its two writes has left
