@@ -30,6 +30,11 @@ const MIXES: [&[Material]; 6] = [
     &[Snow, Rope],
 ];
 
+/// The bodies of a scene of one material, by `id / 5 % 3`, and how many kinds of scenes come in turn:
+/// each material alone, then a mix.
+const ALONE: [usize; 3] = [2, 3, 1];
+const KINDS: usize = Material::COUNT + 1;
+
 /// Part of the particles that the first of two materials gets, smallest and largest.
 const SHARE: [f32; 2] = [0.3, 0.7];
 /// Bodies of one material are split no more unevenly than this.
@@ -80,6 +85,15 @@ fn arrange(preset: Preset, id: u64, rng: &mut ChaCha8Rng) -> Option<Vec<Body>> {
         Preset::Fluid => {
             let parts = rng.random_range(1..=3);
             bodies_of(Liquid, PARTICLES, parts, spacing, rng)
+        }
+        Preset::Kinds => {
+            let (round, kind) = (id as usize / KINDS, id as usize % KINDS);
+            match Material::ALL.get(kind) {
+                Some(&alone) => {
+                    bodies_of(alone, PARTICLES, ALONE[round % ALONE.len()], spacing, rng)
+                }
+                None => mixed_bodies(MIXES[round % MIXES.len()], spacing, rng),
+            }
         }
     };
     let mut placement = Placement::new(GridShape::unit(preset.cells()));
@@ -166,7 +180,7 @@ mod tests {
 
     use super::*;
 
-    const PRESETS: [Preset; 2] = [Preset::MultiMaterial, Preset::Fluid];
+    const PRESETS: [Preset; 3] = [Preset::MultiMaterial, Preset::Fluid, Preset::Kinds];
 
     #[test]
     fn the_same_seed_and_id_give_the_same_scene_and_others_another() {
@@ -234,6 +248,17 @@ mod tests {
             materials.iter().flat_map(Scene::materials).collect::<BTreeSet<_>>().len()
         };
         assert!(scenes.windows(3).all(|neighbours| fewest(neighbours) == Material::COUNT));
+    }
+
+    #[test]
+    fn kinds_are_each_material_alone_and_then_a_mix_in_turn() {
+        for id in 0..40 {
+            let found = Scene::generate(Preset::Kinds, 1, id).materials();
+            match Material::ALL.get(id as usize % KINDS) {
+                Some(&alone) => assert_eq!(found, [alone], "{id}"),
+                None => assert_eq!(found.len(), 2, "{id}: {found:?}"),
+            }
+        }
     }
 
     #[test]
