@@ -18,6 +18,7 @@
 //! The particles' surroundings, for both:
 //!
 //! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
+//! 9. [`transfer`]: from particles to nodes and back.
 
 pub mod activation;
 pub mod encoder;
@@ -29,4 +30,5 @@ pub mod matrix;
 pub mod minimal;
 pub mod nodes;
 pub mod packed;
+pub mod transfer;
 pub mod vectors;
