@@ -14,6 +14,11 @@
 //! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
 //! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
 //! 7. [`gru`], [`lstm`]: frame by frame, with recurrent weights that are [`packed`].
+//!
+//! The particles' surroundings, for both:
+//!
+//! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
+//! 9. [`transfer`]: from particles to nodes and back.
 
 pub mod activation;
 pub mod encoder;
@@ -23,5 +28,7 @@ pub mod lstm;
 pub mod math;
 pub mod matrix;
 pub mod minimal;
+pub mod nodes;
 pub mod packed;
+pub mod transfer;
 pub mod vectors;

@@ -1,0 +1,220 @@
+//! One window's tables, through maps with an entry for every cell of its domain.
+
+use super::{Cell, LEVELS, Level, MISSING, Row, Tables, Window};
+
+/// Number of node 0 in the maps of level 0. A multiple of 4, so that a parent's number is half of its
+/// child's; and so large that no neighbour's is negative, at any level.
+const ORIGIN: usize = 8;
+
+/// Maps of one window, row by row.
+#[derive(Debug, Default)]
+pub(super) struct Maps {
+    /// Particles of each cell; later the slot of its next one.
+    particles: Vec<u32>,
+    /// Rows of each map.
+    down: [usize; LEVELS],
+    /// Columns of each map.
+    across: [usize; LEVELS],
+    /// Number of each node of each level, or [`MISSING`].
+    nodes: [Vec<u32>; LEVELS],
+    /// Entry of each particle's cell.
+    cell: Vec<u32>,
+    /// Distance of each particle from the lowest node of its stencil (cells), 0.5 to 1.5.
+    offset: Vec<[f32; 2]>,
+    /// Entry of each cell with particles.
+    occupied: Vec<u32>,
+    /// First of them in each row, and one behind the last.
+    first: Vec<u32>,
+}
+
+impl Maps {
+    /// Fills the empty `tables` with the window's, all numbers counted from 0 but the particles' rows.
+    pub(super) fn build(
+        &mut self,
+        position: &[[f32; 2]],
+        window: &Window,
+        width: f32,
+        tables: &mut Tables,
+    ) {
+        let position = &position[window.particles.clone()];
+        let extent = [0, 1].map(|axis| (window.upper[axis] - window.lower[axis]) / width);
+        self.clear(extent);
+        self.reserve(position.len(), tables);
+        self.locate(position, window.lower, extent, width);
+        self.list_cells(tables);
+        self.sort(window.particles.start, tables);
+        self.number(tables);
+        for level in 1..LEVELS {
+            self.coarsen(level, tables);
+        }
+        for (level, nodes) in tables.levels.iter_mut().enumerate() {
+            self.connect(level, nodes);
+        }
+    }
+
+    /// Empty maps for a domain of that size (cells).
+    fn clear(&mut self, extent: [f32; 2]) {
+        // Nodes go up to one behind the domain's end, and have a neighbour there at each level.
+        let [across, down] = extent.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4);
+        for level in 0..LEVELS {
+            (self.across[level], self.down[level]) = (across >> level, down >> level);
+            self.nodes[level].clear();
+            self.nodes[level].resize(self.across[level] * self.down[level], MISSING);
+        }
+        self.particles.clear();
+        self.particles.resize(across * down, 0);
+    }
+
+    /// Room for all that so many particles can need, wherever they are.
+    fn reserve(&mut self, particles: usize, tables: &mut Tables) {
+        let area = self.particles.len();
+        let Self { cell, offset, occupied, first, down, .. } = self;
+        cell.clear();
+        offset.clear();
+        occupied.clear();
+        first.clear();
+        cell.reserve(particles);
+        offset.reserve(particles);
+        occupied.reserve(particles.min(area));
+        first.reserve(down[0] + 1);
+        tables.order.reserve(particles);
+        tables.weights.reserve(particles);
+        tables.cells.reserve(particles.min(area));
+        tables.rows.reserve(down[0]);
+        for (number, level) in tables.levels.iter_mut().enumerate() {
+            let nodes = particles.saturating_mul(9).min(area >> (2 * number));
+            level.at.reserve(nodes);
+            level.neighbours.reserve(nodes);
+            level.children.reserve(if number > 0 { nodes } else { 0 });
+            level.parent.reserve(if number + 1 < LEVELS { nodes } else { 0 });
+        }
+    }
+
+    /// Finds each particle's cell and counts the particles of each.
+    fn locate(&mut self, position: &[[f32; 2]], lower: [f32; 2], extent: [f32; 2], width: f32) {
+        let across = self.across[0];
+        for x in position {
+            let mut number = [0; 2];
+            let mut offset = [0.0; 2];
+            for axis in 0..2 {
+                // `max` also makes a number of what is not one.
+                let cells = ((x[axis] - lower[axis]) / width).max(0.0).min(extent[axis]);
+                let base = (cells - 0.5).floor();
+                number[axis] = (base as i32 + ORIGIN as i32) as usize;
+                offset[axis] = cells - base;
+            }
+            let cell = number[1] * across + number[0];
+            self.particles[cell] += 1;
+            self.cell.push(cell as u32);
+            self.offset.push(offset);
+        }
+    }
+
+    /// Lists the cells with particles, gives each its slots, and marks the nodes of their stencils.
+    fn list_cells(&mut self, tables: &mut Tables) {
+        let across = self.across[0];
+        let mut slot = 0;
+        for (row, cells) in self.particles.chunks_exact_mut(across).enumerate() {
+            self.first.push(tables.cells.len() as u32);
+            for (column, count) in cells.iter_mut().enumerate() {
+                if *count == 0 {
+                    continue;
+                }
+                let (cell, end) = (row * across + column, slot + *count);
+                tables.cells.push(Cell { slots: [slot, end], nodes: [0; 3] });
+                self.occupied.push(cell as u32);
+                for first in [cell, cell + across, cell + 2 * across] {
+                    self.nodes[0][first..first + 3].fill(0);
+                }
+                *count = slot;
+                slot = end;
+            }
+        }
+        self.first.push(tables.cells.len() as u32);
+    }
+
+    /// Puts the particles, counted from `row` on, into their cells' slots.
+    fn sort(&mut self, row: usize, tables: &mut Tables) {
+        tables.order.resize(self.cell.len(), 0);
+        tables.weights.resize(self.cell.len(), [[0.0; 3]; 2]);
+        for (particle, (&cell, offset)) in self.cell.iter().zip(&self.offset).enumerate() {
+            let next = &mut self.particles[cell as usize];
+            let slot = *next as usize;
+            *next += 1;
+            tables.order[slot] = (row + particle) as u32;
+            tables.weights[slot] = offset.map(weights);
+        }
+    }
+
+    /// Numbers the marked nodes, and tells rows and cells.
+    fn number(&mut self, tables: &mut Tables) {
+        let across = self.across[0];
+        let level = &mut tables.levels[0];
+        for (row, nodes) in self.nodes[0].chunks_exact_mut(across).enumerate() {
+            let begun = level.at.len() as u32;
+            for (column, node) in nodes.iter_mut().enumerate() {
+                if *node != MISSING {
+                    *node = level.at.len() as u32;
+                    level.at.push([column, row].map(|cell| cell as i32 - ORIGIN as i32));
+                }
+            }
+            let end = level.at.len() as u32;
+            if end > begun {
+                // Never below row 0: the stencils of row ORIGIN - 1 are the lowest.
+                let cells =
+                    [row, row - 1, row - 2].map(|row| [self.first[row], self.first[row + 1]]);
+                tables.rows.push(Row { nodes: [begun, end], cells });
+            }
+        }
+        for (cell, &entry) in tables.cells.iter_mut().zip(&self.occupied) {
+            cell.nodes = [0, 1, 2].map(|row| self.nodes[0][entry as usize + row * across]);
+        }
+    }
+
+    /// Numbers the nodes of a level from those of the next finer one.
+    fn coarsen(&mut self, number: usize, tables: &mut Tables) {
+        let [finer, level] = [number - 1, number].map(|number| self.across[number]);
+        let origin = (ORIGIN >> number) as i32;
+        let (below, nodes) = self.nodes.split_at_mut(number);
+        let (below, nodes) = (&below[number - 1], &mut nodes[0]);
+        let (fine, coarse) = tables.levels.split_at_mut(number);
+        let (fine, coarse) = (&mut fine[number - 1], &mut coarse[0]);
+        fine.parent.resize(fine.at.len(), MISSING);
+        for (row, nodes) in nodes.chunks_exact_mut(level).enumerate() {
+            for (column, node) in nodes.iter_mut().enumerate() {
+                let first = 2 * row * finer + 2 * column;
+                let children =
+                    [first, first + 1, first + finer, first + finer + 1].map(|child| below[child]);
+                if children == [MISSING; 4] {
+                    continue;
+                }
+                let parent = coarse.at.len();
+                *node = parent as u32;
+                coarse.at.push([column, row].map(|cell| cell as i32 - origin));
+                coarse.children.push(children);
+                for (place, child) in children.into_iter().enumerate() {
+                    if child != MISSING {
+                        fine.parent[child as usize] = (4 * parent + place) as u32;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Tells each node of a level its neighbours.
+    fn connect(&self, number: usize, level: &mut Level) {
+        let (across, nodes) = (self.across[number], &self.nodes[number]);
+        let origin = (ORIGIN >> number) as i32;
+        level.neighbours.extend(level.at.iter().map(|&[a, b]| {
+            let [column, row] = [a, b].map(|cell| (cell + origin) as usize);
+            let first = (row - 1) * across + column - 1;
+            std::array::from_fn(|place| nodes[first + place / 3 * across + place % 3])
+        }));
+    }
+}
+
+/// Weights of three nodes at a distance `x` in 0.5 to 1.5 from the first (cells): the quadratic spline.
+#[inline(always)]
+fn weights(x: f32) -> [f32; 3] {
+    [0.5 * (1.5 - x) * (1.5 - x), 0.75 - (x - 1.0) * (x - 1.0), 0.5 * (x - 0.5) * (x - 0.5)]
+}
