@@ -20,7 +20,7 @@
 use burn::tensor::{Device, Tensor};
 
 use super::{
-    Matter, Bodies, Track,
+    Bodies, Matter, Track,
     features::Scaling,
     fused,
     layers::{Layers, Linear},

@@ -104,7 +104,8 @@ impl Layers {
 
     /// Every linear layer, from input to output: the order of [`layout::linear_layers`].
     pub(crate) fn linears(&self) -> Vec<&Linear> {
-        let grid = self.grid.iter().flat_map(|GridLayers { grid, context }| grid.iter().chain([context]));
+        let grid =
+            self.grid.iter().flat_map(|GridLayers { grid, context }| grid.iter().chain([context]));
         let core = self.core.iter().flat_map(RecurrentLayer::parts);
         let ends = [&self.mixer, &self.decoder];
         self.encoder.iter().chain(grid).chain(core).chain(ends).collect()

@@ -85,8 +85,7 @@ fn stencils(nodes: &Nodes, particles: usize) -> Vec<[u32; 9]> {
     for cell in nodes.cells() {
         for slot in cell.slots() {
             let particle = nodes.order()[slot] as usize;
-            stencils[particle] =
-                std::array::from_fn(|k| cell.nodes[k / 3] + (k % 3) as u32);
+            stencils[particle] = std::array::from_fn(|k| cell.nodes[k / 3] + (k % 3) as u32);
         }
     }
     stencils

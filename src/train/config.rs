@@ -204,25 +204,22 @@ impl TrainConfig {
         }
     }
 
-    /// Chosen by trials of five minutes on one core, 288 scenes of 2.4 s, each judged on 12 unseen
-    /// scenes of 10 s (mean skill at frames 1, 20): these values .24, .39; `common_share` 0: .17, .32; mean
-    /// squared error: -.07, .44; one layer: .21, .37; batches of 64 x 64: .17, .35. As many frames cut from
-    /// 54 scenes of 10 s: .13, .19, so that many short scenes teach more than a few long ones.
+    /// `docs/particle_model.md` says what was tried.
     fn particle() -> Self {
         let stage = |share, frames| Stage { share, frames };
         Self {
             architecture: Architecture::Particle,
             core: Core::MinGru,
             seed: 1,
-            epochs: 30,
-            patience: 10,
+            epochs: 40,
+            patience: 40,
             gravity: [0.0, -9.8],
-            unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
-            network: NetworkConfig::of_widths(64, 64),
+            unroll: vec![stage(0.2, 2), stage(0.3, 6), stage(0.5, 14)],
+            network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(32, 32) },
             windows: WindowConfig {
-                warm_up: 5,
-                batch: 64,
-                per_epoch: 16_384,
+                warm_up: 3,
+                batch: 8,
+                per_epoch: 2048,
                 noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
                 mirror: true,
             },
@@ -236,7 +233,7 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
-                learning_rate: 2e-3,
+                learning_rate: 2.5e-3,
                 warm_up: 0.0,
                 schedule: Schedule::Cosine,
                 final_share: 0.02,

@@ -174,7 +174,7 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
             stream: window as u64,
             start: 0,
             material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
-            rest: Vec::new(), // TODO
+            rest: position[window * particles..(window + 1) * particles].to_vec(),
             states: states.collect(),
             disturbed: None,
         }

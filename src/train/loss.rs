@@ -24,8 +24,7 @@ pub(super) fn unroll(network: &Network, batch: &Batch, dropout: &mut Dropout) ->
         network.observe(&batch.observed, &batch.matter, Hidden::default(), dropout);
     let mut future = vec![steps.at(warm_up - 1)];
     while future.len() < frames {
-        let (next, after) =
-            network.step(&future[future.len() - 1], &batch.matter, hidden, dropout);
+        let (next, after) = network.step(&future[future.len() - 1], &batch.matter, hidden, dropout);
         hidden = after;
         future.push(next);
     }

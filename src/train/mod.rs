@@ -168,7 +168,8 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
 
             let left = || schedule::batches_of_stage(config, epoch, number);
             let windows = sampler.batch(config.windows.batch, left, &mut state.order)?;
-            let (warm_up, surroundings) = (config.windows.warm_up, description.surroundings.as_ref());
+            let (warm_up, surroundings) =
+                (config.windows.warm_up, description.surroundings.as_ref());
             let batch = Batch::new(&windows, warm_up, &scale, surroundings, &plain);
             let (predicted, steps) = loss::unroll(&state.network, &batch, &mut state.dropout);
             let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
@@ -196,10 +197,8 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
                 gradient_norm,
             })?;
         }
-        let mut checkpoint = Checkpoint {
-            description: description.clone(),
-            tensors: state.tensors(&description),
-        };
+        let mut checkpoint =
+            Checkpoint { description: description.clone(), tensors: state.tensors(&description) };
         let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
         let best = state.best_loss().is_none_or(|best| score.loss < best);
         let done = Epoch {
@@ -335,7 +334,7 @@ fn describe(
 }
 
 fn sampler_for<'a>(
-    config: &TrainConfig,
+    config: &'a TrainConfig,
     dataset: &'a Dataset,
     unroll: usize,
 ) -> Result<Sampler<'a>, TrainError> {

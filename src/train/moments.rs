@@ -25,12 +25,10 @@ pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
 
 /// Names and sizes of the network's tensors, by their number in the optimizer.
 fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
-    layout::linear_layers(description)
-        .into_iter()
-        .flat_map(|layer| {
-            let biases = layer.output / layer.sharing;
-            [(layer.weight, layer.input * layer.output), (layer.bias, biases)]
-        })
+    layout::linear_layers(description).into_iter().flat_map(|layer| {
+        let biases = layer.output / layer.sharing;
+        [(layer.weight, layer.input * layer.output), (layer.bias, biases)]
+    })
 }
 
 /// Adam's moments by name. A tensor without a step yet has none.
@@ -63,7 +61,8 @@ pub(super) fn moments_by_number(
                 }
             }
         };
-        let moments = Moments { first: take("first")?, second: take("second")?, average: Vec::new() };
+        let moments =
+            Moments { first: take("first")?, second: take("second")?, average: Vec::new() };
         if moments.first.len() != moments.second.len() {
             let found = moments.second.len();
             return Err(damaged(file, &format!("second.{name}"), found, moments.first.len()));

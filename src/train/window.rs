@@ -161,7 +161,8 @@ fn disturb(state: &State, noise: &NoiseConfig, seed: u64) -> State {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut moved = |values: &[[f32; 2]], deviation: f32| {
         let half = 3f32.sqrt() * deviation;
-        let add = |x: &f32, random: &mut ChaCha8Rng| x + half * (2.0 * random.random::<f32>() - 1.0);
+        let add =
+            |x: &f32, random: &mut ChaCha8Rng| x + half * (2.0 * random.random::<f32>() - 1.0);
         values.iter().map(|[x, y]| [add(x, &mut random), add(y, &mut random)]).collect()
     };
     State {
