@@ -67,7 +67,17 @@ pub enum Into {
 pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
     assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
     // SAFETY: there is a place for each number, and each holds one.
-    unsafe { gemm(a, b, product.as_mut_ptr(), into) }
+    unsafe { gemm(a, b, product.as_mut_ptr(), into, parallelism(a, b)) }
+}
+
+/// The same on this thread alone: for one of many products that threads share.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn multiply_alone(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
+    assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
+    // SAFETY: there is a place for each number, and each holds one.
+    unsafe { gemm(a, b, product.as_mut_ptr(), into, Parallelism::None) }
 }
 
 /// `a b`, its rows one after the other.
@@ -79,19 +89,23 @@ pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
     let mut product = Vec::with_capacity(length);
     // SAFETY: there is a place for each number, each is written, and none is read before.
     unsafe {
-        gemm(a, b, product.as_mut_ptr(), Into::Replace);
+        gemm(a, b, product.as_mut_ptr(), Into::Replace, parallelism(a, b));
         product.set_len(length);
     }
     product
 }
 
+/// Other threads only for what is large.
+fn parallelism(a: Matrix, b: Matrix) -> Parallelism {
+    let large = a.shape[0] * a.shape[1] * b.shape[1] >= LARGE;
+    if large { Parallelism::Rayon(0) } else { Parallelism::None }
+}
+
 /// # Safety
 /// There is a place for each number of the product; if the product is added, each holds a number.
-unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into) {
+unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into, parallelism: Parallelism) {
     let ([m, k], [inner, n]) = (a.shape, b.shape);
     assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
-    let large = m * n * k >= LARGE;
-    let parallelism = if large { Parallelism::Rayon(0) } else { Parallelism::None };
     let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
     // SAFETY: the shapes fit, every matrix was checked to be inside its list, and the caller answers
     // for the product.

@@ -19,9 +19,12 @@
 //!
 //! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
 //! 9. [`transfer`]: from particles to nodes and back.
+//! 10. [`gathered`]: convolutions on nodes.
+//! 11. [`rest`]: the strain of bodies that keep their shape.
 
 pub mod activation;
 pub mod encoder;
+pub mod gathered;
 pub mod gru;
 pub mod linear;
 pub mod lstm;
@@ -30,5 +33,6 @@ pub mod matrix;
 pub mod minimal;
 pub mod nodes;
 pub mod packed;
+pub mod rest;
 pub mod transfer;
 pub mod vectors;
