@@ -1,0 +1,140 @@
+use proptest::prelude::*;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+const SPACING: f32 = 0.1;
+
+/// A body of loosely placed particles with some of each material.
+fn body(random: &mut ChaCha8Rng, count: usize) -> (Vec<[f32; 2]>, Vec<Material>) {
+    let side = SPACING * (count as f32).sqrt();
+    let position =
+        (0..count).map(|_| [(); 2].map(|()| random.random_range(-side..side / 2.0))).collect();
+    let material = (0..count).map(|_| Material::ALL[random.random_range(1..4)]).collect();
+    (position, material)
+}
+
+/// Neighbours of each particle with their coefficients, from all pairs.
+fn links(position: &[[f32; 2]], material: &[Material]) -> Vec<Vec<(usize, [f64; 2])>> {
+    let range = 2.1 * f64::from(SPACING);
+    let of = |i: usize| {
+        let apart =
+            |j: usize| [0, 1].map(|k| f64::from(position[j][k]) - f64::from(position[i][k]));
+        let squared = |j: usize| apart(j).iter().map(|d| d * d).sum::<f64>();
+        let mut near: Vec<_> = (0..position.len())
+            .filter(|&j| j != i && material[j] == material[i] && squared(j) < range * range)
+            .collect();
+        near.sort_by(|&a, &b| squared(a).total_cmp(&squared(b)));
+        near.truncate(12);
+        let weight = |j: usize| (1.0 - squared(j) / range.powi(2)).powi(2);
+        let sum = |a: usize, b: usize| {
+            near.iter().map(|&j| weight(j) * apart(j)[a] * apart(j)[b]).sum::<f64>()
+        };
+        let (xx, xy, yy) = (sum(0, 0), sum(0, 1), sum(1, 1));
+        let root = ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt();
+        let (small, large) = ((xx + yy - root) / 2.0, (xx + yy + root) / 2.0);
+        if material[i] == Material::Snow || near.len() < 3 || small < 0.05 * large {
+            return Vec::new();
+        }
+        let determinant = xx * yy - xy * xy;
+        let solve =
+            |[x, y]: [f64; 2]| [(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant];
+        near.iter().map(|&j| (j, solve(apart(j)).map(|c| weight(j) * c))).collect()
+    };
+    (0..position.len()).map(of).collect()
+}
+
+fn strains(links: &[Vec<(usize, [f64; 2])>], position: &[[f64; 2]]) -> Vec<f64> {
+    let of = |(i, links): (usize, &Vec<(usize, [f64; 2])>)| {
+        if links.is_empty() {
+            return [0.0; 3];
+        }
+        let f = |row: usize, column: usize| {
+            links
+                .iter()
+                .map(|(j, c)| (position[*j][row] - position[i][row]) * c[column])
+                .sum::<f64>()
+        };
+        let b = |row: usize, column: usize| f(row, 0) * f(column, 0) + f(row, 1) * f(column, 1);
+        [b(0, 0) - 1.0, b(1, 1) - 1.0, b(0, 1)].map(|strain| strain.clamp(-1.0, 1.0))
+    };
+    links.iter().enumerate().flat_map(of).collect()
+}
+
+fn exact(position: &[[f32; 2]]) -> Vec<[f64; 2]> {
+    position.iter().map(|x| x.map(f64::from)).collect()
+}
+
+proptest! {
+    #[test]
+    fn strain_and_gradients_are_those_from_all_pairs(seed: u64, counts in [1usize..60, 1usize..60]) {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let bodies = counts.map(|count| body(&mut random, count));
+        let shapes = bodies.each_ref().map(|(position, material)| Rest::new(position, material, SPACING));
+        let joined = Rest::join(&shapes);
+        let at_rest: Vec<_> = bodies.iter().flat_map(|(position, _)| position.clone()).collect();
+        let mut plain = Vec::new();
+        for (position, material) in &bodies {
+            let row = plain.len();
+            let moved = |(j, c): (usize, [f64; 2])| (j + row, c);
+            let of = links(position, material);
+            plain.extend(of.into_iter().map(|links| links.into_iter().map(moved).collect::<Vec<_>>()));
+        }
+
+        // The rest shape itself is not strained.
+        prop_assert!(joined.strain(&at_rest).iter().all(|strain| strain.abs() < 1e-4));
+
+        let jolt = |x: f32, random: &mut ChaCha8Rng| 1.1 * x + random.random_range(-0.02..0.02);
+        let now: Vec<[f32; 2]> =
+            at_rest.iter().map(|x| x.map(|x| jolt(x, &mut random))).collect();
+        let expected = strains(&plain, &exact(&now));
+        let found = joined.strain(&now);
+        for (found, expected) in found.iter().zip(&expected) {
+            prop_assert!((f64::from(*found) - expected).abs() < 1e-4, "{found}, {expected}");
+        }
+
+        let above: Vec<f32> = found.iter().map(|_| random.random_range(-1.0..1.0)).collect();
+        let gradient = joined.backward(&now, &above);
+        let step = 1e-7;
+        for number in (0..gradient.len()).step_by(1 + gradient.len() / 9) {
+            let sum = |side: f64| {
+                let mut moved = exact(&now);
+                moved[number / 2][number % 2] += side * step;
+                let strain = strains(&plain, &moved);
+                strain.iter().zip(&above).map(|(s, above)| s * f64::from(*above)).sum::<f64>()
+            };
+            let expected = (sum(1.0) - sum(-1.0)) / (2.0 * step);
+            let found = f64::from(gradient[number]);
+            prop_assert!((found - expected).abs() < 1e-3 * (1.0 + expected.abs()), "{found}, {expected}");
+        }
+    }
+}
+
+/// A square of jelly.
+fn square(side: usize) -> Vec<[f32; 2]> {
+    (0..side * side).map(|n| [n % side, n / side].map(|n| SPACING * n as f32)).collect()
+}
+
+#[test]
+fn a_stretched_and_turned_square_is_strained_by_its_stretch() {
+    let at_rest = square(7);
+    let rest = Rest::new(&at_rest, &[Material::Jelly; 49], SPACING);
+    let (sin, cos) = 0.4f32.sin_cos();
+    let stretched = at_rest.iter().map(|[x, y]| [1.2 * (cos * x - sin * y), sin * x + cos * y]);
+    let strain = rest.strain(&stretched.collect::<Vec<_>>());
+    for [xx, yy, xy] in strain.as_chunks::<3>().0 {
+        assert!((xx - 0.44).abs() < 1e-4 && yy.abs() < 1e-4 && xy.abs() < 1e-4, "{xx} {yy} {xy}");
+    }
+}
+
+#[test]
+fn places_far_out_or_in_one_point_or_no_numbers_leave_no_links() {
+    for x in [f32::NAN, f32::INFINITY, 1e30, -1e30, 0.3] {
+        let position = vec![[x, 0.3]; 100_000];
+        let rest = Rest::new(&position, &vec![Material::Rope; position.len()], SPACING);
+        assert!(rest.links.is_empty(), "{x}");
+        assert_eq!(rest.strain(&position), vec![0.0; 300_000]);
+    }
+    assert!(Rest::new(&square(4), &[Material::Jelly; 16], 0.0).links.is_empty());
+}
