@@ -141,24 +141,35 @@ impl WithSimd for SumRow<'_> {
             for cell in &nodes.cells()[range(cells)] {
                 let first = (cell.nodes[number] - row.nodes[0]) as usize * width;
                 let sums = &mut sums[first..first + 3 * width];
+                let slots = cell.slots();
+                let weights = &nodes.weights()[slots.clone()];
+                let order = &order[slots];
                 for part in vectors::<S>(width) {
-                    let place = |node: usize| node * width + part.start..node * width + part.end;
-                    let mut sum = [0, 1, 2].map(|node| load(simd, &sums[place(node)]));
-                    for slot in cell.slots() {
-                        let values = load(simd, &channels[place(order[slot] as usize)]);
-                        let [columns, rows] = &nodes.weights()[slot];
-                        for column in 0..3 {
-                            let weight = simd.splat_f32s(columns[column] * rows[number]);
-                            sum[column] = simd.mul_add_e_f32s(weight, values, sum[column]);
+                    let mut sum = [simd.splat_f32s(0.0); 3];
+                    for node in 0..3 {
+                        sum[node] = load(simd, of(sums, node, width, &part));
+                    }
+                    for ([columns, rows], &row) in weights.iter().zip(order) {
+                        let values = load(simd, of(channels, row as usize, width, &part));
+                        for node in 0..3 {
+                            let weight = simd.splat_f32s(columns[node] * rows[number]);
+                            sum[node] = simd.mul_add_e_f32s(weight, values, sum[node]);
                         }
                     }
-                    for (node, sum) in sum.into_iter().enumerate() {
-                        store(simd, &mut sums[place(node)], sum);
+                    for node in 0..3 {
+                        let first = node * width;
+                        store(simd, &mut sums[first + part.start..first + part.end], sum[node]);
                     }
                 }
             }
         }
     }
+}
+
+/// Some channels of a row.
+#[inline(always)]
+fn of<'a>(numbers: &'a [f32], row: usize, width: usize, part: &Range<usize>) -> &'a [f32] {
+    &numbers[row * width + part.start..row * width + part.end]
 }
 
 /// The nine nodes of a cell's stencil: some channels of each.
@@ -173,8 +184,8 @@ pub(crate) fn stencil<S: Simd>(
     let mut values = [[simd.splat_f32s(0.0); 3]; 3];
     for row in 0..3 {
         for column in 0..3 {
-            let node = (cell.nodes[row] as usize + column) * width;
-            values[row][column] = load(simd, &field[node + part.start..node + part.end]);
+            let node = cell.nodes[row] as usize + column;
+            values[row][column] = load(simd, of(field, node, width, part));
         }
     }
     values
@@ -188,7 +199,8 @@ pub(crate) fn weigh<S: Simd>(
     columns: &[f32; 3],
     rows: &[f32; 3],
 ) -> S::f32s {
-    let columns = columns.map(|weight| simd.splat_f32s(weight));
+    let columns =
+        [simd.splat_f32s(columns[0]), simd.splat_f32s(columns[1]), simd.splat_f32s(columns[2])];
     let mut sum = simd.splat_f32s(0.0);
     for row in 0..3 {
         let mut across = simd.mul_f32s(columns[0], values[row][0]);
@@ -252,15 +264,12 @@ impl WithSimd for Slope<'_> {
                 for slot in cell.slots() {
                     let [columns, rows] = &nodes.weights()[slot];
                     let particle = nodes.order()[slot] as usize;
-                    let row = particle * width;
-                    let own = load(simd, &channels[row + part.start..row + part.end]);
+                    let own = load(simd, of(channels, particle, width, &part));
                     let across = weigh(simd, &values, &slopes(columns), rows);
                     let up = weigh(simd, &values, columns, &slopes(rows));
-                    let place = 2 * (particle - place.particles.start);
-                    for (axis, slope) in [across, up].into_iter().enumerate() {
-                        gradient[place + axis] +=
-                            per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, slope));
-                    }
+                    let gradient = &mut gradient[2 * (particle - place.particles.start)..][..2];
+                    gradient[0] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, across));
+                    gradient[1] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, up));
                 }
             }
         }
