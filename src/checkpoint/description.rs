@@ -161,6 +161,20 @@ impl FrameOptions {
     }
 }
 
+/// How the particle model sees what surrounds a particle: a sparse grid of fixed cells that particles
+/// write to, three levels of convolutions on it, and particles that read from it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Surroundings {
+    /// Width of a cell of the finest level; those of the others are two and four times as wide (domain
+    /// lengths).
+    pub cell_width: f32,
+    /// Channels of each level, the finest first.
+    pub channels: [usize; 3],
+    /// Distance between neighbouring particles at rest (domain lengths).
+    pub spacing: f32,
+}
+
 /// Widths of the network's layers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -242,6 +256,9 @@ pub struct Description {
     /// Choices within the frame model; the particle model has the defaults.
     #[serde(default, skip_serializing_if = "FrameOptions::is_default")]
     pub frame: FrameOptions,
+    /// How the particle model sees surroundings; the frame model has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub surroundings: Option<Surroundings>,
     /// The box that holds the particles.
     pub domain: Domain,
     /// Scale of the numbers.
@@ -267,6 +284,7 @@ impl Description {
             data: String::new(),
             sizes,
             frame: FrameOptions::default(),
+            surroundings: None,
             domain: Domain::UNIT,
             normalization: Normalization {
                 minimum: [0.0, 0.0, -1.0, -1.0],
@@ -355,6 +373,22 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     if *architecture == Architecture::Particle && !description.frame.is_default() {
         let found = format!("{:?}", description.frame);
         return Err(field(file, "frame", found, "nothing for the particle model"));
+    }
+    if let Some(Surroundings { cell_width, channels, spacing }) = description.surroundings {
+        if *architecture == Architecture::Frame {
+            let found = "a table".to_owned();
+            return Err(field(file, "surroundings", found, "nothing for the frame model"));
+        }
+        for (name, length) in [("cell_width", cell_width), ("spacing", spacing)] {
+            if !(length.is_finite() && length > 0.0) {
+                let name = format!("surroundings.{name}");
+                return Err(field(file, name, length.to_string(), positive));
+            }
+        }
+        if channels.iter().any(|width| !(1..=1 << 12).contains(width)) {
+            let found = format!("{channels:?}");
+            return Err(field(file, "surroundings.channels", found, "1 to 4096 each"));
+        }
     }
     if !domain.is_whole() {
         let found = format!("{:?}, {:?}", domain.lower, domain.upper);

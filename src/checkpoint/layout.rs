@@ -7,7 +7,9 @@
 //! | layer | widths |
 //! |---|---|
 //! | `encoder.0` | F -> E |
-//! | `encoder.1` | E -> H |
+//! | `encoder.1` | E -> H (frame model), E -> C0 (particle model) |
+//! | `grid.*` (particle model) | see below |
+//! | `context` (particle model) | F + C0 -> H |
 //! | `core.l.linear` (MLP) | H -> H |
 //! | `core.l.gate`, `core.l.candidate` (minGRU) | H -> H |
 //! | `core.l.forget_gate`, `core.l.input_gate`, `core.l.candidate` (minLSTM) | H -> H |
@@ -19,10 +21,23 @@
 //! GRU and LSTM have the names that PyTorch gives to a stack of layers, `core.weight_ih_l0`,
 //! `core.bias_ih_l0` and so on. Where mean and maximum are pooled, the input of the first layer of the
 //! core is 2 H wide.
+//!
+//! The particle model's grid has three levels of C0, C1 and C2 channels. A convolution is a linear
+//! layer whose input is the nodes around a node, side by side, row by row from the lower left:
+//!
+//! | layer | widths |
+//! |---|---|
+//! | `grid.0.a`, `grid.0.b` | 9 (C0 + 5) -> C0, 9 C0 -> C0 |
+//! | `grid.1.down`, `grid.1.a` | 4 C0 -> C1, 9 C1 -> C1 |
+//! | `grid.2.down`, `grid.2.a`, `grid.2.b` | 4 C1 -> C2, 9 C2 -> C2, 9 C2 -> C2 |
+//! | `grid.1.up`, `grid.1.b` | C2 -> 4 C1 (one map for each child; they share the bias), 9 C1 -> C1 |
+//! | `grid.0.up`, `grid.0.c` | C1 -> 4 C0, likewise, 9 C0 -> C0 |
 
 use std::{collections::BTreeMap, path::Path};
 
-use super::{Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Weights};
+use super::{
+    Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Surroundings, Weights,
+};
 use crate::frame::Material;
 
 /// Input features of the frame model: x, y, vx, vy and the material.
@@ -35,6 +50,10 @@ pub(crate) fn frame_features(material: MaterialInput) -> usize {
 
 /// Input features of the particle model; `model/features.rs` says which.
 pub(crate) const PARTICLE_FEATURES: usize = 16 + Material::COUNT;
+/// The same where it sees surroundings.
+pub(crate) const SURROUNDED_FEATURES: usize = 17 + Material::COUNT;
+/// What a node of the grid knows beside the channels: how full it is, and how near each wall is.
+pub(crate) const NODE_FEATURES: usize = 5;
 
 /// A linear layer: its tensors' names and its widths.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,6 +64,8 @@ pub(crate) struct LinearLayer {
     pub(crate) bias: String,
     pub(crate) input: usize,
     pub(crate) output: usize,
+    /// How many numbers of the output share one of the bias.
+    pub(crate) sharing: usize,
 }
 
 /// The linear parts of a layer of the core, and how many gates each computes.
@@ -71,24 +92,57 @@ pub(crate) fn names(layer: &str) -> [String; 2] {
     ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
 }
 
+/// Names, inputs, outputs and sharers of the layers on the grid, in order.
+fn grid_layers(surroundings: &Surroundings) -> [(&'static str, usize, usize, usize); 11] {
+    let [c0, c1, c2] = surroundings.channels;
+    [
+        ("grid.0.a", 9 * (c0 + NODE_FEATURES), c0, 1),
+        ("grid.0.b", 9 * c0, c0, 1),
+        ("grid.1.down", 4 * c0, c1, 1),
+        ("grid.1.a", 9 * c1, c1, 1),
+        ("grid.2.down", 4 * c1, c2, 1),
+        ("grid.2.a", 9 * c2, c2, 1),
+        ("grid.2.b", 9 * c2, c2, 1),
+        ("grid.1.up", c2, 4 * c1, 4),
+        ("grid.1.b", 9 * c1, c1, 1),
+        ("grid.0.up", c1, 4 * c0, 4),
+        ("grid.0.c", 9 * c0, c0, 1),
+    ]
+}
+
 /// The linear layers of a network, from input to output.
 pub(crate) fn linear_layers(description: &Description) -> Vec<LinearLayer> {
-    let Description { architecture, core, sizes, frame, .. } = description;
+    let Description { architecture, core, sizes, frame, surroundings, .. } = description;
     let hidden = sizes.hidden;
-    let (features, outputs) = match architecture {
-        Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
-        Architecture::Particle => (PARTICLE_FEATURES, 4),
+    let (features, outputs) = match (architecture, surroundings) {
+        (Architecture::Frame, _) => {
+            (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0))
+        }
+        (Architecture::Particle, None) => (PARTICLE_FEATURES, 4),
+        (Architecture::Particle, Some(_)) => (SURROUNDED_FEATURES, 4),
     };
+    let encoded = surroundings.map_or(hidden, |surroundings| surroundings.channels[0]);
     let pooled = match frame.pooling {
         Pooling::Mean | Pooling::Max => hidden,
         Pooling::MeanMax => 2 * hidden,
     };
-    let linear =
-        |[weight, bias]: [String; 2], input, output| LinearLayer { weight, bias, input, output };
+    let linear = |[weight, bias]: [String; 2], input, output| LinearLayer {
+        weight,
+        bias,
+        input,
+        output,
+        sharing: 1,
+    };
     let mut layers = vec![
         linear(names("encoder.0"), features, sizes.encoder),
-        linear(names("encoder.1"), sizes.encoder, hidden),
+        linear(names("encoder.1"), sizes.encoder, encoded),
     ];
+    for (name, input, output, sharing) in surroundings.iter().flat_map(grid_layers) {
+        layers.push(LinearLayer { sharing, ..linear(names(name), input, output) });
+    }
+    if surroundings.is_some() {
+        layers.push(linear(names("context"), features + encoded, hidden));
+    }
     for layer in 0..sizes.layers {
         for &(part, gates) in core_parts(*core) {
             let input = if layer == 0 && part != "hh" { pooled } else { hidden };
@@ -104,8 +158,8 @@ pub(crate) fn linear_layers(description: &Description) -> Vec<LinearLayer> {
 pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> {
     linear_layers(description)
         .into_iter()
-        .flat_map(|LinearLayer { weight, bias, input, output }| {
-            [(weight, vec![output, input]), (bias, vec![output])]
+        .flat_map(|LinearLayer { weight, bias, input, output, sharing }| {
+            [(weight, vec![output, input]), (bias, vec![output / sharing])]
         })
         .collect()
 }

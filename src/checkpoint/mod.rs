@@ -17,7 +17,7 @@ pub(crate) mod layout;
 
 pub use description::{
     Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
-    FrameOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
+    FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings, TrainingSummary,
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};

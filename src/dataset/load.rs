@@ -20,6 +20,7 @@ struct Reading {
     stream: Stream,
     frames: usize,
     bounds: Bounds,
+    rest: Vec<[f32; 2]>,
     place: Place,
     checksum: Xxh3,
 }
@@ -42,9 +43,10 @@ impl Reading {
         let place = Place { bag: number, id: frame.stream, blocks: Vec::new() };
         let stream = Stream::begin(bag.path(), frame);
         let (bounds, checksum) = (Bounds::default(), Xxh3::new());
-        let mut reading = Self { stream, frames: 0, bounds, place, checksum };
+        let mut reading = Self { stream, frames: 0, bounds, rest: Vec::new(), place, checksum };
         let first = reading.stream.states.pop();
         if let Some(first) = first {
+            reading.rest.clone_from(&first.position);
             reading.push(first, log, before, true);
         }
         reading
@@ -109,13 +111,13 @@ pub(super) fn load(
     let limit = memory / 4 * 3;
     let mut places = Vec::new();
     let mut known = Vec::new();
-    for Reading { stream, frames, bounds, place, .. } in readings {
+    for Reading { stream, frames, bounds, rest, place, .. } in readings {
         places.push(place);
-        known.push((stream, frames, bounds));
+        known.push((stream, frames, bounds, rest));
     }
     let shelf = Arc::new(Shelf::new(bags, places, limit));
-    let on_shelf = |(number, (stream, frames, bounds))| {
-        Trajectory::on_shelf(stream, frames, bounds, &shelf, number)
+    let on_shelf = |(number, (stream, frames, bounds, rest))| {
+        Trajectory::on_shelf(stream, frames, bounds, rest, &shelf, number)
     };
     Ok(known.into_iter().enumerate().map(on_shelf).collect())
 }

@@ -5,11 +5,13 @@
 //! 3. [`shelf`]: streams that do not fit stay on disk and are read again block by block.
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
 //! 5. [`statistics`]: range, mean and deviation of each feature, over the training part only.
+//! 6. [`spacing`]: how far apart particles are.
 //!
 //! Everything that is computed from a set is the same, bit for bit, wherever its frames are.
 
 mod load;
 mod shelf;
+mod spacing;
 mod split;
 mod statistics;
 mod stream;
@@ -42,6 +44,9 @@ pub struct Dataset {
     pub test: Vec<Trajectory>,
     /// Statistics of the training part.
     pub normalization: Normalization,
+    /// Distance between neighbouring particles in the first frame of the first training stream, the
+    /// median (domain lengths).
+    pub spacing: f32,
     /// SHA-256 over every stream, hexadecimal.
     pub digest: String,
 }
@@ -129,7 +134,8 @@ impl Dataset {
             }
         }
         let (normalization, digest) = (statistics.normalization(), in_words(hasher));
-        Ok(Self { train, validation, test, normalization, digest })
+        let spacing = train.first().map_or(f32::INFINITY, |stream| spacing::spacing(&stream.rest));
+        Ok(Self { train, validation, test, normalization, spacing, digest })
     }
 
     /// Where the frames are, unless they are in memory.

@@ -26,6 +26,8 @@ pub struct Trajectory {
     pub frames: usize,
     /// Where its particles have been (domain lengths).
     pub bounds: Bounds,
+    /// Positions in the first frame, `[N]`: the shape that solids are taken to rest in.
+    pub rest: Arc<Vec<[f32; 2]>>,
     place: Place,
 }
 
@@ -43,13 +45,20 @@ impl Trajectory {
         stream: Stream,
         frames: usize,
         bounds: Bounds,
+        rest: Vec<[f32; 2]>,
         shelf: &Arc<Shelf>,
         number: usize,
     ) -> Self {
-        Self::placed(stream, frames, bounds, Place::Disk(shelf.clone(), number))
+        Self::placed(stream, frames, bounds, rest, Place::Disk(shelf.clone(), number))
     }
 
-    fn placed(stream: Stream, frames: usize, bounds: Bounds, place: Place) -> Self {
+    fn placed(
+        stream: Stream,
+        frames: usize,
+        bounds: Bounds,
+        rest: Vec<[f32; 2]>,
+        place: Place,
+    ) -> Self {
         let Stream { id, source, dt, domain, material, first_sequence, first_stamp, .. } = stream;
         Self {
             id,
@@ -61,6 +70,7 @@ impl Trajectory {
             first_stamp,
             frames,
             bounds,
+            rest: Arc::new(rest),
             place,
         }
     }
@@ -122,6 +132,7 @@ impl From<Stream> for Trajectory {
         let states = std::mem::take(&mut stream.states);
         let mut bounds = Bounds::default();
         states.iter().for_each(|state| bounds.widen(state));
-        Self::placed(stream, states.len(), bounds, Place::Memory(Arc::new(states)))
+        let rest = states.first().map(|state| state.position.clone()).unwrap_or_default();
+        Self::placed(stream, states.len(), bounds, rest, Place::Memory(Arc::new(states)))
     }
 }

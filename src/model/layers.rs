@@ -166,14 +166,16 @@ pub(crate) fn initial(description: &Description, seed: u64) -> BTreeMap<String, 
         Architecture::Particle => 3.0,
     };
     let mut tensors = BTreeMap::new();
-    for layout::LinearLayer { weight, bias, input, output } in layout::linear_layers(description) {
+    for layer in layout::linear_layers(description) {
+        let layout::LinearLayer { weight, bias, input, output, sharing } = layer;
         let bound = if weight.starts_with("decoder") { 0.0 } else { (gain / input as f32).sqrt() };
         let opens = bias.ends_with(".gate.bias") || bias.ends_with(".input_gate.bias");
         let values = (0..output * input).map(|_| bound * (2.0 * random.random::<f32>() - 1.0));
         let values = values.collect();
         tensors.insert(weight, Weights { shape: vec![output, input], values });
-        let values = vec![if opens { 1.0 } else { 0.0 }; output];
-        tensors.insert(bias, Weights { shape: vec![output], values });
+        let biases = output / sharing;
+        let values = vec![if opens { 1.0 } else { 0.0 }; biases];
+        tensors.insert(bias, Weights { shape: vec![biases], values });
     }
     tensors
 }

@@ -32,6 +32,7 @@ fn surrogate() -> Surrogate {
         data: String::new(),
         sizes: Sizes { encoder: 8, hidden: 8, layers: 1, particles: None },
         frame: FrameOptions::default(),
+        surroundings: None,
         domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.0, 0.0, -1.0, -1.0],

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use crate::checkpoint::{Architecture, Core, Form, FrameOptions, Sizes};
+use crate::checkpoint::{Architecture, Core, Form, FrameOptions, Sizes, Surroundings};
 
 /// The largest width a checkpoint may have.
 const LARGEST_WIDTH: usize = 1 << 16;
@@ -67,6 +67,10 @@ pub struct NetworkConfig {
     pub normalize_gates: bool,
     /// Choices within the frame model.
     pub frame: FrameOptions,
+    /// Particle model: width of a cell of its grid's finest level (domain lengths).
+    pub cell_width: f32,
+    /// Particle model: channels of each level of its grid, the finest first.
+    pub channels: [usize; 3],
 }
 
 /// What a batch is made of.
@@ -169,6 +173,8 @@ impl NetworkConfig {
             form: Form::default(),
             normalize_gates: true,
             frame: FrameOptions::default(),
+            cell_width: 1.0 / 32.0,
+            channels: [32, 64, 64],
         }
     }
 }
@@ -273,6 +279,16 @@ impl TrainConfig {
             layers: self.network.layers,
             particles: (self.architecture == Architecture::Frame).then_some(particles),
         }
+    }
+
+    /// What the particle model sees of the surroundings of particles that are `spacing` apart.
+    pub fn surroundings(&self, spacing: f32) -> Option<Surroundings> {
+        let NetworkConfig { cell_width, channels, .. } = self.network;
+        (self.architecture == Architecture::Particle).then_some(Surroundings {
+            cell_width,
+            channels,
+            spacing,
+        })
     }
 
     /// Batches an epoch.

@@ -318,6 +318,7 @@ fn describe(
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
         frame: config.network.frame,
+        surroundings: None,
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {

@@ -72,6 +72,7 @@ pub fn dataset() -> Dataset {
             mean: [0.5, 0.5, 0.0, -0.7],
             standard_deviation: [0.2, 0.2, 0.2, 0.5],
         },
+        spacing: 0.02,
         digest: "analytic".to_owned(),
     }
 }
