@@ -22,15 +22,15 @@ const FLATTEST: f64 = 0.05;
 /// are in one place, the search still takes a time in proportion to their number.
 const CROWD: usize = 128;
 
-/// The rest shape of the particles of one frame, or of several.
+/// The rest shapes of the particles of B windows, R = B N rows one below the other.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rest {
     /// Where each particle's links begin, and where the last one's end, `[R + 1]`. Without links it counts
     /// as not strained.
     first: Vec<u32>,
     links: Vec<Link>,
-    /// First particle of each of the joined shapes.
-    begins: Vec<usize>,
+    /// N.
+    particles: usize,
 }
 
 /// A neighbour.
@@ -43,98 +43,103 @@ struct Link {
 }
 
 impl Rest {
-    /// The shape of particles at `position` (domain lengths), neighbours at rest being `spacing` apart
-    /// (domain lengths). Neighbours are of the same material.
+    /// The shapes of particles at `position` (domain lengths), `[R]`, in so many windows of equally many
+    /// particles; neighbours at rest are `spacing` apart (domain lengths). Only particles of the same
+    /// material and window are neighbours.
     ///
     /// # Panics
-    /// When there are not as many materials as positions.
-    pub fn new(position: &[[f32; 2]], material: &[Material], spacing: f32) -> Self {
+    /// When there are not as many materials as positions, or they are not so many windows.
+    pub fn new(position: &[[f32; 2]], material: &[Material], windows: usize, spacing: f32) -> Self {
         assert_eq!(position.len(), material.len());
+        assert!(windows > 0 && position.len().is_multiple_of(windows), "windows: {windows}");
         let range = RANGE * f64::from(spacing);
-        let cells = Cells::new(position, material, range);
-        let mut first = vec![0];
-        let mut links = Vec::new();
-        for (particle, material) in material.iter().enumerate() {
-            if keeps_shape(*material) {
-                let near = cells.nearest(particle);
-                links.extend(coefficients(&near, range));
-            }
-            first.push(links.len() as u32);
-        }
-        Self { first, links, begins: vec![0] }
-    }
-
-    /// Shapes behind each other, as their particles' rows are.
-    pub fn join<'a>(shapes: impl IntoIterator<Item = &'a Self>) -> Self {
-        let mut joined = Self { first: vec![0], ..Self::default() };
-        for Self { first, links, begins } in shapes {
-            let (row, link) = (joined.len(), joined.links.len());
-            joined.begins.extend(begins.iter().map(|begin| begin + row));
-            joined.first.extend(first[1..].iter().map(|first| first + link as u32));
-            let moved = |link: &Link| Link { particle: link.particle + row as u32, ..*link };
-            joined.links.extend(links.iter().map(moved));
+        let particles = (position.len() / windows).max(1);
+        let places = position.par_chunks(particles).zip(material.par_chunks(particles));
+        let shapes: Vec<_> = places.map(|(x, material)| Self::of(x, material, range)).collect();
+        let mut joined = Self { first: vec![0], links: Vec::new(), particles };
+        for shape in shapes {
+            let (row, link) = (joined.len() as u32, joined.links.len() as u32);
+            joined.first.extend(shape.first[1..].iter().map(|first| first + link));
+            let moved = |link: Link| Link { particle: link.particle + row, ..link };
+            joined.links.extend(shape.links.into_iter().map(moved));
         }
         joined
     }
 
-    /// How many particles there are.
+    /// The shape of one window.
+    fn of(position: &[[f32; 2]], material: &[Material], range: f64) -> Self {
+        let cells = Cells::new(position, material, range);
+        let mut shape = Self { first: vec![0], links: Vec::new(), particles: position.len() };
+        for (particle, material) in material.iter().enumerate() {
+            if keeps_shape(*material) {
+                shape.links.extend(coefficients(&cells.nearest(particle), range));
+            }
+            shape.first.push(shape.links.len() as u32);
+        }
+        shape
+    }
+
+    /// R.
     pub fn len(&self) -> usize {
         self.first.len().saturating_sub(1)
     }
 
-    /// Whether there are none.
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The strain of each particle, `[R, 3]`: Bxx - 1, Byy - 1, Bxy, each within -1 and 1.
+    /// The strain of each particle in each of T frames, `[T R, 3]`, from the positions, `[T R]`:
+    /// Bxx - 1, Byy - 1, Bxy, each within -1 and 1.
     ///
     /// # Panics
-    /// When there are not as many positions as particles.
+    /// When there are not R positions for each frame.
     pub fn strain(&self, position: &[[f32; 2]]) -> Vec<f32> {
-        assert_eq!(position.len(), self.len());
+        let rows = self.rows(position);
         let mut strain = vec![[0.0; 3]; position.len()];
-        strain.par_iter_mut().enumerate().for_each(|(particle, strain)| {
-            *strain = self.strain_of(particle, position);
+        let frames = strain.par_chunks_mut(rows).zip(position.par_chunks(rows));
+        frames.for_each(|(strain, position)| {
+            strain.par_iter_mut().enumerate().for_each(|(particle, strain)| {
+                *strain = self.strain_of(particle, position);
+            });
         });
         strain.into_flattened()
     }
 
-    /// The strain of one particle.
+    /// The strain of one particle, from the positions of a frame, `[R]`.
     #[inline(always)]
     pub fn strain_of(&self, particle: usize, position: &[[f32; 2]]) -> [f32; 3] {
         let links = self.links(particle);
         if links.is_empty() {
             return [0.0; 3];
         }
-        strain(deformation(links, position, position[particle]))
-            .map(|number| number.clamp(-1.0, 1.0))
+        let [xx, yy, xy] = strain(deformation(links, position, position[particle]));
+        [xx.clamp(-1.0, 1.0), yy.clamp(-1.0, 1.0), xy.clamp(-1.0, 1.0)]
     }
 
-    /// The gradient `[R, 2]` by the positions from that of the strain, `[R, 3]`.
+    /// The gradient `[T R, 2]` by the positions, `[T R]`, from that of the strain, `[T R, 3]`.
     ///
     /// # Panics
-    /// When there are not as many positions or rows as particles.
+    /// When there are not R positions and rows for each frame.
     pub fn backward(&self, position: &[[f32; 2]], gradient: &[f32]) -> Vec<f32> {
-        assert_eq!([position.len(), gradient.len()], [self.len(), 3 * self.len()]);
+        let rows = self.rows(position);
+        assert_eq!(gradient.len(), 3 * position.len());
         let (gradient, _) = gradient.as_chunks::<3>();
         let mut sums = vec![[0.0; 2]; position.len()];
-        let ends = self.begins.iter().skip(1).copied().chain([self.len()]);
-        let mut parts = Vec::new();
-        let mut rest = sums.as_mut_slice();
-        for (&begin, end) in self.begins.iter().zip(ends) {
-            let (part, others) = rest.split_at_mut(end - begin);
-            parts.push((begin, part));
-            rest = others;
-        }
-        parts.into_par_iter().for_each(|(begin, sums)| {
-            for particle in begin..begin + sums.len() {
+        // A window of a frame is one thread's: its sums are in the order of the particles.
+        let parts = sums.par_chunks_mut(self.particles.max(1)).enumerate();
+        parts.for_each(|(part, sums)| {
+            let begin = part * self.particles;
+            let frame = begin / rows * rows;
+            let position = &position[frame..frame + rows];
+            for own in 0..sums.len() {
+                let particle = begin - frame + own;
                 let links = self.links(particle);
                 if links.is_empty() {
                     continue;
                 }
                 let f = deformation(links, position, position[particle]);
-                let mut by = gradient[particle];
+                let mut by = gradient[begin + own];
                 for (by, strain) in by.iter_mut().zip(strain(f)) {
                     if strain.abs() > 1.0 {
                         *by = 0.0;
@@ -146,15 +151,23 @@ impl Rest {
                     [0, 1].map(|c| 2.0 * yy * f[1][c] + xy * f[0][c]),
                 ];
                 for Link { particle: neighbour, coefficient } in links {
+                    let neighbour = frame + *neighbour as usize - begin;
                     for axis in 0..2 {
                         let by_x = by_f[axis][0] * coefficient[0] + by_f[axis][1] * coefficient[1];
-                        sums[*neighbour as usize - begin][axis] += by_x;
-                        sums[particle - begin][axis] -= by_x;
+                        sums[neighbour][axis] += by_x;
+                        sums[own][axis] -= by_x;
                     }
                 }
             }
         });
         sums.into_flattened()
+    }
+
+    /// R, or 1 where there are none, with a look at the number of positions.
+    fn rows(&self, position: &[[f32; 2]]) -> usize {
+        let rows = self.len().max(1);
+        assert!(position.len().is_multiple_of(rows), "{} positions, {rows} rows", position.len());
+        rows
     }
 
     #[inline(always)]
