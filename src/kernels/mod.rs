@@ -20,6 +20,7 @@
 //! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
 //! 9. [`transfer`]: from particles to nodes and back.
 //! 10. [`gathered`]: convolutions on nodes.
+//! 11. [`rest`]: the strain of bodies that keep their shape.
 
 pub mod activation;
 pub mod encoder;

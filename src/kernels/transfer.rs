@@ -32,8 +32,7 @@ pub fn to_nodes(nodes: &Nodes, channels: &[f32], width: usize) -> Vec<f32> {
     parts.into_par_iter().zip(nodes.windows()).for_each(|(mut sums, place)| {
         for row in &nodes.rows()[place.rows.clone()] {
             let (this, rest) = sums.split_at_mut(range(row.nodes).len() * width);
-            let order = nodes.order();
-            Arch::new().dispatch(SumRow { nodes, row, channels, order, width, sums: this });
+            Arch::new().dispatch(SumRow { nodes, row, channels, width, sums: this });
             sums = rest;
         }
     });
@@ -92,7 +91,7 @@ fn parts<'a>(
 
 /// Some channels of a row, filled up with zeros where they are fewer than a vector holds.
 #[inline(always)]
-pub(crate) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
+fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
     match S::as_simd_f32s(row) {
         ([vector, ..], _) => *vector,
         (_, rest) => simd.partial_load_f32s(rest),
@@ -101,7 +100,7 @@ pub(crate) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
 
 /// The inverse.
 #[inline(always)]
-pub(crate) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
+fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     if row.len() >= S::F32_LANES {
         S::as_mut_simd_f32s(row).0[0] = numbers;
     } else {
@@ -115,20 +114,14 @@ fn vectors<S: Simd>(width: usize) -> impl Iterator<Item = Range<usize>> {
     (0..width).step_by(S::F32_LANES).map(move |first| first..(first + S::F32_LANES).min(width))
 }
 
-/// P2G for one row of nodes: sums from the cells of each row whose stencils it is in.
-pub(crate) struct SumRow<'a> {
-    /// The grid.
-    pub(crate) nodes: &'a Nodes,
-    /// The row.
-    pub(crate) row: &'a Row,
-    /// What particles have, `[.., C]`.
-    pub(crate) channels: &'a [f32],
-    /// Each slot's row of them.
-    pub(crate) order: &'a [u32],
-    /// C.
-    pub(crate) width: usize,
+/// P2G for one row of nodes of a window.
+struct SumRow<'a> {
+    nodes: &'a Nodes,
+    row: &'a Row,
+    channels: &'a [f32],
+    width: usize,
     /// Of the row's nodes, `[nodes, C]`; zero before.
-    pub(crate) sums: &'a mut [f32],
+    sums: &'a mut [f32],
 }
 
 impl WithSimd for SumRow<'_> {
@@ -136,34 +129,136 @@ impl WithSimd for SumRow<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { nodes, row, channels, order, width, sums } = self;
-        for (number, &cells) in row.cells.iter().enumerate() {
-            for cell in &nodes.cells()[range(cells)] {
-                let first = (cell.nodes[number] - row.nodes[0]) as usize * width;
-                let sums = &mut sums[first..first + 3 * width];
-                for part in vectors::<S>(width) {
-                    let place = |node: usize| node * width + part.start..node * width + part.end;
-                    let mut sum = [0, 1, 2].map(|node| load(simd, &sums[place(node)]));
-                    for slot in cell.slots() {
-                        let values = load(simd, &channels[place(order[slot] as usize)]);
-                        let [columns, rows] = &nodes.weights()[slot];
-                        for column in 0..3 {
-                            let weight = simd.splat_f32s(columns[column] * rows[number]);
-                            sum[column] = simd.mul_add_e_f32s(weight, values, sum[column]);
-                        }
-                    }
-                    for (node, sum) in sum.into_iter().enumerate() {
-                        store(simd, &mut sums[place(node)], sum);
-                    }
+        let Self { nodes, row, channels, width, sums } = self;
+        let order = nodes.order();
+        sum_row(
+            simd,
+            nodes,
+            row,
+            channels,
+            width,
+            #[inline(always)]
+            |slot| order[slot] as usize,
+            sums,
+            width,
+        );
+    }
+}
+
+/// P2G for one row of nodes: adds to `sums`, rows `stride` numbers apart, what `channels`, `[.., C]`, have
+/// in the rows that `place` gives for slots.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "two matrices, each with its layout")]
+pub(crate) fn sum_row<S: Simd>(
+    simd: S,
+    nodes: &Nodes,
+    row: &Row,
+    channels: &[f32],
+    width: usize,
+    place: impl Fn(usize) -> usize,
+    sums: &mut [f32],
+    stride: usize,
+) {
+    for (number, &cells) in row.cells.iter().enumerate() {
+        for cell in &nodes.cells()[range(cells)] {
+            let first = (cell.nodes[number] - row.nodes[0]) as usize * stride;
+            let sums = &mut sums[first..first + 2 * stride + width];
+            let slots = cell.slots();
+            let weights = &nodes.weights()[slots.clone()];
+            let mut channel = 0;
+            // Two vectors at once where there are: their sums hide each other's waiting.
+            while channel < width {
+                let left = width - channel;
+                if left > S::F32_LANES {
+                    let parts = [
+                        channel..channel + S::F32_LANES,
+                        channel + S::F32_LANES..width.min(channel + 2 * S::F32_LANES),
+                    ];
+                    sum_cell(
+                        simd,
+                        number,
+                        weights,
+                        slots.start,
+                        channels,
+                        width,
+                        &place,
+                        sums,
+                        stride,
+                        parts,
+                    );
+                    channel += 2 * S::F32_LANES;
+                } else {
+                    let parts = [channel..width];
+                    sum_cell(
+                        simd,
+                        number,
+                        weights,
+                        slots.start,
+                        channels,
+                        width,
+                        &place,
+                        sums,
+                        stride,
+                        parts,
+                    );
+                    channel = width;
                 }
             }
         }
     }
 }
 
+/// The share of one cell: some vectors of channels.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "as above, and what is shared by the parts")]
+fn sum_cell<S: Simd, const V: usize>(
+    simd: S,
+    number: usize,
+    weights: &[[[f32; 3]; 2]],
+    slot: usize,
+    channels: &[f32],
+    width: usize,
+    place: &impl Fn(usize) -> usize,
+    sums: &mut [f32],
+    stride: usize,
+    parts: [Range<usize>; V],
+) {
+    let mut sum = [[simd.splat_f32s(0.0); 3]; V];
+    for v in 0..V {
+        for node in 0..3 {
+            sum[v][node] = load(simd, of(sums, node, stride, &parts[v]));
+        }
+    }
+    for (particle, [columns, rows]) in weights.iter().enumerate() {
+        let row = place(slot + particle);
+        let mut weight = [simd.splat_f32s(0.0); 3];
+        for node in 0..3 {
+            weight[node] = simd.splat_f32s(columns[node] * rows[number]);
+        }
+        for v in 0..V {
+            let values = load(simd, of(channels, row, width, &parts[v]));
+            for node in 0..3 {
+                sum[v][node] = simd.mul_add_e_f32s(weight[node], values, sum[v][node]);
+            }
+        }
+    }
+    for v in 0..V {
+        for node in 0..3 {
+            let first = node * stride;
+            store(simd, &mut sums[first + parts[v].start..first + parts[v].end], sum[v][node]);
+        }
+    }
+}
+
+/// Some channels of a row.
+#[inline(always)]
+fn of<'a>(numbers: &'a [f32], row: usize, width: usize, part: &Range<usize>) -> &'a [f32] {
+    &numbers[row * width + part.start..row * width + part.end]
+}
+
 /// The nine nodes of a cell's stencil: some channels of each.
 #[inline(always)]
-pub(crate) fn stencil<S: Simd>(
+fn stencil<S: Simd>(
     simd: S,
     cell: &Cell,
     field: &[f32],
@@ -173,8 +268,8 @@ pub(crate) fn stencil<S: Simd>(
     let mut values = [[simd.splat_f32s(0.0); 3]; 3];
     for row in 0..3 {
         for column in 0..3 {
-            let node = (cell.nodes[row] as usize + column) * width;
-            values[row][column] = load(simd, &field[node + part.start..node + part.end]);
+            let node = cell.nodes[row] as usize + column;
+            values[row][column] = load(simd, of(field, node, width, part));
         }
     }
     values
@@ -182,13 +277,14 @@ pub(crate) fn stencil<S: Simd>(
 
 /// The sum of a stencil's nodes by the products of their `columns` and `rows`.
 #[inline(always)]
-pub(crate) fn weigh<S: Simd>(
+fn weigh<S: Simd>(
     simd: S,
     values: &[[S::f32s; 3]; 3],
     columns: &[f32; 3],
     rows: &[f32; 3],
 ) -> S::f32s {
-    let columns = columns.map(|weight| simd.splat_f32s(weight));
+    let columns =
+        [simd.splat_f32s(columns[0]), simd.splat_f32s(columns[1]), simd.splat_f32s(columns[2])];
     let mut sum = simd.splat_f32s(0.0);
     for row in 0..3 {
         let mut across = simd.mul_f32s(columns[0], values[row][0]);
@@ -215,15 +311,47 @@ impl WithSimd for Gather<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { nodes, place, field, width, sums } = self;
-        for cell in &nodes.cells()[place.cells.clone()] {
-            for part in vectors::<S>(width) {
-                let values = stencil(simd, cell, field, width, &part);
-                for slot in cell.slots() {
-                    let [columns, rows] = &nodes.weights()[slot];
-                    let sum = weigh(simd, &values, columns, rows);
-                    let row = (nodes.order()[slot] as usize - place.particles.start) * width;
-                    store(simd, &mut sums[row + part.start..row + part.end], sum);
-                }
+        let (order, first) = (nodes.order(), place.particles.start);
+        gather(
+            simd,
+            nodes,
+            place.particles.clone(),
+            field,
+            width,
+            #[inline(always)]
+            |slot| order[slot] as usize - first,
+            sums,
+        );
+    }
+}
+
+/// G2P for some slots: into the rows that `place` gives for them.
+#[inline(always)]
+pub(crate) fn gather<S: Simd>(
+    simd: S,
+    nodes: &Nodes,
+    slots: Range<usize>,
+    field: &[f32],
+    width: usize,
+    place: impl Fn(usize) -> usize,
+    sums: &mut [f32],
+) {
+    let first = nodes.cells().partition_point(
+        #[inline(always)]
+        |cell| cell.slots().end <= slots.start,
+    );
+    for cell in &nodes.cells()[first..] {
+        let own = cell.slots().start.max(slots.start)..cell.slots().end.min(slots.end);
+        if own.is_empty() {
+            return;
+        }
+        for part in vectors::<S>(width) {
+            let values = stencil(simd, cell, field, width, &part);
+            for slot in own.clone() {
+                let [columns, rows] = &nodes.weights()[slot];
+                let sum = weigh(simd, &values, columns, rows);
+                let row = place(slot) * width;
+                store(simd, &mut sums[row + part.start..row + part.end], sum);
             }
         }
     }
@@ -252,15 +380,12 @@ impl WithSimd for Slope<'_> {
                 for slot in cell.slots() {
                     let [columns, rows] = &nodes.weights()[slot];
                     let particle = nodes.order()[slot] as usize;
-                    let row = particle * width;
-                    let own = load(simd, &channels[row + part.start..row + part.end]);
+                    let own = load(simd, of(channels, particle, width, &part));
                     let across = weigh(simd, &values, &slopes(columns), rows);
                     let up = weigh(simd, &values, columns, &slopes(rows));
-                    let place = 2 * (particle - place.particles.start);
-                    for (axis, slope) in [across, up].into_iter().enumerate() {
-                        gradient[place + axis] +=
-                            per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, slope));
-                    }
+                    let gradient = &mut gradient[2 * (particle - place.particles.start)..][..2];
+                    gradient[0] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, across));
+                    gradient[1] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, up));
                 }
             }
         }

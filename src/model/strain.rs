@@ -1,14 +1,21 @@
-//! Strain of solids against the shape they rest in: (B_xx - 1, B_yy - 1, B_xy) of the left Cauchy-Green
-//! tensor B = F F^T, each within -1..1. F is the deformation gradient that fits the neighbours at rest
-//! best, so that it cannot drift. Zero for what has no rest shape.
+//! The shape of solids, strain and bend, against the one they rest in: [`Rest::shape`] over tensors.
 
-use burn::tensor::{Int, Tensor, TensorData};
+use std::sync::Arc;
 
-use super::{fused, training};
-use crate::kernels::rest::Rest;
+use burn::tensor::{Tensor, TensorData};
 
-/// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 3]`.
-pub(crate) fn strain(position: &Tensor<2>, rest: &std::sync::Arc<Rest>) -> Tensor<2> {
+use super::{fused, pairs, training};
+use crate::kernels::rest::{Rest, SHAPE_FEATURES};
+
+/// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 5]`.
+///
+/// Without a record of gradients this is the kernel as well; no gradient passes on other devices than
+/// flex.
+pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<Rest>) -> Tensor<2> {
+    if fused::runs_on(&position.device()) {
+        return training::shape(rest.clone(), position.clone());
+    }
     let [rows, _] = position.dims();
-    Tensor::zeros([rows, 3], &position.device())
+    let shape = rest.shape(&pairs(position.clone()));
+    Tensor::from_data(TensorData::new(shape, [rows, SHAPE_FEATURES]), &position.device())
 }
