@@ -35,14 +35,14 @@ pub use baseline::Baseline;
 pub use cost::{Cost, time};
 pub use errors::{ErrorSums, Errors, mean_squared_distance};
 pub use kind::Kind;
-pub use measure::{Extremes, Mean, Physics, SHOWN};
+pub use measure::{Extremes, FlightSums, Mean, Physics, SHOWN};
 pub use predictor::Predictor;
 pub use report::{Contestant, Entry, Judged, KindCount, Origin, Report, Role};
 pub use restart::{Restart, Restarted};
-pub use rollout::{Rollout, roll_out_from_first, roll_out_joined_late};
+pub use rollout::Rollout;
 pub use scene::{JudgedScene, Tally, judge_scene};
 pub use skill::{Interval, Skills};
-pub use steps::StepSums;
+pub use steps::{OnTheWay, StepSums};
 pub use window::starts;
 
 use crate::{engine::ModelError, mpm::MpmError};

@@ -2,15 +2,15 @@
 
 use super::{
     Arena, Baseline, EvalError, Restart, Rollout, chaos,
-    measure::VelocityLimits,
+    measure::{Flights, VelocityLimits},
     rollout::{roll_out_from_first, roll_out_joined_late},
-    steps::{Follower, StepSums},
+    steps::{Follower, OnTheWay},
 };
 use crate::{
     checkpoint::Architecture,
     dataset::{State, Stream},
     engine::{ModelError, Surrogate},
-    model::particle_model::velocity_limits,
+    model::{Ballistic, particle_model::velocity_limits},
     mpm::{MpmError, Scene},
 };
 
@@ -31,60 +31,64 @@ pub enum Predictor<'a> {
     Truth,
 }
 
-/// What a predictor does.
+/// What is to be predicted.
+#[derive(Clone, Copy)]
 pub(super) struct Predicting<'a> {
-    pub(super) arena: &'a Arena,
     pub(super) stream: &'a Stream,
     /// What the stream was simulated from.
     pub(super) scene: Option<&'a Scene>,
     /// The frames that rollouts start from.
     pub(super) starts: &'a [usize],
+    /// Free flight in the stream.
+    pub(super) flights: &'a Flights,
+    /// Frames ahead that are compared with the truth.
+    pub(super) horizon: usize,
+    /// Length of a rollout (frames).
+    pub(super) reach: usize,
+}
+
+impl<'a> Predicting<'a> {
+    /// Who follows predictions of next frames.
+    pub(super) fn follower(&self) -> Follower<'a> {
+        Follower::new(self.stream, self.starts, self.flights, self.horizon)
+    }
 }
 
 impl Predictor<'_> {
     /// Rolls out from every start. `each` gets the number of the start and its rollout; what is
-    /// returned are the errors of next frames, where they are predicted on the way.
+    /// returned are predictions of next frames, where there are any.
     pub(super) fn roll_out(
         &self,
+        arena: &Arena,
         what: &Predicting<'_>,
         each: &mut dyn FnMut(usize, Rollout),
-    ) -> Result<Option<StepSums>, EvalError> {
-        let Predicting { arena, stream, starts, .. } = *what;
-        let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
+    ) -> Result<Option<OnTheWay>, EvalError> {
+        let Predicting { stream, starts, reach, .. } = *what;
         let of_model = |reason: ModelError| EvalError::Model { stream: stream.id, reason };
         let of_rival = |reason: MpmError| EvalError::Rival { stream: stream.id, reason };
         let scene = || what.scene.ok_or(EvalError::NoScene { stream: stream.id });
         match *self {
             Self::Model(surrogate) => {
-                roll_out_from_first(surrogate, stream, starts, (horizon, reach), each)
-                    .map(Some)
-                    .map_err(of_model)
+                roll_out_from_first(surrogate, what, each).map(Some).map_err(of_model)
             }
             Self::JoinedLate(surrogate) => {
-                roll_out_joined_late(surrogate, stream, starts, reach, each).map_err(of_model)?;
+                roll_out_joined_late(surrogate, what, each).map_err(of_model)?;
                 Ok(None)
             }
-            Self::Baseline(baseline) => Ok(Some(roll_out_baseline(baseline, what, each))),
+            Self::Baseline(baseline) => {
+                Ok(Some(roll_out_baseline(baseline, &arena.ballistic, what, each)))
+            }
             Self::Restart(restart) => {
-                restart.roll_out(scene()?, stream, starts, reach, each).map_err(of_rival)?;
-                Ok(None)
+                let scene = scene()?;
+                restart.roll_out(scene, stream, starts, reach, each).map_err(of_rival)?;
+                let flight = restart.fly(scene, stream, what.flights).map_err(of_rival)?;
+                Ok(Some(OnTheWay { steps: None, flight }))
             }
             Self::Chaos => {
                 chaos::roll_out(scene()?, stream, starts, reach, each).map_err(of_rival)?;
                 Ok(None)
             }
-            Self::Truth => {
-                for (number, &start) in starts.iter().enumerate() {
-                    let mut after = stream.states[start + 1..].iter();
-                    let mut last = &stream.states[start];
-                    let next = || {
-                        last = after.next().unwrap_or(last);
-                        Some(last.clone())
-                    };
-                    each(number, Rollout::collect(&stream.states[start], reach, next));
-                }
-                Ok(None)
-            }
+            Self::Truth => Ok(Some(roll_out_truth(what, each))),
         }
     }
 
@@ -103,22 +107,37 @@ impl Predictor<'_> {
 
 fn roll_out_baseline(
     baseline: Baseline,
+    ballistic: &Ballistic,
     what: &Predicting<'_>,
     each: &mut dyn FnMut(usize, Rollout),
-) -> StepSums {
-    let Predicting { arena, stream, starts, .. } = *what;
-    let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
-    let ahead = |state: &State, frames| baseline.roll_out(state, frames, &arena.ballistic);
-    for (number, &start) in starts.iter().enumerate() {
-        let states = ahead(&stream.states[start], reach);
+) -> OnTheWay {
+    for (number, &start) in what.starts.iter().enumerate() {
+        let states = baseline.roll_out(&what.stream.states[start], what.reach, ballistic);
         each(number, Rollout { states, diverged: false });
     }
-    let mut follower = Follower::new(starts, horizon);
-    for (index, pair) in stream.states.windows(2).enumerate() {
-        if let [last, truth] = pair {
-            let predicted = ahead(last, 1);
-            follower.add(index + 1, &predicted[0].position, last, truth);
-        }
+    follow(what, |index| baseline.roll_out(&what.stream.states[index], 1, ballistic).swap_remove(0))
+}
+
+fn roll_out_truth(what: &Predicting<'_>, each: &mut dyn FnMut(usize, Rollout)) -> OnTheWay {
+    let states = &what.stream.states;
+    for (number, &start) in what.starts.iter().enumerate() {
+        let mut after = states[start + 1..].iter();
+        let mut last = &states[start];
+        let next = || {
+            last = after.next().unwrap_or(last);
+            Some(last.clone())
+        };
+        each(number, Rollout::collect(&states[start], what.reach, next));
+    }
+    follow(what, |index| states[index + 1].clone())
+}
+
+/// Follows what is predicted for the frame after each frame.
+fn follow(what: &Predicting<'_>, after: impl Fn(usize) -> State) -> OnTheWay {
+    let mut follower = what.follower();
+    for index in 0..=follower.end() {
+        let State { position, velocity } = after(index);
+        follower.add(index, &position, &velocity);
     }
     follower.finish()
 }

@@ -1,6 +1,9 @@
 //! The rival that knows the law: the solver of the truth, restarted from what a model observes.
 
-use super::Rollout;
+use super::{
+    Rollout,
+    measure::{FlightSums, Flights},
+};
 use crate::{
     dataset::{State, Stream},
     frame::decimal,
@@ -108,6 +111,26 @@ impl Restart {
             each(number, Rollout::collect(observed, reach, || restarted.next_state()));
         }
         Ok(())
+    }
+
+    /// What a frame of it does to bodies in free flight.
+    ///
+    /// # Errors
+    /// As [`Restart::begin`].
+    pub(super) fn fly(
+        self,
+        scene: &Scene,
+        stream: &Stream,
+        flights: &Flights,
+    ) -> Result<FlightSums, MpmError> {
+        let mut sums = FlightSums::default();
+        for index in flights.frames() {
+            let mut restarted = self.begin(scene, stream, &stream.states[index])?;
+            if let Some(State { position, velocity }) = restarted.next_state() {
+                flights.add(index, &position, &velocity, &mut sums);
+            }
+        }
+        Ok(sums)
     }
 }
 

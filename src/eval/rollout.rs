@@ -1,8 +1,8 @@
 //! The model fed with its own output.
 
-use super::steps::{Follower, StepSums};
+use super::{predictor::Predicting, steps::OnTheWay};
 use crate::{
-    dataset::{State, Stream},
+    dataset::State,
     engine::{Memory, ModelError, Surrogate},
     frame::Frame,
 };
@@ -43,24 +43,23 @@ fn is_finite(state: &State) -> bool {
 
 /// Observes a stream from its first frame on, as a node does, and predicts `reach` frames after each
 /// of the frames `starts` with the memory it has there. `each` gets the number of the start and its
-/// rollout. Returns the errors of the next frames predicted on the way, over `horizon` frames after
+/// rollout. Returns what the next frames predicted on the way came to, over `horizon` frames after
 /// each start.
 ///
 /// A rollout is made before the frames after its start are looked at: they cannot leak into it.
 ///
 /// # Errors
 /// [`ModelError`] when the model cannot take the particles.
-pub fn roll_out_from_first(
+pub(super) fn roll_out_from_first(
     surrogate: &Surrogate,
-    stream: &Stream,
-    starts: &[usize],
-    (horizon, reach): (usize, usize),
+    what: &Predicting<'_>,
     each: &mut dyn FnMut(usize, Rollout),
-) -> Result<StepSums, ModelError> {
-    let mut follower = Follower::new(starts, horizon);
+) -> Result<OnTheWay, ModelError> {
+    let Predicting { stream, starts, reach, .. } = *what;
+    let mut follower = what.follower();
     let mut memory = surrogate.start(&stream.frame(0))?;
     let mut ahead = memory.clone();
-    let end = starts.last().map_or(0, |last| (last + horizon).min(stream.states.len() - 1));
+    let end = starts.last().copied().unwrap_or(0).max(follower.end());
     for index in 0..=end {
         let frame = surrogate.step(&mut memory, &stream.frame(index));
         if let Some(number) = starts.iter().position(|&start| start == index) {
@@ -68,8 +67,8 @@ pub fn roll_out_from_first(
             let observed = &stream.states[index];
             each(number, roll_out(surrogate, &mut ahead, observed, frame.clone(), reach));
         }
-        if let Some(truth) = stream.states.get(index + 1) {
-            follower.add(index + 1, &frame.position, &stream.states[index], truth);
+        if index + 1 < stream.states.len() {
+            follower.add(index, &frame.position, &frame.velocity);
         }
     }
     Ok(follower.finish())
@@ -83,13 +82,12 @@ pub fn roll_out_from_first(
 ///
 /// # Panics
 /// When a start has fewer frames up to it than the warm-up.
-pub fn roll_out_joined_late(
+pub(super) fn roll_out_joined_late(
     surrogate: &Surrogate,
-    stream: &Stream,
-    starts: &[usize],
-    reach: usize,
+    what: &Predicting<'_>,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> Result<(), ModelError> {
+    let Predicting { stream, starts, reach, .. } = *what;
     let warm_up = (surrogate.description().warm_up as usize).max(1);
     for (number, &start) in starts.iter().enumerate() {
         let first = stream.frame(start + 1 - warm_up);
@@ -126,7 +124,11 @@ fn roll_out(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{checkpoint::Checkpoint, dataset::load_trajectories};
+    use crate::{
+        checkpoint::Checkpoint,
+        dataset::{Stream, load_trajectories},
+        eval::measure::Flights,
+    };
 
     fn sample() -> Stream {
         let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
@@ -142,8 +144,16 @@ mod tests {
     fn predict(stream: &Stream, start: usize, reach: usize) -> [Rollout; 2] {
         let (surrogate, mut rollouts) = (shipped(), Vec::new());
         let mut keep = |_: usize, rollout: Rollout| rollouts.push(rollout);
-        roll_out_from_first(&surrogate, stream, &[start], (reach, reach), &mut keep).unwrap();
-        roll_out_joined_late(&surrogate, stream, &[start], reach, &mut keep).unwrap();
+        let what = Predicting {
+            stream,
+            scene: None,
+            starts: &[start],
+            flights: &Flights::default(),
+            horizon: reach,
+            reach,
+        };
+        roll_out_from_first(&surrogate, &what, &mut keep).unwrap();
+        roll_out_joined_late(&surrogate, &what, &mut keep).unwrap();
         rollouts.try_into().unwrap()
     }
 

@@ -2,9 +2,9 @@
 
 use super::{
     Arena, ErrorSums, EvalError, Kind, Predictor, Rollout,
-    measure::{Physics, Rest, SHOWN, Window, is_blown_up},
+    measure::{FlightSums, Flights, Physics, Rest, SHOWN, Window, is_blown_up},
     predictor::Predicting,
-    steps::StepSums,
+    steps::{OnTheWay, StepSums},
 };
 use crate::{dataset::Stream, mpm::Scene};
 
@@ -15,6 +15,8 @@ pub struct Tally {
     pub errors: ErrorSums,
     /// Errors of next frames, where they were predicted.
     pub steps: Option<StepSums>,
+    /// What predictions of next frames did to bodies in free flight.
+    pub flight: FlightSums,
     /// Physical measures at each of [`SHOWN`] within the horizon; none where they were not asked for.
     pub physics: Vec<Physics>,
     /// Rollouts.
@@ -32,6 +34,7 @@ impl Tally {
         Self {
             errors: ErrorSums::new(arena.settings.horizon, arena.ranges),
             steps: None,
+            flight: FlightSums::default(),
             physics: vec![Physics::default(); if arena.settings.measures { shown } else { 0 }],
             windows: 0,
             diverged: 0,
@@ -47,6 +50,7 @@ impl Tally {
             (steps @ None, others) => steps.clone_from(others),
             (Some(_), None) => {}
         }
+        self.flight.merge(&other.flight);
         self.physics.iter_mut().zip(&other.physics).for_each(|(sum, other)| sum.merge(other));
         self.windows += other.windows;
         self.diverged += other.diverged;
@@ -87,7 +91,12 @@ pub fn judge_scene(
     let rest = arena.settings.measures.then(|| Rest::new(arena, stream));
     let windows: Vec<Window> =
         starts.iter().map(|&start| Window::new(arena, stream, start, rest.as_ref())).collect();
-    let what = Predicting { arena, stream, scene, starts: &starts };
+    let flights = match rest {
+        Some(_) => Flights::of(stream, &arena.ballistic, arena.spacing),
+        None => Flights::default(),
+    };
+    let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
+    let what = Predicting { stream, scene, starts: &starts, flights: &flights, horizon, reach };
     let judge = |predictor: &Predictor<'_>| {
         let mut tally = Tally::new(arena);
         let limits = predictor.velocity_limits();
@@ -103,8 +112,9 @@ pub fn judge_scene(
             tally.diverged += usize::from(rollout.diverged);
             tally.blown_up += usize::from(rollout.diverged || rollout.states.iter().any(wild));
         };
-        let steps = predictor.roll_out(&what, &mut add)?;
-        tally.steps = steps;
+        if let Some(OnTheWay { steps, flight }) = predictor.roll_out(arena, &what, &mut add)? {
+            (tally.steps, tally.flight) = (steps, flight);
+        }
         Ok(tally)
     };
     let tallies = predictors.iter().map(judge).collect::<Result<_, EvalError>>()?;

@@ -15,85 +15,117 @@ const GAP: f32 = 16.0;
 const WALL_GAP: f32 = 8.0;
 /// Fewest particles of a body; less is spray.
 const FEWEST: usize = 100;
-/// The most frames that a flight is followed.
-const LONGEST: usize = 20;
-
-/// A body that is in free flight in the truth.
+/// A body that is in free flight in the truth, from one frame to the next.
 #[derive(Clone, Debug)]
-pub(super) struct Body {
+struct Body {
     particles: Vec<u32>,
-    /// Frames after the start for which nothing comes near it.
-    frames: usize,
-    /// Momentum per mass at the start (domain lengths per second).
+    /// Momentum per mass at the first of them (domain lengths per second).
     momentum: [f64; 2],
-    /// Angular momentum per mass at the start, about the centre (domain lengths^2 per second).
+    /// Angular momentum per mass, about the centre (domain lengths^2 per second).
     spin: f64,
-    /// Mean squared distance to the centre at the start (domain lengths^2).
+    /// Mean squared distance to the centre (domain lengths^2).
     inertia: f64,
 }
 
-/// The bodies in free flight at frame `start`, each with how long its flight lasts.
-pub(super) fn bodies(
-    stream: &Stream,
-    start: usize,
-    ballistic: &Ballistic,
-    spacing: f32,
-) -> Vec<Body> {
-    let state = &stream.states[start];
-    let mut bodies = Vec::new();
-    for particles in sets(&state.position, GAP * spacing) {
-        if particles.len() >= FEWEST && off_the_walls(&particles, state, ballistic, spacing) {
-            let (momentum, spin, inertia) = motion(&particles, state);
-            bodies.push(Body { particles, frames: 0, momentum, spin, inertia });
-        }
-    }
-    for (ahead, state) in stream.states[start + 1..].iter().take(LONGEST).enumerate() {
-        if bodies.iter().all(|body| body.frames < ahead) {
-            break;
-        }
-        let sets = sets(&state.position, GAP * spacing);
-        for body in bodies.iter_mut().filter(|body| body.frames == ahead) {
-            let alone = is_whole(&body.particles, &sets, state.position.len());
-            if alone && off_the_walls(&body.particles, state, ballistic, spacing) {
-                body.frames = ahead + 1;
-            }
-        }
-    }
-    bodies
+/// All free flight in a stream.
+#[derive(Clone, Debug, Default)]
+pub(in crate::eval) struct Flights {
+    /// Frames with bodies in flight, and these.
+    bodies: Vec<(usize, Vec<Body>)>,
+    gravity: [f64; 2],
+    dt: f64,
 }
 
-impl Body {
-    /// Adds, if it is still in flight `ahead` frames after the start, the momentum that was gained a
-    /// frame beside that of free fall (g dt), and the square of the change of its spin (rad/s).
-    pub(super) fn add(
+/// What predictions of the next frame did to bodies in free flight.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FlightSums {
+    /// Momentum per mass gained in a frame beside that of gravity (g dt).
+    pub gain: Mean,
+    /// The largest of these.
+    pub worst_gain: f64,
+    /// Squared change of the spin in a frame (rad^2 per s^2).
+    pub spin: Mean,
+}
+
+impl FlightSums {
+    /// Adds what was found elsewhere.
+    pub fn merge(&mut self, other: &Self) {
+        self.gain.merge(&other.gain);
+        self.worst_gain = self.worst_gain.max(other.worst_gain);
+        self.spin.merge(&other.spin);
+    }
+}
+
+impl Flights {
+    /// Looks for bodies that nothing is near, in a frame and in the next one.
+    pub(in crate::eval) fn of(stream: &Stream, ballistic: &Ballistic, spacing: f32) -> Self {
+        let gap = GAP * spacing;
+        let mut found = Vec::new();
+        let mut next = stream.states.first().map(|state| sets(&state.position, gap));
+        for (index, pair) in stream.states.windows(2).enumerate() {
+            let [state, after] = pair else { continue };
+            let Some(now) = next.replace(sets(&after.position, gap)) else { continue };
+            let then = next.as_deref().unwrap_or_default();
+            let flies = |particles: &Vec<u32>| {
+                particles.len() >= FEWEST
+                    && off_the_walls(particles, state, ballistic, spacing)
+                    && off_the_walls(particles, after, ballistic, spacing)
+                    && is_whole(particles, then, state.position.len())
+            };
+            let body = |particles: Vec<u32>| {
+                let (momentum, spin, inertia) =
+                    motion(&particles, &state.position, &state.velocity);
+                Body { particles, momentum, spin, inertia }
+            };
+            let bodies: Vec<Body> = now.into_iter().filter(flies).map(body).collect();
+            if !bodies.is_empty() {
+                found.push((index, bodies));
+            }
+        }
+        let (gravity, dt) = (ballistic.gravity.map(f64::from), f64::from(ballistic.dt));
+        Self { bodies: found, gravity, dt }
+    }
+
+    /// The frames with bodies in flight.
+    pub(in crate::eval) fn frames(&self) -> impl Iterator<Item = usize> {
+        self.bodies.iter().map(|(index, _)| *index)
+    }
+
+    /// Adds what a prediction of the frame after frame `index` does to the bodies that are in flight
+    /// there. Without gravity there is no unit, and nothing is added.
+    pub(in crate::eval) fn add(
         &self,
-        predicted: &State,
-        ahead: usize,
-        ballistic: &Ballistic,
-        (gained, spin): (&mut Mean, &mut Mean),
+        index: usize,
+        position: &[[f32; 2]],
+        velocity: &[[f32; 2]],
+        sums: &mut FlightSums,
     ) {
-        let fall = ballistic.gravity.map(|g| f64::from(g) * f64::from(ballistic.dt));
-        let unit = square(fall).sqrt();
-        if ahead > self.frames || unit == 0.0 {
+        let unit = square(self.gravity).sqrt() * self.dt;
+        let Ok(at) = self.bodies.binary_search_by_key(&index, |(index, _)| *index) else { return };
+        if unit == 0.0 {
             return;
         }
-        let (momentum, now, _) = motion(&self.particles, predicted);
-        let frames = ahead as f64;
-        let beside = [0, 1].map(|axis| momentum[axis] - self.momentum[axis] - frames * fall[axis]);
-        gained.add(square(beside).sqrt() / (frames * unit), 1.0);
-        let change = (now - self.spin) / self.inertia;
-        spin.add(change * change, 1.0);
+        for body in &self.bodies[at].1 {
+            let (momentum, spin, _) = motion(&body.particles, position, velocity);
+            let beside = [0, 1]
+                .map(|axis| momentum[axis] - body.momentum[axis] - self.gravity[axis] * self.dt);
+            let gain = square(beside).sqrt() / unit;
+            sums.gain.add(gain, 1.0);
+            sums.worst_gain = sums.worst_gain.max(gain);
+            let change = (spin - body.spin) / body.inertia;
+            sums.spin.add(change * change, 1.0);
+        }
     }
 }
 
 /// Momentum, angular momentum about the centre, and moment of inertia, all per mass.
-fn motion(particles: &[u32], state: &State) -> ([f64; 2], f64, f64) {
+fn motion(particles: &[u32], position: &[[f32; 2]], velocity: &[[f32; 2]]) -> ([f64; 2], f64, f64) {
     let of = |rows: &[[f32; 2]]| mean(particles.iter().map(|&k| &rows[k as usize]));
-    let (centre, momentum) = (of(&state.position), of(&state.velocity));
+    let (centre, momentum) = (of(position), of(velocity));
     let (mut spin, mut inertia) = (0.0, 0.0);
     for &k in particles {
-        let [x, y] = state.position[k as usize].map(f64::from);
-        let [u, v] = state.velocity[k as usize].map(f64::from);
+        let [x, y] = position[k as usize].map(f64::from);
+        let [u, v] = velocity[k as usize].map(f64::from);
         let r = [x - centre[0], y - centre[1]];
         spin += r[0] * (v - momentum[1]) - r[1] * (u - momentum[0]);
         inertia += square(r);
@@ -194,37 +226,42 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_falling_body_flies_and_one_on_the_floor_does_not() {
-        let found = bodies(&stream([0.3, 0.5]), 0, &BALLISTIC, SPACING);
-        assert_eq!(found.len(), 1);
-        assert_eq!((found[0].particles.len(), found[0].frames), (144, 9));
+    fn flights(stream: &Stream) -> Flights {
+        Flights::of(stream, &BALLISTIC, SPACING)
     }
 
     #[test]
-    fn a_body_near_another_does_not_fly() {
-        assert!(bodies(&stream([0.7, 0.2]), 0, &BALLISTIC, SPACING).is_empty());
+    fn a_falling_body_flies_and_one_on_the_floor_does_not() {
+        let found = flights(&stream([0.3, 0.5]));
+        assert_eq!(found.frames().collect::<Vec<_>>(), (0..9).collect::<Vec<_>>());
+        for (_, bodies) in found.bodies {
+            assert_eq!(bodies.iter().map(|b| b.particles.len()).collect::<Vec<_>>(), [144]);
+        }
+    }
+
+    #[test]
+    fn a_body_near_one_on_the_floor_does_not_fly() {
+        assert_eq!(flights(&stream([0.7, 0.2])).frames().count(), 0);
     }
 
     #[test]
     fn the_truth_gains_nothing_and_what_is_pushed_gains_what_it_was_pushed() {
         let stream = stream([0.3, 0.5]);
-        let body = &bodies(&stream, 0, &BALLISTIC, SPACING)[0];
-        let measure = |push: f32, turn: f32| {
-            let state = together([
-                block([0.3, 0.4875], [push, -0.5], turn),
-                block([0.7, 6.0 * SPACING], [0.0; 2], 0.0),
-            ]);
-            let (mut gained, mut spin) = (Mean::default(), Mean::default());
-            body.add(&state, 5, &BALLISTIC, (&mut gained, &mut spin));
-            assert_eq!(gained.weight, 1.0);
-            (gained.value(), spin.value().sqrt())
-        };
-        let (gained, spin) = measure(0.0, 2.0);
-        assert!(gained < 1e-6 && spin < 1e-4, "{gained}, {spin}");
-        // 0.05 in five frames are 0.01 a frame, and g dt is 0.1.
-        let (gained, spin) = measure(0.05, 1.5);
-        assert!((gained - 0.1).abs() < 1e-5 && (spin - 0.5).abs() < 1e-3, "{gained}, {spin}");
+        let flights = flights(&stream);
+        let truth = &stream.states[6];
+        let mut sums = FlightSums::default();
+        flights.add(5, &truth.position, &truth.velocity, &mut sums);
+        assert_eq!(sums.gain.weight, 1.0);
+        assert!(sums.worst_gain < 1e-5 && sums.spin.value() < 1e-8, "{sums:?}");
+
+        // 0.01 is a tenth of g dt; all that turned stands still.
+        let pushed: Vec<[f32; 2]> = vec![[0.01, -0.6]; 288];
+        let mut sums = FlightSums::default();
+        flights.add(5, &truth.position, &pushed, &mut sums);
+        assert!((sums.gain.value() - 0.1).abs() < 1e-5, "{sums:?}");
+        assert!((sums.spin.value().sqrt() - 2.0).abs() < 1e-4, "{sums:?}");
+        flights.add(9, &truth.position, &pushed, &mut sums);
+        assert_eq!(sums.gain.weight, 1.0, "nobody has seen the end of that flight");
     }
 
     #[test]

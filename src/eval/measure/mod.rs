@@ -22,6 +22,8 @@ use crate::{
 
 pub use blow_up::Extremes;
 pub(super) use blow_up::{VelocityLimits, is_blown_up};
+pub use flight::FlightSums;
+pub(super) use flight::Flights;
 
 /// The frames ahead at which measures are taken, and that tables show.
 pub const SHOWN: [usize; 6] = [1, 5, 10, 20, 50, 100];
@@ -73,10 +75,6 @@ pub struct Physics {
     pub jelly_stretch: Mean,
     /// As `rope_distortion`, of jelly.
     pub jelly_distortion: Mean,
-    /// Momentum that bodies in free flight gain beside that of gravity (g dt a frame).
-    pub flight: Mean,
-    /// Squared change of their spin (rad^2 per s^2).
-    pub spin: Mean,
 }
 
 impl Physics {
@@ -87,7 +85,7 @@ impl Physics {
         }
     }
 
-    fn each(&self) -> [&Mean; 11] {
+    fn each(&self) -> [&Mean; 9] {
         [
             &self.misplaced,
             &self.kinetic_energy,
@@ -98,12 +96,10 @@ impl Physics {
             &self.rope_distortion,
             &self.jelly_stretch,
             &self.jelly_distortion,
-            &self.flight,
-            &self.spin,
         ]
     }
 
-    fn each_mut(&mut self) -> [&mut Mean; 11] {
+    fn each_mut(&mut self) -> [&mut Mean; 9] {
         [
             &mut self.misplaced,
             &mut self.kinetic_energy,
@@ -114,8 +110,6 @@ impl Physics {
             &mut self.rope_distortion,
             &mut self.jelly_stretch,
             &mut self.jelly_distortion,
-            &mut self.flight,
-            &mut self.spin,
         ]
     }
 }
@@ -145,7 +139,6 @@ pub(super) struct Window<'a> {
     /// The states after the start, up to the horizon or the end of the stream.
     pub(super) truth: &'a [State],
     shown: Vec<Shown>,
-    bodies: Vec<flight::Body>,
 }
 
 /// The truth at one of [`SHOWN`].
@@ -167,7 +160,7 @@ impl<'a> Window<'a> {
     ) -> Self {
         let end = stream.states.len().min(start + 1 + arena.settings.horizon);
         let truth = &stream.states[start + 1..end];
-        let Some(rest) = rest else { return Self { truth, shown: Vec::new(), bodies: Vec::new() } };
+        let Some(rest) = rest else { return Self { truth, shown: Vec::new() } };
         let shown = SHOWN.into_iter().filter(|&ahead| ahead <= truth.len());
         let shown = shown.map(|ahead| {
             let state = &truth[ahead - 1];
@@ -179,8 +172,7 @@ impl<'a> Window<'a> {
                 liquid_area: liquid_area(arena, &stream.material, state),
             }
         });
-        let bodies = flight::bodies(stream, start, &arena.ballistic, arena.spacing);
-        Self { truth, shown: shown.collect(), bodies }
+        Self { truth, shown: shown.collect() }
     }
 
     /// Adds the measures of predicted states to those at each of [`SHOWN`].
@@ -208,10 +200,6 @@ impl<'a> Window<'a> {
             sums.liquid_area.add(liquid_area(arena, material, state), shown.liquid_area);
             rest.rope.add(&state.position, &mut sums.rope_stretch, &mut sums.rope_distortion);
             rest.jelly.add(&state.position, &mut sums.jelly_stretch, &mut sums.jelly_distortion);
-            for body in &self.bodies {
-                let sums = (&mut sums.flight, &mut sums.spin);
-                body.add(state, shown.ahead, &arena.ballistic, sums);
-            }
         }
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::{
     curves::{Curves, StepCurves},
-    measures::Measures,
+    measures::{Flight, Measures},
 };
 use crate::{
     checkpoint::Description,
@@ -85,6 +85,8 @@ pub struct Entry {
     pub steps: Option<StepCurves>,
     /// Physical measures over all scenes, at the frames shown.
     pub measures: Vec<Measures>,
+    /// What happens to bodies in free flight; nothing for who predicts no next frame of them.
+    pub flight: Option<Flight>,
     /// By the kind of the scene.
     pub kinds: Vec<KindEntry>,
     /// By the material of the particle, in whatever scene.
@@ -161,6 +163,7 @@ impl Entry {
             curves: Curves::new(&all.errors.total()),
             steps: all.steps.as_ref().map(StepCurves::new),
             measures: measures(&all, shown),
+            flight: Flight::new(&all.flight),
             kinds,
             materials: materials.collect(),
             cost,

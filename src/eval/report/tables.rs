@@ -113,7 +113,7 @@ impl Report {
         table
     }
 
-    /// Bulk and free flight at frame `ahead`, then shapes.
+    /// Bulk at frame `ahead` with the free flight of next frames, then shapes.
     fn measures(&self, ahead: usize) -> [Table; 2] {
         let mut bulk = table(
             [
@@ -122,7 +122,8 @@ impl Report {
                 "kinetic energy",
                 "centre",
                 "outside",
-                "in flight: g dt",
+                "in flight, g dt",
+                "at most",
                 "rad/s",
                 "bodies",
             ]
@@ -141,17 +142,22 @@ impl Report {
             let at = |ahead: usize| entry.measures.iter().find(|m| m.frame == ahead);
             let Some(measures) = at(ahead) else { continue };
             let Measures { misplaced, kinetic_energy_error, centre_rmse, outside, .. } = measures;
+            let flight = entry.flight.map_or([(); 4].map(|()| "-".to_owned()), |flight| {
+                let [gain, most, spin] =
+                    [flight.gain, flight.worst_gain, flight.spin].map(scientific);
+                [gain, most, spin, flight.bodies.to_string()]
+            });
             bulk.add_row(row(
                 entry.name.clone(),
-                vec![
+                [
                     percent(*misplaced),
                     percent(*kinetic_energy_error),
                     scientific(*centre_rmse),
                     percent(*outside),
-                    scientific(measures.flight_gain),
-                    scientific(measures.flight_spin),
-                    measures.flights.to_string(),
-                ],
+                ]
+                .into_iter()
+                .chain(flight)
+                .collect(),
             ));
             let areas = areas.iter().filter_map(|&ahead| at(ahead)).map(|m| ratio(m.liquid_area));
             let solids = [
