@@ -34,19 +34,27 @@ impl Ballistic {
         }
     }
 
-    /// One particle, one frame on: position (domain lengths) and velocity (domain lengths per
-    /// second).
+    /// One particle, one frame on, if there were no walls: position (domain lengths) and velocity
+    /// (domain lengths per second).
+    #[inline(always)]
+    pub fn free(&self, position: [f32; 2], velocity: [f32; 2]) -> ([f32; 2], [f32; 2]) {
+        let fallen = [0, 1].map(|axis| velocity[axis] + self.gravity[axis] * self.dt);
+        // The mean of the velocities before and after.
+        let mean = |axis: usize| 0.5 * (velocity[axis] + fallen[axis]);
+        ([0, 1].map(|axis| position[axis] + mean(axis) * self.dt), fallen)
+    }
+
+    /// One particle, one frame on, stopped by walls: as [`Ballistic::free`].
+    #[inline(always)]
     pub fn step(&self, position: [f32; 2], velocity: [f32; 2]) -> ([f32; 2], [f32; 2]) {
-        let mut next = (position, velocity);
+        let (mut place, mut fallen) = self.free(position, velocity);
         for axis in 0..2 {
-            let fallen = velocity[axis] + self.gravity[axis] * self.dt;
-            // The mean of the velocities before and after.
-            let free = position[axis] + 0.5 * (velocity[axis] + fallen) * self.dt;
-            let held = free.max(self.lower[axis]).min(self.upper[axis]);
-            next.0[axis] = held;
-            next.1[axis] = if held == free { fallen } else { 0.0 };
+            let held = place[axis].max(self.lower[axis]).min(self.upper[axis]);
+            if held != place[axis] {
+                (place[axis], fallen[axis]) = (held, 0.0);
+            }
         }
-        next
+        (place, fallen)
     }
 
     /// All particles, one frame on, in place.

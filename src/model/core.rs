@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 
 use super::{
+    fused,
     gru::Gru, layers::Linear, lstm::Lstm, mingru::MinGru, minlstm::MinLstm, mlp::Mlp, scan::step,
 };
 use crate::checkpoint::{Core, Description};
@@ -98,6 +99,9 @@ impl RecurrentLayer {
     /// The next output `[R, H]`, also in the state, for the input `[R, I]` (from zero if no state is
     /// given).
     pub(crate) fn step(&self, input: Tensor<2>, carried: Option<LayerState>) -> LayerState {
+        if fused::runs_on(&input.device()) {
+            return self.observe(input.unsqueeze(), carried).1;
+        }
         let hidden = carried.as_ref().map(|state| state.hidden.clone());
         let hidden = match self {
             Self::Mlp(layer) => layer.forward(input),

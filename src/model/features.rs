@@ -17,7 +17,7 @@
 //! The push tells a particle at rest on others from one in free fall: it sees what the others just did.
 //! No feature says where a particle is in the domain, which may be larger than the one trained in.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
 use crate::{
@@ -33,13 +33,9 @@ pub(crate) const NEAR: f32 = 0.03;
 pub(crate) const FAR: f32 = 0.2;
 
 /// Materials one-hot, `[R, 4]`.
-pub(crate) fn one_hot(material: impl IntoIterator<Item = Material>, device: &Device) -> Tensor<2> {
-    let mut values = Vec::new();
-    for material in material {
-        values.extend(Material::ALL.map(|kind| if kind == material { 1.0f32 } else { 0.0 }));
-    }
-    let rows = values.len() / Material::COUNT;
-    Tensor::from_data(TensorData::new(values, [rows, Material::COUNT]), device)
+pub(crate) fn one_hot(material: &[Material]) -> Vec<f32> {
+    let row = |&material: &Material| Material::ALL.map(|kind| f32::from(u8::from(kind == material)));
+    material.iter().flat_map(row).collect()
 }
 
 /// Each material's number divided by the largest, `[4, 1]`.

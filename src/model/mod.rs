@@ -45,7 +45,7 @@ pub use crate::checkpoint::{Architecture, Core};
 
 use std::sync::Arc;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::{checkpoint::Surroundings, frame::Material, kernels::rest::Rest};
 
@@ -98,6 +98,8 @@ pub(crate) struct Bodies {
 pub(crate) struct Matter {
     /// Materials, one-hot, `[R, 4]`.
     pub(crate) material: Tensor<2>,
+    /// The same numbers.
+    pub(crate) one_hot: Arc<Vec<f32>>,
     /// B; each window has equally many particles.
     pub(crate) windows: usize,
     /// The shapes that solids rest in.
@@ -115,9 +117,15 @@ impl Matter {
         device: &Device,
     ) -> Self {
         let spacing = surroundings.map_or(0.0, |surroundings| surroundings.spacing);
-        let material_of = features::one_hot(material.iter().copied(), device);
         let rest = Arc::new(Rest::new(rest, material, windows, spacing));
-        Self { material: material_of, windows, rest }
+        let one_hot = Arc::new(features::one_hot(material));
+        let data = TensorData::new(one_hot.to_vec(), [material.len(), Material::COUNT]);
+        Self { material: Tensor::from_data(data, device), one_hot, windows, rest }
+    }
+
+    /// Particles of a window.
+    pub(crate) fn particles(&self) -> usize {
+        self.rest.len() / self.windows
     }
 }
 

@@ -13,12 +13,14 @@ use burn::tensor::{Device, Tensor};
 
 use super::{
     Bodies, Matter, Track,
-    ballistic::{Ballistic, BallisticTensors, Fallen},
+    ballistic::{Ballistic, BallisticTensors},
     features::Scaling,
+    fused,
     layers::Layers,
     network::{Dropout, Hidden},
     pairs, strain,
     surroundings::Ground,
+    training,
 };
 use crate::{
     checkpoint::{Description, Normalization, Surroundings},
@@ -46,14 +48,13 @@ pub(crate) struct ParticleModel {
     domain: Domain,
     scaling: Scaling,
     ballistic: BallisticTensors,
-    slowest: Tensor<2>,
-    fastest: Tensor<2>,
+    /// The smallest and the largest velocities (domain lengths per second).
+    limits: [[f32; 2]; 2],
 }
 
 impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
-        let row = |values: [f32; 2]| Tensor::<1>::from_floats(values, device).unsqueeze::<2>();
         let (slowest, fastest) = velocity_limits(scale);
         let surroundings = description.surroundings;
         Self {
@@ -62,8 +63,7 @@ impl ParticleModel {
             domain: description.domain,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::of(description), device),
-            slowest: row(slowest),
-            fastest: row(fastest),
+            limits: [slowest, fastest],
         }
     }
 
@@ -79,20 +79,15 @@ impl ParticleModel {
         let [frames, rows, _] = track.position.dims();
         let flat = |t: &Tensor<3>| t.clone().reshape([frames * rows, 2]);
         let bodies = Bodies { position: flat(&track.position), velocity: flat(&track.velocity) };
-        let fallen = self.ballistic.step(bodies.position.clone(), bodies.velocity.clone());
 
-        // What each frame was foretold to be by the one before it.
-        let foretold = fallen.velocity.clone().reshape([frames, rows, 2]);
-        let first =
-            hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity).unsqueeze::<3>();
-        let last = foretold.clone().slice([frames - 1..frames, 0..rows, 0..2]).reshape([rows, 2]);
-        let foretold = match frames {
-            1 => first,
-            _ => Tensor::cat(vec![first, foretold.slice([0..frames - 1, 0..rows, 0..2])], 0),
-        };
-        let push = (track.velocity.clone() - foretold).reshape([frames * rows, 2]);
+        // What each frame was foretold to be by the one before it; the first one what it is.
+        let coming = self.foretell(&bodies); // [T R, 2]
+        let first = hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity);
+        let before = coming.clone().slice([0..(frames - 1) * rows, 0..2]);
+        let foretold = if frames == 1 { first } else { Tensor::cat(vec![first, before], 0) };
+        let last = coming.slice([(frames - 1) * rows..frames * rows, 0..2]);
 
-        let input = self.perceive(&bodies, push, &fallen, matter, frames);
+        let input = self.perceive(&bodies, foretold, matter);
         let [_, width] = input.dims();
         let mut signal = input.reshape([frames, rows, width]); // [T, R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
@@ -101,7 +96,7 @@ impl ParticleModel {
             states.push(state);
             signal = dropout.apply(output);
         }
-        let next = self.decode(signal.reshape([frames * rows, width]), fallen);
+        let next = self.decode(signal.reshape([frames * rows, width]), &bodies);
         let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
         let predicted = Track { position: cube(next.position), velocity: cube(next.velocity) };
         (predicted, Hidden { states, foretold: Some(last) })
@@ -115,63 +110,92 @@ impl ParticleModel {
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Bodies, Hidden) {
-        let fallen = self.ballistic.step(bodies.position.clone(), bodies.velocity.clone());
-        let foretold = Some(fallen.velocity.clone());
-        let push = match hidden.foretold.clone() {
-            None => bodies.velocity.zeros_like(),
-            Some(foretold) => bodies.velocity.clone() - foretold,
-        };
-        let mut signal = self.perceive(bodies, push, &fallen, matter, 1); // [R, H]
+        let foretold = hidden.foretold.clone().unwrap_or_else(|| bodies.velocity.clone());
+        let mut signal = self.perceive(bodies, foretold, matter); // [R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
             let state = layer.step(signal, carried);
             signal = dropout.apply(state.hidden.clone());
             states.push(state);
         }
-        (self.decode(signal, fallen), Hidden { states, foretold })
+        let hidden = Hidden { states, foretold: Some(self.foretell(bodies)) };
+        (self.decode(signal, bodies), hidden)
     }
 
-    /// What the core gets to know of the particles of T frames one below the other, `[T R, H]`.
-    fn perceive(
-        &self,
-        bodies: &Bodies,
-        push: Tensor<2>,
-        fallen: &Fallen,
-        matter: &Matter,
-        frames: usize,
-    ) -> Tensor<2> {
+    /// Velocities that the ballistic step foretells, `[rows, 2]`.
+    fn foretell(&self, bodies: &Bodies) -> Tensor<2> {
+        let Bodies { position, velocity } = bodies.clone();
+        if self.fused() {
+            return training::foretell(self.ballistic.plain, position, velocity);
+        }
+        self.ballistic.step(position, velocity).velocity
+    }
+
+    /// What the core gets to know of particles, `[T R, H]`, whose velocities were foretold, `[T R, 2]`.
+    fn perceive(&self, bodies: &Bodies, foretold: Tensor<2>, matter: &Matter) -> Tensor<2> {
         let Layers { encoder: [first, second], grid, .. } = &self.layers;
         let grid = grid.as_ref().expect("the particle model's layers have a grid");
         let shape = strain::shape(&bodies.position, &matter.rest);
-        let material = matter.material.clone().repeat(&[frames, 1]);
-        let features =
-            self.scaling.particle(bodies, push, fallen, &self.ballistic, shape, material); // [T R, F]
+        let features = self.features(bodies, foretold, shape, matter); // [T R, F]
         let encoded = second.forward(first.rectified(features.clone())); // [T R, C0]
         let position = pairs(bodies.position.clone());
-        let windows = frames * matter.windows;
+        let windows = position.len() / matter.particles();
         let ground =
             Ground::new(&self.surroundings, &self.ballistic.plain, self.domain, &position, windows);
         let context = grid.look_around(&ground, encoded, &bodies.position); // [T R, C0]
         grid.context.rectified(Tensor::cat(vec![features, context], 1))
     }
 
-    /// `[rows, H]` and the ballistic step to the next bodies.
-    fn decode(&self, signal: Tensor<2>, fallen: Fallen) -> Bodies {
-        let output = self.layers.decoder.forward(self.layers.mixer.rectified(signal));
-        let [rows, _] = output.dims();
-        let output = output.mul_scalar(self.scaling.velocity_unit); // [rows, 4]
-        let faster = output.clone().slice([0..rows, 0..2]);
-        let farther = output.slice([0..rows, 2..4]).mul_scalar(self.ballistic.plain.dt);
-        let between = |x: Tensor<2>, low: &Tensor<2>, high: &Tensor<2>| {
-            x.max_pair(low.clone()).min_pair(high.clone())
-        };
-        Bodies {
-            position: between(
-                fallen.position + farther,
-                &self.ballistic.lower,
-                &self.ballistic.upper,
-            ),
-            velocity: between(fallen.velocity + faster, &self.slowest, &self.fastest),
+    fn features(
+        &self,
+        bodies: &Bodies,
+        foretold: Tensor<2>,
+        shape: Tensor<2>,
+        matter: &Matter,
+    ) -> Tensor<2> {
+        let Bodies { position, velocity } = bodies.clone();
+        if self.fused() {
+            let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
+            let inputs = [position, velocity, foretold, shape];
+            return training::perceive(ballistic, unit, matter.one_hot.clone(), inputs);
         }
+        let fallen = self.ballistic.step(position, velocity.clone());
+        let [rows, _] = shape.dims();
+        let material = matter.material.clone();
+        let material = material.repeat(&[rows / matter.rest.len(), 1]);
+        let push = velocity - foretold;
+        self.scaling.particle(bodies, push, &fallen, &self.ballistic, shape, material)
+    }
+
+    /// `[rows, H]` and where particles are to where they will be.
+    fn decode(&self, signal: Tensor<2>, bodies: &Bodies) -> Bodies {
+        let output = self.layers.decoder.forward(self.layers.mixer.rectified(signal)); // [rows, 4]
+        let [rows, _] = output.dims();
+        let halves = |t: Tensor<2>| [0, 2].map(|k| t.clone().slice([0..rows, k..k + 2]));
+        let Bodies { position, velocity } = bodies.clone();
+        if self.fused() {
+            let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
+            let inputs = [position, velocity, output];
+            let next = training::move_on(ballistic, unit, self.limits, inputs);
+            let [position, velocity] = halves(next);
+            return Bodies { position, velocity };
+        }
+        let fallen = self.ballistic.step(position, velocity);
+        let [faster, farther] = halves(output.mul_scalar(self.scaling.velocity_unit));
+        let farther = farther.mul_scalar(self.ballistic.plain.dt);
+        let device = faster.device();
+        let [slowest, fastest] =
+            self.limits.map(|limit| Tensor::<1>::from_floats(limit, &device).unsqueeze::<2>());
+        let between = |x: Tensor<2>, low: Tensor<2>, high: Tensor<2>| x.max_pair(low).min_pair(high);
+        let BallisticTensors { lower, upper, .. } = self.ballistic.clone();
+        Bodies {
+            position: between(fallen.position + farther, lower, upper),
+            velocity: between(fallen.velocity + faster, slowest, fastest),
+        }
+    }
+
+    /// Whether kernels compute what tensor operations would.
+    fn fused(&self) -> bool {
+        fused::runs_on(&self.layers.decoder.weight.device())
     }
 }
