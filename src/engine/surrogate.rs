@@ -58,7 +58,7 @@ struct Workshop {
 
 enum Room {
     Frame(frame_model::Room),
-    Particle(Vec<particle_model::Room>),
+    Particle(particle_model::Room),
 }
 
 impl Surrogate {
@@ -71,14 +71,16 @@ impl Surrogate {
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
     ) -> Result<Self, ModelError> {
-        Self::load_for(checkpoint, threads, Arch::new())
+        Self::load_for(checkpoint, threads, Arch::new(), true)
     }
 
-    /// The same with a set of instructions that this processor has.
+    /// The same with a set of instructions that this processor has; `conserve` says whether bodies in free
+    /// flight keep their momentum.
     pub(super) fn load_for(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
         arch: Arch,
+        conserve: bool,
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -92,10 +94,10 @@ impl Surrogate {
                 (Network::Frame(model), crew, room)
             }
             Architecture::Particle => {
-                let model = ParticleModel::pack(arch, description, tensors);
-                let crew = Crew::new(threads, 1);
-                let rooms = (0..crew.threads()).map(|_| model.room()).collect();
-                (Network::Particle(model), crew, Room::Particle(rooms))
+                let model = ParticleModel::pack(arch, description, tensors, conserve);
+                let crew = Crew::new(threads, particle_model::STAGES);
+                let room = Room::Particle(model.room(crew.threads()));
+                (Network::Particle(model), crew, room)
             }
         };
         Ok(Self {
@@ -190,9 +192,9 @@ impl Surrogate {
                 let alone = model.work() < WORTH_WAKING;
                 model.step(crew, alone, room, memory, frame, next);
             }
-            (Network::Particle(model), Room::Particle(rooms)) => {
+            (Network::Particle(model), Room::Particle(room)) => {
                 let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
-                model.step(crew, alone, rooms, memory, frame, next);
+                model.step(crew, alone, room, memory, frame, next);
             }
             _ => unreachable!("a network and its room are made together"),
         }
