@@ -284,7 +284,11 @@ impl Description {
             data: String::new(),
             sizes,
             frame: FrameOptions::default(),
-            surroundings: None,
+            surroundings: (architecture == Architecture::Particle).then_some(Surroundings {
+                cell_width: 1.0 / 32.0,
+                channels: [32, 64, 64],
+                spacing: 1.0 / 128.0,
+            }),
             domain: Domain::UNIT,
             normalization: Normalization {
                 minimum: [0.0, 0.0, -1.0, -1.0],

@@ -93,7 +93,9 @@ pub(crate) fn names(layer: &str) -> [String; 2] {
 }
 
 /// Names, inputs, outputs and sharers of the layers on the grid, in order.
-fn grid_layers(surroundings: &Surroundings) -> [(&'static str, usize, usize, usize); 11] {
+pub(crate) fn grid_layers(
+    surroundings: &Surroundings,
+) -> [(&'static str, usize, usize, usize); 11] {
     let [c0, c1, c2] = surroundings.channels;
     [
         ("grid.0.a", 9 * (c0 + NODE_FEATURES), c0, 1),

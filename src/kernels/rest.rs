@@ -5,6 +5,10 @@
 //! of now, x, with the least squares: F = sum over j of (x_j - x) c_j^T, where c_j = k_j A^-1 (X_j - X)
 //! and A = sum of k_j (X_j - X)(X_j - X)^T, with weights k that fall with the distance then. It needs no
 //! history, so that its errors do not add up. The strain is B - 1, B = F F^T (left Cauchy-Green).
+//!
+//! What F leaves is the bend: how far a particle is from where its neighbours and F have it,
+//! sum of k_j (x_j - x - F (X_j - X)) / sum of k_j. It is what shows particles that have gone out of line,
+//! one this way, the next that way, of which no F knows.
 
 use rayon::prelude::*;
 
@@ -14,6 +18,12 @@ use crate::frame::Material;
 const RANGE: f64 = 2.1;
 /// At most so many neighbours: the nearest.
 const MOST: usize = 12;
+/// Features of a particle's shape: Bxx - 1, Byy - 1, Bxy, and the bend along x and y.
+pub const SHAPE_FEATURES: usize = 5;
+/// What they are multiplied by, strains and bends (in spacings at rest), so that what is usual is about 1;
+const SCALE: [f32; SHAPE_FEATURES] = [10.0, 10.0, 10.0, 60.0, 60.0];
+/// and how large they get.
+const LARGEST: f32 = 4.0;
 /// With fewer, there is no telling.
 const FEWEST: usize = 3;
 /// The smaller eigenvalue of A, relative to the larger, below which neighbours are in a line.
@@ -40,6 +50,8 @@ struct Link {
     particle: u32,
     /// c (1 / domain lengths).
     coefficient: [f32; 2],
+    /// Share in the bend (1 / domain lengths).
+    share: f32,
 }
 
 impl Rest {
@@ -89,42 +101,42 @@ impl Rest {
         self.len() == 0
     }
 
-    /// The strain of each particle in each of T frames, `[T R, 3]`, from the positions, `[T R]`:
-    /// Bxx - 1, Byy - 1, Bxy, each within -1 and 1.
+    /// The shape of each particle in each of T frames, `[T R, 5]`, from the positions, `[T R]`: strain
+    /// and bend ([`SHAPE_FEATURES`]), scaled and limited; zeros for what has no rest shape.
     ///
     /// # Panics
     /// When there are not R positions for each frame.
-    pub fn strain(&self, position: &[[f32; 2]]) -> Vec<f32> {
+    pub fn shape(&self, position: &[[f32; 2]]) -> Vec<f32> {
         let rows = self.rows(position);
-        let mut strain = vec![[0.0; 3]; position.len()];
-        let frames = strain.par_chunks_mut(rows).zip(position.par_chunks(rows));
-        frames.for_each(|(strain, position)| {
-            strain.par_iter_mut().enumerate().for_each(|(particle, strain)| {
-                *strain = self.strain_of(particle, position);
+        let mut shape = vec![[0.0; SHAPE_FEATURES]; position.len()];
+        let frames = shape.par_chunks_mut(rows).zip(position.par_chunks(rows));
+        frames.for_each(|(shape, position)| {
+            shape.par_iter_mut().enumerate().for_each(|(particle, shape)| {
+                *shape = self.shape_of(particle, position);
             });
         });
-        strain.into_flattened()
+        shape.into_flattened()
     }
 
-    /// The strain of one particle, from the positions of a frame, `[R]`.
+    /// The shape of one particle, from the positions of a frame, `[R]`.
     #[inline(always)]
-    pub fn strain_of(&self, particle: usize, position: &[[f32; 2]]) -> [f32; 3] {
+    pub fn shape_of(&self, particle: usize, position: &[[f32; 2]]) -> [f32; SHAPE_FEATURES] {
         let links = self.links(particle);
         if links.is_empty() {
-            return [0.0; 3];
+            return [0.0; SHAPE_FEATURES];
         }
-        let [xx, yy, xy] = strain(deformation(links, position, position[particle]));
-        [xx.clamp(-1.0, 1.0), yy.clamp(-1.0, 1.0), xy.clamp(-1.0, 1.0)]
+        let (f, bend) = deformation(links, position, position[particle]);
+        limited(scaled(f, bend))
     }
 
-    /// The gradient `[T R, 2]` by the positions, `[T R]`, from that of the strain, `[T R, 3]`.
+    /// The gradient `[T R, 2]` by the positions, `[T R]`, from that of the shape, `[T R, 5]`.
     ///
     /// # Panics
     /// When there are not R positions and rows for each frame.
     pub fn backward(&self, position: &[[f32; 2]], gradient: &[f32]) -> Vec<f32> {
         let rows = self.rows(position);
-        assert_eq!(gradient.len(), 3 * position.len());
-        let (gradient, _) = gradient.as_chunks::<3>();
+        assert_eq!(gradient.len(), SHAPE_FEATURES * position.len());
+        let (gradient, _) = gradient.as_chunks::<SHAPE_FEATURES>();
         let mut sums = vec![[0.0; 2]; position.len()];
         // A window of a frame is one thread's: its sums are in the order of the particles.
         let parts = sums.par_chunks_mut(self.particles.max(1)).enumerate();
@@ -138,22 +150,22 @@ impl Rest {
                 if links.is_empty() {
                     continue;
                 }
-                let f = deformation(links, position, position[particle]);
+                let (f, bend) = deformation(links, position, position[particle]);
                 let mut by = gradient[begin + own];
-                for (by, strain) in by.iter_mut().zip(strain(f)) {
-                    if strain.abs() > 1.0 {
-                        *by = 0.0;
-                    }
+                for ((by, shape), scale) in by.iter_mut().zip(scaled(f, bend)).zip(SCALE) {
+                    *by *= if shape.abs() > LARGEST { 0.0 } else { scale };
                 }
-                let [xx, yy, xy] = by;
+                let [xx, yy, xy, by_bend @ ..] = by;
                 let by_f = [
                     [0, 1].map(|c| 2.0 * xx * f[0][c] + xy * f[1][c]),
                     [0, 1].map(|c| 2.0 * yy * f[1][c] + xy * f[0][c]),
                 ];
-                for Link { particle: neighbour, coefficient } in links {
+                for Link { particle: neighbour, coefficient, share } in links {
                     let neighbour = frame + *neighbour as usize - begin;
                     for axis in 0..2 {
-                        let by_x = by_f[axis][0] * coefficient[0] + by_f[axis][1] * coefficient[1];
+                        let by_x = by_f[axis][0] * coefficient[0]
+                            + by_f[axis][1] * coefficient[1]
+                            + by_bend[axis] * share;
                         sums[neighbour][axis] += by_x;
                         sums[own][axis] -= by_x;
                     }
@@ -181,26 +193,40 @@ fn keeps_shape(material: Material) -> bool {
     matches!(material, Material::Jelly | Material::Rope)
 }
 
-/// F, by rows.
+/// F, by rows, and the bend (spacings at rest).
 #[inline(always)]
-fn deformation(links: &[Link], position: &[[f32; 2]], [x, y]: [f32; 2]) -> [[f32; 2]; 2] {
-    let mut f = [[0.0; 2]; 2];
-    for Link { particle, coefficient } in links {
+fn deformation(
+    links: &[Link],
+    position: &[[f32; 2]],
+    [x, y]: [f32; 2],
+) -> ([[f32; 2]; 2], [f32; 2]) {
+    let (mut f, mut bend) = ([[0.0; 2]; 2], [0.0; 2]);
+    for Link { particle, coefficient, share } in links {
         let [to_x, to_y] = position[*particle as usize];
         let apart = [to_x - x, to_y - y];
         for row in 0..2 {
             for column in 0..2 {
                 f[row][column] += apart[row] * coefficient[column];
             }
+            bend[row] += apart[row] * share;
         }
     }
-    f
+    (f, bend)
 }
 
-/// Bxx - 1, Byy - 1, Bxy.
+/// The features, before they are limited.
 #[inline(always)]
-fn strain([[a, b], [c, d]]: [[f32; 2]; 2]) -> [f32; 3] {
-    [a * a + b * b - 1.0, c * c + d * d - 1.0, a * c + b * d]
+fn scaled([[a, b], [c, d]]: [[f32; 2]; 2], [x, y]: [f32; 2]) -> [f32; SHAPE_FEATURES] {
+    let mut shape = [a * a + b * b - 1.0, c * c + d * d - 1.0, a * c + b * d, x, y];
+    for (shape, scale) in shape.iter_mut().zip(SCALE) {
+        *shape *= scale;
+    }
+    shape
+}
+
+#[inline(always)]
+fn limited(shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
+    shape.map(|number| number.clamp(-LARGEST, LARGEST))
 }
 
 /// A neighbour at rest: its row, and where it is from the particle (domain lengths).
@@ -209,9 +235,12 @@ type Near = (u32, [f64; 2]);
 /// Links to these neighbours; none where they do not tell a deformation.
 fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = Link> {
     let weight = move |[x, y]: [f64; 2]| (1.0 - (x * x + y * y) / (range * range)).powi(2);
+    let (mut sum, mut mean) = (0.0, [0.0; 2]);
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
     for &(_, [x, y]) in near {
         let k = weight([x, y]);
+        sum += k;
+        mean = [mean[0] + k * x, mean[1] + k * y];
         xx += k * x * x;
         xy += k * x * y;
         yy += k * y * y;
@@ -222,10 +251,13 @@ fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = Link> {
     // The smaller eigenvalue is what the larger leaves of the determinant.
     let told = near.len() >= FEWEST && determinant > FLATTEST * largest * largest;
     let near = if told { near } else { &[] };
+    let spacing = range / RANGE;
     near.iter().map(move |&(particle, [x, y])| {
-        let k = weight([x, y]) / determinant;
-        let coefficient = [k * (yy * x - xy * y), k * (xx * y - xy * x)];
-        Link { particle, coefficient: coefficient.map(|c| c as f32) }
+        let k = weight([x, y]);
+        let c = [(yy * x - xy * y), (xx * y - xy * x)].map(|c| k * c / determinant);
+        // What is left of the weighted mean once F has carried it along.
+        let share = (k - c[0] * mean[0] - c[1] * mean[1]) / (sum * spacing);
+        Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 }
     })
 }
 

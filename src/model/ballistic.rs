@@ -1,6 +1,6 @@
 //! The ballistic step: free fall between walls, what a particle does that nothing else touches.
 //!
-//! v' = v + g dt, x' = x + v' dt; where x' would lie beyond a wall, the particle stops at the wall
+//! v' = v + g dt, x' = x + v dt + g dt^2 / 2, the parabola; where x' would lie beyond a wall, the particle stops at the wall
 //! and loses the velocity component across it (inelastic, free slip). The plain form serves as a
 //! baseline; its tensor twin is what the particle model's residual sits on. A property test joins
 //! the two.
@@ -40,7 +40,8 @@ impl Ballistic {
         let mut next = (position, velocity);
         for axis in 0..2 {
             let fallen = velocity[axis] + self.gravity[axis] * self.dt;
-            let free = position[axis] + fallen * self.dt;
+            // The mean of the velocities before and after.
+            let free = position[axis] + 0.5 * (velocity[axis] + fallen) * self.dt;
             let held = free.max(self.lower[axis]).min(self.upper[axis]);
             next.0[axis] = held;
             next.1[axis] = if held == free { fallen } else { 0.0 };
@@ -59,14 +60,14 @@ impl Ballistic {
 /// The same step over tensors.
 #[derive(Clone, Debug)]
 pub(crate) struct BallisticTensors {
+    /// The same numbers.
+    pub(crate) plain: Ballistic,
     /// g dt, `[1, 2]`.
     pub(crate) fall: Tensor<2>,
     /// Left and lower wall, `[1, 2]`.
     pub(crate) lower: Tensor<2>,
     /// Right and upper wall, `[1, 2]`.
     pub(crate) upper: Tensor<2>,
-    /// Time between two frames (s).
-    pub(crate) dt: f32,
 }
 
 /// What the step gives, each `[R, 2]`.
@@ -86,14 +87,14 @@ impl BallisticTensors {
             fall: row(plain.gravity.map(|g| g * plain.dt)),
             lower: row(plain.lower),
             upper: row(plain.upper),
-            dt: plain.dt,
+            plain,
         }
     }
 
     /// `position` and `velocity` are `[R, 2]`. No gradient passes through a stop's velocity.
     pub(crate) fn step(&self, position: Tensor<2>, velocity: Tensor<2>) -> Fallen {
-        let fallen = velocity + self.fall.clone();
-        let free = position + fallen.clone().mul_scalar(self.dt);
+        let fallen = velocity.clone() + self.fall.clone();
+        let free = position + (velocity + fallen.clone()).mul_scalar(0.5 * self.plain.dt);
         let held = free.clone().max_pair(self.lower.clone()).min_pair(self.upper.clone());
         let moving = held.clone().detach().equal(free.detach()).float(); // 1 free, 0 stopped
         let velocity = fallen.clone() * moving;

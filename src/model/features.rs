@@ -3,26 +3,26 @@
 //! Frame model: x, y, vx, vy scaled by the training split's smallest and largest values (the paper's
 //! eq. 1) or its means and deviations, and the material, one-hot or as one number.
 //!
-//! Particle model ([`PARTICLE_FEATURES`]), per axis where there are two numbers:
+//! Particle model ([`SURROUNDED_FEATURES`]), per axis where there are two numbers:
 //!
 //! | numbers | feature |
 //! |---|---|
-//! | 2 | velocity, z-scored |
-//! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first |
-//! | 2 | stop: velocity that the coming ballistic step loses at a wall |
-//! | 2 | position between the walls in effect, -1..1 |
-//! | 8 | nearness exp(-d / s) of the four walls at the scales s of [`NEAR`] and [`FAR`] |
+//! | 2 | velocity, in units of u |
+//! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first; likewise |
+//! | 2 | stop: velocity that the coming ballistic step loses at a wall; likewise |
+//! | 8 | nearness exp(-d / s) of the left, lower, right, upper wall at the scales s of [`NEAR`], then of [`FAR`] |
+//! | 3 | strain of the rest shape (`strain`): xx, yy, xy |
 //! | 4 | material, one-hot |
 //!
-//! The push is what tells a particle at rest on others from one in free fall: the network sees no
-//! surroundings, but it sees what they just did.
+//! The push tells a particle at rest on others from one in free fall: it sees what the others just did.
+//! No feature says where a particle is in the domain, which may be larger than the one trained in.
 
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
 use crate::{
     checkpoint::{
-        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
+        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::SURROUNDED_FEATURES,
     },
     frame::Material,
 };
@@ -104,33 +104,32 @@ impl Scaling {
         Tensor::cat(vec![state, material], 1)
     }
 
-    /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`.
+    /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`,
+    /// `strain` is `[R, 3]`.
     pub(crate) fn particle(
         &self,
         bodies: &Bodies,
         push: Tensor<2>,
         fallen: &Fallen,
         walls: &BallisticTensors,
+        strain: Tensor<2>,
         material: Tensor<2>,
     ) -> Tensor<2> {
         let below = (bodies.position.clone() - walls.lower.clone()).clamp_min(0.0);
         let above = (walls.upper.clone() - bodies.position.clone()).clamp_min(0.0);
-        let middle = (below.clone() - above.clone()) / (walls.upper.clone() - walls.lower.clone());
         let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
-        let velocity = |row: &Tensor<2>| row.clone().slice([0..1, 2..4]);
+        let velocities = vec![bodies.velocity.clone(), push, fallen.stopped.clone()];
         let features = Tensor::cat(
             vec![
-                (bodies.velocity.clone() - velocity(&self.mean)) / velocity(&self.deviation),
-                push.div_scalar(self.velocity_unit),
-                fallen.stopped.clone().div_scalar(self.velocity_unit),
-                middle,
+                Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),
                 distance.clone().mul_scalar(-1.0 / NEAR).exp(),
                 distance.mul_scalar(-1.0 / FAR).exp(),
+                strain,
                 material,
             ],
             1,
         );
-        debug_assert_eq!(features.dims()[1], PARTICLE_FEATURES);
+        debug_assert_eq!(features.dims()[1], SURROUNDED_FEATURES);
         features
     }
 }

@@ -20,7 +20,7 @@
 use burn::tensor::{Device, Tensor};
 
 use super::{
-    Bodies, Track,
+    Bodies, Matter, Track,
     features::Scaling,
     fused,
     layers::{Layers, Linear},
@@ -57,12 +57,12 @@ impl FrameModel {
     pub(crate) fn observe(
         &self,
         track: &Track,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Track, Hidden) {
         let [frames, rows, _] = track.position.dims();
-        let encoded = (0..frames).map(|t| self.encode(&track.at(t), material)).collect();
+        let encoded = (0..frames).map(|t| self.encode(&track.at(t), &matter.material)).collect();
         let mut signal: Tensor<3> = Tensor::stack(encoded, 0); // [T, B, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
@@ -80,11 +80,11 @@ impl FrameModel {
     pub(crate) fn step(
         &self,
         bodies: &Bodies,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Bodies, Hidden) {
-        let mut signal = self.encode(bodies, material);
+        let mut signal = self.encode(bodies, &matter.material);
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
             let state = layer.step(signal, carried);

@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData, activation::relu};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{core::RecurrentLayer, fused, training};
+use super::{core::RecurrentLayer, fused, surroundings::GridLayers, training};
 use crate::checkpoint::{Architecture, Description, Weights, layout};
 
 /// y = x W + b.
@@ -36,6 +36,16 @@ impl Linear {
         shape[D - 1] = outputs;
         output.reshape(shape)
     }
+
+    /// The same with a ReLU behind it, `[R, in]` to `[R, out]`.
+    pub(crate) fn rectified(&self, input: Tensor<2>) -> Tensor<2> {
+        let Self { weight, bias } = self.clone();
+        if fused::runs_on(&weight.device()) {
+            training::rectified(input, weight, bias)
+        } else {
+            relu(input.matmul(weight) + bias.unsqueeze())
+        }
+    }
 }
 
 /// All learned numbers of a network.
@@ -43,6 +53,8 @@ impl Linear {
 pub(crate) struct Layers {
     /// `encoder.0`, `encoder.1`.
     pub(crate) encoder: [Linear; 2],
+    /// `grid.*` and `context`; only the particle model has them.
+    pub(crate) grid: Option<GridLayers>,
     /// The core's layers, in order.
     pub(crate) core: Vec<RecurrentLayer>,
     /// `mixer`.
@@ -62,6 +74,11 @@ impl Layers {
         let linear = |names: [String; 2]| linear(&names, tensors, device);
         Self {
             encoder: ["encoder.0", "encoder.1"].map(|layer| linear(layout::names(layer))),
+            grid: description.surroundings.as_ref().map(|surroundings| GridLayers {
+                grid: layout::grid_layers(surroundings)
+                    .map(|(layer, ..)| linear(layout::names(layer))),
+                context: linear(layout::names("context")),
+            }),
             core: (0..description.sizes.layers)
                 .map(|layer| {
                     RecurrentLayer::new(description, |part| {
@@ -87,13 +104,19 @@ impl Layers {
 
     /// Every linear layer, from input to output: the order of [`layout::linear_layers`].
     pub(crate) fn linears(&self) -> Vec<&Linear> {
+        let grid =
+            self.grid.iter().flat_map(|GridLayers { grid, context }| grid.iter().chain([context]));
         let core = self.core.iter().flat_map(RecurrentLayer::parts);
-        self.encoder.iter().chain(core).chain([&self.mixer, &self.decoder]).collect()
+        let ends = [&self.mixer, &self.decoder];
+        self.encoder.iter().chain(grid).chain(core).chain(ends).collect()
     }
 
     fn linears_mut(&mut self) -> Vec<&mut Linear> {
+        let grid = self.grid.iter_mut();
+        let grid = grid.flat_map(|GridLayers { grid, context }| grid.iter_mut().chain([context]));
         let core = self.core.iter_mut().flat_map(RecurrentLayer::parts_mut);
-        self.encoder.iter_mut().chain(core).chain([&mut self.mixer, &mut self.decoder]).collect()
+        let ends = [&mut self.mixer, &mut self.decoder];
+        self.encoder.iter_mut().chain(grid).chain(core).chain(ends).collect()
     }
 
     /// Changes every tensor, matrix (`[in, out]`) before bias in the order of [`Layers::linears`]:
@@ -109,21 +132,34 @@ impl Layers {
             update(&mut linear.bias, gradients, |values, by| change(2 * index + 1, values, by));
         }
     }
+
+    /// Looks at every tensor in the order of [`Layers::update`], and may put other values in its place.
+    pub(crate) fn exchange(&mut self, mut change: impl FnMut(usize, &mut [f32])) {
+        for (index, linear) in self.linears_mut().into_iter().enumerate() {
+            exchange(&mut linear.weight, |values| change(2 * index, values));
+            exchange(&mut linear.bias, |values| change(2 * index + 1, values));
+        }
+    }
 }
 
-/// Puts other values in a tensor's place, without a copy where nobody else holds it.
+/// Changes a tensor that has a gradient.
 fn update<const D: usize>(
     tensor: &mut Tensor<D>,
     gradients: &mut Gradients,
     change: impl FnOnce(&mut [f32], &[f32]),
 ) {
     let Some(gradient) = tensor.grad_remove(gradients) else { return };
-    let device = tensor.device();
     let gradient = gradient.into_data();
+    let numbers = "weights and their gradients are f32";
+    exchange(tensor, |values| change(values, gradient.as_slice().expect(numbers)));
+}
+
+/// Puts other values in a tensor's place, without a copy where nobody else holds it.
+fn exchange<const D: usize>(tensor: &mut Tensor<D>, change: impl FnOnce(&mut [f32])) {
+    let device = tensor.device();
     let empty = Tensor::empty([0; D], &device);
     let mut values = std::mem::replace(tensor, empty).inner().into_data();
-    let numbers = "weights and their gradients are f32";
-    change(values.as_mut_slice().expect(numbers), gradient.as_slice().expect(numbers));
+    change(values.as_mut_slice().expect("weights are f32"));
     *tensor = Tensor::from_data(values, &device).require_grad();
 }
 

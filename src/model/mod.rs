@@ -9,7 +9,8 @@
 //! 6. `fused`, `training`: layers whose values and gradients are computed by [`kernels`](crate::kernels)
 //!    rather than by tensor operations, where gradients are recorded on the CPU.
 //! 7. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
-//! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step.
+//! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step. It sees
+//!    `surroundings` on a `sparse` grid, and the `strain` of solids.
 //! 9. `network`: either of the two, behind one set of calls.
 //! 10. [`mod@reference`]: a network that predicts frames one after the other, for comparison.
 //!
@@ -32,6 +33,9 @@ pub(crate) mod mlp;
 pub(crate) mod network;
 pub(crate) mod particle_model;
 pub(crate) mod scan;
+pub(crate) mod sparse;
+pub(crate) mod strain;
+pub(crate) mod surroundings;
 pub(crate) mod training;
 
 pub use ballistic::Ballistic;
@@ -39,7 +43,11 @@ pub use reference::Reference;
 
 pub use crate::checkpoint::{Architecture, Core};
 
+use std::sync::Arc;
+
 use burn::tensor::{Device, Tensor};
+
+use crate::{checkpoint::Surroundings, frame::Material, kernels::rest::Rest};
 
 /// What computes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -83,6 +91,40 @@ impl DeviceKind {
 pub(crate) struct Bodies {
     pub(crate) position: Tensor<2>,
     pub(crate) velocity: Tensor<2>,
+}
+
+/// What does not change from frame to frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Matter {
+    /// Materials, one-hot, `[R, 4]`.
+    pub(crate) material: Tensor<2>,
+    /// B; each window has equally many particles.
+    pub(crate) windows: usize,
+    /// The shapes that solids rest in.
+    pub(crate) rest: Arc<Rest>,
+}
+
+impl Matter {
+    /// Of B windows one below the other, with their particles' positions at rest, `[R]`. The particle
+    /// model needs to know how far apart its particles are.
+    pub(crate) fn new(
+        material: &[Material],
+        rest: &[[f32; 2]],
+        windows: usize,
+        surroundings: Option<&Surroundings>,
+        device: &Device,
+    ) -> Self {
+        let spacing = surroundings.map_or(0.0, |surroundings| surroundings.spacing);
+        let material_of = features::one_hot(material.iter().copied(), device);
+        let rest = Arc::new(Rest::new(rest, material, windows, spacing));
+        Self { material: material_of, windows, rest }
+    }
+}
+
+/// `[R, 2]` as a list of pairs.
+pub(crate) fn pairs(tensor: Tensor<2>) -> Vec<[f32; 2]> {
+    let numbers: Vec<f32> = tensor.inner().into_data().iter::<f32>().collect();
+    numbers.as_chunks::<2>().0.to_vec()
 }
 
 /// Positions and velocities over time, each `[T, R, 2]`.

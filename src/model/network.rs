@@ -7,7 +7,7 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Bodies, Track, core::LayerState, frame_model::FrameModel, layers::Layers,
+    Bodies, Matter, Track, core::LayerState, frame_model::FrameModel, layers::Layers,
     particle_model::ParticleModel,
 };
 use crate::checkpoint::{Architecture, Description, Weights};
@@ -110,17 +110,17 @@ impl Network {
     }
 
     /// Observes T consecutive frames at once, from the state `hidden`. Gives the frame predicted
-    /// after each of them and the state after the last. `material` is one-hot, `[R, 4]`.
+    /// after each of them and the state after the last.
     pub(crate) fn observe(
         &self,
         track: &Track,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Track, Hidden) {
         match self {
-            Self::Frame(model) => model.observe(track, material, hidden, dropout),
-            Self::Particle(model) => model.observe(track, material, hidden, dropout),
+            Self::Frame(model) => model.observe(track, matter, hidden, dropout),
+            Self::Particle(model) => model.observe(track, matter, hidden, dropout),
         }
     }
 
@@ -128,13 +128,13 @@ impl Network {
     pub(crate) fn step(
         &self,
         bodies: &Bodies,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Bodies, Hidden) {
         match self {
-            Self::Frame(model) => model.step(bodies, material, hidden, dropout),
-            Self::Particle(model) => model.step(bodies, material, hidden, dropout),
+            Self::Frame(model) => model.step(bodies, matter, hidden, dropout),
+            Self::Particle(model) => model.step(bodies, matter, hidden, dropout),
         }
     }
 }

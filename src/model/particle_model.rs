@@ -1,23 +1,29 @@
-//! The particle model: one hidden state for each particle, weights shared, no surroundings.
+//! The particle model: one hidden state for each particle, weights shared, any number of particles.
 //!
-//! features (F) -> Linear -> ReLU -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
+//! features (F) -> Linear -> ReLU -> Linear (C0) -> grid (`surroundings`) -> context (C0);
+//! features, context -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
 //! The decoder gives a velocity and a position residual on the ballistic step, in units of the
 //! training velocities' deviation u:
 //! v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has a residual of its own because
-//! a frame spans many substeps: in free fall alone, v' dt overshoots the path by g dt^2 / 2.
+//! a frame spans many substeps: what happens early in it moves a particle further than what happens late.
 //! v' is clamped to the training range widened by a quarter on each side, x' to the walls in effect,
 //! so that a rollout stays finite. A zero decoder is the ballistic step.
 
-use burn::tensor::{Device, Tensor, activation::relu};
+use burn::tensor::{Device, Tensor};
 
 use super::{
-    Bodies, Track,
+    Bodies, Matter, Track,
     ballistic::{Ballistic, BallisticTensors, Fallen},
     features::Scaling,
     layers::Layers,
     network::{Dropout, Hidden},
+    pairs, strain,
+    surroundings::Ground,
 };
-use crate::checkpoint::{Description, Normalization};
+use crate::{
+    checkpoint::{Description, Normalization, Surroundings},
+    frame::Domain,
+};
 
 /// How far v' may leave the range of training velocities, as a share of that range.
 const VELOCITY_MARGIN: f32 = 0.25;
@@ -36,6 +42,8 @@ pub(crate) fn velocity_limits(scale: &Normalization) -> ([f32; 2], [f32; 2]) {
 #[derive(Clone, Debug)]
 pub(crate) struct ParticleModel {
     pub(crate) layers: Layers,
+    surroundings: Surroundings,
+    domain: Domain,
     scaling: Scaling,
     ballistic: BallisticTensors,
     slowest: Tensor<2>,
@@ -47,8 +55,11 @@ impl ParticleModel {
         let scale = &description.normalization;
         let row = |values: [f32; 2]| Tensor::<1>::from_floats(values, device).unsqueeze::<2>();
         let (slowest, fastest) = velocity_limits(scale);
+        let surroundings = description.surroundings;
         Self {
             layers,
+            surroundings: surroundings.expect("a description that was checked has them"),
+            domain: description.domain,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::of(description), device),
             slowest: row(slowest),
@@ -57,11 +68,11 @@ impl ParticleModel {
     }
 
     /// Observes T consecutive frames at once. Gives the frame predicted after each, and the state
-    /// after the last. `material` is `[R, 4]`.
+    /// after the last.
     pub(crate) fn observe(
         &self,
         track: &Track,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Track, Hidden) {
@@ -81,11 +92,9 @@ impl ParticleModel {
         };
         let push = (track.velocity.clone() - foretold).reshape([frames * rows, 2]);
 
-        let material = material.clone().unsqueeze::<3>().repeat(&[frames, 1, 1]);
-        let material = material.flatten::<2>(0, 1);
-        let input = self.scaling.particle(&bodies, push, &fallen, &self.ballistic, material);
-        let width = self.layers.decoder.weight.dims()[0];
-        let mut signal = self.encode(input).reshape([frames, rows, width]); // [T, R, H]
+        let input = self.perceive(&bodies, push, &fallen, matter, frames);
+        let [_, width] = input.dims();
+        let mut signal = input.reshape([frames, rows, width]); // [T, R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
             let (output, state) = layer.observe(signal, carried);
@@ -102,7 +111,7 @@ impl ParticleModel {
     pub(crate) fn step(
         &self,
         bodies: &Bodies,
-        material: &Tensor<2>,
+        matter: &Matter,
         hidden: Hidden,
         dropout: &mut Dropout,
     ) -> (Bodies, Hidden) {
@@ -112,9 +121,7 @@ impl ParticleModel {
             None => bodies.velocity.zeros_like(),
             Some(foretold) => bodies.velocity.clone() - foretold,
         };
-        let material = material.clone();
-        let input = self.scaling.particle(bodies, push, &fallen, &self.ballistic, material);
-        let mut signal = self.encode(input); // [R, H]
+        let mut signal = self.perceive(bodies, push, &fallen, matter, 1); // [R, H]
         let mut states = Vec::with_capacity(self.layers.core.len());
         for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
             let state = layer.step(signal, carried);
@@ -124,18 +131,37 @@ impl ParticleModel {
         (self.decode(signal, fallen), Hidden { states, foretold })
     }
 
-    /// `[rows, F]` to `[rows, H]`.
-    fn encode(&self, input: Tensor<2>) -> Tensor<2> {
-        self.layers.encoder.iter().fold(input, |signal, layer| relu(layer.forward(signal)))
+    /// What the core gets to know of the particles of T frames one below the other, `[T R, H]`.
+    fn perceive(
+        &self,
+        bodies: &Bodies,
+        push: Tensor<2>,
+        fallen: &Fallen,
+        matter: &Matter,
+        frames: usize,
+    ) -> Tensor<2> {
+        let Layers { encoder: [first, second], grid, .. } = &self.layers;
+        let grid = grid.as_ref().expect("the particle model's layers have a grid");
+        let strain = strain::strain(&bodies.position, &matter.rest);
+        let material = matter.material.clone().repeat(&[frames, 1]);
+        let features =
+            self.scaling.particle(bodies, push, fallen, &self.ballistic, strain, material); // [T R, F]
+        let encoded = second.forward(first.rectified(features.clone())); // [T R, C0]
+        let position = pairs(bodies.position.clone());
+        let windows = frames * matter.windows;
+        let ground =
+            Ground::new(&self.surroundings, &self.ballistic.plain, self.domain, &position, windows);
+        let context = grid.look_around(&ground, encoded, &bodies.position); // [T R, C0]
+        grid.context.rectified(Tensor::cat(vec![features, context], 1))
     }
 
     /// `[rows, H]` and the ballistic step to the next bodies.
     fn decode(&self, signal: Tensor<2>, fallen: Fallen) -> Bodies {
-        let output = self.layers.decoder.forward(relu(self.layers.mixer.forward(signal)));
+        let output = self.layers.decoder.forward(self.layers.mixer.rectified(signal));
         let [rows, _] = output.dims();
         let output = output.mul_scalar(self.scaling.velocity_unit); // [rows, 4]
         let faster = output.clone().slice([0..rows, 0..2]);
-        let farther = output.slice([0..rows, 2..4]).mul_scalar(self.ballistic.dt);
+        let farther = output.slice([0..rows, 2..4]).mul_scalar(self.ballistic.plain.dt);
         let between = |x: Tensor<2>, low: &Tensor<2>, high: &Tensor<2>| {
             x.max_pair(low.clone()).min_pair(high.clone())
         };

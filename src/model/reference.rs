@@ -6,12 +6,12 @@
 use burn::tensor::{Tensor, TensorData};
 
 use super::{
-    Bodies, DeviceKind,
-    features::one_hot,
+    Bodies, DeviceKind, Matter,
     network::{Dropout, Hidden, Network},
+    pairs,
 };
 use crate::{
-    checkpoint::{Checkpoint, CheckpointError},
+    checkpoint::{Checkpoint, CheckpointError, Description, Surroundings},
     frame::Frame,
 };
 
@@ -19,6 +19,7 @@ use crate::{
 pub struct Reference {
     network: Network,
     device: DeviceKind,
+    surroundings: Option<Surroundings>,
     /// Time between two frames (s).
     dt: f32,
 }
@@ -27,8 +28,7 @@ pub struct Reference {
 #[derive(Clone)]
 pub struct Memory {
     hidden: Hidden,
-    /// One-hot materials, `[N, 4]`.
-    material: Tensor<2>,
+    matter: Matter,
 }
 
 impl Reference {
@@ -39,14 +39,18 @@ impl Reference {
     pub fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Self, CheckpointError> {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
-        Ok(Self { network, device, dt: checkpoint.description.dt })
+        let Description { surroundings, dt, .. } = checkpoint.description;
+        Ok(Self { network, device, surroundings, dt })
     }
 
-    /// An empty memory for the particles of `frame`, as many as the network is for. It has not observed
+    /// An empty memory for the particles of `frame`, as many as the network is for; solids are taken to
+    /// rest as they are there. It has not observed
     /// `frame`; that is [`Reference::step`]'s part.
     pub fn start(&self, frame: &Frame) -> Memory {
-        let material = one_hot(frame.material.iter().copied(), &self.device.device());
-        Memory { hidden: Hidden::default(), material }
+        let surroundings = self.surroundings.as_ref();
+        let device = self.device.device();
+        let matter = Matter::new(&frame.material, &frame.position, 1, surroundings, &device);
+        Memory { hidden: Hidden::default(), matter }
     }
 
     /// Observes a frame, true or predicted, of the particles the memory was started for, and
@@ -60,7 +64,7 @@ impl Reference {
         let bodies = Bodies { position: rows(&frame.position), velocity: rows(&frame.velocity) };
         let hidden = std::mem::take(&mut memory.hidden);
         let (next, hidden) =
-            self.network.step(&bodies, &memory.material, hidden, &mut Dropout::none());
+            self.network.step(&bodies, &memory.matter, hidden, &mut Dropout::none());
         memory.hidden = hidden;
         Frame {
             stream: frame.stream,
@@ -73,10 +77,4 @@ impl Reference {
             material: frame.material.clone(),
         }
     }
-}
-
-/// `[N, 2]` as a list of pairs.
-fn pairs(tensor: Tensor<2>) -> Vec<[f32; 2]> {
-    let numbers: Vec<f32> = tensor.into_data().iter::<f32>().collect();
-    numbers.as_chunks::<2>().0.to_vec()
 }

@@ -7,7 +7,6 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     core::{LayerState, RecurrentLayer},
-    features::one_hot,
     frame_model::FrameModel,
     layers::{Layers, initial},
     network::{Dropout, Hidden, Network},
@@ -16,7 +15,7 @@ use super::{
 use crate::{
     checkpoint::{
         Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
-        Normalization, Pooling, Sizes, Weights, tensor_shapes,
+        Normalization, Pooling, Sizes, Surroundings, Weights, tensor_shapes,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -26,7 +25,10 @@ const DT: f32 = 0.016;
 
 fn description(architecture: Architecture, core: Core) -> Description {
     let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
+    // So wide apart that all are neighbours.
+    let surroundings = Surroundings { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
     Description {
+        surroundings: particles.is_none().then_some(surroundings),
         materials: vec![Material::Liquid, Material::Jelly],
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
@@ -76,6 +78,13 @@ fn frames(count: u64) -> Vec<Frame> {
         .collect()
 }
 
+/// Windows that start with these frames, at rest there.
+fn matter(description: &Description, starts: &[Frame], device: &Device) -> Matter {
+    let material: Vec<_> = starts.iter().flat_map(|frame| frame.material.clone()).collect();
+    let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
+    Matter::new(&material, &rest, starts.len(), description.surroundings.as_ref(), device)
+}
+
 fn track(frames: &[Frame], device: &Device) -> Track {
     let rows = |values: &[[f32; 2]]| {
         let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);
@@ -105,16 +114,17 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
     let frames = frames(9);
     for (architecture, core) in every_network() {
         let description = description(architecture, core);
-        let checkpoint = Checkpoint { tensors: weights(&description, 1), description };
+        let checkpoint =
+            Checkpoint { tensors: weights(&description, 1), description: description.clone() };
         let device = DeviceKind::Flex.device();
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
-        let material = one_hot(frames[0].material.iter().copied(), &device);
+        let matter = matter(&description, &frames[..1], &device);
         let none = &mut Dropout::none();
         // In two parts, so that the carried state counts as well.
         let (start, rest) = frames.split_at(4);
         let (first, hidden) =
-            network.observe(&track(start, &device), &material, Hidden::default(), none);
-        let (second, _) = network.observe(&track(rest, &device), &material, hidden, none);
+            network.observe(&track(start, &device), &matter, Hidden::default(), none);
+        let (second, _) = network.observe(&track(rest, &device), &matter, hidden, none);
         let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
 
         let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
@@ -200,11 +210,12 @@ fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Ve
     };
     let track =
         Track { position: side_by_side(|t| &t.position), velocity: side_by_side(|t| &t.velocity) };
-    let material = one_hot(frames[0].material.iter().copied(), &device.device()).repeat(&[3, 1]);
+    let starts: Vec<Frame> = frames.chunks(3).map(|frames| frames[0].clone()).collect();
+    let matter = matter(description, &starts, &device.device());
     let none = &mut Dropout::none();
-    let (steps, hidden) = network.observe(&track, &material, Hidden::default(), none);
-    let (next, hidden) = network.step(&steps.at(2), &material, hidden, none);
-    let (after, _) = network.step(&next, &material, hidden, none);
+    let (steps, hidden) = network.observe(&track, &matter, Hidden::default(), none);
+    let (next, hidden) = network.step(&steps.at(2), &matter, hidden, none);
+    let (after, _) = network.step(&next, &matter, hidden, none);
     let mut values = vec![numbers(&steps.position), numbers(&steps.velocity)];
     values.extend([&next, &after].map(|bodies| numbers(&bodies.velocity)));
     let loss = steps.velocity.square().sum()
@@ -311,7 +322,7 @@ fn pooling_before_the_second_linear_is_exact() {
     let model = FrameModel::new(&description, layers.clone(), &device);
     let frame = &frames(1)[0];
     let bodies = track(std::slice::from_ref(frame), &device).at(0);
-    let material = one_hot(frame.material.iter().copied(), &device);
+    let material = matter(&description, std::slice::from_ref(frame), &device).material;
 
     // Table 1, to the letter: both layers for every particle, then the mean.
     let points = model.scaling.frame(&description.frame, &bodies, material.clone());

@@ -1,4 +1,5 @@
-//! Adam (Kingma and Ba 2015), one pass over the numbers of a tensor.
+//! Adam (Kingma and Ba 2015), one pass over the numbers of a tensor, and the running average of the
+//! weights (Polyak and Juditsky 1992) that is judged and kept in their place.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -30,6 +31,8 @@ pub(super) struct Moments {
     pub(super) first: Vec<f32>,
     /// Of its square.
     pub(super) second: Vec<f32>,
+    /// Of the tensor itself; empty where weights are not averaged.
+    pub(super) average: Vec<f32>,
 }
 
 /// One step for all tensors.
@@ -41,6 +44,8 @@ pub(super) struct AdamStep<'a> {
     correction: f32,
     epsilon: f32,
     clip: f32,
+    /// What of the average stays.
+    kept: f32,
     /// Whether norms are computed although nothing is shortened.
     measured: bool,
     /// Sum of the squared norms of the gradients so far.
@@ -58,6 +63,8 @@ impl Adam {
             correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
+            // The first averages are over few steps: the start is forgotten soon.
+            kept: config.average.min((1.0 + steps as f32) / (10.0 + steps as f32)),
             measured: false,
             squares: 0.0,
         }
@@ -71,7 +78,7 @@ impl AdamStep<'_> {
         if moments.len() <= tensor {
             moments.resize_with(tensor + 1, Moments::default);
         }
-        let Moments { first, second } = &mut moments[tensor];
+        let Moments { first, second, average } = &mut moments[tensor];
         first.resize(values.len(), 0.0);
         second.resize(values.len(), 0.0);
         let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
@@ -90,6 +97,12 @@ impl AdamStep<'_> {
             .for_each(|((values, gradient), (first, second))| {
                 Arch::new().dispatch(Change { numbers, values, gradient, first, second });
             });
+        if self.kept > 0.0 {
+            average.resize(values.len(), 0.0);
+            for (mean, value) in average.iter_mut().zip(values) {
+                *mean = *value + self.kept * (*mean - *value);
+            }
+        }
     }
 
     /// The same step, with [`AdamStep::gradient_norm`] known whatever the limit is.

@@ -3,14 +3,16 @@
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::{weigh::Scale, window::Window};
-use crate::model::{Bodies, Track, features::one_hot};
+use crate::{
+    checkpoint::Surroundings,
+    dataset::State,
+    model::{Bodies, Matter, Track},
+};
 
 /// A batch of B windows of N particles each; `R` = B N rows, window by window.
 pub(super) struct Batch {
-    /// Windows.
-    pub(super) windows: usize,
-    /// One-hot materials, `[R, 4]`.
-    pub(super) material: Tensor<2>,
+    /// Windows, materials, shapes at rest.
+    pub(super) matter: Matter,
     /// The warm-up: W observed frames, `[W, R, 2]`.
     pub(super) observed: Track,
     /// The K frames to predict freely, `[K, R, 2]`.
@@ -21,8 +23,15 @@ pub(super) struct Batch {
 
 impl Batch {
     /// Puts windows of `warm_up` and further frames together.
-    pub(super) fn new(windows: &[Window], warm_up: usize, scale: &Scale, device: &Device) -> Self {
-        let material = windows.iter().flat_map(|window| window.material.iter().copied());
+    pub(super) fn new(
+        windows: &[Window],
+        warm_up: usize,
+        scale: &Scale,
+        surroundings: Option<&Surroundings>,
+        device: &Device,
+    ) -> Self {
+        let material: Vec<_> = windows.iter().flat_map(|w| w.material.iter().copied()).collect();
+        let rest: Vec<_> = windows.iter().flat_map(|window| window.rest.iter().copied()).collect();
         let unroll = windows[0].states.len() - warm_up;
         let weights: Vec<_> = windows.iter().map(|window| scale.weights(window, unroll)).collect();
         let rows: usize = windows.iter().map(|window| window.material.len()).sum();
@@ -39,10 +48,10 @@ impl Batch {
         };
         let track = |frames: std::ops::Range<usize>| {
             let bodies = frames.map(|frame| {
-                let join = |pick: fn(&crate::dataset::State) -> &Vec<[f32; 2]>| {
+                let join = |pick: fn(&State) -> &Vec<[f32; 2]>| {
                     let values: Vec<f32> = windows
                         .iter()
-                        .flat_map(|window| pick(&window.states[frame]).as_flattened())
+                        .flat_map(|window| pick(seen(window, frame, warm_up)).as_flattened())
                         .copied()
                         .collect();
                     Tensor::from_data(TensorData::new(values, [rows, 2]), device)
@@ -52,11 +61,18 @@ impl Batch {
             Track::stack(bodies.collect())
         };
         Self {
-            windows: windows.len(),
-            material: one_hot(material, device),
+            matter: Matter::new(&material, &rest, windows.len(), surroundings, device),
             observed: track(0..warm_up),
             future: track(warm_up..warm_up + unroll),
             weights: Track { position: weight(0), velocity: weight(1) },
         }
+    }
+}
+
+/// What the network sees of a window's frame.
+fn seen(window: &Window, frame: usize, warm_up: usize) -> &State {
+    match &window.disturbed {
+        Some(disturbed) if frame + 1 == warm_up => disturbed,
+        _ => &window.states[frame],
     }
 }

@@ -83,8 +83,8 @@ pub struct WindowConfig {
     pub batch: usize,
     /// Windows an epoch.
     pub per_epoch: usize,
-    /// Particles drawn from each window; 0 takes all (and the frame model always does).
-    pub particles: usize,
+    /// What is done to the last observed frame.
+    pub noise: NoiseConfig,
     /// Whether every other window, by chance, is mirrored left to right. Right for data without a
     /// preferred side: a symmetric box, no sideways gravity.
     pub mirror: bool,
@@ -150,6 +150,22 @@ pub struct OptimizerConfig {
     pub clip: f32,
     /// Keeps a step finite where gradients vanish.
     pub epsilon: f32,
+    /// Share of the running average of the weights that a step leaves, 0 to below 1. The average is
+    /// what is judged and saved; with 0, that is the weights themselves.
+    pub average: f32,
+}
+
+/// What particles of the last observed frame are moved by, so that a network learns to correct what a
+/// rollout gets wrong (Sanchez-Gonzalez et al. 2020).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseConfig {
+    /// Standard deviation of positions (domain lengths).
+    pub position: f32,
+    /// Standard deviation of velocities (domain lengths per second).
+    pub velocity: f32,
+    /// Share of the windows that have any, 0 to 1.
+    pub share: f32,
 }
 
 /// What the best epoch is chosen by.
@@ -188,26 +204,23 @@ impl TrainConfig {
         }
     }
 
-    /// Chosen by trials of five minutes on one core, 288 scenes of 2.4 s, each judged on 12 unseen
-    /// scenes of 10 s (mean skill at frames 1, 20): these values .24, .39; `common_share` 0: .17, .32; mean
-    /// squared error: -.07, .44; one layer: .21, .37; batches of 64 x 64: .17, .35. As many frames cut from
-    /// 54 scenes of 10 s: .13, .19, so that many short scenes teach more than a few long ones.
+    /// `docs/particle_model.md` says what was tried.
     fn particle() -> Self {
         let stage = |share, frames| Stage { share, frames };
         Self {
             architecture: Architecture::Particle,
             core: Core::MinGru,
             seed: 1,
-            epochs: 30,
-            patience: 10,
+            epochs: 40,
+            patience: 40,
             gravity: [0.0, -9.8],
-            unroll: vec![stage(0.2, 2), stage(0.25, 6), stage(0.3, 14), stage(0.25, 20)],
-            network: NetworkConfig::of_widths(64, 64),
+            unroll: vec![stage(0.2, 2), stage(0.3, 6), stage(0.5, 14)],
+            network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(32, 32) },
             windows: WindowConfig {
-                warm_up: 5,
-                batch: 64,
-                per_epoch: 16_384,
-                particles: 16,
+                warm_up: 3,
+                batch: 8,
+                per_epoch: 2048,
+                noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
                 mirror: true,
             },
             loss: LossConfig {
@@ -220,12 +233,13 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
-                learning_rate: 2e-3,
+                learning_rate: 2.5e-3,
                 warm_up: 0.0,
                 schedule: Schedule::Cosine,
                 final_share: 0.02,
                 clip: 1.0,
                 epsilon: 1e-5,
+                average: 0.997,
             },
             validation: ValidationConfig { horizon: 20, starts: 3 },
         }
@@ -247,7 +261,7 @@ impl TrainConfig {
                 warm_up: 2,
                 batch: 16,
                 per_epoch: 512,
-                particles: 0,
+                noise: NoiseConfig { position: 0.0, velocity: 0.0, share: 0.0 },
                 mirror: true,
             },
             loss: LossConfig {
@@ -266,6 +280,7 @@ impl TrainConfig {
                 final_share: 0.02,
                 clip: 1.0,
                 epsilon: 1e-8,
+                average: 0.0,
             },
             validation: ValidationConfig { horizon: 20, starts: 3 },
         }
@@ -361,6 +376,29 @@ impl TrainConfig {
         let warm_up = self.optimizer.warm_up;
         if !(0.0..1.0).contains(&warm_up) {
             return Err(setting("optimizer.warm_up", warm_up, "0 to below 1"));
+        }
+        let average = self.optimizer.average;
+        if !(0.0..1.0).contains(&average) {
+            return Err(setting("optimizer.average", average, "0 to below 1"));
+        }
+        let NoiseConfig { position, velocity, share } = self.windows.noise;
+        for (field, found) in
+            [("windows.noise.position", position), ("windows.noise.velocity", velocity)]
+        {
+            if !(found.is_finite() && found >= 0.0) {
+                return Err(setting(field, found, "a number from 0"));
+            }
+        }
+        if !(0.0..=1.0).contains(&share) {
+            return Err(setting("windows.noise.share", share, "0 to 1"));
+        }
+        let cell_width = self.network.cell_width;
+        if !(cell_width.is_finite() && cell_width > 0.0) {
+            return Err(setting("network.cell_width", cell_width, "a positive number"));
+        }
+        if self.network.channels.iter().any(|channels| !(1..=4096).contains(channels)) {
+            let found = format!("{:?}", self.network.channels);
+            return Err(setting("network.channels", found, "1 to 4096 each"));
         }
         let epsilon = self.optimizer.epsilon;
         if !(epsilon.is_finite() && epsilon > 0.0) {

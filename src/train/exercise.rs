@@ -83,7 +83,7 @@ impl Exercise {
                     ballistic: Ballistic::of(&description),
                     common: Vec::new(),
                 };
-                let batch = Batch::new(&windows, frames, &scale, &plain);
+                let batch = Batch::new(&windows, frames, &scale, None, &plain);
                 let domain = description.domain;
                 Task::Frame { batch: Box::new(batch), loss: config.loss.clone(), domain }
             }
@@ -142,6 +142,8 @@ fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
         stream: 0,
         start: 0,
         material: vec![Material::Liquid; PARTICLES],
+        rest: start.clone(),
         states: states.collect(),
+        disturbed: None,
     }
 }

@@ -109,7 +109,7 @@ impl Golden {
             ballistic: Ballistic::of(&self.description),
             common: Vec::new(),
         };
-        Batch::new(&self.windows, warm_up, &scale, device)
+        Batch::new(&self.windows, warm_up, &scale, self.description.surroundings.as_ref(), device)
     }
 
     /// The loss of the network on the golden windows.
@@ -174,7 +174,9 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
             stream: window as u64,
             start: 0,
             material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
+            rest: position[window * particles..(window + 1) * particles].to_vec(),
             states: states.collect(),
+            disturbed: None,
         }
     };
     (0..count).map(window).collect()
@@ -206,7 +208,7 @@ fn every_network_predicts_what_pytorch_predicts() {
             position: Tensor::cat(vec![all.observed.position, all.future.position], 0),
             velocity: Tensor::cat(vec![all.observed.velocity, all.future.velocity], 0),
         };
-        let (forward, _) = network.observe(&frames, &all.material, Hidden::default(), none);
+        let (forward, _) = network.observe(&frames, &all.matter, Hidden::default(), none);
         golden.compare_track("forward", forward, kind);
 
         let batch = golden.batch(golden.config.windows.warm_up, &device);

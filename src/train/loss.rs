@@ -21,11 +21,10 @@ pub(super) fn unroll(network: &Network, batch: &Batch, dropout: &mut Dropout) ->
     let [warm_up, _, _] = batch.observed.position.dims();
     let [frames, _, _] = batch.future.position.dims();
     let (steps, mut hidden) =
-        network.observe(&batch.observed, &batch.material, Hidden::default(), dropout);
+        network.observe(&batch.observed, &batch.matter, Hidden::default(), dropout);
     let mut future = vec![steps.at(warm_up - 1)];
     while future.len() < frames {
-        let (next, after) =
-            network.step(&future[future.len() - 1], &batch.material, hidden, dropout);
+        let (next, after) = network.step(&future[future.len() - 1], &batch.matter, hidden, dropout);
         hidden = after;
         future.push(next);
     }
@@ -44,13 +43,13 @@ pub(super) fn loss(
     let squares = (position - batch.future.position.clone()).square()
         * batch.weights.position.clone()
         + (velocity - batch.future.velocity.clone()).square() * batch.weights.velocity.clone();
-    let mut loss = over_windows(config.kind, squares, batch.windows);
+    let mut loss = over_windows(config.kind, squares, batch.matter.windows);
     if config.observed_weight > 0.0 {
         loss = loss + observed(config, batch, steps).mul_scalar(config.observed_weight);
     }
     if config.density_weight > 0.0 {
         let maps = |position: &Tensor<3>| {
-            density_maps(position.clone(), batch.windows, config.density_grid, domain)
+            density_maps(position.clone(), batch.matter.windows, config.density_grid, domain)
         };
         let difference = maps(&predicted.position) - maps(&batch.future.position);
         loss = loss + difference.square().mean().mul_scalar(config.density_weight);
@@ -74,7 +73,7 @@ fn observed(config: &LossConfig, batch: &Batch, steps: &Track) -> Tensor<1> {
     let squares = squares(&steps.position, &batch.observed.position, &batch.weights.position)
         + squares(&steps.velocity, &batch.observed.velocity, &batch.weights.velocity);
     let even = unroll as f32 / (warm_up - 1) as f32;
-    over_windows(config.kind, squares.mul_scalar(even), batch.windows)
+    over_windows(config.kind, squares.mul_scalar(even), batch.matter.windows)
 }
 
 /// Sums `[T, R, 2]` for each window, takes the root if the loss is relative, and averages.

@@ -38,8 +38,8 @@ mod weigh;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, OptimizerConfig, Schedule, Stage, TrainConfig,
-    ValidationConfig, WindowConfig,
+    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Schedule, Stage,
+    TrainConfig, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
@@ -168,7 +168,9 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
 
             let left = || schedule::batches_of_stage(config, epoch, number);
             let windows = sampler.batch(config.windows.batch, left, &mut state.order)?;
-            let batch = Batch::new(&windows, config.windows.warm_up, &scale, &plain);
+            let (warm_up, surroundings) =
+                (config.windows.warm_up, description.surroundings.as_ref());
+            let batch = Batch::new(&windows, warm_up, &scale, surroundings, &plain);
             let (predicted, steps) = loss::unroll(&state.network, &batch, &mut state.dropout);
             let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
             let value: f32 = loss.clone().inner().into_scalar();
@@ -195,10 +197,8 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
                 gradient_norm,
             })?;
         }
-        let mut checkpoint = Checkpoint {
-            description: description.clone(),
-            tensors: state.network.layers().tensors(&description),
-        };
+        let mut checkpoint =
+            Checkpoint { description: description.clone(), tensors: state.tensors(&description) };
         let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
         let best = state.best_loss().is_none_or(|best| score.loss < best);
         let done = Epoch {
@@ -318,7 +318,7 @@ fn describe(
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
         frame: config.network.frame,
-        surroundings: None,
+        surroundings: config.surroundings(dataset.spacing),
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {
@@ -334,16 +334,11 @@ fn describe(
 }
 
 fn sampler_for<'a>(
-    config: &TrainConfig,
+    config: &'a TrainConfig,
     dataset: &'a Dataset,
     unroll: usize,
 ) -> Result<Sampler<'a>, TrainError> {
-    let particles = match config.architecture {
-        Architecture::Frame => 0,
-        Architecture::Particle => config.windows.particles,
-    };
-    let WindowConfig { warm_up, mirror, .. } = config.windows;
-    Sampler::new(&dataset.train, warm_up, unroll, particles, mirror)
+    Sampler::new(&dataset.train, &config.windows, unroll)
 }
 
 /// Stream and first frame of each window, to find a batch again.

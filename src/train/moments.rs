@@ -25,16 +25,17 @@ pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
 
 /// Names and sizes of the network's tensors, by their number in the optimizer.
 fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
-    layout::linear_layers(description)
-        .into_iter()
-        .flat_map(|layer| [(layer.weight, layer.input * layer.output), (layer.bias, layer.output)])
+    layout::linear_layers(description).into_iter().flat_map(|layer| {
+        let biases = layer.output / layer.sharing;
+        [(layer.weight, layer.input * layer.output), (layer.bias, biases)]
+    })
 }
 
 /// Adam's moments by name. A tensor without a step yet has none.
 pub(super) fn moments_by_name(adam: &Adam, description: &Description) -> BTreeMap<String, Weights> {
     let known = adam.moments.iter().zip(tensors(description));
     let held = known.filter(|(moments, _)| !moments.first.is_empty());
-    held.flat_map(|(Moments { first, second }, (name, size))| {
+    held.flat_map(|(Moments { first, second, .. }, (name, size))| {
         let tensor = |values: &Vec<f32>| Weights { shape: vec![size], values: values.clone() };
         [(format!("first.{name}"), tensor(first)), (format!("second.{name}"), tensor(second))]
     })
@@ -60,7 +61,8 @@ pub(super) fn moments_by_number(
                 }
             }
         };
-        let moments = Moments { first: take("first")?, second: take("second")? };
+        let moments =
+            Moments { first: take("first")?, second: take("second")?, average: Vec::new() };
         if moments.first.len() != moments.second.len() {
             let found = moments.second.len();
             return Err(damaged(file, &format!("second.{name}"), found, moments.first.len()));
@@ -98,7 +100,7 @@ mod tests {
                 .enumerate()
                 .map(|(number, (_, size))| {
                     let size = if absent.contains(&number) { 0 } else { size };
-                    Moments { first: numbers(size), second: numbers(size) }
+                    Moments { first: numbers(size), second: numbers(size), average: Vec::new() }
                 })
                 .collect();
             let adam = Adam { steps: 3, moments };

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `model.toml`, `model.safetensors` | the checkpoint of the last epoch |
 //! | `resume.toml` | the settings, the random generators, every epoch so far, counters, checksums |
-//! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, its numbers in the order `[in, out]` |
+//! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, its numbers in the order `[in, out]`; where the checkpoint holds averaged weights, the weights themselves, `weight.NAME`, as checkpoints have them |
 //!
 //! The new folder is written whole as `last.new`; then `last` becomes `last.old`, `last.new` becomes
 //! `last`, and `last.old` goes. Whoever finds `last.old` without `last` finishes that.
@@ -16,6 +16,7 @@
 //! then on those of the new number, as if it had been asked for from the start.
 
 use std::{
+    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
 };
@@ -29,13 +30,18 @@ use super::{
 };
 use crate::{
     checkpoint::{self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE},
-    model::network::{Dropout, Network},
+    model::{
+        layers::Layers,
+        network::{Dropout, Network},
+    },
 };
 
 /// Name of the folder with the last epoch, within the output.
 pub const LAST_FOLDER: &str = "last";
 /// Name of the record of the run, within [`LAST_FOLDER`].
 const RECORD_FILE: &str = "resume.toml";
+/// What the name of a weight begins with there.
+const WEIGHT: &str = "weight.";
 /// Name of the file with Adam's moments, within [`LAST_FOLDER`].
 const MOMENTS_FILE: &str = "resume.safetensors";
 
@@ -110,7 +116,11 @@ pub(super) fn save(
     last: &Checkpoint,
     seconds: f64,
 ) -> Result<(), TrainError> {
-    let moments = moments_by_name(&state.adam, &last.description);
+    let mut moments = moments_by_name(&state.adam, &last.description);
+    if config.optimizer.average > 0.0 {
+        let weights = state.network.layers().tensors(&last.description).into_iter();
+        moments.extend(weights.map(|(name, weights)| (format!("{WEIGHT}{name}"), weights)));
+    }
     let record = Record {
         format_version: RECORD_VERSION,
         data: last.description.data.clone(),
@@ -213,6 +223,28 @@ fn load(
             return Err(damaged(&file, "checksum", found, expected));
         }
     }
+    let mut weights = BTreeMap::new();
+    let mut named = BTreeMap::new();
+    for (name, tensor) in moments {
+        match name.strip_prefix(WEIGHT) {
+            Some(name) => weights.insert(name.to_owned(), tensor),
+            None => named.insert(name, tensor),
+        };
+    }
+    let mut adam = Adam {
+        steps: record.steps,
+        moments: moments_by_number(&moments_file, named, description)?,
+    };
+    let device = run.device.device().autodiff();
+    let network = if config.optimizer.average > 0.0 {
+        let mut averaged = Layers::new(description, &last.tensors, &device);
+        averaged.exchange(|tensor, values| adam.moments[tensor].average = values.to_vec());
+        let weights = Checkpoint { description: last.description.clone(), tensors: weights };
+        weights.check(&moments_file)?;
+        Network::new(description, &weights.tensors, &device)
+    } else {
+        Network::new(description, &last.tensors, &device)
+    };
     let best = best(run.output, &record, &last)?;
     let random = |field: &str, generator: &Generator| {
         generator.generator().ok_or_else(|| {
@@ -230,11 +262,8 @@ fn load(
         description.training.command = last.description.training.command.clone();
     }
     Ok(State {
-        network: Network::new(description, &last.tensors, &run.device.device().autodiff()),
-        adam: Adam {
-            steps: record.steps,
-            moments: moments_by_number(&moments_file, moments, description)?,
-        },
+        network,
+        adam,
         order: random("order", &record.order)?,
         dropout,
         unroll: record.unroll,

@@ -58,6 +58,7 @@ mod tests {
             final_share: 0.1,
             clip: 1.0,
             epsilon: 1e-8,
+            average: 0.0,
         }
     }
 

@@ -1,11 +1,18 @@
 //! Everything a run carries from batch to batch.
 
+use std::collections::BTreeMap;
+
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Epoch, TrainConfig, adam::Adam, schedule, weigh::TrivialErrors};
+use super::{
+    Epoch, TrainConfig,
+    adam::{Adam, Moments},
+    schedule,
+    weigh::TrivialErrors,
+};
 use crate::{
-    checkpoint::{Checkpoint, Description},
+    checkpoint::{Checkpoint, Description, Weights},
     model::{
         DeviceKind, layers,
         network::{Dropout, Network},
@@ -55,6 +62,16 @@ impl State {
             since_best: 0,
             seconds: 0.0,
         }
+    }
+
+    /// What is judged and saved, by name: the average of the weights where there is one.
+    pub(super) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
+        let mut layers = self.network.layers().clone();
+        layers.exchange(|tensor, values| match self.adam.moments.get(tensor) {
+            Some(Moments { average, .. }) if !average.is_empty() => values.copy_from_slice(average),
+            _ => {}
+        });
+        layers.tensors(description)
     }
 
     /// The epochs done.

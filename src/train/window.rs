@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 
-use rand::{RngExt as _, seq::index::sample};
+use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::TrainError;
+use super::{NoiseConfig, TrainError, WindowConfig};
 use crate::{
     dataset::{State, Trajectory},
     frame::Material,
 };
 
-/// A piece of a stream: some of its particles over consecutive frames.
+/// A piece of a stream: its particles over consecutive frames.
 #[derive(Clone, Debug)]
 pub(super) struct Window {
     /// The stream it is from.
@@ -20,8 +20,12 @@ pub(super) struct Window {
     pub(super) start: usize,
     /// Materials, `[N]`.
     pub(super) material: Vec<Material>,
+    /// Positions in the stream's first frame, `[N]`.
+    pub(super) rest: Vec<[f32; 2]>,
     /// The states, `warm_up + unroll` of them.
     pub(super) states: Vec<State>,
+    /// What the network is shown in place of the last observed one, if it is to learn to correct it.
+    pub(super) disturbed: Option<State>,
 }
 
 /// Draws windows from streams, each window alike.
@@ -35,10 +39,7 @@ pub(super) struct Sampler<'a> {
     ends: Vec<usize>,
     /// Frames a window.
     frames: usize,
-    /// Particles a window; 0 is all.
-    particles: usize,
-    /// Whether to mirror every other window.
-    mirror: bool,
+    config: &'a WindowConfig,
     /// Windows that were drawn ahead.
     ahead: VecDeque<Window>,
 }
@@ -49,20 +50,19 @@ struct Draw {
     stream: usize,
     /// First frame.
     start: usize,
-    /// Numbers of its particles.
-    chosen: Vec<usize>,
     mirrored: bool,
+    /// Seed of what the last observed frame is disturbed by.
+    noise: Option<u64>,
 }
 
 impl<'a> Sampler<'a> {
     /// Windows of `warm_up + unroll` frames.
     pub(super) fn new(
         streams: &'a [Trajectory],
-        warm_up: usize,
+        config: &'a WindowConfig,
         unroll: usize,
-        particles: usize,
-        mirror: bool,
     ) -> Result<Self, TrainError> {
+        let warm_up = config.warm_up;
         let frames = warm_up + unroll;
         let mut windows = 0;
         let ends = streams.iter().map(|stream| {
@@ -74,7 +74,7 @@ impl<'a> Sampler<'a> {
             let found = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
             return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
         }
-        Ok(Self { streams, ends, frames, particles, mirror, ahead: VecDeque::new() })
+        Ok(Self { streams, ends, frames, config, ahead: VecDeque::new() })
     }
 
     /// The next batch of `size` windows, of which at least `left` batches are still to come.
@@ -95,8 +95,8 @@ impl<'a> Sampler<'a> {
     /// what the shelf may hold.
     fn batches_ahead(&self, size: usize) -> usize {
         let Some(shelf) = self.streams[0].shelf() else { return 1 };
-        let all = self.streams.iter().map(|stream| stream.material.len()).max().unwrap_or(1);
-        let particles = if self.particles == 0 { all } else { self.particles.min(all) };
+        let counts = self.streams.iter().map(|stream| stream.material.len());
+        let particles = counts.max().unwrap_or(1);
         let window = self.frames * particles * size_of::<[f32; 4]>();
         usize::try_from(shelf.limit() / 3).unwrap_or(usize::MAX) / (window * size).max(1)
     }
@@ -125,32 +125,48 @@ impl<'a> Sampler<'a> {
     }
 
     fn choose(&self, stream: usize, start: usize, random: &mut ChaCha8Rng) -> Draw {
-        let count = self.streams[stream].material.len();
-        let chosen = match self.particles {
-            wanted if wanted == 0 || wanted >= count => (0..count).collect(),
-            wanted => sample(random, count, wanted).into_vec(),
-        };
-        let mirrored = self.mirror && random.random();
-        Draw { stream, start, chosen, mirrored }
+        let mirrored = self.config.mirror && random.random();
+        let share = self.config.noise.share;
+        let noise = (share > 0.0 && random.random::<f32>() < share).then(|| random.random());
+        Draw { stream, start, mirrored, noise }
     }
 
     fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
-        let Draw { stream, start, chosen, mirrored } = draw;
+        let Draw { stream, start, mirrored, noise } = draw;
         let stream = &self.streams[stream];
         let sides = stream.domain.lower[0] + stream.domain.upper[0];
-        let pick = |values: &[[f32; 2]], sides: f32| {
-            let value = |&i: &usize| {
-                let [x, y] = values[i];
-                if mirrored { [sides - x, y] } else { [x, y] }
-            };
-            chosen.iter().map(value).collect()
+        let turn = |values: &[[f32; 2]], sides: f32| {
+            let value = |&[x, y]: &[f32; 2]| if mirrored { [sides - x, y] } else { [x, y] };
+            values.iter().map(value).collect::<Vec<_>>()
         };
         let mut states = Vec::with_capacity(self.frames);
         stream.visit(start..start + self.frames, |s| {
-            let (position, velocity) = (pick(&s.position, sides), pick(&s.velocity, 0.0));
+            let (position, velocity) = (turn(&s.position, sides), turn(&s.velocity, 0.0));
             states.push(State { position, velocity });
         })?;
-        let material = chosen.iter().map(|&i| stream.material[i]).collect();
-        Ok(Window { stream: stream.id, start, material, states })
+        let last = &states[self.config.warm_up - 1];
+        Ok(Window {
+            stream: stream.id,
+            start,
+            material: stream.material.clone(),
+            rest: turn(&stream.rest, sides),
+            disturbed: noise.map(|seed| disturb(last, &self.config.noise, seed)),
+            states,
+        })
+    }
+}
+
+/// A state with noise: evenly distributed numbers of the given standard deviations.
+fn disturb(state: &State, noise: &NoiseConfig, seed: u64) -> State {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut moved = |values: &[[f32; 2]], deviation: f32| {
+        let half = 3f32.sqrt() * deviation;
+        let add =
+            |x: &f32, random: &mut ChaCha8Rng| x + half * (2.0 * random.random::<f32>() - 1.0);
+        values.iter().map(|[x, y]| [add(x, &mut random), add(y, &mut random)]).collect()
+    };
+    State {
+        position: moved(&state.position, noise.position),
+        velocity: moved(&state.velocity, noise.velocity),
     }
 }

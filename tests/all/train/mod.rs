@@ -86,7 +86,6 @@ pub fn small(architecture: Architecture, core: Core) -> TrainConfig {
     config.network.hidden = 12;
     config.windows.batch = 8;
     config.windows.per_epoch = 256;
-    config.windows.particles = 8;
     config.optimizer.learning_rate = 5e-3;
     config.validation.horizon = 8;
     if architecture == Architecture::Particle {
