@@ -128,7 +128,13 @@ impl Flights {
 
     /// What the particle of a cell has as its next state instead of `next`.
     #[inline(always)]
-    pub(super) fn correct(&self, cell: &Cell, fallen: &State, next: State, walls: &Ballistic) -> State {
+    pub(super) fn correct(
+        &self,
+        cell: &Cell,
+        fallen: &State,
+        next: State,
+        walls: &Ballistic,
+    ) -> State {
         let Motion { centre, mean, angle } = &self.body(cell).motion;
         let (mut position, mut velocity) = next;
         let r = [0, 1].map(|axis| f64::from(fallen.0[axis]) - centre[axis]);
@@ -137,7 +143,13 @@ impl Flights {
             let rigid = |which: usize| mean[which][axis] + angle[which] * turned[axis];
             let free = (f64::from(position[axis]) - rigid(0)) as f32;
             let (lower, upper) = (walls.lower[axis], walls.upper[axis]);
-            position[axis] = if free < lower { lower } else if free > upper { upper } else { free };
+            position[axis] = if free < lower {
+                lower
+            } else if free > upper {
+                upper
+            } else {
+                free
+            };
             velocity[axis] = (f64::from(velocity[axis]) - rigid(1)) as f32;
         }
         (position, velocity)

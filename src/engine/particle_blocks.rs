@@ -41,13 +41,19 @@ impl Pass<'_> {
                 self.near.part(block.clone()),
             )
         };
-        let foretold = #[inline(always)]
-        |particle: usize| match self.begun {
-            // SAFETY: a particle has one slot, in this block.
-            true => unsafe { self.foretold.read(particle..particle + 1)[0] },
-            false => self.known.frame.velocity[particle],
-        };
-        features.fill(simd, &self.known, particles, foretold, fallen, rows);
+        features.fill(
+            simd,
+            &self.known,
+            particles,
+            #[inline(always)]
+            |particle| match self.begun {
+                // SAFETY: a particle has one slot, in this block.
+                true => unsafe { self.foretold.read(particle..particle + 1)[0] },
+                false => self.known.frame.velocity[particle],
+            },
+            fallen,
+            rows,
+        );
         for ((&particle, fallen), near) in particles.iter().zip(&*fallen).zip(near) {
             let particle = particle as usize;
             // SAFETY: as above.

@@ -5,7 +5,10 @@ use pulp::Simd;
 use crate::{
     checkpoint::{Description, layout::SURROUNDED_FEATURES},
     frame::{Domain, Frame},
-    kernels::{math::exp, rest::Rest},
+    kernels::{
+        math::exp,
+        rest::{Rest, SHAPE_FEATURES},
+    },
     model::{
         Ballistic,
         features::{FAR, NEAR, velocity_unit},
@@ -18,10 +21,10 @@ pub(super) const FEATURES: usize = SURROUNDED_FEATURES;
 /// Nearness of four walls at two scales.
 pub(super) const NEARNESSES: usize = 8;
 
-/// Where nearness and strain are among the features.
+/// Where nearness, the shape of solids and the material are among the features.
 const WALLS: usize = 6;
-const STRAIN: usize = WALLS + NEARNESSES;
-const MATERIAL: usize = STRAIN + 3;
+const SHAPE: usize = WALLS + NEARNESSES;
+const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
 
 /// Position and velocity of a particle.
 pub(super) type State = ([f32; 2], [f32; 2]);
@@ -104,17 +107,14 @@ impl Features {
                     row[WALLS + 4 + half + axis] = distance * (-1.0 / FAR);
                 }
             }
-            let strain = rest.strain_of(particle, &frame.position);
-            row[STRAIN..MATERIAL].copy_from_slice(&strain);
+            let shape = rest.shape_of(particle, &frame.position);
+            row[SHAPE..MATERIAL].copy_from_slice(&shape);
             row[MATERIAL..].fill(0.0);
             row[MATERIAL + usize::from(material[particle])] = 1.0;
 
-            let mut walls = &mut row[WALLS..STRAIN];
-            while !walls.is_empty() {
-                let (vector, rest) = walls.split_at_mut(walls.len().min(S::F32_LANES));
-                let exponential = exp(simd, simd.partial_load_f32s(vector));
-                simd.partial_store_f32s(vector, exponential);
-                walls = rest;
+            for part in row[WALLS..SHAPE].chunks_mut(S::F32_LANES) {
+                let nearness = exp(simd, simd.partial_load_f32s(part));
+                simd.partial_store_f32s(part, nearness);
             }
         }
     }

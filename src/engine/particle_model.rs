@@ -128,7 +128,8 @@ impl ParticleModel {
         let widest = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder]
             .map(|linear| linear.input().max(linear.output()));
         let widest = widest.into_iter().max().unwrap_or(0);
-        let bench = || Bench { input: vec![0.0; BLOCK * widest], output: vec![0.0; BLOCK * widest] };
+        let bench =
+            || Bench { input: vec![0.0; BLOCK * widest], output: vec![0.0; BLOCK * widest] };
         Room {
             grid: surroundings::Room::default(),
             features: Vec::new(),

@@ -69,7 +69,9 @@ fn pass_rows<S: Simd, const R: usize, const Q: usize>(
                     some::<S, 2, Q>(simd, linear, [panel, panel + 1], first, count, source, sink);
                 }
                 (false, true) => some::<S, 1, R>(simd, linear, [panel], first, count, source, sink),
-                (false, false) => some::<S, 1, Q>(simd, linear, [panel], first, count, source, sink),
+                (false, false) => {
+                    some::<S, 1, Q>(simd, linear, [panel], first, count, source, sink)
+                }
             }
             first += if many { R } else { Q };
         }

@@ -161,22 +161,31 @@ impl Grid {
         // SAFETY: these nodes are those of this item alone.
         let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
         written.fill(0.0);
-        sum_row(simd, nodes, row, encoded, self.channels, #[inline(always)] |slot| slot, written, width);
+        sum_row(
+            simd,
+            nodes,
+            row,
+            encoded,
+            self.channels,
+            #[inline(always)]
+            |slot| slot,
+            written,
+            width,
+        );
         add_mass(nodes, row, written, self.channels, width);
         for (written, at) in written.chunks_exact_mut(width).zip(&nodes.level(0).at[own]) {
             let (averages, rest) = written.split_at_mut(self.channels);
             let scale = simd.splat_f32s(1.0 / (rest[0] + LEAST_MASS));
-            let mut averages = averages;
-            while !averages.is_empty() {
-                let (part, others) = averages.split_at_mut(averages.len().min(S::F32_LANES));
+            for part in averages.chunks_mut(S::F32_LANES) {
                 let average = simd.mul_f32s(simd.partial_load_f32s(part), scale);
                 store(simd, part, average);
-                averages = others;
             }
             rest[0] /= FULL;
             walls.distances(at, &mut rest[1..]);
-            let nearness = exp(simd, simd.partial_load_f32s(&rest[1..]));
-            simd.partial_store_f32s(&mut rest[1..], nearness);
+            for part in rest[1..].chunks_mut(S::F32_LANES) {
+                let nearness = exp(simd, simd.partial_load_f32s(part));
+                store(simd, part, nearness);
+            }
         }
     }
 
@@ -223,7 +232,8 @@ impl Grid {
                 let own = &numbers[block.start * rows.width..block.end * rows.width];
                 for (child, linear) in linears.iter().enumerate() {
                     let children = &parents.children[block.clone()];
-                    let mut sink = Children { children, child, held: fields[held], to: fields[to], width };
+                    let mut sink =
+                        Children { children, child, held: fields[held], to: fields[to], width };
                     let source = Rows { numbers: own, width: rows.width };
                     pass(simd, linear, block.len(), &source, &mut sink);
                 }
