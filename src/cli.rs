@@ -298,22 +298,42 @@ pub struct PredictArgs {
 /// `eddy eval`
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// The checkpoints to judge.
+    /// The checkpoints to judge, side by side; those that differ only in their training count as seeds
+    /// of one model.
     #[arg(long, required = true, num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags.
     #[arg(long, required = true, num_args = 1..)]
     pub data: Vec<PathBuf>,
-    /// Where report.json and curves.csv go.
+    /// Where report.json, curves.csv and cost_error.png go.
     #[arg(long, short)]
     pub output: PathBuf,
-    /// Length of the free rollouts (frames).
+    /// Frames of the free rollouts that are compared with the truth; they go on to frame 200 to see
+    /// whether they blow up.
     #[arg(long, default_value_t = 20)]
     pub horizon: usize,
-    /// Start frames a stream, spread evenly over it.
+    /// Start frames a stream, spread evenly over its first 80 %.
     #[arg(long, default_value_t = 7)]
     pub starts: usize,
-    /// Threads that predict; as many as there are cores if not given.
+    /// Who else predicts, from the same frames; needs the manifest.json beside the bags.
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub rivals: Vec<Rival>,
+    /// Judge each checkpoint also on streams joined in the middle: it sees its warm-up, not the
+    /// frames before.
+    #[arg(long)]
+    pub join_late: bool,
+    /// Scenes that are judged at a time; as many as there are cores if not given. The time of a frame
+    /// is that of one thread.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
+}
+
+/// Who predicts beside checkpoints and trivial predictors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Rival {
+    /// The solver restarted from positions and velocities: as it was, with half the substeps, with
+    /// cells twice as wide.
+    Mpm,
+    /// The truth itself from positions that are off by up to 1e-4: how well anyone could predict.
+    Chaos,
 }

@@ -51,7 +51,7 @@ pub(crate) fn frame_features(material: MaterialInput) -> usize {
 /// Input features of the particle model; `model/features.rs` says which.
 pub(crate) const PARTICLE_FEATURES: usize = 16 + Material::COUNT;
 /// The same where it sees surroundings.
-pub(crate) const SURROUNDED_FEATURES: usize = 17 + Material::COUNT;
+pub(crate) const SURROUNDED_FEATURES: usize = 19 + Material::COUNT;
 /// What a node of the grid knows beside the channels: how full it is, and how near each wall is.
 pub(crate) const NODE_FEATURES: usize = 5;
 

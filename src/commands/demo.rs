@@ -10,7 +10,10 @@ use std::{
 
 use anyhow::Context;
 
-use super::{Interrupt, eval::judge_one, live::Live, node::summary, pace, progress_bar, surrogate};
+use super::{
+    Interrupt, eval::judge_alone, live::Live, node::summary, pace, progress_bar, simulate::memory,
+    surrogate,
+};
 use crate::cli::DemoArgs;
 use eddy::{
     bag::{BagSummary, BagWriter, TopicId, WriterOptions},
@@ -236,18 +239,17 @@ impl Printer {
 
 /// Judges the surrogate by free rollouts over the bag just recorded.
 fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyhow::Result<()> {
-    let streams = dataset::load_streams(&[bag.to_owned()])?;
-    let settings = Settings { horizon: 20, starts: 10 };
-    let longest = streams.iter().map(|stream| stream.states.len()).max().unwrap_or(0);
+    let streams =
+        dataset::load_trajectories(&[bag.to_owned()], memory::available() / 2, &mut |_, _| ())?;
+    let settings = Settings::errors_only(20, 10);
+    let longest = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
     let needed = node.surrogate().description().warm_up as usize + settings.horizon;
     if longest < needed {
         println!("not judged: found {longest} frames, expected at least {needed}");
         return Ok(());
     }
-    let bar = progress_bar(settings.starts as u64, "rollouts", quiet);
-    let digest = dataset::digest(&streams);
-    let name = "demo".to_owned();
-    let report = judge_one(node.surrogate(), name, &digest, &streams, settings, &bar)?;
+    let bar = progress_bar(streams.len() as u64, "scenes", quiet);
+    let report = judge_alone(node.surrogate(), "demo", streams, settings, &bar)?;
     bar.finish_and_clear();
     report.save(folder)?;
     println!("report: {}", folder.join("report.json").display());

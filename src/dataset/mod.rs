@@ -22,6 +22,7 @@ use std::path::PathBuf;
 use sha2::{Digest, Sha256};
 
 pub use shelf::{Residency, Shelf};
+pub use spacing::spacing;
 pub use split::Part;
 pub use statistics::Bounds;
 pub use stream::{State, Stream};
@@ -134,7 +135,7 @@ impl Dataset {
             }
         }
         let (normalization, digest) = (statistics.normalization(), in_words(hasher));
-        let spacing = train.first().map_or(f32::INFINITY, |stream| spacing::spacing(&stream.rest));
+        let spacing = train.first().map_or(f32::INFINITY, |stream| spacing(&stream.rest));
         Ok(Self { train, validation, test, normalization, spacing, digest })
     }
 
@@ -144,24 +145,19 @@ impl Dataset {
     }
 }
 
-/// Every stream of the topic `/particles` of the bags at `paths`, in the order of id and bag.
+/// Every stream of the topic `/particles` of the bags at `paths`, in the order of id and bag. Frames
+/// that take more than `memory` bytes together stay on disk, as in [`Dataset::load`].
+///
+/// `progress` is called after every frame with how many were read and how many there are.
 ///
 /// # Errors
 /// As [`Dataset::load`]; a single stream is enough here.
-pub fn load_streams(paths: &[PathBuf]) -> Result<Vec<Stream>, DatasetError> {
-    let mut streams = Vec::new();
-    for path in crate::bag::find_bags(paths)? {
-        streams.extend(stream::read(&path, TRUTH_TOPIC)?);
-    }
-    streams.sort_by(|a, b| {
-        (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
-    });
-    if let Some(first) = streams.first() {
-        for stream in &streams {
-            alike(first, stream)?;
-        }
-    }
-    Ok(streams)
+pub fn load_trajectories(
+    paths: &[PathBuf],
+    memory: u64,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Vec<Trajectory>, DatasetError> {
+    load::load(paths, memory, progress)
 }
 
 fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
@@ -184,19 +180,29 @@ fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
 }
 
 /// The streams among `streams` that a training on all of them sets aside.
-pub fn test_part(streams: &[Stream]) -> Vec<Stream> {
+pub fn test_part(streams: &[Trajectory]) -> Vec<Trajectory> {
     let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
     streams.iter().filter(|stream| Part::of(&ids, stream.id) == Part::Test).cloned().collect()
 }
 
-/// SHA-256 over ids, materials and states of all streams, hexadecimal.
-pub fn digest(streams: &[Stream]) -> String {
+/// SHA-256 over ids, materials and states of all streams, hexadecimal. `look` sees every state on
+/// the way.
+///
+/// # Errors
+/// As [`Trajectory::visit`].
+pub fn digest(
+    streams: &[Trajectory],
+    mut look: impl FnMut(&State),
+) -> Result<String, DatasetError> {
     let mut hasher = Sha256::new();
     for stream in streams {
         begin_digest(&mut hasher, stream.id, stream.dt, &stream.material);
-        stream.states.iter().for_each(|state| add_to_digest(&mut hasher, state));
+        stream.visit(0..stream.frames, |state| {
+            add_to_digest(&mut hasher, state);
+            look(state);
+        })?;
     }
-    in_words(hasher)
+    Ok(in_words(hasher))
 }
 
 fn begin_digest(hasher: &mut Sha256, id: u64, dt: f32, material: &[Material]) {

@@ -2,7 +2,7 @@
 
 /// The median over all points of the distance to the nearest other one (domain lengths); infinite for
 /// fewer than two.
-pub(super) fn spacing(points: &[[f32; 2]]) -> f32 {
+pub fn spacing(points: &[[f32; 2]]) -> f32 {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let mut nearest: Vec<f32> = (0..sorted.len()).map(|at| nearest(&sorted, at)).collect();

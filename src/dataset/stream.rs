@@ -1,14 +1,8 @@
 //! One trajectory in memory.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-use crate::{
-    bag::{BagError, BagReader},
-    frame::{Domain, Frame, Material, Stamp},
-};
+use crate::frame::{Domain, Frame, Material, Stamp};
 
 /// Positions and velocities at one instant; `N` particles.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,21 +70,4 @@ impl Stream {
             material: self.material.clone(),
         }
     }
-}
-
-/// The streams of one bag, cut in two wherever a frame is missing or the particles change.
-pub(super) fn read(path: &Path, topic: &str) -> Result<Vec<Stream>, BagError> {
-    let mut open: BTreeMap<u64, Stream> = BTreeMap::new();
-    let mut ended = Vec::new();
-    for frame in BagReader::open(path)?.frames(topic)? {
-        let frame = frame?;
-        match open.get_mut(&frame.stream) {
-            Some(stream) if stream.is_continued_by(&frame, stream.states.len()) => {
-                stream.states.push(State { position: frame.position, velocity: frame.velocity });
-            }
-            _ => ended.extend(open.insert(frame.stream, Stream::begin(path, frame))),
-        }
-    }
-    ended.extend(open.into_values());
-    Ok(ended)
 }

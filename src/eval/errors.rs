@@ -1,7 +1,7 @@
 //! Squared errors, summed over windows, for each material and frame ahead.
 
-use super::ranges;
-use crate::{checkpoint::Normalization, dataset::State, frame::Material};
+use super::RANGES;
+use crate::{dataset::State, frame::Material};
 
 /// Sums over particles and windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -29,10 +29,11 @@ impl Errors {
 
     /// Mean squared error of the MinMax-normalised features x, y, vx, vy.
     pub fn minmax_mse(&self) -> f64 {
-        self.minmax / (4.0 * self.count)
+        self.minmax / (RANGES as f64 * self.count)
     }
 
-    fn add(&mut self, other: &Self) {
+    /// Adds the sums of others.
+    pub fn add(&mut self, other: &Self) {
         self.count += other.count;
         self.position += other.position;
         self.velocity += other.velocity;
@@ -41,19 +42,21 @@ impl Errors {
 }
 
 /// Errors for each frame ahead and each material.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ErrorSums {
-    ranges: [f64; 4],
+    ranges: [f64; RANGES],
     sums: Vec<[Errors; Material::COUNT]>,
 }
 
 impl ErrorSums {
-    /// No errors yet, for `horizon` frames ahead.
-    pub fn new(horizon: usize, normalization: &Normalization) -> Self {
-        Self { ranges: ranges(normalization), sums: vec![Default::default(); horizon] }
+    /// No errors yet, for `horizon` frames ahead; `ranges` of x, y, vx, vy are what MinMax errors are
+    /// divided by.
+    pub fn new(horizon: usize, ranges: [f64; RANGES]) -> Self {
+        Self { ranges, sums: vec![Default::default(); horizon] }
     }
 
-    /// Adds one window: predicted and true states, one for each frame ahead.
+    /// Adds one window: predicted and true states, one for each frame ahead. Frames without truth add
+    /// nothing.
     pub fn add(&mut self, material: &[Material], predicted: &[State], truth: &[State]) {
         for ((sums, predicted), truth) in self.sums.iter_mut().zip(predicted).zip(truth) {
             for (particle, &kind) in material.iter().enumerate() {
@@ -62,11 +65,18 @@ impl ErrorSums {
                 let relative = [dx[0], dx[1], dv[0], dv[1]];
                 sums[kind as usize].add(&Errors {
                     count: 1.0,
-                    position: dx[0] * dx[0] + dx[1] * dx[1],
-                    velocity: dv[0] * dv[0] + dv[1] * dv[1],
+                    position: square(dx),
+                    velocity: square(dv),
                     minmax: relative.iter().zip(self.ranges).map(|(e, r)| (e / r) * (e / r)).sum(),
                 });
             }
+        }
+    }
+
+    /// Adds the sums of other windows.
+    pub fn merge(&mut self, other: &Self) {
+        for (sums, others) in self.sums.iter_mut().zip(&other.sums) {
+            sums.iter_mut().zip(others).for_each(|(sum, other)| sum.add(other));
         }
     }
 
@@ -87,15 +97,18 @@ impl ErrorSums {
 
 /// Mean of |x - x'|^2 over particles (domain lengths squared), for positions `[N, 2]`.
 pub fn mean_squared_distance(predicted: &[[f32; 2]], truth: &[[f32; 2]]) -> f64 {
-    let squared = |(&a, &b): (&[f32; 2], &[f32; 2])| {
-        let [x, y] = difference(a, b);
-        x * x + y * y
-    };
+    let squared = |(&a, &b): (&[f32; 2], &[f32; 2])| square(difference(a, b));
     predicted.iter().zip(truth).map(squared).sum::<f64>() / truth.len() as f64
 }
 
-fn difference(a: [f32; 2], b: [f32; 2]) -> [f64; 2] {
+/// `a - b`, subtracted in double precision.
+pub(super) fn difference(a: [f32; 2], b: [f32; 2]) -> [f64; 2] {
     [f64::from(a[0]) - f64::from(b[0]), f64::from(a[1]) - f64::from(b[1])]
+}
+
+/// The squared length of a vector.
+pub(super) fn square([x, y]: [f64; 2]) -> f64 {
+    x * x + y * y
 }
 
 #[cfg(test)]
@@ -104,19 +117,13 @@ mod tests {
 
     #[test]
     fn errors_are_root_mean_squares_in_domain_units_and_in_units_of_the_range() {
-        let normalization = Normalization {
-            minimum: [0.0, 0.0, -2.0, -2.0],
-            maximum: [1.0, 1.0, 2.0, 2.0],
-            mean: [0.0; 4],
-            standard_deviation: [1.0; 4],
-        };
         let truth = State { position: vec![[0.0; 2]; 2], velocity: vec![[0.0; 2]; 2] };
         let predicted = State {
             position: vec![[0.3, 0.4], [0.0, 0.0]],
             velocity: vec![[0.0, 0.0], [2.0, 0.0]],
         };
-        let mut sums = ErrorSums::new(1, &normalization);
-        sums.add(&[Material::Liquid, Material::Rope], &[predicted], &[truth]);
+        let mut sums = ErrorSums::new(2, [1.0, 1.0, 4.0, 4.0]);
+        sums.add(&[Material::Liquid, Material::Rope], &[predicted.clone(), predicted], &[truth]);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-6;
         let liquid = sums.of(Material::Liquid)[0];
         assert!(close(liquid.position_rmse(), 0.5));
@@ -125,5 +132,11 @@ mod tests {
         assert!(close(total.position_rmse(), 0.5 / 2f64.sqrt()));
         assert!(close(total.velocity_rmse(), 2.0 / 2f64.sqrt()));
         assert_eq!(sums.of(Material::Snow)[0].count, 0.0);
+        assert_eq!(sums.total()[1].count, 0.0, "there is no truth two frames ahead");
+
+        let mut twice = sums.clone();
+        twice.merge(&sums);
+        assert_eq!(twice.total()[0].count, 4.0);
+        assert_eq!(twice.total()[0].position_rmse(), total.position_rmse());
     }
 }

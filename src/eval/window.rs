@@ -6,12 +6,14 @@ use super::Settings;
 const STARTS_WITHIN: f64 = 0.8;
 
 /// The last observed frame of each rollout: `settings.starts` of them, evenly over the first 80 % of
-/// `frames`, each with `warm_up` frames up to it and `settings.horizon` frames after it.
+/// `frames`, each with `warm_up` frames up to it. The first has `settings.horizon` frames after it, a
+/// stream without room for it has no rollouts; the truth of the last may end before the horizon.
 pub fn starts(frames: usize, warm_up: usize, settings: Settings) -> Vec<usize> {
     let earliest = warm_up.max(1) - 1;
-    let Some(latest) = frames.checked_sub(settings.horizon + 1).filter(|&l| l >= earliest) else {
+    if frames < earliest + settings.horizon + 1 {
         return Vec::new();
-    };
+    }
+    let latest = frames.saturating_sub(2).max(earliest);
     let last = ((STARTS_WITHIN * frames as f64) as usize).clamp(earliest, latest);
     let intervals = settings.starts.saturating_sub(1).max(1);
     let mut starts: Vec<_> =
@@ -24,25 +26,26 @@ pub fn starts(frames: usize, warm_up: usize, settings: Settings) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    const SETTINGS: Settings = Settings { horizon: 20, starts: 7 };
+    const SETTINGS: Settings = Settings::errors_only(20, 7);
 
     #[test]
     fn seven_starts_are_spread_over_the_first_four_fifths() {
         assert_eq!(starts(625, 5, SETTINGS), [4, 86, 169, 252, 334, 417, 500]);
+        assert_eq!(starts(300, 2, Settings::errors_only(100, 7)), [1, 40, 80, 120, 160, 200, 240]);
     }
 
     #[test]
-    fn every_window_fits_its_stream() {
+    fn the_first_window_of_a_stream_reaches_the_horizon_and_every_window_has_truth() {
         for frames in 0..80 {
-            for start in starts(frames, 5, SETTINGS) {
-                assert!(start + 1 >= 5 && start + 20 < frames, "{start} of {frames}");
-            }
+            let starts = starts(frames, 5, SETTINGS);
+            assert!(starts.first().is_none_or(|first| first + 20 < frames), "{frames}");
+            assert!(starts.iter().all(|start| start + 1 >= 5 && start + 1 < frames), "{frames}");
         }
     }
 
     #[test]
     fn a_stream_that_is_too_short_has_none() {
         assert!(starts(24, 5, SETTINGS).is_empty());
-        assert_eq!(starts(25, 5, SETTINGS), [4]);
+        assert_eq!(starts(25, 5, SETTINGS)[0], 4);
     }
 }

@@ -20,10 +20,10 @@ const RANGE: f64 = 2.1;
 const MOST: usize = 12;
 /// Features of a particle's shape: Bxx - 1, Byy - 1, Bxy, and the bend along x and y.
 pub const SHAPE_FEATURES: usize = 5;
-/// What they are multiplied by, strains and bends (in spacings at rest), so that what is usual is about 1;
-const SCALE: [f32; SHAPE_FEATURES] = [10.0, 10.0, 10.0, 60.0, 60.0];
-/// and how large they get.
-const LARGEST: f32 = 4.0;
+/// What they are multiplied by, strains and bends (in spacings at rest), so that what is usual is about 1.
+pub const SCALE: [f32; SHAPE_FEATURES] = [10.0, 10.0, 10.0, 60.0, 60.0];
+/// How large they get.
+pub const LARGEST: f32 = 4.0;
 /// With fewer, there is no telling.
 const FEWEST: usize = 3;
 /// The smaller eigenvalue of A, relative to the larger, below which neighbours are in a line.
@@ -45,13 +45,13 @@ pub struct Rest {
 
 /// A neighbour.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Link {
+pub struct Link {
     /// Its row.
-    particle: u32,
+    pub particle: u32,
     /// c (1 / domain lengths).
-    coefficient: [f32; 2],
-    /// Share in the bend (1 / domain lengths).
-    share: f32,
+    pub coefficient: [f32; 2],
+    /// Share in the bend: spacings at rest by domain length.
+    pub share: f32,
 }
 
 impl Rest {
@@ -182,8 +182,9 @@ impl Rest {
         rows
     }
 
+    /// What a particle is linked to.
     #[inline(always)]
-    fn links(&self, particle: usize) -> &[Link] {
+    pub fn links(&self, particle: usize) -> &[Link] {
         &self.links[self.first[particle] as usize..self.first[particle + 1] as usize]
     }
 }

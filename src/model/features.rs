@@ -11,7 +11,7 @@
 //! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first; likewise |
 //! | 2 | stop: velocity that the coming ballistic step loses at a wall; likewise |
 //! | 8 | nearness exp(-d / s) of the left, lower, right, upper wall at the scales s of [`NEAR`], then of [`FAR`] |
-//! | 3 | strain of the rest shape (`strain`): xx, yy, xy |
+//! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
 //!
 //! The push tells a particle at rest on others from one in free fall: it sees what the others just did.
@@ -105,14 +105,14 @@ impl Scaling {
     }
 
     /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`,
-    /// `strain` is `[R, 3]`.
+    /// `shape` is `[R, 5]`.
     pub(crate) fn particle(
         &self,
         bodies: &Bodies,
         push: Tensor<2>,
         fallen: &Fallen,
         walls: &BallisticTensors,
-        strain: Tensor<2>,
+        shape: Tensor<2>,
         material: Tensor<2>,
     ) -> Tensor<2> {
         let below = (bodies.position.clone() - walls.lower.clone()).clamp_min(0.0);
@@ -124,7 +124,7 @@ impl Scaling {
                 Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),
                 distance.clone().mul_scalar(-1.0 / NEAR).exp(),
                 distance.mul_scalar(-1.0 / FAR).exp(),
-                strain,
+                shape,
                 material,
             ],
             1,

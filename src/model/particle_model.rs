@@ -142,10 +142,10 @@ impl ParticleModel {
     ) -> Tensor<2> {
         let Layers { encoder: [first, second], grid, .. } = &self.layers;
         let grid = grid.as_ref().expect("the particle model's layers have a grid");
-        let strain = strain::strain(&bodies.position, &matter.rest);
+        let shape = strain::shape(&bodies.position, &matter.rest);
         let material = matter.material.clone().repeat(&[frames, 1]);
         let features =
-            self.scaling.particle(bodies, push, fallen, &self.ballistic, strain, material); // [T R, F]
+            self.scaling.particle(bodies, push, fallen, &self.ballistic, shape, material); // [T R, F]
         let encoded = second.forward(first.rectified(features.clone())); // [T R, C0]
         let position = pairs(bodies.position.clone());
         let windows = frames * matter.windows;

@@ -112,7 +112,8 @@ fn weights(ground: &Ground, position: Tensor<2>) -> Tensor<2> {
     (columns * rows_of).reshape([rows * 9, 1])
 }
 
-fn indices(values: impl Iterator<Item = u32>, device: &Device) -> Tensor<1, Int> {
+/// Numbers of rows.
+pub(crate) fn indices(values: impl Iterator<Item = u32>, device: &Device) -> Tensor<1, Int> {
     let values: Vec<i32> = values.map(|value| value as i32).collect();
     let count = values.len();
     Tensor::from_data(TensorData::new(values, [count]), device)

@@ -21,6 +21,7 @@ use crate::{
         lstm::{self, Lstm},
         minimal::Minimal,
         nodes::Nodes,
+        rest::{Rest, SHAPE_FEATURES},
         transfer::{by_position, mass, to_nodes, to_particles},
     },
 };
@@ -516,6 +517,34 @@ impl Operation<2> for Read {
             if by_rows { to_nodes(&self.0, gradient, width) } else { Vec::new() },
             if by_place { by_position(&self.0, rows, gradient, width) } else { Vec::new() },
         ]
+    }
+}
+
+/// [`strain::shape`](super::strain::shape): positions `[T R, 2]` to `[T R, 5]`.
+pub(crate) fn shape(rest: Arc<Rest>, position: Tensor<2>) -> Tensor<2> {
+    let shape = [position.dims()[0], SHAPE_FEATURES];
+    apply(Shape(rest), [input(position)], shape)
+}
+
+#[derive(Clone, Debug)]
+struct Shape(Arc<Rest>);
+
+impl Operation<1> for Shape {
+    type Kept = ();
+
+    fn forward(&self, [position]: [&[f32]; 1]) -> (Vec<f32>, ()) {
+        (self.0.shape(position.as_chunks().0), ())
+    }
+
+    fn backward(
+        &self,
+        [position]: [&[f32]; 1],
+        _shape: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 1],
+    ) -> [Vec<f32>; 1] {
+        [self.0.backward(position.as_chunks().0, gradient)]
     }
 }
 

@@ -29,6 +29,21 @@ impl GridShape {
         Self { cells: [cells; 2], dx: 1.0 / cells as f32 }
     }
 
+    /// A grid of cells twice as wide over the same room, whose walls begin at the same places, and how
+    /// far its origin lies below this one's on both axes (domain lengths): a position has coordinates
+    /// so much larger there. `None` for an odd number of cells.
+    ///
+    /// Walls are as many cells thick on every grid, so that the coarser one needs more room for them.
+    pub fn coarsened(&self) -> Option<(Self, f32)> {
+        let walls = 2 * (WALL_CELLS as u32 - 1);
+        let half = |cells: u32| {
+            let between = cells.checked_sub(walls).filter(|between| between % 2 == 0)?;
+            Some(between / 2 + walls)
+        };
+        let cells = [half(self.cells[0])?, half(self.cells[1])?];
+        Some((Self { cells, dx: 2.0 * self.dx }, (WALL_CELLS as u32 - 1) as f32 * self.dx))
+    }
+
     /// Whether all nine nodes around a position (domain lengths) exist. False for NaN.
     pub(super) fn contains(&self, position: [f32; 2]) -> bool {
         (0..2).all(|axis| {
@@ -149,6 +164,20 @@ mod tests {
         assert_eq!(walled(1.0, 61, side), 1.0);
         assert_eq!(walled(1.0, 62, side), 0.0);
         assert_eq!(walled(-1.0, 62, side), -1.0);
+    }
+
+    #[test]
+    fn walls_of_a_coarser_grid_begin_where_they_did() {
+        let fine = GridShape { cells: [64, 96], dx: 1.0 / 64.0 };
+        let (coarse, shift) = fine.coarsened().unwrap();
+        assert_eq!((coarse.cells, coarse.dx), ([34, 50], 1.0 / 32.0));
+        // The innermost nodes that walls hold, on either side.
+        let places = |grid: GridShape| {
+            let inner = (WALL_CELLS - 1) as f32;
+            grid.cells.map(|cells| [inner * grid.dx, (cells as f32 - inner) * grid.dx])
+        };
+        assert_eq!(places(coarse).map(|ends| ends.map(|x| x - shift)), places(fine));
+        assert_eq!(GridShape::unit(63).coarsened(), None);
     }
 
     #[test]

@@ -168,6 +168,22 @@ impl Simulation {
         Ok(())
     }
 
+    /// Moves every particle by what `by` gives (domain lengths), to see what a small difference grows to.
+    ///
+    /// # Errors
+    /// [`MpmError::Diverged`] when a particle leaves the grid; none is moved then.
+    pub fn displace(&mut self, mut by: impl FnMut() -> [f32; 2]) -> Result<(), MpmError> {
+        let mut particles = self.solver.particles().to_vec();
+        for particle in &mut particles {
+            let ([x, y], [dx, dy]) = (particle.position, by());
+            particle.position = [x + dx, y + dy];
+        }
+        let time = self.begun();
+        self.solver
+            .set_particles(particles.clone())
+            .map_err(|particle| diverged(&particles, particle, time))
+    }
+
     /// The present state as a frame.
     fn frame(&self) -> Result<Frame, MpmError> {
         let particles = self.solver.particles();

@@ -190,7 +190,7 @@ impl NetworkConfig {
             normalize_gates: true,
             frame: FrameOptions::default(),
             cell_width: 1.0 / 32.0,
-            channels: [32, 64, 64],
+            channels: [24, 32, 48],
         }
     }
 }
@@ -214,12 +214,12 @@ impl TrainConfig {
             epochs: 40,
             patience: 40,
             gravity: [0.0, -9.8],
-            unroll: vec![stage(0.2, 2), stage(0.3, 6), stage(0.5, 14)],
-            network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(32, 32) },
+            unroll: vec![stage(0.4, 2), stage(0.3, 6), stage(0.25, 14), stage(0.05, 24)],
+            network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(16, 24) },
             windows: WindowConfig {
                 warm_up: 3,
-                batch: 8,
-                per_epoch: 2048,
+                batch: 16,
+                per_epoch: 4096,
                 noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
                 mirror: true,
             },

@@ -2,47 +2,44 @@
 
 use super::{TrainError, ValidationConfig};
 use crate::{
-    checkpoint::Checkpoint,
+    checkpoint::{Checkpoint, Description},
     dataset::{Bounds, Trajectory},
     engine::Surrogate,
-    eval::{EvalError, Judge, Report, Settings, starts},
+    eval::{
+        Arena, Baseline, EvalError, Extremes, Predictor, Settings, Skills, judge_scene, starts,
+    },
 };
 
 /// What free rollouts came to.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Score {
-    /// 1 - skill, averaged over materials and frames ahead; what the best epoch is chosen by.
+    /// 1 - skill, averaged over kinds of scenes and frames ahead; what the best epoch is chosen by.
     pub(super) loss: f64,
-    /// Skill one frame ahead, averaged over materials.
+    /// Skill one frame ahead, averaged over kinds of scenes.
     pub(super) first_skill: f64,
     /// Skill at the last frame.
     pub(super) last_skill: f64,
 }
 
-/// Rolls out over every stream.
+/// Rolls out over every stream, of which one at a time is in memory.
 pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
     let surrogate = Surrogate::load(checkpoint, None)?;
-    let settings = Settings { horizon: config.horizon, starts: config.starts };
-    let mut walls = Bounds::default();
-    streams.iter().for_each(|stream| walls.join(&stream.bounds));
-    let mut judge = Judge::new(&surrogate, settings, walls);
-    let warm_up = judge.warm_up();
+    let arena = arena(config, &checkpoint.description, streams);
+    arena.check(longest(streams)).map_err(TrainError::Validation)?;
+    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    let predictors: Vec<_> =
+        std::iter::once(Predictor::Model(&surrogate)).chain(baselines).collect();
+    let mut scenes = Vec::new();
     for stream in streams {
-        for start in judge.starts(stream.frames) {
-            let window = stream.cut(start + 1 - warm_up..start + 1 + config.horizon)?;
-            judge.window(&window, warm_up - 1).map_err(TrainError::Validation)?;
-        }
+        let whole = stream.cut(0..stream.frames)?;
+        let judged = judge_scene(&arena, &predictors, &whole, None);
+        scenes.push(judged.map_err(TrainError::Validation)?);
     }
-    let judgement = judge.finish(longest(streams)).map_err(TrainError::Validation)?;
-    let name = String::new();
-    let dt = checkpoint.description.dt;
-    let report = Report::new(name.clone(), name.clone(), name, streams.len(), dt, &judgement);
-    let skill: Vec<f64> =
-        (1..=config.horizon).filter_map(|ahead| report.mean_skill(ahead)).collect();
+    let skill = Skills::of(&scenes, 1..predictors.len(), config.horizon).mean(0);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // A rollout that diverged has no finite error; it must lose against any that has.
@@ -51,13 +48,22 @@ pub(super) fn validate(
     Ok(Score { loss, first_skill, last_skill })
 }
 
+/// Where rollouts are compared: of the truth's extremes and the particles' spacing nothing is asked.
+fn arena(config: &ValidationConfig, description: &Description, streams: &[Trajectory]) -> Arena {
+    let settings = Settings::errors_only(config.horizon, config.starts);
+    let mut walls = Bounds::default();
+    streams.iter().for_each(|stream| walls.join(&stream.bounds));
+    let warm_up = description.warm_up as usize;
+    Arena::new(settings, description, warm_up, walls, f32::INFINITY, Extremes::default())
+}
+
 /// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.
 pub(super) fn check(
     config: &ValidationConfig,
     warm_up: usize,
     streams: &[Trajectory],
 ) -> Result<(), TrainError> {
-    let settings = Settings { horizon: config.horizon, starts: config.starts };
+    let settings = Settings::errors_only(config.horizon, config.starts);
     if streams.iter().any(|stream| !starts(stream.frames, warm_up, settings).is_empty()) {
         return Ok(());
     }

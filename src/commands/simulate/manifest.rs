@@ -1,6 +1,7 @@
 //! `manifest.json` beside the bags of `eddy simulate`: what was asked for, and what came out.
 
 use std::{
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
 };
@@ -177,6 +178,21 @@ impl Manifest {
             scenes.join(",\n")
         ))
     }
+}
+
+/// The scenes in the manifest of a directory, by id; `None` where there is none.
+pub(in crate::commands) fn scenes(
+    directory: &Path,
+) -> anyhow::Result<Option<BTreeMap<u64, Scene>>> {
+    let path = path(directory);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let Manifest { scenes, .. } = serde_json::from_slice(&text)
+        .with_context(|| format!("{}: found no manifest of this eddy", path.display()))?;
+    let scenes = scenes.into_iter().map(|Finished { start, .. }| (start.id, start.scene));
+    Ok(Some(scenes.collect()))
 }
 
 fn path(directory: &Path) -> PathBuf {

@@ -23,6 +23,7 @@ use anyhow::{bail, ensure};
 use super::Interrupt;
 use crate::cli::SimulateArgs;
 use eddy::mpm::{self, Settings, Simulation};
+pub(super) use manifest::scenes;
 use manifest::{Manifest, Request};
 use plan::Planned;
 use recording::Archive;

@@ -1,0 +1,94 @@
+//! What streams were simulated from: the manifests beside their bags.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::PathBuf,
+};
+
+use rayon::prelude::*;
+
+use crate::{cli::Rival, commands::simulate};
+use eddy::{
+    dataset::Trajectory,
+    eval::{Predictor, Restart, chaos},
+    mpm::Scene,
+};
+
+/// Who may take part of those asked for, with what is needed for it.
+pub(super) struct Rivals {
+    /// For each stream the scene it was simulated from; nothing where nobody needs it.
+    pub(super) scenes: Vec<Option<Scene>>,
+    /// Who takes part.
+    pub(super) predictors: Vec<Predictor<'static>>,
+    /// Why others do not.
+    pub(super) notes: Vec<String>,
+}
+
+impl Rivals {
+    /// Finds the scene of every stream. If one has none, no rival takes part: all are judged by the
+    /// same frames.
+    pub(super) fn new(asked: &[Rival], streams: &[Trajectory]) -> anyhow::Result<Self> {
+        let nobody =
+            |notes| Self { scenes: vec![None; streams.len()], predictors: Vec::new(), notes };
+        if asked.is_empty() {
+            return Ok(nobody(Vec::new()));
+        }
+        let scenes = match scenes(streams)? {
+            Ok(scenes) => scenes,
+            Err(reason) => return Ok(nobody(vec![format!("no rivals: {reason}")])),
+        };
+        let mut predictors = Vec::new();
+        if asked.contains(&Rival::Mpm) {
+            predictors.extend(Restart::ALL.map(Predictor::Restart));
+        }
+        if asked.contains(&Rival::Chaos) {
+            predictors.push(Predictor::Chaos);
+        }
+        let scenes = scenes.into_iter().map(Some).collect();
+        Ok(Self { scenes, predictors, notes: Vec::new() })
+    }
+}
+
+/// The scene of each stream, or why one has none.
+fn scenes(streams: &[Trajectory]) -> anyhow::Result<Result<Vec<Scene>, String>> {
+    let mut manifests: HashMap<PathBuf, BTreeMap<u64, Scene>> = HashMap::new();
+    let mut scenes = Vec::new();
+    for stream in streams {
+        let folder = stream.source.parent().unwrap_or(&stream.source).to_owned();
+        if !manifests.contains_key(&folder) {
+            let found = simulate::scenes(&folder)?.unwrap_or_default();
+            manifests.insert(folder.clone(), found);
+        }
+        let scene = manifests.get(&folder).and_then(|manifest| manifest.get(&stream.id));
+        let Some(scene) = scene else {
+            let (id, bag) = (stream.id, stream.source.display());
+            return Ok(Err(format!(
+                "{bag}: stream {id}: found no manifest.json beside the bag that has its scene, expected \
+                 that of `eddy simulate`"
+            )));
+        };
+        if !(scene.emitters.is_empty() && scene.drains.is_empty()) {
+            let bag = stream.source.display();
+            return Ok(Err(format!(
+                "{bag}: found emitters or drains in its scene, expected particles that stay"
+            )));
+        }
+        scenes.push(scene.clone());
+    }
+    let differs = |(stream, scene): (&Trajectory, &Scene)| {
+        let same = || anyhow::Ok(chaos::is_scene_of(scene, &stream.cut(0..1)?)?);
+        match same() {
+            Ok(true) => None,
+            Ok(false) => Some(Ok(stream.source.display().to_string())),
+            Err(error) => Some(Err(error)),
+        }
+    };
+    let pairs: Vec<_> = streams.iter().zip(&scenes).collect();
+    match pairs.into_par_iter().find_map_first(differs) {
+        None => Ok(Ok(scenes)),
+        Some(Err(error)) => Err(error),
+        Some(Ok(bag)) => Ok(Err(format!(
+            "{bag}: found another first frame than its scene in manifest.json gives, expected the same"
+        ))),
+    }
+}

@@ -1,0 +1,44 @@
+//! What there is to judge on.
+
+use eddy::{
+    checkpoint::Description,
+    dataset::{self, Bounds, Trajectory},
+    eval::{Arena, Extremes, Settings},
+};
+
+/// The streams that are judged on, and what they have in common.
+pub(super) struct Survey {
+    /// The streams.
+    pub(super) streams: Vec<Trajectory>,
+    /// What is the same for everyone.
+    pub(super) arena: Arena,
+    /// Digest of all streams.
+    pub(super) digest: String,
+}
+
+impl Survey {
+    /// Looks through all streams, then leaves those aside that a checkpoint has learned from. There
+    /// is at least one description.
+    pub(super) fn new(
+        settings: Settings,
+        descriptions: &[&Description],
+        mut streams: Vec<Trajectory>,
+    ) -> anyhow::Result<Self> {
+        let mut extremes = Extremes::default();
+        let digest = dataset::digest(&streams, |state| extremes.widen(state))?;
+        let mut walls = Bounds::default();
+        streams.iter().for_each(|stream| walls.join(&stream.bounds));
+        if descriptions.iter().any(|description| description.data == digest) {
+            println!("this is what a checkpoint was trained on: only its test part is judged");
+            streams = dataset::test_part(&streams);
+        }
+        let mut spacings: Vec<f32> = streams.iter().map(|s| dataset::spacing(&s.rest)).collect();
+        spacings.sort_by(f32::total_cmp);
+        let spacing = spacings.get(spacings.len() / 2).copied().unwrap_or(f32::INFINITY);
+        let warm_up = descriptions.iter().map(|description| description.warm_up as usize).max();
+        let warm_up = warm_up.unwrap_or(1);
+        let arena = Arena::new(settings, descriptions[0], warm_up, walls, spacing, extremes);
+        arena.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
+        Ok(Self { streams, arena, digest })
+    }
+}

@@ -1,0 +1,106 @@
+//! What is the same for everyone who is judged.
+
+use super::{EvalError, Extremes, RANGES, window::starts};
+use crate::{
+    checkpoint::{Description, Normalization},
+    dataset::Bounds,
+    frame::Domain,
+    model::Ballistic,
+};
+
+/// Rollouts of a full judgement go on to this frame at least, to see whether they blow up.
+const BLOW_UP_REACH: usize = 200;
+
+/// How to judge.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Frames ahead that are compared with the truth.
+    pub horizon: usize,
+    /// Length of a rollout (frames), at least the horizon; beyond it only blow-ups are looked for.
+    pub reach: usize,
+    /// Rollouts a stream.
+    pub starts: usize,
+    /// Whether physical measures are taken.
+    pub measures: bool,
+}
+
+impl Settings {
+    /// Everything: rollouts go on to frame 200 at least.
+    pub const fn full(horizon: usize, starts: usize) -> Self {
+        let reach = if horizon > BLOW_UP_REACH { horizon } else { BLOW_UP_REACH };
+        Self { horizon, reach, starts, measures: true }
+    }
+
+    /// Errors only, which is cheap.
+    pub const fn errors_only(horizon: usize, starts: usize) -> Self {
+        Self { horizon, reach: horizon, starts, measures: false }
+    }
+}
+
+/// What is the same for everyone who is judged.
+#[derive(Clone, Debug)]
+pub struct Arena {
+    /// How to judge.
+    pub settings: Settings,
+    /// Frames that are observed before the first start.
+    pub warm_up: usize,
+    /// The baselines' step: walls are where the particles of all streams were, the best that a baseline
+    /// can know.
+    pub ballistic: Ballistic,
+    /// The box that holds the particles.
+    pub domain: Domain,
+    /// Distance between neighbouring particles at rest (domain lengths).
+    pub spacing: f32,
+    /// What the truth never exceeds.
+    pub extremes: Extremes,
+    /// What MinMax errors of x, y, vx, vy are divided by.
+    pub ranges: [f64; RANGES],
+}
+
+impl Arena {
+    /// The arena for models with these descriptions (at least one): interval, gravity, domain and the
+    /// ranges of MinMax errors are those of the first.
+    pub fn new(
+        settings: Settings,
+        first: &Description,
+        warm_up: usize,
+        walls: Bounds,
+        spacing: f32,
+        extremes: Extremes,
+    ) -> Self {
+        let Bounds { lower, upper } = walls;
+        let (gravity, dt) = (first.gravity, first.dt);
+        Self {
+            settings,
+            warm_up,
+            ballistic: Ballistic { gravity, dt, lower, upper },
+            domain: first.domain,
+            spacing,
+            extremes,
+            ranges: ranges(&first.normalization),
+        }
+    }
+
+    /// The frames of a stream of `frames` frames from which rollouts start.
+    pub fn starts(&self, frames: usize) -> Vec<usize> {
+        starts(frames, self.warm_up, self.settings)
+    }
+
+    /// Refuses streams of which even the longest, of `found` frames, has no window.
+    ///
+    /// # Errors
+    /// [`EvalError::TooShort`].
+    pub fn check(&self, found: usize) -> Result<(), EvalError> {
+        if !self.starts(found).is_empty() {
+            return Ok(());
+        }
+        let (warm_up, horizon) = (self.warm_up, self.settings.horizon);
+        Err(EvalError::TooShort { found, expected: warm_up + horizon, warm_up, horizon })
+    }
+}
+
+fn ranges(normalization: &Normalization) -> [f64; RANGES] {
+    std::array::from_fn(|f| {
+        f64::from(normalization.maximum[f] - normalization.minimum[f]).max(f64::EPSILON)
+    })
+}

@@ -1,0 +1,80 @@
+//! The files of a report.
+
+use std::{fmt::Write as _, fs, io, path::Path};
+
+use super::{Entry, Report, curves::Curves, curves::StepCurves};
+use crate::picture::write_png;
+
+/// Everything.
+const JSON: &str = "report.json";
+/// Every curve.
+const CSV: &str = "curves.csv";
+/// What predictors cost and how wrong they are.
+const PLOT: &str = "cost_error.png";
+
+/// The columns of the curves.
+const COLUMNS: &str = "predictor,kind,frame,position_rmse,velocity_rmse,minmax_mse,skill,one_step_rmse,cumulated_rmse";
+
+impl Report {
+    /// Writes `report.json`, `curves.csv` and, where costs were measured, `cost_error.png` into
+    /// `folder`, which is made if it is not there.
+    ///
+    /// # Errors
+    /// What the operating system says.
+    pub fn save(&self, folder: &Path) -> io::Result<()> {
+        fs::create_dir_all(folder)?;
+        let json = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        fs::write(folder.join(JSON), json + "\n")?;
+        fs::write(folder.join(CSV), self.curves())?;
+        let plot = folder.join(PLOT);
+        if fs::exists(&plot)? {
+            fs::remove_file(&plot)?;
+        }
+        match self.plot() {
+            Some(canvas) => write_png(&plot, &canvas).map_err(io::Error::other),
+            None => Ok(()),
+        }
+    }
+
+    /// Every curve as CSV, one row for each predictor, kind (and all of them) and frame ahead. What
+    /// there is no number for is empty.
+    fn curves(&self) -> String {
+        let mut csv = COLUMNS.to_owned() + "\n";
+        for entry in &self.predictors {
+            let Entry { name, curves, skill, steps, kinds, .. } = entry;
+            add(&mut csv, [name, "all"], curves, skill, steps.as_ref());
+            for kind in kinds {
+                let names = [name, kind.kind.name()];
+                add(&mut csv, names, &kind.curves, &kind.skill, kind.steps.as_ref());
+            }
+        }
+        csv
+    }
+}
+
+fn add(
+    csv: &mut String,
+    [predictor, kind]: [&str; 2],
+    curves: &Curves,
+    skill: &[f64],
+    steps: Option<&StepCurves>,
+) {
+    let quoted = predictor.replace('"', "\"\"");
+    for (frame, &skill) in skill.iter().enumerate() {
+        let _ = write!(csv, "\"{quoted}\",{kind},{}", frame + 1);
+        for number in [
+            Some(curves.position_rmse[frame]),
+            Some(curves.velocity_rmse[frame]),
+            Some(curves.minmax_mse[frame]),
+            Some(skill),
+            steps.map(|steps| steps.one_step_rmse[frame]),
+            steps.map(|steps| steps.cumulated_rmse[frame]),
+        ] {
+            match number.filter(|number| number.is_finite()) {
+                Some(number) => _ = write!(csv, ",{number}"),
+                None => csv.push(','),
+            }
+        }
+        csv.push('\n');
+    }
+}

@@ -1,0 +1,148 @@
+//! The rival that knows the law: the solver of the truth, restarted from what a model observes.
+
+use super::{
+    Rollout,
+    measure::{FlightSums, Flights},
+};
+use crate::{
+    dataset::{State, Stream},
+    frame::decimal,
+    mpm::{GridShape, MpmError, Particle, Scene, Solver, SolverSettings, minimum_substeps},
+};
+
+/// MPM restarted from positions, velocities and materials of one frame: undeformed (F = I, Jp = 1),
+/// without affine velocity (C = 0).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Restart {
+    /// The substeps and the grid of the truth.
+    Full,
+    /// Half as many substeps, which may be too few to be stable.
+    HalfStep,
+    /// Cells twice as wide between the same walls, and as many substeps as they need.
+    HalfGrid,
+}
+
+/// A restarted solver.
+pub struct Restarted {
+    solver: Solver,
+    substeps: u32,
+    /// What coordinates are larger by in the solver than in frames (domain lengths).
+    shift: f32,
+}
+
+impl Restart {
+    /// Every one.
+    pub const ALL: [Self; 3] = [Self::Full, Self::HalfStep, Self::HalfGrid];
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Full => "MPM restarted",
+            Self::HalfStep => "MPM restarted, half the substeps",
+            Self::HalfGrid => "MPM restarted, half the grid",
+        }
+    }
+
+    /// The solver at a state of `scene`, on one thread.
+    ///
+    /// # Errors
+    /// [`MpmError`] for a scene that has no grid, or none that can be halved; [`MpmError::Diverged`] for
+    /// a particle outside.
+    pub fn begin(
+        self,
+        scene: &Scene,
+        stream: &Stream,
+        state: &State,
+    ) -> Result<Restarted, MpmError> {
+        let fine = scene.grid()?;
+        let substeps = |grid: GridShape| {
+            let interval = decimal(scene.frames.interval);
+            let (present, speed) = (scene.materials(), scene.fastest());
+            minimum_substeps(&present, &scene.materials, grid.dx, speed, interval).0
+        };
+        let of_truth = || scene.solver.substeps.unwrap_or_else(|| substeps(fine));
+        let (grid, shift, substeps) = match self {
+            Self::Full => (fine, 0.0, of_truth()),
+            Self::HalfStep => (fine, 0.0, of_truth().div_ceil(2)),
+            Self::HalfGrid => {
+                let (grid, shift) = fine.coarsened().ok_or_else(|| MpmError::Field {
+                    field: "domain".into(),
+                    found: format!("{:?} cells", fine.cells),
+                    expected: "even numbers of cells, for a grid of half as many".into(),
+                })?;
+                (grid, shift, substeps(grid))
+            }
+        };
+        let settings = SolverSettings {
+            grid,
+            spacing: scene.spacing(),
+            materials: scene.materials,
+            dt: (decimal(scene.frames.interval) / f64::from(substeps)) as f32,
+            gravity: scene.solver.gravity,
+            threads: 1,
+        };
+        let particles = state.position.iter().zip(&state.velocity).zip(&stream.material);
+        let particles = particles.map(|((&[x, y], &velocity), &material)| Particle {
+            velocity,
+            ..Particle::at_rest([x + shift, y + shift], material)
+        });
+        let solver = Solver::new(particles.collect(), settings).map_err(|particle| {
+            let (position, material) = (state.position[particle], stream.material[particle]);
+            MpmError::Diverged { particle, material, position, time: 0.0 }
+        })?;
+        Ok(Restarted { solver, substeps, shift })
+    }
+
+    /// `reach` frames from each of the frames `starts` of a stream.
+    ///
+    /// # Errors
+    /// As [`Restart::begin`].
+    pub fn roll_out(
+        self,
+        scene: &Scene,
+        stream: &Stream,
+        starts: &[usize],
+        reach: usize,
+        each: &mut dyn FnMut(usize, Rollout),
+    ) -> Result<(), MpmError> {
+        for (number, &start) in starts.iter().enumerate() {
+            let observed = &stream.states[start];
+            let mut restarted = self.begin(scene, stream, observed)?;
+            each(number, Rollout::collect(observed, reach, || restarted.next_state()));
+        }
+        Ok(())
+    }
+
+    /// What a frame of it does to bodies in free flight.
+    ///
+    /// # Errors
+    /// As [`Restart::begin`].
+    pub(super) fn fly(
+        self,
+        scene: &Scene,
+        stream: &Stream,
+        flights: &Flights,
+    ) -> Result<FlightSums, MpmError> {
+        let mut sums = FlightSums::default();
+        for index in flights.frames() {
+            let mut restarted = self.begin(scene, stream, &stream.states[index])?;
+            if let Some(State { position, velocity }) = restarted.next_state() {
+                flights.add(index, &position, &velocity, &mut sums);
+            }
+        }
+        Ok(sums)
+    }
+}
+
+impl Restarted {
+    /// The state one frame on; `None` when a particle got lost.
+    pub fn next_state(&mut self) -> Option<State> {
+        self.solver.run(self.substeps).ok()?;
+        let particles = self.solver.particles();
+        let back = |[x, y]: [f32; 2]| [x - self.shift, y - self.shift];
+        Some(State {
+            position: particles.iter().map(|p| back(p.position)).collect(),
+            velocity: particles.iter().map(|p| p.velocity).collect(),
+        })
+    }
+}

@@ -1,0 +1,166 @@
+//! Skill: how much of the squared error of the best trivial predictor is gone.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+use super::{JudgedScene, Kind};
+
+/// Resamples of a bootstrap.
+const RESAMPLES: usize = 1000;
+/// Seed of the bootstrap: the same scenes give the same intervals.
+const SEED: u64 = 1;
+/// The interval leaves out so much on either side.
+const TAIL: f64 = 0.025;
+
+/// Squared position errors of the scenes of one kind, one row a scene.
+struct KindErrors {
+    kind: Kind,
+    /// `[scene][predictor][frame]`: sums over particles and windows (domain lengths^2).
+    scenes: Vec<Vec<Vec<f64>>>,
+}
+
+/// Position errors of all scenes, ready to be weighed.
+pub struct Skills {
+    kinds: Vec<KindErrors>,
+    baselines: std::ops::Range<usize>,
+    horizon: usize,
+}
+
+/// Ends of a 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Interval {
+    /// Lower end.
+    pub lower: f64,
+    /// Upper end.
+    pub upper: f64,
+}
+
+impl Skills {
+    /// Gathers the errors of judged scenes; `baselines` are the numbers of the trivial predictors.
+    pub fn of(scenes: &[JudgedScene], baselines: std::ops::Range<usize>, horizon: usize) -> Self {
+        let of_kind = |kind: Kind| {
+            let of_scene = |scene: &JudgedScene| {
+                let tallies = scene.tallies.iter();
+                tallies.map(|t| t.errors.total().iter().map(|e| e.position).collect()).collect()
+            };
+            let judged = scenes.iter().filter(|s| s.kind == kind && s.windows() > 0);
+            KindErrors { kind, scenes: judged.map(of_scene).collect() }
+        };
+        let kinds = Kind::ALL.into_iter().map(of_kind).filter(|k| !k.scenes.is_empty()).collect();
+        Self { kinds, baselines, horizon }
+    }
+
+    /// The kinds that occur.
+    pub fn kinds(&self) -> impl Iterator<Item = Kind> {
+        self.kinds.iter().map(|kind| kind.kind)
+    }
+
+    /// Skill of a predictor for the scenes of one kind, one number a frame ahead: 1 - its squared
+    /// position error / that of the best baseline there, both summed over windows. NaN where there is
+    /// no truth.
+    pub fn of_kind(&self, kind: Kind, predictor: usize) -> Vec<f64> {
+        let found = self.kinds.iter().find(|errors| errors.kind == kind);
+        let skill = |errors: &KindErrors| {
+            let all: Vec<usize> = (0..errors.scenes.len()).collect();
+            (0..self.horizon).map(|k| self.skill(errors, &all, predictor, k)).collect()
+        };
+        found.map(skill).unwrap_or_default()
+    }
+
+    /// The mean of the skills of all kinds that occur, one number a frame ahead.
+    pub fn mean(&self, predictor: usize) -> Vec<f64> {
+        let all: Vec<Vec<f64>> = self.kinds().map(|kind| self.of_kind(kind, predictor)).collect();
+        let mean = |k: usize| all.iter().map(|skill| skill[k]).sum::<f64>() / all.len() as f64;
+        (0..self.horizon).map(mean).collect()
+    }
+
+    /// 95 % intervals of the mean skill of `predictors` (their mean) at `frames` ahead (from 1), by
+    /// bootstrap over the scenes of each kind (B. Efron, "Bootstrap Methods: Another Look at the
+    /// Jackknife", Annals of Statistics 7(1), 1979; percentiles).
+    pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Vec<Interval> {
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(RESAMPLES); frames.len()];
+        for _ in 0..RESAMPLES {
+            let choices: Vec<Vec<usize>> = self
+                .kinds
+                .iter()
+                .map(|kind| {
+                    let count = kind.scenes.len();
+                    (0..count).map(|_| rng.random_range(0..count)).collect()
+                })
+                .collect();
+            for (&ahead, drawn) in frames.iter().zip(&mut drawn) {
+                let mut sum = 0.0;
+                for (kind, chosen) in self.kinds.iter().zip(&choices) {
+                    let of = |&predictor: &usize| self.skill(kind, chosen, predictor, ahead - 1);
+                    sum += predictors.iter().map(of).sum::<f64>();
+                }
+                drawn.push(sum / (self.kinds.len() * predictors.len()) as f64);
+            }
+        }
+        let ends = |mut drawn: Vec<f64>| {
+            drawn.sort_by(f64::total_cmp);
+            let cut = (TAIL * RESAMPLES as f64) as usize;
+            Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] }
+        };
+        drawn.into_iter().map(ends).collect()
+    }
+
+    /// Skill over the chosen scenes of a kind at frame number `k`.
+    fn skill(&self, errors: &KindErrors, chosen: &[usize], predictor: usize, k: usize) -> f64 {
+        let sum = |predictor: usize| -> f64 {
+            chosen.iter().map(|&scene| errors.scenes[scene][predictor][k]).sum()
+        };
+        let best = self.baselines.clone().map(sum).fold(f64::INFINITY, f64::min);
+        1.0 - sum(predictor) / best
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One baseline with error 1 or 3, another with 2, and a predictor.
+    fn skills(liquid: Vec<[f64; 3]>, rope: Vec<[f64; 3]>) -> Skills {
+        let kind = |kind: Kind, scenes: Vec<[f64; 3]>| KindErrors {
+            kind,
+            scenes: scenes.iter().map(|s| s.iter().map(|&e| vec![e]).collect()).collect(),
+        };
+        let kinds = vec![kind(Kind::Liquid, liquid), kind(Kind::Rope, rope)];
+        Skills { kinds, baselines: 0..2, horizon: 1 }
+    }
+
+    #[test]
+    fn errors_are_summed_over_scenes_before_they_are_divided() {
+        // The second scene is at rest: it has no denominator of its own.
+        let skills = skills(vec![[1.0, 2.0, 0.1], [0.0, 0.0, 0.1]], vec![[3.0, 2.0, 1.0]]);
+        assert!((skills.of_kind(Kind::Liquid, 2)[0] - 0.8).abs() < 1e-12);
+        assert_eq!(skills.of_kind(Kind::Rope, 2), [0.5], "the second baseline is the best");
+        assert!((skills.mean(2)[0] - 0.65).abs() < 1e-12);
+        assert!(skills.of_kind(Kind::Snow, 2).is_empty());
+    }
+
+    #[test]
+    fn scenes_that_agree_have_no_spread_and_others_an_interval_around_the_mean() {
+        let same = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 3]);
+        assert_eq!(same.intervals(&[2], &[1]), [Interval { lower: 0.5, upper: 0.5 }]);
+
+        // The error of each scene is drawn from 0..1: the standard error of the mean of 100 is 0.029.
+        let spread = |n: usize| -> Vec<[f64; 3]> {
+            (0..n).map(|k| [1.0, 2.0, (k as f64 * 0.618_034).fract()]).collect()
+        };
+        let skills = skills(spread(100), vec![[1.0, 2.0, 0.5]]);
+        let [Interval { lower, upper }] = skills.intervals(&[2], &[1])[..] else { panic!() };
+        let expected = 2.0 * 1.96 * 0.0289 / 2.0;
+        assert!((0.5 * (lower + upper) - 0.5).abs() < 0.01, "{lower}..{upper}");
+        assert!(((upper - lower) / expected - 1.0).abs() < 0.15, "{lower}..{upper}");
+    }
+
+    #[test]
+    fn several_predictors_have_the_interval_of_their_mean() {
+        let skills = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 3]);
+        // The first baseline itself has no skill.
+        assert_eq!(skills.intervals(&[0, 2], &[1]), [Interval { lower: 0.25, upper: 0.25 }]);
+    }
+}
