@@ -34,12 +34,32 @@ pub enum ModelError {
         /// The checkpoint's (s).
         expected: f32,
     },
-    /// The particles are in another box than in training.
+    /// The particles are in another box than in training (frame model only).
     #[error("lower, upper: found {found}, expected {expected} as in the checkpoint")]
     Domain {
         /// The frame's corners.
         found: String,
         /// The checkpoint's.
         expected: String,
+    },
+    /// The box has no room between its walls in effect.
+    #[error("lower, upper: found {found}, expected more than {expected:?} from corner to corner")]
+    Narrow {
+        /// The frame's corners.
+        found: String,
+        /// Thickness of both walls together, on each axis (domain lengths).
+        expected: [f32; 2],
+    },
+    /// The box is so large for so few particles that the grid's cells would take all the time.
+    #[error(
+        "lower, upper: found {found}, {cells} of the checkpoint's cells, expected at most {most}"
+    )]
+    Wide {
+        /// The frame's corners.
+        found: String,
+        /// How many cells there are in it.
+        cells: f32,
+        /// How many there may be.
+        most: usize,
     },
 }

@@ -114,6 +114,12 @@ impl Linear {
         &self.weight.get()[panel * length..(panel + 1) * length]
     }
 
+    /// Weights of a panel to some of its inputs.
+    #[inline(always)]
+    pub(super) fn inputs(&self, panel: usize, inputs: std::ops::Range<usize>) -> &[f32] {
+        &self.panel(panel)[inputs.start * self.lanes..inputs.end * self.lanes]
+    }
+
     /// Biases of a panel, for R rows.
     #[inline(always)]
     pub(super) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {

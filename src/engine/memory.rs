@@ -1,6 +1,12 @@
 //! What a network remembers of a stream.
 
-use crate::{checkpoint::Core, checkpoint::Description, frame::Frame};
+use std::sync::Arc;
+
+use crate::{
+    checkpoint::{Core, Description},
+    frame::Frame,
+    kernels::rest::Rest,
+};
 
 /// The hidden state of one stream: what the network remembers of the frames it observed.
 ///
@@ -10,6 +16,9 @@ use crate::{checkpoint::Core, checkpoint::Description, frame::Frame};
 pub struct Memory {
     /// Each particle's material number, `[N]`.
     pub(super) material: Vec<u8>,
+    /// Particle model: the shape in which jelly and rope rest, taken from the stream's first frame; it
+    /// holds no particles in the frame model.
+    pub(super) rest: Arc<Rest>,
     /// Last outputs of the core, `[layer, R, H]`, R being 1 in the frame model and N in the particle
     /// model. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
@@ -26,6 +35,9 @@ impl Memory {
     /// The empty memory for the particles of `frame`.
     pub(super) fn new(description: &Description, frame: &Frame) -> Self {
         let particles = frame.len();
+        let rest = description.surroundings.map(|surroundings| {
+            Rest::new(&frame.position, &frame.material, 1, surroundings.spacing)
+        });
         let (rows, foretold) = match description.sizes.particles {
             Some(_) => (1, 0),
             None => (particles, particles),
@@ -34,6 +46,7 @@ impl Memory {
         let cells = if description.core == Core::Lstm { states } else { 0 };
         Self {
             material: frame.material.iter().map(|&material| material as u8).collect(),
+            rest: Arc::new(rest.unwrap_or_default()),
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],
             foretold: vec![[0.0; 2]; foretold],
@@ -51,6 +64,7 @@ impl Clone for Memory {
     fn clone(&self) -> Self {
         Self {
             material: self.material.clone(),
+            rest: Arc::clone(&self.rest),
             hidden: self.hidden.clone(),
             cell: self.cell.clone(),
             foretold: self.foretold.clone(),
@@ -59,8 +73,9 @@ impl Clone for Memory {
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self { material, hidden, cell, foretold, begun } = self;
+        let Self { material, rest, hidden, cell, foretold, begun } = self;
         material.clone_from(&other.material);
+        *rest = Arc::clone(&other.rest);
         hidden.clone_from(&other.hidden);
         cell.clone_from(&other.cell);
         foretold.clone_from(&other.foretold);

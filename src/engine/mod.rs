@@ -1,14 +1,16 @@
 //! The networks of [`model`](crate::model), for streaming: one frame of one stream at a time.
 //!
-//! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers.
+//! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers;
+//!    `products`: a layer for rows from one place, its sums to another.
 //! 2. `encoder`: the frame model's pointwise encoder with its pooling, fused.
-//! 3. `particle_features`: what the particle model sees of each particle.
-//! 4. `core`: the layers of the five cores.
-//! 5. `crew`: threads that stay and share the items of a frame's stages.
-//! 6. `frame_model`: the paper's network (Table 1) out of these.
-//! 7. `particle_model`: one hidden state a particle, blocks of particles through all layers.
-//! 8. `memory`: what a network remembers of a stream.
-//! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
+//! 3. `core`: the layers of the five cores.
+//! 4. `crew`: threads that stay and share the items of a frame's stages.
+//! 5. `frame_model`: the paper's network (Table 1) out of these.
+//! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
+//!    `particle_blocks` have what happens to particles, `surroundings` what happens to the grid's nodes,
+//!    `free_flight` keeps the momentum of bodies that touch nothing.
+//! 7. `memory`: what a network remembers of a stream.
+//! 8. `surrogate`: a checkpoint that predicts frames, one after the other.
 //!
 //! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
 //! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
@@ -21,11 +23,15 @@ mod crew;
 mod encoder;
 mod error;
 mod frame_model;
+mod free_flight;
 mod linear;
 mod memory;
+mod particle_blocks;
 mod particle_features;
 mod particle_model;
+mod products;
 mod surrogate;
+mod surroundings;
 
 #[cfg(test)]
 mod tests;

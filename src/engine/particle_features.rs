@@ -1,94 +1,121 @@
-//! What the particle model sees of each particle: `model/features.rs` for a block of particles.
+//! What the particle model sees of each particle: `model/features.rs` for a block of slots.
 
 use pulp::Simd;
 
 use crate::{
-    checkpoint::{Description, layout::PARTICLE_FEATURES},
-    kernels::math::exp,
+    checkpoint::{Description, layout::SURROUNDED_FEATURES},
+    frame::{Domain, Frame},
+    kernels::{
+        math::exp,
+        rest::{Rest, SHAPE_FEATURES},
+    },
     model::{
         Ballistic,
         features::{FAR, NEAR, velocity_unit},
     },
 };
 
+/// F.
+pub(super) const FEATURES: usize = SURROUNDED_FEATURES;
+
 /// Nearness of four walls at two scales.
 pub(super) const NEARNESSES: usize = 8;
+
+/// Where nearness, the shape of solids and the material are among the features.
+const WALLS: usize = 6;
+const SHAPE: usize = WALLS + NEARNESSES;
+const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
+
+/// Position and velocity of a particle.
+pub(super) type State = ([f32; 2], [f32; 2]);
 
 /// Scales of the features, and the ballistic step they refer to.
 #[derive(Debug)]
 pub(super) struct Features {
-    pub(super) ballistic: Ballistic,
-    /// Unit of velocity changes (domain lengths per second).
+    /// In the checkpoint's domain.
+    ballistic: Ballistic,
+    domain: Domain,
+    /// Unit of velocities (domain lengths per second).
     pub(super) velocity_unit: f32,
-    /// Mean velocity (domain lengths per second).
-    mean: [f32; 2],
-    /// Standard deviation of velocities (domain lengths per second).
-    deviation: [f32; 2],
+}
+
+/// What is known of the particles before the network.
+pub(super) struct Known<'a> {
+    pub(super) frame: &'a Frame,
+    /// The ballistic step in the frame's domain.
+    pub(super) ballistic: Ballistic,
+    pub(super) material: &'a [u8],
+    pub(super) rest: &'a Rest,
 }
 
 impl Features {
     pub(super) fn new(description: &Description) -> Self {
-        let scale = &description.normalization;
-        let [_, _, mean_x, mean_y] = scale.mean;
-        let [_, _, x, y] = scale.standard_deviation;
         Self {
             ballistic: Ballistic::of(description),
-            velocity_unit: velocity_unit(scale),
-            mean: [mean_x, mean_y],
-            deviation: [x, y],
+            domain: description.domain,
+            velocity_unit: velocity_unit(&description.normalization),
         }
     }
 
-    /// Fills `rows`, `[count, F]`, and `fallen` with the ballistic step. `foretold` is what the step
-    /// foretold one frame ago, nothing before the first frame; `nearness` is room for `[count, 8]`.
+    /// The ballistic step in a domain of any size: walls in effect are as far from its corners as in the
+    /// checkpoint's.
+    pub(super) fn ballistic(&self, domain: &Domain) -> Ballistic {
+        let mut moved = self.ballistic;
+        for axis in 0..2 {
+            // A domain like the checkpoint's has its very numbers.
+            if domain.lower[axis] != self.domain.lower[axis] {
+                let thickness = self.ballistic.lower[axis] - self.domain.lower[axis];
+                moved.lower[axis] = domain.lower[axis] + thickness;
+            }
+            if domain.upper[axis] != self.domain.upper[axis] {
+                let thickness = self.domain.upper[axis] - self.ballistic.upper[axis];
+                moved.upper[axis] = domain.upper[axis] - thickness;
+            }
+        }
+        moved
+    }
+
+    /// Fills `rows`, `[count, F]`, for the particles with these numbers, and `fallen` with their ballistic
+    /// step. `foretold` gives the velocity the step foretold one frame ago for a particle.
     #[inline(always)]
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "all that a particle is, and two places to write"
-    )]
     pub(super) fn fill<S: Simd>(
         &self,
         simd: S,
-        position: &[[f32; 2]],
-        velocity: &[[f32; 2]],
-        foretold: Option<&[[f32; 2]]>,
-        material: &[u8],
-        nearness: &mut [f32],
-        fallen: &mut [([f32; 2], [f32; 2])],
+        known: &Known,
+        particles: &[u32],
+        foretold: impl Fn(usize) -> [f32; 2],
+        fallen: &mut [State],
         rows: &mut [f32],
     ) {
-        let Ballistic { gravity, dt, lower, upper } = self.ballistic;
-        let (rows, _) = rows.as_chunks_mut::<PARTICLE_FEATURES>();
-        let (walls, _) = nearness.as_chunks_mut::<NEARNESSES>();
-        for (p, (x, v)) in position.iter().zip(velocity).enumerate() {
-            fallen[p] = self.ballistic.step(*x, *v);
-            let (row, walls) = (&mut rows[p], &mut walls[p]);
+        let Known { frame, ballistic, material, rest } = known;
+        let Ballistic { gravity, dt, lower, upper } = *ballistic;
+        let (rows, _) = rows.as_chunks_mut::<FEATURES>();
+        for ((row, fallen), &particle) in rows.iter_mut().zip(fallen).zip(particles) {
+            let particle = particle as usize;
+            let (x, v) = (frame.position[particle], frame.velocity[particle]);
+            *fallen = ballistic.step(x, v);
+            let foretold = foretold(particle);
             for axis in 0..2 {
-                let push = foretold.map_or(0.0, |foretold| v[axis] - foretold[p][axis]);
-                let stopped = fallen[p].1[axis] - (v[axis] + gravity[axis] * dt);
+                let stopped = fallen.1[axis] - (v[axis] + gravity[axis] * dt);
+                row[axis] = v[axis] / self.velocity_unit;
+                row[2 + axis] = (v[axis] - foretold[axis]) / self.velocity_unit;
+                row[4 + axis] = stopped / self.velocity_unit;
                 let below = (x[axis] - lower[axis]).max(0.0);
                 let above = (upper[axis] - x[axis]).max(0.0);
-                row[axis] = (v[axis] - self.mean[axis]) / self.deviation[axis];
-                row[2 + axis] = push / self.velocity_unit;
-                row[4 + axis] = stopped / self.velocity_unit;
-                row[6 + axis] = (below - above) / (upper[axis] - lower[axis]);
                 for (half, distance) in [(0, below), (2, above)] {
-                    walls[half + axis] = distance * (-1.0 / NEAR);
-                    walls[4 + half + axis] = distance * (-1.0 / FAR);
+                    row[WALLS + half + axis] = distance * (-1.0 / NEAR);
+                    row[WALLS + 4 + half + axis] = distance * (-1.0 / FAR);
                 }
             }
-            row[16..].fill(0.0);
-            row[16 + usize::from(material[p])] = 1.0;
-        }
-        let used = &mut nearness[..position.len() * NEARNESSES];
-        let (vectors, rest) = S::as_mut_simd_f32s(used);
-        for vector in vectors {
-            *vector = exp(simd, *vector);
-        }
-        let exponential = exp(simd, simd.partial_load_f32s(rest));
-        simd.partial_store_f32s(rest, exponential);
-        for (row, walls) in rows.iter_mut().zip(used.as_chunks::<NEARNESSES>().0) {
-            row[8..16].copy_from_slice(walls);
+            let shape = rest.shape_of(particle, &frame.position);
+            row[SHAPE..MATERIAL].copy_from_slice(&shape);
+            row[MATERIAL..].fill(0.0);
+            row[MATERIAL + usize::from(material[particle])] = 1.0;
+
+            for part in row[WALLS..SHAPE].chunks_mut(S::F32_LANES) {
+                let nearness = exp(simd, simd.partial_load_f32s(part));
+                simd.partial_store_f32s(part, nearness);
+            }
         }
     }
 }

@@ -1,61 +1,90 @@
 //! The particle model, one frame at a time: `model/particle_model.rs` for one stream.
 //!
-//! Particles go through all layers in blocks, small enough for what they hand on to stay in the
-//! nearest caches; within a block, a few rows at a time stay in registers.
+//! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
+//! to stay in the nearest caches. A frame is one job: particles are encoded, write to the nodes, the
+//! nodes' layers follow each other, particles read and are decoded; at last bodies in free flight get
+//! their momentum back.
 
-use std::{array, collections::BTreeMap};
+use std::collections::BTreeMap;
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
     crew::{Crew, Parts, Task},
-    linear::{Linear, add_products},
+    free_flight::{Flights, Sums},
+    linear::Linear,
     memory::Memory,
-    particle_features::{Features, NEARNESSES},
+    particle_features::{FEATURES, Features, Known, State},
+    surroundings::{self, Fields, Grid, Walls},
 };
 use crate::{
     checkpoint::{Description, Weights},
     frame::Frame,
-    kernels::math::relu,
-    kernels::vectors::Lanes,
+    kernels::{
+        nodes::{Nodes, Window},
+        vectors::Lanes,
+    },
     model::particle_model::velocity_limits,
 };
 
 /// Particles of a block: a multiple of the rows that are computed at once.
 pub(super) const BLOCK: usize = 48;
 
-/// Outputs of the decoder.
-const OUTPUTS: usize = 4;
+/// Cells of an item of the stages for free flight.
+const CELLS: usize = 64;
+
+/// Stages of a frame, those of the grid's layers between the third and the rest.
+const BEFORE: usize = 3;
+pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + 4;
 
 /// The packed network.
 #[derive(Debug)]
 pub(super) struct ParticleModel {
     /// Whose vectors the weights are packed for.
     arch: Arch,
-    features: Features,
-    encoder: [Linear; 2],
-    core: Vec<CoreLayer>,
-    mixer: Linear,
-    decoder: Linear,
+    pub(super) features: Features,
+    pub(super) encoder: [Linear; 2],
+    pub(super) grid: Grid,
+    pub(super) context: Linear,
+    pub(super) core: Vec<CoreLayer>,
+    pub(super) mixer: Linear,
+    pub(super) decoder: Linear,
     /// H.
-    hidden: usize,
+    pub(super) hidden: usize,
     /// Bounds of the predicted velocities (domain lengths per second).
-    slowest: [f32; 2],
-    fastest: [f32; 2],
+    pub(super) slowest: [f32; 2],
+    pub(super) fastest: [f32; 2],
+    /// Whether bodies in free flight keep their momentum.
+    conserve: bool,
 }
 
-/// Room for what the layers hand on, for one block.
+/// Room for what stages hand on.
 #[derive(Debug)]
 pub(super) struct Room {
-    /// Nearness of the walls, `[BLOCK, 8]`.
-    nearness: Vec<f32>,
+    grid: surroundings::Room,
+    /// Input of the network, `[slot, F]`.
+    features: Vec<f32>,
+    /// What particles write to the grid, `[slot, C0]`.
+    encoded: Vec<f32>,
+    /// The ballistic step of each slot.
+    fallen: Vec<State>,
+    /// Whether a slot is near a wall.
+    near: Vec<bool>,
+    flights: Flights,
+    /// Of the residuals of each cell.
+    sums: Vec<Sums>,
+    /// For each thread.
+    benches: Vec<Bench>,
+}
+
+/// Room for what layers hand on within a block.
+#[derive(Debug)]
+pub(super) struct Bench {
     /// Input of a layer, `[BLOCK, its width]`.
-    input: Vec<f32>,
+    pub(super) input: Vec<f32>,
     /// Its output, `[BLOCK, its width]`.
-    output: Vec<f32>,
-    /// The ballistic step of each particle: position, velocity.
-    fallen: Vec<([f32; 2], [f32; 2])>,
+    pub(super) output: Vec<f32>,
 }
 
 impl ParticleModel {
@@ -63,14 +92,19 @@ impl ParticleModel {
         arch: Arch,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
+        conserve: bool,
     ) -> Self {
         let lanes = arch.dispatch(Lanes);
         let linear = |layer| Linear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
+        let surroundings = description.surroundings.as_ref();
+        let surroundings = surroundings.expect("a description that was checked has them");
         Self {
             arch,
             features: Features::new(description),
             encoder: ["encoder.0", "encoder.1"].map(linear),
+            grid: Grid::pack(lanes, surroundings, tensors),
+            context: linear("context"),
             core: (0..description.sizes.layers)
                 .map(|layer| CoreLayer::pack(lanes, description, tensors, layer))
                 .collect(),
@@ -79,244 +113,256 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
+            conserve,
         }
     }
 
-    /// Multiplications of a frame for one particle.
+    /// Multiplications of a frame for one particle, without the grid's.
     pub(super) fn work(&self) -> usize {
         let core = self.core.iter().flat_map(CoreLayer::linears);
-        let linears = self.encoder.iter().chain(core).chain([&self.mixer, &self.decoder]);
-        linears.map(Linear::numbers).sum()
+        let ends = [&self.context, &self.mixer, &self.decoder];
+        self.encoder.iter().chain(core).chain(ends).map(Linear::numbers).sum()
     }
 
-    pub(super) fn room(&self) -> Room {
+    pub(super) fn room(&self, threads: usize) -> Room {
         let widest = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder]
             .map(|linear| linear.input().max(linear.output()));
         let widest = widest.into_iter().max().unwrap_or(0);
+        let bench =
+            || Bench { input: vec![0.0; BLOCK * widest], output: vec![0.0; BLOCK * widest] };
         Room {
-            nearness: vec![0.0; BLOCK * NEARNESSES],
-            input: vec![0.0; BLOCK * widest],
-            output: vec![0.0; BLOCK * widest],
-            fallen: vec![([0.0; 2], [0.0; 2]); BLOCK],
+            grid: surroundings::Room::default(),
+            features: Vec::new(),
+            encoded: Vec::new(),
+            fallen: Vec::new(),
+            near: Vec::new(),
+            flights: Flights::default(),
+            sums: Vec::new(),
+            benches: (0..threads).map(|_| bench()).collect(),
         }
     }
 
-    /// Observes `frame` and writes the next positions and velocities. There is a room for each thread.
+    /// Observes `frame` and writes the next positions and velocities.
     pub(super) fn step(
         &self,
         crew: &mut Crew,
         alone: bool,
-        rooms: &mut [Room],
+        room: &mut Room,
         memory: &mut Memory,
         frame: &Frame,
         next: &mut Frame,
     ) {
+        let ballistic = self.features.ballistic(&frame.domain);
+        let (lower, upper) = (frame.domain.lower, frame.domain.upper);
+        let window = Window { particles: 0..frame.len(), lower, upper };
+        room.grid.nodes.rebuild(&frame.position, &[window], self.grid.cell_width);
+        self.make_room(room, frame.len());
+
+        let Room { grid, features, encoded, fallen, near, flights, sums, benches } = room;
+        let surroundings::Room { nodes, fields } = grid;
         let pass = Pass {
             model: self,
-            frame,
-            material: &memory.material,
+            known: Known { frame, ballistic, material: &memory.material, rest: &memory.rest },
+            walls: Walls { ballistic, origin: lower, cell_width: self.grid.cell_width },
+            nodes,
             begun: memory.begun,
-            rooms: Parts::new(rooms),
+            features: Parts::new(features),
+            encoded: Parts::new(encoded),
+            fallen: Parts::new(fallen),
+            near: Parts::new(near),
+            fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
+            flights: Parts::new(std::slice::from_mut(flights)),
+            sums: Parts::new(sums),
+            benches: Parts::new(benches),
             hidden: Parts::new(&mut memory.hidden),
             cell: Parts::new(&mut memory.cell),
             foretold: Parts::new(&mut memory.foretold),
             position: Parts::new(&mut next.position),
             velocity: Parts::new(&mut next.velocity),
         };
-        let blocks = frame.len().div_ceil(BLOCK);
-        crew.run([blocks], alone, &|task| self.arch.dispatch(Block { pass: &pass, task }));
+        let stages = (0..STAGES).map(|stage| pass.items(Stage::number(stage)));
+        crew.run(stages, alone, &|task| self.arch.dispatch(Item { pass: &pass, task }));
         memory.begun = true;
+    }
+
+    /// Makes room for what is at particles, cells and nodes.
+    fn make_room(&self, room: &mut Room, particles: usize) {
+        let Room { grid, features, encoded, fallen, near, flights, sums, .. } = room;
+        self.grid.make_room(grid);
+        features.resize(particles * FEATURES, 0.0);
+        encoded.resize(particles * self.grid.channels, 0.0);
+        fallen.resize(particles, State::default());
+        near.resize(particles, false);
+        flights.make_room(&grid.nodes);
+        sums.clear();
+        sums.reserve(particles);
+        sums.resize(grid.nodes.cells().len(), Sums::default());
     }
 }
 
-/// One frame under way. The items of its only stage are blocks of particles; each has its own part of
-/// what is written.
-struct Pass<'a> {
-    model: &'a ParticleModel,
-    frame: &'a Frame,
-    material: &'a [u8],
-    begun: bool,
-    rooms: Parts<'a, Room>,
-    hidden: Parts<'a, f32>,
-    cell: Parts<'a, f32>,
-    foretold: Parts<'a, [f32; 2]>,
-    position: Parts<'a, [f32; 2]>,
-    velocity: Parts<'a, [f32; 2]>,
+/// What happens to a frame, in order.
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    /// Features, encoder; an item is a block of slots.
+    Encode,
+    /// Which bodies there are, and which fly; one item.
+    Find,
+    /// Particles write to the nodes; an item is a row of nodes.
+    Write,
+    /// A layer on the nodes; an item is a block of them.
+    Layer(usize),
+    /// Particles read, core, decoder; an item is a block of slots.
+    Decode,
+    /// The residuals' sums; an item is a block of cells.
+    Sum,
+    /// The bodies' rigid motions; one item.
+    Join,
+    /// What flying bodies have instead; an item is a block of cells.
+    Correct,
 }
 
-/// A block of particles.
-struct Block<'a> {
+impl Stage {
+    fn number(stage: usize) -> Self {
+        match stage {
+            0 => Self::Encode,
+            1 => Self::Find,
+            2 => Self::Write,
+            _ => match stage - BEFORE {
+                layer if layer < surroundings::STAGES => Self::Layer(layer),
+                later => [Self::Decode, Self::Sum, Self::Join, Self::Correct]
+                    [later - surroundings::STAGES],
+            },
+        }
+    }
+}
+
+/// One frame under way.
+pub(super) struct Pass<'a> {
+    pub(super) model: &'a ParticleModel,
+    pub(super) known: Known<'a>,
+    pub(super) walls: Walls,
+    pub(super) nodes: &'a Nodes,
+    pub(super) begun: bool,
+    pub(super) features: Parts<'a, f32>,
+    pub(super) encoded: Parts<'a, f32>,
+    pub(super) fallen: Parts<'a, State>,
+    pub(super) near: Parts<'a, bool>,
+    pub(super) fields: Fields<'a>,
+    flights: Parts<'a, Flights>,
+    sums: Parts<'a, Sums>,
+    pub(super) benches: Parts<'a, Bench>,
+    pub(super) hidden: Parts<'a, f32>,
+    pub(super) cell: Parts<'a, f32>,
+    pub(super) foretold: Parts<'a, [f32; 2]>,
+    pub(super) position: Parts<'a, [f32; 2]>,
+    pub(super) velocity: Parts<'a, [f32; 2]>,
+}
+
+impl Pass<'_> {
+    /// How many items a stage has.
+    fn items(&self, stage: Stage) -> usize {
+        let conserve = usize::from(self.model.conserve);
+        match stage {
+            Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
+            Stage::Find | Stage::Join => conserve,
+            Stage::Write => self.nodes.rows().len(),
+            Stage::Layer(layer) => self.model.grid.items(layer, self.nodes),
+            Stage::Sum | Stage::Correct => conserve * self.nodes.cells().len().div_ceil(CELLS),
+        }
+    }
+
+    /// The cells of an item.
+    fn cells(&self, item: usize) -> std::ops::Range<usize> {
+        item * CELLS..((item + 1) * CELLS).min(self.nodes.cells().len())
+    }
+
+    /// Sums of the residuals of the item's cells that fly.
+    fn sum(&self, item: usize) {
+        let (order, cells) = (self.nodes.order(), self.cells(item));
+        // SAFETY: this stage only reads these lists, and these cells are those of this item alone.
+        let (flights, fallen, position, velocity, sums) = unsafe {
+            (
+                &self.flights.read(0..1)[0],
+                self.fallen.read(0..order.len()),
+                self.position.read(0..order.len()),
+                self.velocity.read(0..order.len()),
+                self.sums.part(cells.clone()),
+            )
+        };
+        for (cell, sums) in self.nodes.cells()[cells].iter().zip(sums) {
+            *sums = Sums::default();
+            if flights.flies(cell) {
+                for slot in cell.slots() {
+                    let particle = order[slot] as usize;
+                    sums.take(&fallen[slot], &(position[particle], velocity[particle]));
+                }
+            }
+        }
+    }
+
+    /// Takes the rigid motion out of the residuals of the item's cells that fly.
+    fn correct(&self, item: usize) {
+        let order = self.nodes.order();
+        // SAFETY: this stage only reads these lists.
+        let (flights, fallen) =
+            unsafe { (&self.flights.read(0..1)[0], self.fallen.read(0..order.len())) };
+        for cell in &self.nodes.cells()[self.cells(item)] {
+            if flights.flies(cell) {
+                for slot in cell.slots() {
+                    let particle = order[slot] as usize;
+                    // SAFETY: a particle has one slot, which is in a cell of this item alone.
+                    let (position, velocity) = unsafe {
+                        let position = self.position.part(particle..particle + 1);
+                        (&mut position[0], &mut self.velocity.part(particle..particle + 1)[0])
+                    };
+                    let next = (*position, *velocity);
+                    (*position, *velocity) =
+                        flights.correct(cell, &fallen[slot], next, &self.walls.ballistic);
+                }
+            }
+        }
+    }
+}
+
+/// An item of a stage.
+struct Item<'a> {
     pass: &'a Pass<'a>,
     task: Task,
 }
 
-impl WithSimd for Block<'_> {
+impl WithSimd for Item<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        if S::REGISTER_COUNT >= 32 {
-            self.run::<S, 6>(simd);
-        } else {
-            self.run::<S, 3>(simd);
-        }
-    }
-}
-
-impl Block<'_> {
-    /// R rows at a time.
-    #[inline(always)]
-    fn run<S: Simd, const R: usize>(self, simd: S) {
-        let Self { pass, task } = self;
-        let (model, particles) = (pass.model, pass.frame.len());
-        let block = task.item * BLOCK..((task.item + 1) * BLOCK).min(particles);
-        let count = block.len();
-        // SAFETY: no other item has this thread's number, or this block, while this one is under way.
-        let (room, foretold, next_position, next_velocity) = unsafe {
-            let rooms = pass.rooms.part(task.thread..task.thread + 1);
-            let foretold = pass.foretold.part(block.clone());
-            let position = pass.position.part(block.clone());
-            (&mut rooms[0], foretold, position, pass.velocity.part(block.clone()))
-        };
-        let Room { nearness, input, output, fallen } = room;
-
-        let position = &pass.frame.position[block.clone()];
-        let velocity = &pass.frame.velocity[block.clone()];
-        let material = &pass.material[block.clone()];
-        let seen = pass.begun.then_some(&*foretold);
-        model.features.fill(simd, position, velocity, seen, material, nearness, fallen, input);
-        for (foretold, (_, velocity)) in foretold.iter_mut().zip(&*fallen) {
-            *foretold = *velocity;
-        }
-
-        for linear in &model.encoder {
-            dense::<S, R>(simd, linear, true, count, input, output);
-            std::mem::swap(input, output);
-        }
-        for (number, layer) in model.core.iter().enumerate() {
-            let width = model.hidden;
-            let first = (number * particles + block.start) * width;
-            let rows = first..first + count * width;
-            // SAFETY: these rows are this block's alone; without cells there is nothing to share.
-            let (hidden, cell) = unsafe {
-                let cells = if pass.cell.len() == 0 { 0..0 } else { rows.clone() };
-                (pass.hidden.part(rows), pass.cell.part(cells))
-            };
-            recur::<S, R>(simd, layer, count, input, hidden, cell, output);
-            hidden.copy_from_slice(&output[..count * width]);
-            std::mem::swap(input, output);
-        }
-        dense::<S, R>(simd, &model.mixer, true, count, input, output);
-        dense::<S, R>(simd, &model.decoder, false, count, output, input);
-
-        let residuals = input.as_chunks::<OUTPUTS>().0;
-        let after = next_position.iter_mut().zip(next_velocity);
-        for ((position, velocity), (fallen, residual)) in after.zip(fallen.iter().zip(residuals)) {
-            (*position, *velocity) = model.add(fallen, residual);
-        }
-    }
-}
-
-impl ParticleModel {
-    /// The residual on the ballistic step, within bounds. NaN stays.
-    #[inline(always)]
-    fn add(
-        &self,
-        (position, velocity): &([f32; 2], [f32; 2]),
-        residual: &[f32; OUTPUTS],
-    ) -> ([f32; 2], [f32; 2]) {
-        let Features { ballistic, velocity_unit, .. } = &self.features;
-        let between = |x: f32, low: f32, high: f32| {
-            let raised = if x < low { low } else { x };
-            if raised > high { high } else { raised }
-        };
-        let residual = residual.map(|number| number * velocity_unit);
-        (
-            array::from_fn(|axis| {
-                let farther = position[axis] + residual[2 + axis] * ballistic.dt;
-                between(farther, ballistic.lower[axis], ballistic.upper[axis])
-            }),
-            array::from_fn(|axis| {
-                let faster = velocity[axis] + residual[axis];
-                between(faster, self.slowest[axis], self.fastest[axis])
-            }),
-        )
-    }
-}
-
-/// R rows of `[.., width]` from row `first` on; the last of `count` rows again where there are no more.
-#[inline(always)]
-fn rows<const R: usize>(numbers: &[f32], width: usize, first: usize, count: usize) -> [&[f32]; R] {
-    array::from_fn(
-        #[inline(always)]
-        |r| {
-            let row = (first + r).min(count - 1);
-            &numbers[row * width..(row + 1) * width]
-        },
-    )
-}
-
-/// A linear layer for `count` rows, with ReLU if `rectify`.
-#[inline(always)]
-fn dense<S: Simd, const R: usize>(
-    simd: S,
-    linear: &Linear,
-    rectify: bool,
-    count: usize,
-    input: &[f32],
-    output: &mut [f32],
-) {
-    let width = linear.output();
-    // Two panels at a time; the last one twice where their number is odd.
-    for pair in (0..linear.panels()).step_by(2) {
-        let panels = [pair, (pair + 1).min(linear.panels() - 1)];
-        let weights = [linear.panel(panels[0]), linear.panel(panels[1])];
-        let biases = [linear.bias(simd, panels[0]), linear.bias(simd, panels[1])];
-        for first in (0..count).step_by(R) {
-            let rows = rows::<R>(input, linear.input(), first, count);
-            let sums = add_products::<S, 2, R, 1>(simd, weights, rows, biases);
-            for g in 0..2 {
-                let units = linear.outputs(panels[g]);
-                for r in 0..R.min(count - first) {
-                    let row = &mut output[(first + r) * width..(first + r + 1) * width];
-                    let sum = if rectify { relu(simd, sums[g][r]) } else { sums[g][r] };
-                    simd.partial_store_f32s(&mut row[units.clone()], sum);
+        let Self { pass, task: Task { stage, item, thread } } = self;
+        let Pass { model: ParticleModel { grid, .. }, nodes, fields, .. } = pass;
+        let particles = nodes.order().len();
+        match Stage::number(stage) {
+            Stage::Encode => pass.encode(simd, item, thread),
+            Stage::Decode => {
+                if S::REGISTER_COUNT >= 32 {
+                    pass.decode::<S, 6>(simd, item, thread);
+                } else {
+                    pass.decode::<S, 3>(simd, item, thread);
                 }
             }
-        }
-    }
-}
-
-/// A layer of the core for `count` rows: new outputs to `output`, new cells in place.
-#[inline(always)]
-fn recur<S: Simd, const R: usize>(
-    simd: S,
-    layer: &CoreLayer,
-    count: usize,
-    input: &[f32],
-    hidden: &[f32],
-    cell: &mut [f32],
-    output: &mut [f32],
-) {
-    let width = hidden.len() / count;
-    for panel in 0..layer.panels() {
-        let units = layer.units(panel);
-        for first in (0..count).step_by(R) {
-            let inputs = rows::<R>(input, width, first, count);
-            let last = rows::<R>(hidden, width, first, count);
-            let cells = match cell.is_empty() {
-                true => [[].as_slice(); R],
-                false => rows::<R>(cell, width, first, count),
-            };
-            let next = layer.step::<S, R, 1>(simd, panel, inputs, last, cells);
-            for r in 0..R.min(count - first) {
-                let row = (first + r) * width;
-                let units = row + units.start..row + units.end;
-                simd.partial_store_f32s(&mut output[units.clone()], next.hidden[r]);
-                if let Some(cells) = &next.cell {
-                    simd.partial_store_f32s(&mut cell[units], cells[r]);
-                }
+            Stage::Write => {
+                // SAFETY: this stage only reads what is encoded.
+                let encoded = unsafe { pass.encoded.read(0..particles * grid.channels) };
+                grid.write(simd, nodes, &nodes.rows()[item], encoded, &pass.walls, fields);
             }
+            Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
+            // SAFETY: these stages have one item each.
+            Stage::Find => unsafe {
+                pass.flights.part(0..1)[0].find(nodes, pass.near.read(0..particles));
+            },
+            // SAFETY: as above.
+            Stage::Join => unsafe {
+                pass.flights.part(0..1)[0].join(nodes, pass.sums.read(0..nodes.cells().len()));
+            },
+            Stage::Sum => pass.sum(item),
+            Stage::Correct => pass.correct(item),
         }
     }
 }

@@ -15,8 +15,8 @@ use super::{
     particle_model::{self, ParticleModel},
 };
 use crate::{
-    checkpoint::{Architecture, Checkpoint, Description},
-    frame::{Frame, Stamp},
+    checkpoint::{Architecture, Checkpoint, Description, Surroundings},
+    frame::{Domain, Frame, Stamp},
 };
 
 /// How much the frame interval of a stream may differ from the checkpoint's, relative to it.
@@ -24,6 +24,12 @@ const INTERVAL_TOLERANCE: f32 = 1e-3;
 
 /// How far a stream's domain corners may be from the checkpoint's (domain lengths).
 const DOMAIN_TOLERANCE: f32 = 1e-6;
+
+/// Cells of a domain that are worth their time for each particle; a filled domain has less than one.
+const CELLS_A_PARTICLE: usize = 64;
+
+/// Cells of a domain that take no time worth mentioning.
+const CELLS: usize = 1 << 20;
 
 /// More threads than this have nothing to do: no layer has many more panels.
 const MOST_THREADS: usize = 256;
@@ -58,7 +64,7 @@ struct Workshop {
 
 enum Room {
     Frame(frame_model::Room),
-    Particle(Vec<particle_model::Room>),
+    Particle(particle_model::Room),
 }
 
 impl Surrogate {
@@ -71,14 +77,16 @@ impl Surrogate {
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
     ) -> Result<Self, ModelError> {
-        Self::load_for(checkpoint, threads, Arch::new())
+        Self::load_for(checkpoint, threads, Arch::new(), true)
     }
 
-    /// The same with a set of instructions that this processor has.
+    /// The same with a set of instructions that this processor has; `conserve` says whether bodies in free
+    /// flight keep their momentum.
     pub(super) fn load_for(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
         arch: Arch,
+        conserve: bool,
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -92,10 +100,10 @@ impl Surrogate {
                 (Network::Frame(model), crew, room)
             }
             Architecture::Particle => {
-                let model = ParticleModel::pack(arch, description, tensors);
-                let crew = Crew::new(threads, 1);
-                let rooms = (0..crew.threads()).map(|_| model.room()).collect();
-                (Network::Particle(model), crew, Room::Particle(rooms))
+                let model = ParticleModel::pack(arch, description, tensors, conserve);
+                let crew = Crew::new(threads, particle_model::STAGES);
+                let room = Room::Particle(model.room(crew.threads()));
+                (Network::Particle(model), crew, room)
             }
         };
         Ok(Self {
@@ -120,8 +128,9 @@ impl Surrogate {
     /// Whether the network can predict such a frame.
     ///
     /// # Errors
-    /// [`ModelError`] when it cannot: another number of particles (frame model only), a material,
-    /// interval or domain it was not trained on.
+    /// [`ModelError`] when it cannot: a material or interval it was not trained on, another number of
+    /// particles or another domain (frame model), a domain with no room between its walls or far too large
+    /// for its particles (particle model).
     pub fn fits(&self, frame: &Frame) -> Result<(), ModelError> {
         let Description { sizes, materials, dt, domain, .. } = &self.description;
         if let Some(expected) = sizes.particles
@@ -140,20 +149,17 @@ impl Surrogate {
         if (frame.dt - dt).abs() > INTERVAL_TOLERANCE * dt {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
-        let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-        let distance =
-            apart(frame.domain.lower, domain.lower).max(apart(frame.domain.upper, domain.upper));
-        if distance > DOMAIN_TOLERANCE {
-            return Err(ModelError::Domain {
-                found: format!("{:?}, {:?}", frame.domain.lower, frame.domain.upper),
-                expected: format!("{:?}, {:?}", domain.lower, domain.upper),
-            });
+        match self.description.surroundings {
+            None => same_domain(&frame.domain, domain),
+            Some(Surroundings { cell_width, .. }) => {
+                fits_domain(&frame.domain, &self.description, cell_width, frame.len())
+            }
         }
-        Ok(())
     }
 
     /// An empty memory for the particles of `frame`. It has not observed `frame`; that is
-    /// [`Surrogate::step`]'s part.
+    /// [`Surrogate::step`]'s part. The particle model takes jelly and rope to be at rest in the shape they
+    /// have in `frame`.
     ///
     /// # Errors
     /// As [`Surrogate::fits`].
@@ -166,10 +172,11 @@ impl Surrogate {
     /// predicts the next one into `next`: its sequence one higher, its stamp `dt` later. The
     /// prediction may hold numbers that are not finite; [`Frame::check`] tells.
     ///
-    /// Once `next` has held a frame of so many particles, nothing is allocated.
+    /// Once a frame of so many particles in such a domain was predicted into `next`, nothing is allocated.
     ///
     /// # Panics
-    /// When `frame` has another number of particles than the memory was started for.
+    /// When `frame` has another number of particles than the memory was started for. In a domain that
+    /// [`Surrogate::fits`] refuses, the memory that is asked for may be more than there is.
     pub fn step_into(&self, memory: &mut Memory, frame: &Frame, next: &mut Frame) {
         let particles = memory.particles();
         let lengths = [frame.position.len(), frame.velocity.len(), frame.material.len()];
@@ -190,9 +197,9 @@ impl Surrogate {
                 let alone = model.work() < WORTH_WAKING;
                 model.step(crew, alone, room, memory, frame, next);
             }
-            (Network::Particle(model), Room::Particle(rooms)) => {
+            (Network::Particle(model), Room::Particle(room)) => {
                 let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
-                model.step(crew, alone, rooms, memory, frame, next);
+                model.step(crew, alone, room, memory, frame, next);
             }
             _ => unreachable!("a network and its room are made together"),
         }
@@ -213,4 +220,44 @@ impl Surrogate {
         self.step_into(memory, frame, &mut next);
         next
     }
+}
+
+/// Whether the frame model's domain is the one it was trained in.
+fn same_domain(found: &Domain, expected: &Domain) -> Result<(), ModelError> {
+    let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+    let distance = apart(found.lower, expected.lower).max(apart(found.upper, expected.upper));
+    // What is not a number does not fit either.
+    if distance <= DOMAIN_TOLERANCE {
+        return Ok(());
+    }
+    Err(ModelError::Domain { found: corners(found), expected: corners(expected) })
+}
+
+/// Whether the particle model can work in a domain: one of any size that its particles fill at least here
+/// and there.
+fn fits_domain(
+    found: &Domain,
+    description: &Description,
+    cell_width: f32,
+    particles: usize,
+) -> Result<(), ModelError> {
+    let Description { domain, normalization, .. } = description;
+    let thickness: [f32; 2] = std::array::from_fn(|axis| {
+        let lower = normalization.minimum[axis] - domain.lower[axis];
+        lower + domain.upper[axis] - normalization.maximum[axis]
+    });
+    let extent: [f32; 2] = std::array::from_fn(|axis| found.upper[axis] - found.lower[axis]);
+    if !(0..2).all(|axis| extent[axis] > thickness[axis].max(0.0)) {
+        return Err(ModelError::Narrow { found: corners(found), expected: thickness });
+    }
+    let cells = (extent[0] / cell_width) * (extent[1] / cell_width);
+    let most = particles.saturating_mul(CELLS_A_PARTICLE).max(CELLS);
+    if cells <= most as f32 {
+        return Ok(());
+    }
+    Err(ModelError::Wide { found: corners(found), cells, most })
+}
+
+fn corners(domain: &Domain) -> String {
+    format!("{:?}, {:?}", domain.lower, domain.upper)
 }

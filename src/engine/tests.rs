@@ -11,7 +11,7 @@ use super::{Memory, Surrogate};
 use crate::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
-        FrameOptions, MaterialInput, Normalization, Pooling, Sizes,
+        FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings,
     },
     frame::{Domain, Frame, Material, Stamp},
     model::{DeviceKind, Reference, layers::initial},
@@ -27,6 +27,11 @@ fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Descript
             mean: [0.5, 0.3, 0.1, -0.5],
             standard_deviation: [0.2, 0.2, 0.7, 0.9],
         },
+        surroundings: (architecture == Architecture::Particle).then_some(Surroundings {
+            cell_width: 1.0 / 32.0,
+            channels: [16, 24, 20],
+            spacing: 0.02,
+        }),
         ..Description::untrained(architecture, core, sizes)
     }
 }
@@ -112,17 +117,26 @@ fn frame_options() -> impl Strategy<Value = FrameOptions> {
         })
 }
 
+/// Cells from small to so large that a few hold all.
+fn surroundings() -> impl Strategy<Value = Surroundings> {
+    ((0.03f32..0.5), [1usize..40, 1usize..40, 1usize..40], 0.01f32..0.2)
+        .prop_map(|(cell_width, channels, spacing)| Surroundings { cell_width, channels, spacing })
+}
+
 /// Everything a checkpoint can describe, with the number of particles to predict.
 fn descriptions() -> impl Strategy<Value = (Description, usize)> {
     let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
-    (any::<bool>(), select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), sizes).prop_map(
-        |(whole, core, [log, normalize_gates], frame, (encoder, hidden, layers, particles))| {
+    let choices = (select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), surroundings());
+    (any::<bool>(), choices, sizes).prop_map(
+        |(whole, choices, (encoder, hidden, layers, particles))| {
+            let (core, [log, normalize_gates], frame, surroundings) = choices;
             let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
             let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
             let description = Description {
                 form: if log { Form::Log } else { Form::Plain },
                 normalize_gates,
                 frame: if whole { frame } else { FrameOptions::default() },
+                surroundings: (!whole).then_some(surroundings),
                 ..description(architecture, core, sizes)
             };
             (description, particles)
@@ -143,7 +157,8 @@ proptest! {
         let mut memory = reference.start(&frames[0]);
         let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
         for set in sets() {
-            let surrogate = Surrogate::load_for(&checkpoint, threads(1), set).unwrap();
+            // What bodies in free flight keep is the engine's own.
+            let surrogate = Surrogate::load_for(&checkpoint, threads(1), set, false).unwrap();
             for (found, expected) in stream(&surrogate, &frames).iter().zip(&expected) {
                 let position = largest_difference(&found.position, &expected.position);
                 let velocity = largest_difference(&found.velocity, &expected.velocity);
@@ -188,7 +203,7 @@ fn sets_of_instructions_with_a_fused_multiply_add_give_the_same_bits() {
         for (checkpoint, frames) in wide(core) {
             let sets = sets();
             let all = sets[1..].iter().map(|&set| {
-                stream(&Surrogate::load_for(&checkpoint, threads(2), set).unwrap(), &frames)
+                stream(&Surrogate::load_for(&checkpoint, threads(2), set, true).unwrap(), &frames)
             });
             let all: Vec<_> = all.collect();
             assert!(all.windows(2).all(|pair| pair[0] == pair[1]), "{core:?}");
@@ -271,8 +286,17 @@ fn particles_that_a_network_cannot_predict_are_refused() {
     assert_eq!(message, format!("material[2]: found snow, {expected}"));
     let message = refusal(Architecture::Particle, |frame| frame.dt = 0.02);
     assert_eq!(message, "dt: found 0.02 s, expected 0.016 s as in the checkpoint");
-    let message = refusal(Architecture::Particle, |frame| frame.domain.upper = [2.0, 1.0]);
+    let message = refusal(Architecture::Frame, |frame| frame.domain.upper = [2.0, 1.0]);
     assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
+    for upper in [[1.0, 0.09], [f32::NAN, 1.0], [1.0, -2.0]] {
+        let mut other = frame.clone();
+        other.material.fill(Material::Liquid);
+        other.domain.upper = upper;
+        let message = surrogate(Architecture::Particle).start(&other).err().unwrap().to_string();
+        assert!(message.ends_with("from corner to corner"), "{message}");
+    }
+    let message = refusal(Architecture::Particle, |frame| frame.domain.upper = [1e9, 1.0]);
+    assert!(message.ends_with("expected at most 1048576"), "{message}");
 
     let mut fewer_particles = frame.clone();
     fewer_particles.material.fill(Material::Jelly);
@@ -291,4 +315,129 @@ fn weights_that_do_not_fit_are_refused_by_name() {
     checkpoint.description.sizes.hidden = 1 << 20;
     let message = Surrogate::load(&checkpoint, None).err().unwrap().to_string();
     assert!(message.contains("sizes.hidden: found 1048576, expected 1 to 65536"), "{message}");
+}
+
+/// A particle model and a frame of it.
+fn particle_model(core: Core) -> Checkpoint {
+    let sizes = Sizes { encoder: 20, hidden: 18, layers: 1, particles: None };
+    checkpoint(description(Architecture::Particle, core, sizes), 8)
+}
+
+/// Momentum and angular momentum about the centre.
+fn momenta(frame: &Frame) -> ([f64; 2], f64) {
+    let count = frame.len() as f64;
+    let mean = |values: &[[f32; 2]]| {
+        [0, 1].map(|axis| values.iter().map(|x| f64::from(x[axis])).sum::<f64>() / count)
+    };
+    let centre = mean(&frame.position);
+    let spin = frame.position.iter().zip(&frame.velocity).map(|(x, v)| {
+        let r = [0, 1].map(|axis| f64::from(x[axis]) - centre[axis]);
+        r[0] * f64::from(v[1]) - r[1] * f64::from(v[0])
+    });
+    (mean(&frame.velocity), spin.sum::<f64>() / count)
+}
+
+/// A spinning disc, `count` particles in the middle of nowhere.
+fn disc(count: usize) -> Frame {
+    let mut frame = frames(1, count, 3).remove(0);
+    for (number, (x, v)) in frame.position.iter_mut().zip(&mut frame.velocity).enumerate() {
+        let (r, angle) = (0.1 * (number as f32 / count as f32).sqrt(), 2.4 * number as f32);
+        let from_centre = [r * angle.cos(), r * angle.sin()];
+        *x = [0.5 + from_centre[0], 0.6 + from_centre[1]];
+        *v = [0.3 - 4.0 * from_centre[1], 0.2 + 4.0 * from_centre[0]];
+    }
+    frame
+}
+
+#[test]
+fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
+    let checkpoint = particle_model(Core::MinGru);
+    let frame = disc(400);
+    let fall = 9.8 * DT;
+    let gains = [true, false].map(|conserve| {
+        let surrogate =
+            Surrogate::load_for(&checkpoint, threads(1), Arch::new(), conserve).unwrap();
+        let mut memory = surrogate.start(&frame).unwrap();
+        let next = surrogate.step(&mut memory, &frame);
+        let ((before, spin), (after, turned)) = (momenta(&frame), momenta(&next));
+        let gain = (after[0] - before[0]).hypot(after[1] - before[1] + f64::from(fall));
+        (gain / f64::from(fall), (turned / spin - 1.0).abs(), next)
+    });
+    let [(gain, spin, kept), (other_gain, _, free)] = gains;
+    assert!(gain < 1e-4 && spin < 0.02, "{gain} of g dt, {spin} of the spin");
+    // The network would have had it otherwise, and still shapes the body.
+    assert!(other_gain > 0.1, "{other_gain}");
+    assert!(largest_difference(&kept.velocity, &free.velocity) > 0.01);
+}
+
+#[test]
+fn a_body_that_touches_a_wall_is_as_the_network_has_it() {
+    let checkpoint = particle_model(Core::MinGru);
+    let mut frame = disc(400);
+    // Falls so fast that it is there at the next frame only.
+    for (x, v) in frame.position.iter_mut().zip(&mut frame.velocity) {
+        x[1] -= 0.38;
+        v[1] -= 4.0;
+    }
+    let [kept, free] = [true, false].map(|conserve| {
+        let surrogate =
+            Surrogate::load_for(&checkpoint, threads(1), Arch::new(), conserve).unwrap();
+        surrogate.step(&mut surrogate.start(&frame).unwrap(), &frame)
+    });
+    assert_eq!(kept, free);
+}
+
+#[test]
+fn a_scene_elsewhere_is_predicted_as_if_it_were_here() {
+    let checkpoint = particle_model(Core::Lstm);
+    let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
+    let here = frames(3, 200, 9);
+    let away = [2.0, -4.0];
+    let shift = |x: [f32; 2]| [x[0] + away[0], x[1] + away[1]];
+    let mut there = here.clone();
+    for frame in &mut there {
+        frame.domain.lower = shift(frame.domain.lower);
+        frame.domain.upper = shift(frame.domain.upper);
+        frame.position.iter_mut().for_each(|x| *x = shift(*x));
+    }
+    for (here, there) in stream(&surrogate, &here).iter().zip(stream(&surrogate, &there)) {
+        let back: Vec<_> = here.position.iter().map(|x| shift(*x)).collect();
+        assert!(largest_difference(&back, &there.position) < 1e-4);
+        assert!(largest_difference(&here.velocity, &there.velocity) < 1e-2);
+    }
+}
+
+#[test]
+fn a_larger_domain_changes_nothing_for_a_scene_far_from_the_walls_that_moved() {
+    let checkpoint = particle_model(Core::Gru);
+    let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
+    let mut frame = disc(200);
+    frame.position.iter_mut().for_each(|x| *x = [x[0] + 3.0, x[1] + 3.0]);
+    let [small, large] = [7.0, 9.0].map(|end| {
+        frame.domain.upper = [end; 2];
+        surrogate.step(&mut surrogate.start(&frame).unwrap(), &frame)
+    });
+    assert!(largest_difference(&small.position, &large.position) < 1e-6);
+    assert!(largest_difference(&small.velocity, &large.velocity) < 1e-5);
+}
+
+#[test]
+fn particles_out_of_place_neither_stop_the_engine_nor_leave_the_domain() {
+    let checkpoint = particle_model(Core::MinGru);
+    let surrogate = Surrogate::load(&checkpoint, threads(2)).unwrap();
+    for place in [[-3.0, 0.5], [0.5, 7.0], [1e30, -1e30], [0.4, 0.4]] {
+        for everyone in [true, false] {
+            let mut frame = frames(1, 300, 5).remove(0);
+            let count = if everyone { frame.len() } else { 3 };
+            frame.position[..count].fill(place);
+            frame.velocity[..count].fill([40.0, -1e6]);
+            let mut memory = surrogate.start(&frame).unwrap();
+            for _ in 0..3 {
+                frame = surrogate.step(&mut memory, &frame);
+            }
+            frame.check().unwrap();
+            let inside = |x: &[f32; 2]| x.iter().all(|x| (0.05..=0.95).contains(x));
+            assert!(frame.position.iter().all(inside), "{place:?}");
+        }
+    }
 }

@@ -108,6 +108,11 @@ impl Level {
         self.at.len()
     }
 
+    /// For how many nodes there is room: as many as so many particles can ever touch, and no less.
+    pub fn capacity(&self) -> usize {
+        self.at.capacity()
+    }
+
     /// Whether there is no node.
     pub fn is_empty(&self) -> bool {
         self.at.is_empty()
