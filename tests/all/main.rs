@@ -4,6 +4,7 @@
 mod bad_input;
 mod bag;
 mod bench;
+mod eval;
 mod exchange;
 mod graph;
 mod launch_configs;
