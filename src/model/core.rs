@@ -3,8 +3,8 @@
 use burn::tensor::Tensor;
 
 use super::{
-    fused,
-    gru::Gru, layers::Linear, lstm::Lstm, mingru::MinGru, minlstm::MinLstm, mlp::Mlp, scan::step,
+    fused, gru::Gru, layers::Linear, lstm::Lstm, mingru::MinGru, minlstm::MinLstm, mlp::Mlp,
+    scan::step,
 };
 use crate::checkpoint::{Core, Description};
 

@@ -34,7 +34,8 @@ pub(crate) const FAR: f32 = 0.2;
 
 /// Materials one-hot, `[R, 4]`.
 pub(crate) fn one_hot(material: &[Material]) -> Vec<f32> {
-    let row = |&material: &Material| Material::ALL.map(|kind| f32::from(u8::from(kind == material)));
+    let row =
+        |&material: &Material| Material::ALL.map(|kind| f32::from(u8::from(kind == material)));
     material.iter().flat_map(row).collect()
 }
 

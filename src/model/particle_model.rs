@@ -186,7 +186,8 @@ impl ParticleModel {
         let device = faster.device();
         let [slowest, fastest] =
             self.limits.map(|limit| Tensor::<1>::from_floats(limit, &device).unsqueeze::<2>());
-        let between = |x: Tensor<2>, low: Tensor<2>, high: Tensor<2>| x.max_pair(low).min_pair(high);
+        let between =
+            |x: Tensor<2>, low: Tensor<2>, high: Tensor<2>| x.max_pair(low).min_pair(high);
         let BallisticTensors { lower, upper, .. } = self.ballistic.clone();
         Bodies {
             position: between(fallen.position + farther, lower, upper),

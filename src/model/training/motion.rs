@@ -134,10 +134,7 @@ impl Perceive {
 impl Operation<4> for Perceive {
     type Kept = ();
 
-    fn forward(
-        &self,
-        [position, velocity, foretold, shape]: [&[f32]; 4],
-    ) -> (Vec<f32>, ()) {
+    fn forward(&self, [position, velocity, foretold, shape]: [&[f32]; 4]) -> (Vec<f32>, ()) {
         let (position, velocity, foretold) = (pairs(position), pairs(velocity), pairs(foretold));
         let (shape, _) = shape.as_chunks::<SHAPE_FEATURES>();
         let (material, _) = self.material.as_chunks::<4>();
