@@ -85,3 +85,48 @@ fn simulation(scene: &Scene, stream: &Stream, reach: usize) -> Result<Simulation
 fn into_state(frame: Frame) -> State {
     State { position: frame.position, velocity: frame.velocity }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mpm::Preset;
+
+    /// The first frames of a scene.
+    fn stream(scene: &Scene, frames: usize) -> Stream {
+        let mut simulation = Simulation::new(scene.clone(), &Settings::default()).unwrap();
+        let mut next = || simulation.next_frame().unwrap().unwrap();
+        let first = next();
+        let (domain, material) = (first.domain, first.material.clone());
+        let states = std::iter::once(into_state(first));
+        Stream {
+            id: scene.id,
+            source: "test".into(),
+            dt: scene.frames.interval,
+            domain,
+            material,
+            first_sequence: 0,
+            first_stamp: crate::frame::Stamp(0),
+            states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
+        }
+    }
+
+    #[test]
+    fn a_stream_belongs_to_its_scene_and_to_no_other() {
+        let scene = |id| Scene::generate(Preset::Kinds, 5, id);
+        let stream = stream(&scene(2), 1);
+        assert!(is_scene_of(&scene(2), &stream).unwrap());
+        assert!(!is_scene_of(&scene(7), &stream).unwrap());
+    }
+
+    #[test]
+    fn a_displaced_truth_starts_at_most_a_displacement_beside_the_truth() {
+        let scene = Scene::generate(Preset::Kinds, 5, 2);
+        let (stream, start) = (stream(&scene, 5), 3);
+        let mut rollouts = Vec::new();
+        roll_out(&scene, &stream, &[start], 1, &mut |_, rollout| rollouts.push(rollout)).unwrap();
+        let found = rollouts[0].states[0].position.iter().zip(&stream.states[start + 1].position);
+        let apart = found.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f32::max);
+        // Within a frame the solver smooths differences between neighbours.
+        assert!(apart > 0.1 * DISPLACEMENT && apart < 3.0 * DISPLACEMENT, "{apart}");
+    }
+}

@@ -146,3 +146,44 @@ impl Restarted {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        frame::{Domain, Stamp},
+        mpm::Preset,
+    };
+
+    #[test]
+    fn every_restart_falls_as_it_should_from_where_it_was_seen() {
+        // Bodies of jelly at their starts, which touch nothing yet.
+        let scene = Scene::generate(Preset::Kinds, 1, 2);
+        let particles = scene.particles().unwrap();
+        let stream = Stream {
+            id: 0,
+            source: "test".into(),
+            dt: scene.frames.interval,
+            domain: Domain::UNIT,
+            material: particles.iter().map(|p| p.material).collect(),
+            first_sequence: 0,
+            first_stamp: Stamp(0),
+            states: vec![State {
+                position: particles.iter().map(|p| p.position).collect(),
+                velocity: vec![[0.0; 2]; particles.len()],
+            }],
+        };
+        let dt = scene.frames.interval;
+        for restart in Restart::ALL {
+            let mut restarted = restart.begin(&scene, &stream, &stream.states[0]).unwrap();
+            // Substeps fall by g dt^2 (1 + 1/n) / 2.
+            let rounding = 1.0 + 1.0 / restarted.substeps as f32;
+            let fallen = 0.5 * scene.solver.gravity * dt * dt * rounding;
+            let state = restarted.next_state().unwrap();
+            for (after, before) in state.position.iter().zip(&stream.states[0].position) {
+                let moved = [after[0] - before[0], after[1] + fallen - before[1]];
+                assert!(moved[0].hypot(moved[1]) < 1e-5, "{restart:?}: {moved:?}");
+            }
+        }
+    }
+}
