@@ -378,11 +378,15 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let found = format!("{:?}", description.frame);
         return Err(field(file, "frame", found, "nothing for the particle model"));
     }
+    let surroundings = match (architecture, description.surroundings.is_some()) {
+        (Architecture::Frame, true) => Some(("a table", "nothing for the frame model")),
+        (Architecture::Particle, false) => Some(("nothing", "a table for the particle model")),
+        _ => None,
+    };
+    if let Some((found, expected)) = surroundings {
+        return Err(field(file, "surroundings", found.to_owned(), expected));
+    }
     if let Some(Surroundings { cell_width, channels, spacing }) = description.surroundings {
-        if *architecture == Architecture::Frame {
-            let found = "a table".to_owned();
-            return Err(field(file, "surroundings", found, "nothing for the frame model"));
-        }
         for (name, length) in [("cell_width", cell_width), ("spacing", spacing)] {
             if !(length.is_finite() && length > 0.0) {
                 let name = format!("surroundings.{name}");

@@ -19,36 +19,11 @@ const WARM_UP: u64 = 3;
 
 /// A particle model with random weights, its decoder included: its predictions depend on all it saw.
 fn surrogate() -> Surrogate {
+    let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: None };
     let description = Description {
-        format_version: FORMAT_VERSION,
-        architecture: Architecture::Particle,
-        core: Core::MinGru,
-        form: Form::Plain,
-        normalize_gates: true,
-        dt: DT,
         warm_up: WARM_UP as u32,
-        gravity: [0.0, -9.8],
         materials: vec![Material::Liquid, Material::Jelly],
-        data: String::new(),
-        sizes: Sizes { encoder: 8, hidden: 8, layers: 1, particles: None },
-        frame: FrameOptions::default(),
-        surroundings: None,
-        domain: Domain::UNIT,
-        normalization: Normalization {
-            minimum: [0.0, 0.0, -1.0, -1.0],
-            maximum: [1.0; 4],
-            mean: [0.5, 0.5, 0.0, 0.0],
-            standard_deviation: [0.5; 4],
-        },
-        training: TrainingSummary {
-            command: String::new(),
-            seed: 1,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
-            validation_loss: 0.0,
-            samples: 0,
-        },
+        ..Description::untrained(Architecture::Particle, Core::MinGru, sizes)
     };
     let mut tensors = initial(&description, 1);
     let decoder = tensors.get_mut("decoder.weight").unwrap();
