@@ -378,6 +378,10 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let found = format!("{:?}", description.frame);
         return Err(field(file, "frame", found, "nothing for the particle model"));
     }
+    if *architecture == Architecture::Particle && description.surroundings.is_none() {
+        let found = "nothing".to_owned();
+        return Err(field(file, "surroundings", found, "a table for the particle model"));
+    }
     if let Some(Surroundings { cell_width, channels, spacing }) = description.surroundings {
         if *architecture == Architecture::Frame {
             let found = "a table".to_owned();
