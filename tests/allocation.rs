@@ -55,15 +55,12 @@ const PARTICLES: usize = 700;
 
 /// A network wide enough for all threads to take part, with small made-up weights.
 fn checkpoint(architecture: Architecture, core: Core, pooling: Pooling) -> Checkpoint {
-    let shipped = Checkpoint::shipped().unwrap().description;
     let whole = architecture == Architecture::Frame;
+    let sizes =
+        Sizes { encoder: 64, hidden: 200, layers: 2, particles: whole.then_some(PARTICLES) };
     let description = Description {
-        architecture,
-        core,
-        sizes: Sizes { encoder: 64, hidden: 200, layers: 2, particles: whole.then_some(PARTICLES) },
         frame: FrameOptions { pooling, ..FrameOptions::default() },
-        materials: Material::ALL.to_vec(),
-        ..shipped
+        ..Description::untrained(architecture, core, sizes)
     };
     let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
         let length = shape.iter().product();
@@ -83,7 +80,7 @@ fn frame(description: &Description) -> Frame {
         domain: description.domain,
         position: (0..PARTICLES).map(place).collect(),
         velocity: vec![[0.1, -0.1]; PARTICLES],
-        material: vec![Material::Snow; PARTICLES],
+        material: (0..PARTICLES).map(|n| Material::ALL[n % 4]).collect(),
     }
 }
 

@@ -133,6 +133,26 @@ impl Layers {
         }
     }
 
+    /// The same values, with gradients of their own.
+    pub(crate) fn apart(&self) -> Self {
+        let mut layers = self.clone();
+        for Linear { weight, bias } in layers.linears_mut() {
+            *weight = Tensor::from_inner(weight.clone().inner()).require_grad();
+            *bias = Tensor::from_inner(bias.clone().inner()).require_grad();
+        }
+        layers
+    }
+
+    /// The gradient by every tensor, in the order of [`Layers::update`]; empty where there is none.
+    pub(crate) fn gradients(&self, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+        let mut all = Vec::new();
+        for Linear { weight, bias } in self.linears() {
+            all.push(gradient(weight, gradients));
+            all.push(gradient(bias, gradients));
+        }
+        all
+    }
+
     /// Looks at every tensor in the order of [`Layers::update`], and may put other values in its place.
     pub(crate) fn exchange(&mut self, mut change: impl FnMut(usize, &mut [f32])) {
         for (index, linear) in self.linears_mut().into_iter().enumerate() {
@@ -140,6 +160,12 @@ impl Layers {
             exchange(&mut linear.bias, |values| change(2 * index + 1, values));
         }
     }
+}
+
+fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
+    tensor.grad_remove(gradients).map_or_else(Vec::new, |gradient| {
+        gradient.into_data().try_to_vec().expect("weights and their gradients are f32")
+    })
 }
 
 /// Changes a tensor that has a gradient.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rand::RngExt as _;
+use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
@@ -45,6 +45,14 @@ impl Dropout {
     /// Sets the share `rate` of all numbers to zero.
     pub(crate) fn new(rate: f32, random: ChaCha8Rng) -> Self {
         Self { training: (rate > 0.0).then_some((rate, random)) }
+    }
+
+    /// Another one of the same rate whose choices do not depend on what this one still chooses.
+    pub(crate) fn fork(&mut self) -> Self {
+        let fork = |(rate, random): &mut (f32, ChaCha8Rng)| {
+            (*rate, ChaCha8Rng::seed_from_u64(random.next_u64()))
+        };
+        Self { training: self.training.as_mut().map(fork) }
     }
 
     /// The source of the choice, if there is one.
@@ -93,6 +101,13 @@ impl Network {
                 Self::Particle(ParticleModel::new(description, layers, device))
             }
         }
+    }
+
+    /// The same network, with gradients of its own.
+    pub(crate) fn apart(&self) -> Self {
+        let mut network = self.clone();
+        *network.layers_mut() = self.layers().apart();
+        network
     }
 
     pub(crate) fn layers(&self) -> &Layers {

@@ -4,10 +4,7 @@ use std::time::Duration;
 
 use super::{Counters, NodeSettings, Publish, Refusal, SurrogateNode};
 use crate::{
-    checkpoint::{
-        Architecture, Checkpoint, Core, Description, FORMAT_VERSION, Form, FrameOptions,
-        Normalization, Sizes, TrainingSummary,
-    },
+    checkpoint::{Architecture, Checkpoint, Core, Description, Sizes},
     engine::{Memory, Surrogate},
     frame::{Domain, Frame, Material, Stamp},
     model::layers::initial,

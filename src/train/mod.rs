@@ -6,13 +6,14 @@
 //! 4. `batch`: windows as tensors.
 //! 5. `loss`, `density`: the network observes the warm-up, predicts the rest from its own output; what
 //!    that costs.
-//! 6. `adam`: how weights follow from gradients.
-//! 7. `schedule`: learning rate and length of unroll over the run.
-//! 8. `validate`: free rollouts over streams that are not trained on.
-//! 9. `monitor`, `events`: progress bar, lines, `metrics.csv`, TensorBoard's event file.
-//! 10. `state`, `resume`, `record`, `moments`: what a run carries from batch to batch, and how it goes
+//! 6. `gradients`: the loss of a batch and its gradients, windows side by side.
+//! 7. `adam`: how weights follow from gradients.
+//! 8. `schedule`: learning rate and length of unroll over the run.
+//! 9. `validate`: free rollouts over streams that are not trained on.
+//! 10. `monitor`, `events`: progress bar, lines, `metrics.csv`, TensorBoard's event file.
+//! 11. `state`, `resume`, `record`, `moments`: what a run carries from batch to batch, and how it goes
 //!     on after a stop.
-//! 11. `footprint`: memory and disk that a run needs, known before it starts.
+//! 12. `footprint`: memory and disk that a run needs, known before it starts.
 //!
 //! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed.
 
@@ -26,6 +27,7 @@ pub mod exercise;
 mod footprint;
 #[cfg(test)]
 mod golden;
+mod gradients;
 mod loss;
 mod moments;
 mod monitor;
@@ -53,7 +55,7 @@ use crate::{
     frame::Material,
     model::{Ballistic, DeviceKind},
 };
-use batch::Batch;
+use gradients::{Slope, Task};
 use monitor::{BatchDone, Monitor};
 use state::State;
 use weigh::{Scale, TrivialErrors, TrivialSums};
@@ -139,7 +141,6 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
     }
 
-    let plain = run.device.device();
     let mut sampler = sampler_for(config, dataset, state.unroll.max(1))?;
     let mut scale = Scale {
         loss: &config.loss,
@@ -168,34 +169,27 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
 
             let left = || schedule::batches_of_stage(config, epoch, number);
             let windows = sampler.batch(config.windows.batch, left, &mut state.order)?;
-            let (warm_up, surroundings) =
-                (config.windows.warm_up, description.surroundings.as_ref());
-            let batch = Batch::new(&windows, warm_up, &scale, surroundings, &plain);
-            let (predicted, steps) = loss::unroll(&state.network, &batch, &mut state.dropout);
-            let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
-            let value: f32 = loss.clone().inner().into_scalar();
-            if !value.is_finite() {
+            let task =
+                Task { config, description: &description, scale: &scale, device: run.device };
+            let Slope { loss, gradients } =
+                task.slope(&state.network, &windows, &mut state.dropout);
+            if !loss.is_finite() {
                 let windows = names(&windows);
-                return Err(TrainError::NotFinite { epoch, batch: number, windows, found: value });
+                return Err(TrainError::NotFinite { epoch, batch: number, windows, found: loss });
             }
-            let mut gradients = loss.backward();
             learning_rate = schedule::learning_rate(&config.optimizer, progress);
             let mut step = state.adam.step(learning_rate, &config.optimizer).measured();
-            state.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
-                step.change(tensor, values, gradient); // clips it first
+            state.network.layers_mut().exchange(|tensor, values| {
+                if !gradients[tensor].is_empty() {
+                    step.change(tensor, values, &gradients[tensor]); // clips it first
+                }
             });
             let gradient_norm = step.gradient_norm();
 
-            losses += f64::from(value);
+            losses += f64::from(loss);
             state.samples += windows.len() as u64;
             let samples = state.samples;
-            monitor.batch(&BatchDone {
-                epoch,
-                samples,
-                loss: value,
-                learning_rate,
-                gradient_norm,
-            })?;
+            monitor.batch(&BatchDone { epoch, samples, loss, learning_rate, gradient_norm })?;
         }
         let mut checkpoint =
             Checkpoint { description: description.clone(), tensors: state.tensors(&description) };

@@ -1,5 +1,9 @@
 //! How good a network is on streams it is not fitted to: free rollouts against trivial predictors.
 
+use std::num::NonZeroUsize;
+
+use rayon::prelude::*;
+
 use super::{TrainError, ValidationConfig};
 use crate::{
     checkpoint::{Checkpoint, Description},
@@ -21,25 +25,28 @@ pub(super) struct Score {
     pub(super) last_skill: f64,
 }
 
-/// Rolls out over every stream, of which one at a time is in memory.
+/// Rolls out over every stream, of which each thread has one in memory at a time.
 pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
-    let surrogate = Surrogate::load(checkpoint, None)?;
+    // A thread a stream: all streams take more threads than a network has work for.
+    let surrogate = || Surrogate::load(checkpoint, NonZeroUsize::new(1));
+    surrogate()?;
+    let surrogate = || surrogate().expect("the same checkpoint was loaded just now");
     let arena = arena(config, &checkpoint.description, streams);
     arena.check(longest(streams)).map_err(TrainError::Validation)?;
     let baselines = Baseline::ALL.map(Predictor::Baseline);
-    let predictors: Vec<_> =
-        std::iter::once(Predictor::Model(&surrogate)).chain(baselines).collect();
-    let mut scenes = Vec::new();
-    for stream in streams {
+    let predictors = 1 + baselines.len();
+    let scenes = streams.par_iter().map_init(surrogate, |surrogate, stream| {
+        let model = Predictor::Model(surrogate);
+        let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
         let whole = stream.cut(0..stream.frames)?;
-        let judged = judge_scene(&arena, &predictors, &whole, None);
-        scenes.push(judged.map_err(TrainError::Validation)?);
-    }
-    let skill = Skills::of(&scenes, 1..predictors.len(), config.horizon).mean(0);
+        judge_scene(&arena, &predictors, &whole, None).map_err(TrainError::Validation)
+    });
+    let scenes = scenes.collect::<Result<Vec<_>, TrainError>>()?;
+    let skill = Skills::of(&scenes, 1..predictors, config.horizon).mean(0);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // A rollout that diverged has no finite error; it must lose against any that has.
