@@ -1,6 +1,15 @@
 //! Bags to trajectories: in memory while they fit, else only where each block of them is.
 
-use std::{collections::BTreeMap, path::PathBuf, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use rayon::prelude::*;
 
 use xxhash_rust::xxh3::Xxh3;
 
@@ -25,16 +34,16 @@ struct Reading {
     checksum: Xxh3,
 }
 
-/// How much is in memory, and how much may be.
+/// How much is in memory, and how much may be. All bags that are read at the same time share it.
 struct Budget {
-    bytes: u64,
+    bytes: AtomicU64,
     limit: u64,
 }
 
 impl Budget {
     /// Whether everything has fitted so far.
     fn holds(&self) -> bool {
-        self.bytes <= self.limit
+        self.bytes.load(Ordering::Relaxed) <= self.limit
     }
 }
 
@@ -80,22 +89,27 @@ impl Reading {
 pub(super) fn load(
     paths: &[PathBuf],
     memory: u64,
-    progress: &mut dyn FnMut(u64, u64),
+    progress: &mut (dyn FnMut(u64, u64) + Send),
 ) -> Result<Vec<Trajectory>, DatasetError> {
     let bags = find_bags(paths)?;
     let bags = bags.iter().map(|path| BagReader::open(path)).collect::<Result<Vec<_>, _>>()?;
     let topics = bags.iter().flat_map(BagReader::topics).filter(|topic| topic.name == TRUTH_TOPIC);
     let all = topics.map(|topic| topic.message_count).sum();
-    let mut done = 0;
-    let mut budget = Budget { bytes: 0, limit: memory };
-    let mut readings = Vec::new();
-    for (number, bag) in bags.iter().enumerate() {
-        let mut frame_done = || {
-            done += 1;
-            progress(done, all);
-        };
-        read(bag, number, &mut budget, &mut readings, &mut frame_done)?;
-    }
+    let progress = Mutex::new((0, progress));
+    let frame_done = || {
+        // Who waits for a thread that panicked has nothing to show any more.
+        let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let (done, show) = &mut *progress;
+        *done += 1;
+        show(*done, all);
+    };
+    let budget = Budget { bytes: AtomicU64::new(0), limit: memory };
+    let readings: Vec<Vec<Reading>> = bags
+        .par_iter()
+        .enumerate()
+        .map(|(number, bag)| read(bag, number, &budget, &frame_done))
+        .collect::<Result<_, _>>()?;
+    let mut readings: Vec<Reading> = readings.into_iter().flatten().collect();
     readings.sort_by(|Reading { stream: a, .. }, Reading { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
@@ -122,14 +136,16 @@ pub(super) fn load(
     Ok(known.into_iter().enumerate().map(on_shelf).collect())
 }
 
-/// Adds the streams of one bag, cut in two wherever a frame is missing or the particles change.
+/// The streams of one bag, cut in two wherever a frame is missing or the particles change. Their
+/// states are there only if all bags' have fitted into memory until the end of this one.
 fn read(
     bag: &BagReader,
     number: usize,
-    budget: &mut Budget,
-    ended: &mut Vec<Reading>,
-    frame_done: &mut dyn FnMut(),
-) -> Result<(), DatasetError> {
+    budget: &Budget,
+    frame_done: &(dyn Fn() + Sync),
+) -> Result<Vec<Reading>, DatasetError> {
+    let mut ended: Vec<Reading> = Vec::new();
+    let mut held = true;
     let mut open: BTreeMap<u64, Reading> = BTreeMap::new();
     // By id: the last log time, and how many frames were logged then.
     let mut last: BTreeMap<u64, (Stamp, usize)> = BTreeMap::new();
@@ -141,9 +157,9 @@ fn read(
             (*time, *count) = (log, 0);
         }
         let before = std::mem::replace(count, *count + 1);
-        let held = budget.holds();
-        budget.bytes += shelf::frame_bytes(frame.len());
+        budget.bytes.fetch_add(shelf::frame_bytes(frame.len()), Ordering::Relaxed);
         if held && !budget.holds() {
+            held = false;
             for reading in ended.iter_mut().chain(open.values_mut()) {
                 reading.stream.states = Vec::new();
             }
@@ -151,12 +167,12 @@ fn read(
         match open.get_mut(&frame.stream) {
             Some(reading) if reading.stream.is_continued_by(&frame, reading.frames) => {
                 let Frame { position, velocity, .. } = frame;
-                reading.push(State { position, velocity }, log, before, budget.holds());
+                reading.push(State { position, velocity }, log, before, held);
             }
             _ => {
                 let id = frame.stream;
                 let mut reading = Reading::begin(bag, number, frame, log, before);
-                if !budget.holds() {
+                if !held {
                     reading.stream.states = Vec::new();
                 }
                 ended.extend(open.insert(id, reading));
@@ -165,5 +181,5 @@ fn read(
         frame_done();
     }
     ended.extend(open.into_values());
-    Ok(())
+    Ok(ended)
 }

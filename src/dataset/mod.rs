@@ -109,7 +109,7 @@ impl Dataset {
     pub fn load(
         paths: &[PathBuf],
         memory: u64,
-        progress: &mut dyn FnMut(u64, u64),
+        progress: &mut (dyn FnMut(u64, u64) + Send),
     ) -> Result<Self, DatasetError> {
         let streams = load::load(paths, memory, progress)?;
         let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
@@ -155,7 +155,7 @@ impl Dataset {
 pub fn load_trajectories(
     paths: &[PathBuf],
     memory: u64,
-    progress: &mut dyn FnMut(u64, u64),
+    progress: &mut (dyn FnMut(u64, u64) + Send),
 ) -> Result<Vec<Trajectory>, DatasetError> {
     load::load(paths, memory, progress)
 }
