@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use pulp::Simd;
 
-use super::linear::{Linear, add_products};
+use super::linear::{Linear, add_products, load};
 use crate::{
     checkpoint::{Activation, Core, Description, Form, Weights, layout},
     kernels::{
@@ -74,6 +74,11 @@ impl CoreLayer {
         self.input[0].outputs(panel)
     }
 
+    /// How many sums of a unit there are at once.
+    pub(super) fn sums(&self) -> usize {
+        self.input.len()
+    }
+
     /// Its linear parts.
     pub(super) fn linears(&self) -> impl Iterator<Item = &Linear> {
         self.input.iter().chain(&self.hidden)
@@ -104,7 +109,7 @@ impl CoreLayer {
                 for r in 0..R {
                     let update = sigmoid(simd, gate[r]);
                     let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
-                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    let last = load(simd, &hidden[r][units.clone()]);
                     next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
                 }
             }
@@ -119,7 +124,7 @@ impl CoreLayer {
                         update = simd.div_f32s(update, sum);
                         kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
                     }
-                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    let last = load(simd, &hidden[r][units.clone()]);
                     next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
                 }
             }
@@ -140,7 +145,7 @@ impl CoreLayer {
                     let update = sigmoid(simd, update[r]);
                     let sum = simd.mul_add_e_f32s(reset, recurrent[r], input[r]);
                     let candidate = tanh(simd, sum);
-                    let last = simd.partial_load_f32s(&hidden[r][units.clone()]);
+                    let last = load(simd, &hidden[r][units.clone()]);
                     let change = simd.sub_f32s(last, candidate);
                     next.hidden[r] = simd.mul_add_e_f32s(update, change, candidate);
                 }
@@ -158,7 +163,7 @@ impl CoreLayer {
                     add_products::<S, 4, R, K>(simd, panels, hidden, sums);
                 let mut cell = [simd.splat_f32s(0.0); R];
                 for r in 0..R {
-                    let last = simd.partial_load_f32s(&cells[r][units.clone()]);
+                    let last = load(simd, &cells[r][units.clone()]);
                     let kept = simd.mul_f32s(sigmoid(simd, forget[r]), last);
                     let (input, candidate) = (sigmoid(simd, input[r]), tanh(simd, candidate[r]));
                     cell[r] = simd.mul_add_e_f32s(input, candidate, kept);

@@ -123,8 +123,7 @@ impl Linear {
     /// Biases of a panel, for R rows.
     #[inline(always)]
     pub(super) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {
-        let bias = &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes];
-        [simd.partial_load_f32s(bias); R]
+        [load(simd, &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes]); R]
     }
 
     /// How many numbers one pass over the weights reads.
@@ -137,6 +136,24 @@ impl Linear {
 #[inline(always)]
 pub(super) fn outputs(panel: usize, lanes: usize, output: usize) -> std::ops::Range<usize> {
     panel * lanes..((panel + 1) * lanes).min(output)
+}
+
+/// The numbers of a panel in some row: a whole vector where it is full.
+#[inline(always)]
+pub(super) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
+    match S::as_simd_f32s(row) {
+        ([vector], []) => *vector,
+        _ => simd.partial_load_f32s(row),
+    }
+}
+
+/// The inverse.
+#[inline(always)]
+pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
+    match S::as_mut_simd_f32s(row) {
+        ([vector], []) => *vector = numbers,
+        (_, _) => simd.partial_store_f32s(row, numbers),
+    }
 }
 
 /// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers. Every

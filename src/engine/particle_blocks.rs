@@ -7,9 +7,10 @@ use pulp::Simd;
 use super::{
     core::CoreLayer,
     free_flight::REACH,
+    linear::store,
     particle_features::{FEATURES, State},
     particle_model::{BLOCK, Bench, ParticleModel, Pass},
-    products::{Beside, Output, Rows, pass, store},
+    products::{Beside, Output, Rows, pass},
     surroundings::READ,
 };
 use crate::{kernels::transfer::gather, model::Ballistic};
@@ -72,9 +73,9 @@ impl Pass<'_> {
         pass(simd, second, count, &input, &mut output);
     }
 
-    /// From what a block of particles reads to their next states, R rows at a time in the core.
+    /// From what a block of particles reads to their next states.
     #[inline(always)]
-    pub(super) fn decode<S: Simd, const R: usize>(&self, simd: S, item: usize, thread: usize) {
+    pub(super) fn decode<S: Simd>(&self, simd: S, item: usize, thread: usize) {
         let model = self.model;
         let (block, channels, width) = (self.block(item), model.grid.channels, model.hidden);
         let particles = &self.nodes.order()[block.clone()];
@@ -109,7 +110,13 @@ impl Pass<'_> {
 
         for (number, layer) in model.core.iter().enumerate() {
             let first = number * self.nodes.order().len();
-            self.recur::<S, R>(simd, layer, first, particles, input, output);
+            // So many rows that the sums of all gates fit into registers.
+            match (layer.sums(), S::REGISTER_COUNT >= 32) {
+                (..=2, true) => self.recur::<S, 12>(simd, layer, first, particles, input, output),
+                (_, true) => self.recur::<S, 6>(simd, layer, first, particles, input, output),
+                (..=2, false) => self.recur::<S, 6>(simd, layer, first, particles, input, output),
+                (_, false) => self.recur::<S, 3>(simd, layer, first, particles, input, output),
+            }
             for (&particle, output) in particles.iter().zip(output.chunks_exact(width)) {
                 let row = (first + particle as usize) * width;
                 // SAFETY: a particle has one slot, in this block.
@@ -134,7 +141,7 @@ impl Pass<'_> {
         }
     }
 
-    /// A layer of the core: new outputs to `output`, new cells in place. The states of its particles begin
+    /// A layer of the core, R rows at a time: new outputs to `output`, new cells in place. The states of its particles begin
     /// with row `first`.
     #[inline(always)]
     fn recur<S: Simd, const R: usize>(

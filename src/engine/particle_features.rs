@@ -19,7 +19,10 @@ use crate::{
 pub(super) const FEATURES: usize = SURROUNDED_FEATURES;
 
 /// Nearness of four walls at two scales.
-pub(super) const NEARNESSES: usize = 8;
+const NEARNESSES: usize = 8;
+
+/// Particles whose nearnesses are computed at once: as many as fill the longest vectors.
+const TOGETHER: usize = 2;
 
 /// Where nearness, the shape of solids and the material are among the features.
 const WALLS: usize = 6;
@@ -90,31 +93,40 @@ impl Features {
         let Known { frame, ballistic, material, rest } = known;
         let Ballistic { gravity, dt, lower, upper } = *ballistic;
         let (rows, _) = rows.as_chunks_mut::<FEATURES>();
-        for ((row, fallen), &particle) in rows.iter_mut().zip(fallen).zip(particles) {
-            let particle = particle as usize;
-            let (x, v) = (frame.position[particle], frame.velocity[particle]);
-            *fallen = ballistic.step(x, v);
-            let foretold = foretold(particle);
-            for axis in 0..2 {
-                let stopped = fallen.1[axis] - (v[axis] + gravity[axis] * dt);
-                row[axis] = v[axis] / self.velocity_unit;
-                row[2 + axis] = (v[axis] - foretold[axis]) / self.velocity_unit;
-                row[4 + axis] = stopped / self.velocity_unit;
-                let below = (x[axis] - lower[axis]).max(0.0);
-                let above = (upper[axis] - x[axis]).max(0.0);
-                for (half, distance) in [(0, below), (2, above)] {
-                    row[WALLS + half + axis] = distance * (-1.0 / NEAR);
-                    row[WALLS + 4 + half + axis] = distance * (-1.0 / FAR);
+        let per_unit = 1.0 / self.velocity_unit;
+        // Walls of several particles fill a vector.
+        let mut walls = [[0.0; NEARNESSES]; TOGETHER];
+        let groups = rows.chunks_mut(TOGETHER).zip(fallen.chunks_mut(TOGETHER));
+        for ((rows, fallen), particles) in groups.zip(particles.chunks(TOGETHER)) {
+            let all = rows.iter_mut().zip(fallen).zip(particles);
+            for (((row, fallen), &particle), walls) in all.zip(&mut walls) {
+                let particle = particle as usize;
+                let (x, v) = (frame.position[particle], frame.velocity[particle]);
+                *fallen = ballistic.step(x, v);
+                let foretold = foretold(particle);
+                for axis in 0..2 {
+                    let stopped = fallen.1[axis] - (v[axis] + gravity[axis] * dt);
+                    row[axis] = v[axis] * per_unit;
+                    row[2 + axis] = (v[axis] - foretold[axis]) * per_unit;
+                    row[4 + axis] = stopped * per_unit;
+                    let below = (x[axis] - lower[axis]).max(0.0);
+                    let above = (upper[axis] - x[axis]).max(0.0);
+                    for (half, distance) in [(0, below), (2, above)] {
+                        walls[half + axis] = distance * (-1.0 / NEAR);
+                        walls[4 + half + axis] = distance * (-1.0 / FAR);
+                    }
                 }
+                let shape = rest.shape_of(particle, &frame.position);
+                row[SHAPE..MATERIAL].copy_from_slice(&shape);
+                row[MATERIAL..].fill(0.0);
+                row[MATERIAL + usize::from(material[particle])] = 1.0;
             }
-            let shape = rest.shape_of(particle, &frame.position);
-            row[SHAPE..MATERIAL].copy_from_slice(&shape);
-            row[MATERIAL..].fill(0.0);
-            row[MATERIAL + usize::from(material[particle])] = 1.0;
-
-            for part in row[WALLS..SHAPE].chunks_mut(S::F32_LANES) {
-                let nearness = exp(simd, simd.partial_load_f32s(part));
-                simd.partial_store_f32s(part, nearness);
+            let (vectors, _) = S::as_mut_simd_f32s(walls.as_flattened_mut());
+            for vector in vectors {
+                *vector = exp(simd, *vector);
+            }
+            for (row, walls) in rows.iter_mut().zip(&walls) {
+                row[WALLS..SHAPE].copy_from_slice(walls);
             }
         }
     }

@@ -340,13 +340,7 @@ impl WithSimd for Item<'_> {
         let particles = nodes.order().len();
         match Stage::number(stage) {
             Stage::Encode => pass.encode(simd, item, thread),
-            Stage::Decode => {
-                if S::REGISTER_COUNT >= 32 {
-                    pass.decode::<S, 6>(simd, item, thread);
-                } else {
-                    pass.decode::<S, 3>(simd, item, thread);
-                }
-            }
+            Stage::Decode => pass.decode(simd, item, thread),
             Stage::Write => {
                 // SAFETY: this stage only reads what is encoded.
                 let encoded = unsafe { pass.encoded.read(0..particles * grid.channels) };

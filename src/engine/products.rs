@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use super::linear::{Linear, add_products};
+use super::linear::{Linear, add_products, store};
 use crate::kernels::math::relu;
 
 /// Where the inputs of a layer's rows are.
@@ -231,15 +231,5 @@ impl Sink for Output<'_> {
         let sums = if self.rectify { relu(simd, sums) } else { sums };
         let first = row * self.width;
         store(simd, &mut self.numbers[first + outputs.start..first + outputs.end], sums);
-    }
-}
-
-/// Puts a vector into a row, or as much of it as there is room for.
-#[inline(always)]
-pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
-    if row.len() == S::F32_LANES {
-        S::as_mut_simd_f32s(row).0[0] = numbers;
-    } else {
-        simd.partial_store_f32s(row, numbers);
     }
 }

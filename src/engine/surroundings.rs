@@ -9,8 +9,8 @@ use pulp::Simd;
 
 use super::{
     crew::Parts,
-    linear::Linear,
-    products::{Gathered, Output, Rows, Sink, pass, store},
+    linear::{Linear, load, store},
+    products::{Gathered, Output, Rows, Sink, pass},
 };
 use crate::{
     checkpoint::{Surroundings, Weights, layout},
@@ -177,7 +177,7 @@ impl Grid {
             let (averages, rest) = written.split_at_mut(self.channels);
             let scale = simd.splat_f32s(1.0 / (rest[0] + LEAST_MASS));
             for part in averages.chunks_mut(S::F32_LANES) {
-                let average = simd.mul_f32s(simd.partial_load_f32s(part), scale);
+                let average = simd.mul_f32s(load(simd, part), scale);
                 store(simd, part, average);
             }
             rest[0] /= FULL;
@@ -269,7 +269,7 @@ impl Sink for Children<'_> {
         // SAFETY: a node has one parent, which is in the block of this item alone; nobody writes what is
         // held.
         let (held, to) = unsafe { (self.held.read(place.clone()), self.to.part(place)) };
-        let sums = simd.add_f32s(simd.partial_load_f32s(held), sums);
+        let sums = simd.add_f32s(load(simd, held), sums);
         store(simd, to, relu(simd, sums));
     }
 }

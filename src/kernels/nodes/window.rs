@@ -1,5 +1,7 @@
 //! One window's tables, through maps with an entry for every cell of its domain.
 
+use pulp::{Arch, Simd, WithSimd};
+
 use super::{Cell, LEVELS, Level, MISSING, Row, Tables, Window};
 
 /// Number of node 0 in the maps of level 0. A multiple of 4, so that a parent's number is half of its
@@ -92,21 +94,13 @@ impl Maps {
 
     /// Finds each particle's cell and counts the particles of each.
     fn locate(&mut self, position: &[[f32; 2]], lower: [f32; 2], extent: [f32; 2], width: f32) {
+        self.cell.resize(position.len(), 0);
+        self.offset.resize(position.len(), [0.0; 2]);
         let across = self.across[0];
-        for x in position {
-            let mut number = [0; 2];
-            let mut offset = [0.0; 2];
-            for axis in 0..2 {
-                // `max` also makes a number of what is not one.
-                let cells = ((x[axis] - lower[axis]) / width).max(0.0).min(extent[axis]);
-                let base = (cells - 0.5).floor();
-                number[axis] = (base as i32 + ORIGIN as i32) as usize;
-                offset[axis] = cells - base;
-            }
-            let cell = number[1] * across + number[0];
-            self.particles[cell] += 1;
-            self.cell.push(cell as u32);
-            self.offset.push(offset);
+        let (cell, offset) = (&mut self.cell, &mut self.offset);
+        Arch::new().dispatch(Locate { position, lower, extent, width, across, cell, offset });
+        for &cell in &self.cell {
+            self.particles[cell as usize] += 1;
         }
     }
 
@@ -217,4 +211,36 @@ impl Maps {
 #[inline(always)]
 fn weights(x: f32) -> [f32; 3] {
     [0.5 * (1.5 - x) * (1.5 - x), 0.75 - (x - 1.0) * (x - 1.0), 0.5 * (x - 0.5) * (x - 0.5)]
+}
+
+/// Each particle's cell, and where it is in its stencil.
+struct Locate<'a> {
+    position: &'a [[f32; 2]],
+    lower: [f32; 2],
+    extent: [f32; 2],
+    width: f32,
+    across: usize,
+    cell: &'a mut [u32],
+    offset: &'a mut [[f32; 2]],
+}
+
+impl WithSimd for Locate<'_> {
+    type Output = ();
+
+    // Not in vectors, but with instructions that round down.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { position, lower, extent, width, across, cell, offset } = self;
+        for ((x, cell), offset) in position.iter().zip(cell).zip(offset) {
+            let mut number = [0; 2];
+            for axis in 0..2 {
+                // `max` also makes a number of what is not one.
+                let cells = ((x[axis] - lower[axis]) / width).max(0.0).min(extent[axis]);
+                let base = (cells - 0.5).floor();
+                number[axis] = (base as i32 + ORIGIN as i32) as u32;
+                offset[axis] = cells - base;
+            }
+            *cell = number[1] * across as u32 + number[0];
+        }
+    }
 }
