@@ -5,13 +5,11 @@
 //! 3. [`shelf`]: streams that do not fit stay on disk and are read again block by block.
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
 //! 5. [`statistics`]: range, mean and deviation of each feature, over the training part only.
-//! 6. [`spacing`]: how far apart particles are.
 //!
 //! Everything that is computed from a set is the same, bit for bit, wherever its frames are.
 
 mod load;
 mod shelf;
-mod spacing;
 mod split;
 mod statistics;
 mod stream;
@@ -22,13 +20,12 @@ use std::path::PathBuf;
 use sha2::{Digest, Sha256};
 
 pub use shelf::{Residency, Shelf};
-pub use spacing::spacing;
 pub use split::Part;
 pub use statistics::Bounds;
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use crate::{bag::BagError, checkpoint::Normalization, frame::Material};
+use crate::{bag::BagError, checkpoint::Normalization, frame::Material, kernels::spacing::spacing};
 use statistics::Statistics;
 
 /// The topic that holds the truth.

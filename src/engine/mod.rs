@@ -10,7 +10,8 @@
 //!    `particle_blocks` have what happens to particles, `surroundings` what happens to the grid's nodes,
 //!    `free_flight` keeps the momentum of bodies that touch nothing.
 //! 7. `memory`: what a network remembers of a stream.
-//! 8. `surrogate`: a checkpoint that predicts frames, one after the other.
+//! 8. [`Remark`]: what is predicted although the network was not made for it.
+//! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
 //!
 //! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
 //! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
@@ -30,6 +31,7 @@ mod particle_blocks;
 mod particle_features;
 mod particle_model;
 mod products;
+mod remark;
 mod surrogate;
 mod surroundings;
 
@@ -38,4 +40,5 @@ mod tests;
 
 pub use error::ModelError;
 pub use memory::Memory;
+pub use remark::Remark;
 pub use surrogate::Surrogate;

@@ -9,10 +9,11 @@ use std::{
 use pulp::Arch;
 
 use super::{
-    Memory, ModelError,
+    Memory, ModelError, Remark,
     crew::Crew,
     frame_model::{self, FrameModel},
     particle_model::{self, ParticleModel},
+    remark,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, Surroundings},
@@ -155,6 +156,12 @@ impl Surrogate {
                 fits_domain(&frame.domain, &self.description, cell_width, frame.len())
             }
         }
+    }
+
+    /// What there is to say about a stream that begins with a frame that [`Surrogate::fits`]: where the
+    /// network works, but was not made for it.
+    pub fn remarks(&self, frame: &Frame) -> Vec<Remark> {
+        remark::remarks(&self.description, frame)
     }
 
     /// An empty memory for the particles of `frame`. It has not observed `frame`; that is

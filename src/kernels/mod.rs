@@ -20,7 +20,8 @@
 //! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
 //! 9. [`transfer`]: from particles to nodes and back.
 //! 10. [`gathered`]: convolutions on nodes.
-//! 11. [`rest`]: the strain of bodies that keep their shape.
+//! 11. [`rest`]: strain and bend of bodies that keep their shape.
+//! 12. [`spacing`]: how far apart particles are.
 
 pub mod activation;
 pub mod encoder;
@@ -34,5 +35,6 @@ pub mod minimal;
 pub mod nodes;
 pub mod packed;
 pub mod rest;
+pub mod spacing;
 pub mod transfer;
 pub mod vectors;

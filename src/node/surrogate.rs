@@ -180,6 +180,9 @@ impl SurrogateNode {
     /// A stream whose first frame is `frame`.
     fn begin(&self, frame: &Frame) -> Result<StreamTrack, Refusal> {
         let mut memory = self.surrogate.start(frame)?;
+        for remark in self.surrogate.remarks(frame) {
+            tracing::warn!("stream {}: {remark}", frame.stream);
+        }
         let predicted = self.surrogate.step(&mut memory, frame);
         Ok(StreamTrack {
             memory,
