@@ -19,7 +19,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from torch_model import Bodies, FrameModel, describe, load, save
+from torch_core import Bodies
+from torch_frame import FrameModel
+from torch_model import describe, load, save
 
 MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
 FRAME = "eddy_msgs/msg/ParticleFrame"
@@ -70,7 +72,7 @@ def difference(eddy: str, model: FrameModel, checkpoint: Path, bag: Path, work: 
     predicted = frames(output, "/prediction", store)
     material = torch.from_numpy(shown[0].material.copy()).long().unsqueeze(0)
     with torch.no_grad():
-        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), model.kind(material))
+        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), model.matter(material))
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
         expected = expected[-len(found) :]  # without those of the warm-up
