@@ -30,6 +30,8 @@ FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
 LEAST_MASS, FULL = 1e-3, 16.0
 # What a node knows beside its channels: how full it is, and how near the four walls are.
 NODE_FEATURES = 1 + 4
+# Nearness of a wall that ends free flight (cells).
+REACH = 1.5
 # Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
 MARGIN = 4
 
@@ -230,3 +232,37 @@ class ParticleModel(nn.Module):
         y = self.corner[1] + self.cell * self.node_y.unsqueeze(-1)  # [J, 1]
         distances = torch.broadcast_tensors(x - left, y - lower, right - x, upper - y)
         return torch.exp(-torch.stack(distances).clamp(min=0) / self.cell)
+
+    def keep_momentum(self, bodies: Bodies, predicted: Bodies) -> Bodies:
+        """What eddy predicts with for the frame after `bodies`, [N, 2] each, where `predicted` is the network's
+        own: bodies in free flight lose the mean and the rotation of what is added to the ballistic step."""
+        fallen_position, fallen_velocity, _ = self.fall(*(track.to(self.unit) for track in bodies))
+        body = self.body(bodies[0])
+        free = torch.ones_like(body, dtype=torch.bool)
+        for position in (bodies[0], fallen_position):
+            gap = torch.cat([position - self.lower, self.upper - position], -1)
+            free &= gap.amin(-1) >= REACH * self.cell
+        kept = []
+        for fallen, found in zip((fallen_position, fallen_velocity), predicted):
+            change = found - fallen
+            for number in body.unique():
+                members = body == number
+                if free[members].all():
+                    arm = fallen_position[members] - fallen_position[members].mean(0)
+                    turned = torch.stack([-arm[:, 1], arm[:, 0]], -1)
+                    angle = (turned * change[members]).sum() / arm.square().sum().clamp(min=1e-10)
+                    change[members] -= change[members].mean(0) + angle * turned
+            kept.append(fallen + change)
+        return kept[0].clamp(self.lower, self.upper), kept[1]
+
+    def body(self, position: Tensor) -> Tensor:
+        """The number of the body that each particle belongs to, [N]: of nodes that are next to each other."""
+        place = torch.floor((position - self.corner) / self.cell - 0.5).long() + MARGIN
+        there = torch.zeros(1, len(self.node_y), len(self.node_x))
+        for across in range(3):
+            for up in range(3):
+                there[0, place[:, 1] + up, place[:, 0] + across] = 1
+        number, before = there * torch.arange(1.0, there.numel() + 1).view_as(there), None
+        while before is None or not number.equal(before):
+            before, number = number, there * max_pool2d(number, 3, stride=1, padding=1)
+        return number[0, place[:, 1], place[:, 0]]
