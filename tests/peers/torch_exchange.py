@@ -4,11 +4,12 @@
     cargo build --release
     python tests/peers/torch_exchange.py target/release/eddy
 
-For every core: a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
+For both architectures and every core: a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
 with `strict=True`, each predict a bag through `eddy predict` and in PyTorch. A table shows the largest
 difference as a share of the largest number; exits with 1 if one is above 1e-5.
 """
 
+import itertools
 import subprocess
 import sys
 import tempfile
@@ -19,16 +20,19 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from torch_model import Bodies, FrameModel, describe, load, save
+from torch_core import Bodies
+from torch_model import Model, describe, load, network, save
+from torch_particle import ParticleModel
 
 MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
 FRAME = "eddy_msgs/msg/ParticleFrame"
 CORES = ("mlp", "lstm", "gru", "minlstm", "mingru")
 SIZES = {"encoder": 32, "hidden": 48, "layers": 2}
+SURROUNDINGS = {"cell_width": 1 / 32, "channels": [5, 6, 7], "spacing": 1 / 128}
 TRAINING = """
 epochs = 1
-network.encoder = 32
-network.hidden = 48
+unroll = [{ share = 1.0, frames = 2 }]
+network = { encoder = 32, hidden = 48, layers = 2, channels = [5, 6, 7] }
 windows.per_epoch = 64
 validation.horizon = 4
 """
@@ -60,7 +64,7 @@ def stack(found: list[object]) -> Bodies:
     return position, velocity
 
 
-def difference(eddy: str, model: FrameModel, checkpoint: Path, bag: Path, work: Path) -> float:
+def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path) -> float:
     """Between eddy's and PyTorch's predictions, as a share of the largest number."""
     store = typestore()
     output = work / f"predicted_{checkpoint.name}"
@@ -69,13 +73,23 @@ def difference(eddy: str, model: FrameModel, checkpoint: Path, bag: Path, work: 
     shown = frames(bag, "/particles", store)
     predicted = frames(output, "/prediction", store)
     material = torch.from_numpy(shown[0].material.copy()).long().unsqueeze(0)
+    bodies = stack([shown[number] for number in sorted(shown)])
     with torch.no_grad():
-        expected, _ = model.double()(stack([shown[number] for number in sorted(shown)]), model.kind(material))
+        expected, _ = model.double()(bodies, model.matter(material, bodies[0][0]))
+        if isinstance(model, ParticleModel):
+            expected = conserve(model, bodies, expected)
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
         expected = expected[-len(found) :]  # without those of the warm-up
         apart = max(apart, float((found - expected).abs().max() / expected.abs().max()))
     return apart
+
+
+def conserve(model: ParticleModel, bodies: Bodies, predicted: Bodies) -> Bodies:
+    """What the model predicts, [T, 1, N, 2], where bodies in free flight keep their momentum and spin."""
+    frames = zip(zip(*(track[:, 0] for track in bodies)), zip(*(track[:, 0] for track in predicted)))
+    position, velocity = zip(*(model.keep_momentum(*both) for both in frames))
+    return torch.stack(position).unsqueeze(1), torch.stack(velocity).unsqueeze(1)
 
 
 def main() -> None:
@@ -89,21 +103,26 @@ def main() -> None:
         bag = work / "truth" / "scene_0002"
         particles = len(frames(bag, "/particles", typestore())[0].material)
         (work / "train.toml").write_text(TRAINING)
-        print("core     by PyTorch  by eddy")
-        for core in CORES:
-            written = work / f"{core}_torch"
-            description = describe(core, SIZES | {"particles": particles})
-            model = FrameModel(description)
+        own = {
+            "frame": {"sizes": SIZES | {"particles": particles}},
+            "particle": {"sizes": SIZES, "surroundings": SURROUNDINGS},
+        }
+        print("model    core     by PyTorch  by eddy")
+        for architecture, core in itertools.product(own, CORES):
+            name = f"{architecture}_{core}"
+            written = work / f"{name}_torch"
+            description = describe(core, architecture=architecture, **own[architecture])
+            model = network(description)
             save(model, description, written)
-            trained = work / f"{core}_eddy"
-            train = ["--architecture", "frame", "--core", core, "--config", work / "train.toml"]
+            trained = work / f"{name}_eddy"
+            train = ["--architecture", architecture, "--core", core, "--config", work / "train.toml"]
             train += ["--data", work / "truth", "--output", trained]
             subprocess.run([eddy, "--quiet", "train", *train], check=True)
             both = [
                 difference(eddy, model, written, bag, work),
                 difference(eddy, load(trained), trained, bag, work),
             ]
-            print(f"{core:8} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
+            print(f"{architecture:8} {core:8} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
             apart += both
     raise SystemExit(0 if max(apart) <= NEAR else 1)
 

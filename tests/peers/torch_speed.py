@@ -35,7 +35,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
-from torch_model import FrameModel, describe
+from torch_frame import FrameModel
+from torch_model import describe
 
 THREADS = 2
 PAPER = {"encoder": 256, "hidden": 1250, "layers": 2, "particles": 2500}
@@ -106,12 +107,12 @@ def inference(case: Case, compiled: bool) -> Callable[[], None]:
     model = FrameModel(describe(case.core, PAPER)).eval()
     predict = compilable(model, compiled)
     bodies, material = particles(1, 1)
-    kind, state = model.kind(material), None
+    matter, state = model.matter(material), None
 
     @torch.inference_mode()
     def step() -> None:
         nonlocal state
-        _, state = predict(bodies, kind, state)
+        _, state = predict(bodies, matter, state)
 
     return step
 
@@ -133,10 +134,10 @@ def frame(case: Case, compiled: bool) -> Callable[[], None]:
     model = FrameModel(describe(case.core, PAPER))
     predict = compilable(model, compiled)
     (position, velocity), material = particles(case.frames + 1, WINDOWS)
-    kind = model.kind(material)
+    matter = model.matter(material)
 
     def loss() -> Tensor:
-        (found_position, found_velocity), _ = predict((position[:-1], velocity[:-1]), kind)
+        (found_position, found_velocity), _ = predict((position[:-1], velocity[:-1]), matter)
         return mse_loss(found_position[-1], position[-1]) + mse_loss(found_velocity[-1], velocity[-1])
 
     return training(list(model.parameters()), loss, compiled)

@@ -1,13 +1,13 @@
-"""Writes the golden data beside this script: what PyTorch computes in float64 with small frame models.
+"""Writes the golden data beside this script: what PyTorch computes in float64 with small models.
 
     pip install -r tests/peers/requirements-bench.txt
     python tests/golden/torch/generate.py
 
-Each row of `ROWS` becomes `NAME.safetensors`. Its metadata `row` is JSON with `description` (the network,
+Each row of `ROWS` and `PARTICLE_ROWS` becomes `NAME.safetensors`. Its metadata `row` is JSON with `description` (the network,
 as `model.toml` describes it) and `training` (what is minimised, and the clip), its tensors are
 
     weight.*                     initial weights, every one an f32
-    input.position, .velocity    [T, B, N, 2], warm-up and future
+    input.position, .velocity    [T, B, N, 2], warm-up and future; at rest in the first frame
     input.material               [B, N]
     forward.position, .velocity  the frame predicted after each of the T frames, [T, B, N, 2]
     unroll.position, .velocity   the future, predicted from the warm-up alone, [K, B, N, 2]
@@ -32,7 +32,8 @@ from torch import Tensor
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1] / "peers"))
-from torch_model import MATERIALS, Bodies, FrameModel, describe, save  # noqa: E402
+from torch_core import MATERIALS, Bodies  # noqa: E402
+from torch_model import Model, describe, network, save  # noqa: E402
 
 FRAMES, WINDOWS, PARTICLES = 5, 3, 12
 SIZES = {"encoder": 7, "hidden": 6, "layers": 2, "particles": PARTICLES}
@@ -62,6 +63,27 @@ ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
     ("mingru_z_score", "mingru", {"frame": {"scaling": "z-score"}}, UNROLL),
 ]
 
+# A cell and a spacing so wide that a few particles fill the grid.
+SURROUNDINGS = {"cell_width": 0.125, "channels": [3, 4, 5], "spacing": 0.0625}
+# A scene's bodies as columns and rows, how far apart their particles are (spacings), their lower left
+# corner and how fast they fly. The jelly is so dense that not every particle in reach is a neighbour, the
+# thread so thin that none is.
+BODIES = {
+    "jelly": ((4, 4), 0.8, (0.2, 0.5), (1.0, -0.5)),
+    "rope": ((4, 2), 1.0, (0.3, 0.07), (0.2, -1.0)),
+    "thread": ((4, 1), 1.0, (0.06, 0.3), (-0.5, 0.5)),
+}
+DROPS, FLAKES = 3, 2
+SCENE = torch.tensor([2] * 16 + [3] * 12 + [0] * DROPS + [1] * FLAKES)  # materials
+# PyTorch's initial matrices shrink what passes through so many layers with a ReLU until gradients are
+# smaller than Adam's epsilon.
+GAIN = 2.0
+
+# The same for the particle model.
+PARTICLE_ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
+    (f"particle_{core}", core, {}, UNROLL) for core in CORES
+]
+
 
 def particles(frames: int, windows: int) -> tuple[Bodies, Tensor]:
     """Particles that fly nearly straight, and their materials."""
@@ -72,12 +94,37 @@ def particles(frames: int, windows: int) -> tuple[Bodies, Tensor]:
     return (start + 0.016 * velocity.cumsum(0), velocity), torch.randint(len(MATERIALS), (windows, PARTICLES))
 
 
-def unroll(model: FrameModel, observed: Bodies, kind: Tensor, frames: int) -> tuple[Bodies, Bodies]:
+def body(shape: tuple[int, int], apart: float, corner: tuple[float, float], flies: tuple[float, float]) -> Bodies:
+    """The particles of a body, [N, 2] each, a bit out of line; it turns as it flies."""
+    step = apart * SURROUNDINGS["spacing"]
+    places = step * torch.cartesian_prod(*(torch.arange(count) for count in shape)) + torch.tensor(corner)
+    places += 0.2 * step * (torch.rand(places.shape) - 0.5)
+    across = (places - places.mean(0)).flip(1) * torch.tensor([-1.0, 1.0])
+    return places, torch.tensor(flies) + 3 * across
+
+
+def scene(frames: int, windows: int) -> tuple[Bodies, Tensor]:
+    """A jelly in flight, a rope at the floor, a thread at a wall, drops in a corner, and lonely flakes."""
+    places, thrown = [], []
+    for _ in range(windows):
+        bodies = [body(*row) for row in BODIES.values()]
+        loose = torch.cat([0.94 - 0.1 * torch.rand(DROPS, 2), 0.5 + 0.3 * torch.rand(FLAKES, 2)])
+        bodies.append((loose, torch.rand(loose.shape)))
+        for track, parts in zip((places, thrown), zip(*bodies)):
+            track.append(torch.cat(parts))
+    push = 0.2 * torch.randn(frames, windows, len(SCENE), 2)
+    push[0] = torch.stack(thrown)
+    velocity = push.cumsum(0)
+    position = torch.stack(places) + 0.016 * velocity.cumsum(0)
+    return (position.clamp(0.051, 0.949), velocity), SCENE.expand(windows, -1)
+
+
+def unroll(model: Model, observed: Bodies, matter: Any, frames: int) -> tuple[Bodies, Bodies]:
     """Predicts `frames` frames from its own output, and each frame after an observed one."""
-    steps, state = model(observed, kind)
+    steps, state = model(observed, matter)
     future = [tuple(track[-1:] for track in steps)]
     while len(future) < frames:
-        predicted, state = model(future[-1], kind, state)
+        predicted, state = model(future[-1], matter, state)
         future.append(predicted)
     position, velocity = (torch.cat(track) for track in zip(*future))
     return (position, velocity), steps
@@ -89,13 +136,13 @@ def mean_squared_error(found: Bodies, truth: Bodies, unit: Tensor) -> Tensor:
 
 
 def objective(
-    model: FrameModel, bodies: Bodies, kind: Tensor, unit: Tensor, training: dict[str, Any]
+    model: Model, bodies: Bodies, matter: Any, unit: Tensor, training: dict[str, Any]
 ) -> tuple[Tensor, Bodies]:
     """The loss of a free unroll and of the one-step predictions in the warm-up; the unroll."""
     warm_up = training["warm_up"]
     position, velocity = bodies
     observed, future = (position[:warm_up], velocity[:warm_up]), (position[warm_up:], velocity[warm_up:])
-    predicted, (steps_position, steps_velocity) = unroll(model, observed, kind, FRAMES - warm_up)
+    predicted, (steps_position, steps_velocity) = unroll(model, observed, matter, FRAMES - warm_up)
     known = mean_squared_error(
         (steps_position[:-1], steps_velocity[:-1]), (observed[0][1:], observed[1][1:]), unit
     )
@@ -104,22 +151,26 @@ def objective(
 
 def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, Tensor]:
     """The tensors of a row."""
-    model = FrameModel(description).double()
+    model = network(description).double()
+    if description["architecture"] == "particle":
+        for tensor in model.parameters():
+            tensor.data *= GAIN if tensor.dim() == 2 else 1
     before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
-    bodies, material = particles(FRAMES, WINDOWS)
+    make, windows = (particles, WINDOWS) if description["architecture"] == "frame" else (scene, 2)
+    bodies, material = make(FRAMES, windows)
     scale = description["normalization"]
-    kind = model.kind(material)
+    matter = model.matter(material, bodies[0][0])
     unit = torch.tensor(scale["maximum"]).double() - torch.tensor(scale["minimum"]).double()
 
-    forward, _ = model(bodies, kind)
-    loss, predicted = objective(model, bodies, kind, unit, training)
+    forward, _ = model(bodies, matter)
+    loss, predicted = objective(model, bodies, matter, unit, training)
     loss.backward()
     gradients = {name: tensor.grad.clone() for name, tensor in model.named_parameters()}
 
     adam = torch.optim.Adam(model.parameters(), LEARNING_RATE, eps=EPSILON)
     for _ in range(STEPS):
         adam.zero_grad()
-        objective(model, bodies, kind, unit, training)[0].backward()
+        objective(model, bodies, matter, unit, training)[0].backward()
         if training["clip"] is not None:
             for tensor in model.parameters():  # each on its own
                 tensor.grad *= (training["clip"] / tensor.grad.norm()).clamp(max=1)
@@ -138,26 +189,33 @@ def checkpoint(core: str) -> None:
     """A checkpoint, eight frames it was shown, and what it predicted after each of them."""
     directory = HERE / "checkpoints" / core
     description = describe(core, SIZES)
-    model = FrameModel(description)
+    model = network(description)
     save(model, description, directory)
     bodies, material = particles(8, 1)
     with torch.no_grad():
-        predicted, _ = model.double()(bodies, model.kind(material))
+        predicted, _ = model.double()(bodies, model.matter(material))
     data = {"input.material": material[0].byte()}
     for name, (position, velocity) in {"input": bodies, "prediction": predicted}.items():
         data |= {f"{name}.position": position[:, 0].float(), f"{name}.velocity": velocity[:, 0].float()}
     save_file({name: tensor.contiguous() for name, tensor in data.items()}, directory / "frames.safetensors")
 
 
+def write(rows: list[tuple[str, str, dict[str, Any], dict[str, Any]]], defaults: dict[str, Any]) -> None:
+    """The files of some rows."""
+    for name, core, changes, training in rows:
+        description = describe(core, warm_up=training["warm_up"], **defaults | changes)
+        row = json.dumps({"description": description, "training": training})
+        save_file(golden(description, training), HERE / f"{name}.safetensors", {"row": row})
+
+
 def main() -> None:
     torch.manual_seed(1)
     torch.use_deterministic_algorithms(True)
-    for name, core, changes, training in ROWS:
-        description = describe(core, warm_up=training["warm_up"], **{"sizes": SIZES} | changes)
-        row = json.dumps({"description": description, "training": training})
-        save_file(golden(description, training), HERE / f"{name}.safetensors", {"row": row})
+    write(ROWS, {"sizes": SIZES})
     for core in CORES:
         checkpoint(core)
+    sizes = {name: size for name, size in SIZES.items() if name != "particles"}
+    write(PARTICLE_ROWS, {"architecture": "particle", "sizes": sizes, "surroundings": SURROUNDINGS})
     found = {"python": platform.python_version(), "torch": torch.__version__, "machine": platform.machine()}
     (HERE / "VERSIONS").write_text("".join(f"{name} {version}\n" for name, version in found.items()))
 

@@ -1,0 +1,138 @@
+"""The recurrent cores in PyTorch, with eddy's names for their tensors: what both models have in common.
+
+Letters in shapes: T frames, B windows, N particles, E encoder width, H hidden width. There is no dropout:
+every comparison runs without.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+MATERIALS = ("liquid", "snow", "jelly", "rope")
+ACTIVATIONS = {"sigmoid": torch.sigmoid, "tanh": torch.tanh, "relu": functional.relu, "elu": functional.elu}
+
+# What is carried from frame to frame: [layers, R, H], or such a pair for an LSTM.
+State = Tensor | tuple[Tensor, Tensor] | None
+# Positions and velocities, [T, B, N, 2] each.
+Bodies = tuple[Tensor, Tensor]
+
+
+def recurrence(step: Callable[..., Tensor], carried: Tensor | None, *tracks: Tensor) -> Tensor:
+    """Every state h_t = step(h_{t-1}, each track at t), [T, B, H], from zero if none is carried.
+
+    The plain loop: for T = 16 and more, doubling and the scan in logarithms took several times as long
+    on two cores (B = 16, H = 1250, forward and backward), and at T = 2 they are no faster.
+    """
+    hidden = torch.zeros_like(tracks[0][0]) if carried is None else carried
+    states = []
+    for frame in zip(*(track.unbind() for track in tracks)):
+        hidden = step(hidden, *frame)
+        states.append(hidden)
+    return torch.stack(states)
+
+
+def positive(candidate: Tensor) -> Tensor:
+    """g(c) of the log form: c + 1/2 for c >= 0, sigmoid(c) below (Feng et al. 2024, appendix B)."""
+    return torch.where(candidate >= 0, candidate + 0.5, torch.sigmoid(candidate))
+
+
+class MinGRU(nn.Module):
+    """One layer: z = sigmoid(W_z x), c = W_h x, h_t = (1 - z) h_{t-1} + z c."""
+
+    def __init__(self, inputs: int, hidden: int, log_form: bool) -> None:
+        super().__init__()
+        self.gate = nn.Linear(inputs, hidden)
+        self.candidate = nn.Linear(inputs, hidden)
+        self.log_form = log_form
+
+    def forward(self, signal: Tensor, carried: Tensor | None = None) -> Tensor:
+        update = torch.sigmoid(self.gate(signal))
+        candidate = self.candidate(signal)
+        if self.log_form:
+            candidate = positive(candidate)
+        return recurrence(torch.lerp, carried, candidate, update)
+
+
+class MinLSTM(nn.Module):
+    """One layer: f and i from sigmoids, normalised to f + i = 1 if asked, h_t = f h_{t-1} + i c."""
+
+    def __init__(self, inputs: int, hidden: int, log_form: bool, normalize_gates: bool) -> None:
+        super().__init__()
+        self.forget_gate = nn.Linear(inputs, hidden)
+        self.input_gate = nn.Linear(inputs, hidden)
+        self.candidate = nn.Linear(inputs, hidden)
+        self.log_form, self.normalize_gates = log_form, normalize_gates
+
+    def forward(self, signal: Tensor, carried: Tensor | None = None) -> Tensor:
+        forget = torch.sigmoid(self.forget_gate(signal))
+        update = torch.sigmoid(self.input_gate(signal))
+        candidate = self.candidate(signal)
+        if self.log_form:
+            candidate = positive(candidate)
+        if self.normalize_gates:
+            return recurrence(torch.lerp, carried, candidate, update / (forget + update))
+        entering = update * candidate
+        return recurrence(lambda hidden, f, e: torch.addcmul(e, f, hidden), carried, forget, entering)
+
+
+class MinimalCore(nn.ModuleList):
+    """Layers of a minimal recurrence, called as `nn.GRU` is."""
+
+    def forward(self, signal: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        last = []
+        for layer, carried in zip(self, [None] * len(self) if state is None else state):
+            signal = layer(signal, carried)
+            last.append(signal[-1])
+        return signal, torch.stack(last)
+
+
+class MLP(nn.Module):
+    """One layer of the core without recurrence."""
+
+    def __init__(self, inputs: int, hidden: int, activation: str) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, hidden)
+        self.activation = ACTIVATIONS[activation]
+
+    def forward(self, signal: Tensor) -> Tensor:
+        return self.activation(self.linear(signal))
+
+
+class MLPCore(nn.ModuleList):
+    """Layers without recurrence, called as `nn.GRU` is; nothing is carried."""
+
+    def forward(self, signal: Tensor, _: None = None) -> tuple[Tensor, None]:
+        for layer in self:
+            signal = layer(signal)
+        return signal, None
+
+
+def core(description: dict[str, Any], inputs: int) -> nn.Module:
+    """The described core: [T, B, inputs] and a state to [T, B, H] and the state after it."""
+    hidden, layers = description["sizes"]["hidden"], description["sizes"]["layers"]
+    widths = [inputs] + [hidden] * (layers - 1)
+    log_form = description["form"] == "log"
+    match description["core"]:
+        case "mlp":
+            activation = options(description)["activation"]
+            return MLPCore(MLP(width, hidden, activation) for width in widths)
+        case "lstm":
+            return nn.LSTM(inputs, hidden, layers)
+        case "gru":
+            return nn.GRU(inputs, hidden, layers)
+        case "minlstm":
+            normalize = description.get("normalize_gates", True)
+            return MinimalCore(MinLSTM(width, hidden, log_form, normalize) for width in widths)
+        case "mingru":
+            return MinimalCore(MinGRU(width, hidden, log_form) for width in widths)
+        case unknown:
+            raise ValueError(f"core: found {unknown}")
+
+
+def options(description: dict[str, Any]) -> dict[str, str]:
+    """The frame model's choices, with the defaults that `model.toml` leaves out."""
+    defaults = {"pooling": "mean", "activation": "elu", "material": "one-hot", "scaling": "min-max"}
+    return defaults | description.get("frame", {})

@@ -1,0 +1,64 @@
+"""The frame model (the paper's Table 1) in PyTorch, with eddy's names for its tensors.
+
+Letters in shapes are those of `torch_core`, and F features.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from torch_core import ACTIVATIONS, MATERIALS, Bodies, State, core, options
+
+
+class FrameModel(nn.Module):
+    """Predicts the frame after each of T frames."""
+
+    def __init__(self, description: dict[str, Any]) -> None:
+        super().__init__()
+        sizes = description["sizes"]
+        chosen = options(description)
+        self.particles, self.dt = sizes["particles"], description["dt"]
+        self.pooling, self.one_hot = chosen["pooling"], chosen["material"] == "one-hot"
+        self.activation = ACTIVATIONS[chosen["activation"]]
+        features, width, hidden = 4 + (len(MATERIALS) if self.one_hot else 1), sizes["encoder"], sizes["hidden"]
+
+        self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, hidden)])
+        self.core = core(description, 2 * hidden if self.pooling == "mean+max" else hidden)
+        self.mixer = nn.Linear(hidden, hidden)
+        self.decoder = nn.Linear(hidden, 2 * self.particles)
+
+        scale = {name: torch.tensor(values) for name, values in description["normalization"].items()}
+        if chosen["scaling"] == "min-max":
+            offset, unit = scale["minimum"], scale["maximum"] - scale["minimum"]
+        else:
+            offset, unit = scale["mean"], scale["standard_deviation"]
+        self.register_buffer("offset", offset, persistent=False)
+        self.register_buffer("unit", unit, persistent=False)
+
+    def matter(self, material: Tensor, _: Tensor | None = None) -> Tensor:
+        """Materials [B, N], numbers as in `MATERIALS`, as features [B, N, F - 4]; no shape at rest matters."""
+        if self.one_hot:
+            return functional.one_hot(material, len(MATERIALS)).float()
+        return material.unsqueeze(-1) / (len(MATERIALS) - 1)
+
+    def forward(self, bodies: Bodies, matter: Tensor, state: State = None) -> tuple[Bodies, State]:
+        """The frame after each of T frames, and the state after the last; `matter` is from `matter()`."""
+        position, velocity = bodies
+        signal, state = self.core(self.encode(position, velocity, matter), state)
+        change = self.decoder(self.activation(self.mixer(signal)))  # [T, B, 2 N]
+        velocity = velocity + change.unflatten(-1, (self.particles, 2))
+        return (position + velocity * self.dt, velocity), state
+
+    def encode(self, position: Tensor, velocity: Tensor, matter: Tensor) -> Tensor:
+        """[T, B, H], or [T, B, 2 H] with both poolings."""
+        scaled = (torch.cat([position, velocity], -1) - self.offset) / self.unit
+        features = torch.cat([scaled, matter.expand(len(scaled), -1, -1, -1)], -1)  # [T, B, N, F]
+        points = self.activation(self.encoder[0](features))  # [T, B, N, E]
+        pooled = []
+        if "mean" in self.pooling:  # commutes with the second layer
+            pooled.append(self.encoder[1](points.mean(2)))
+        if "max" in self.pooling:
+            pooled.append(self.encoder[1](points).amax(2))
+        return torch.cat(pooled, -1)

@@ -1,0 +1,268 @@
+"""The particle model in PyTorch, with eddy's names for its tensors: one hidden state for each particle,
+and a grid through which particles see what surrounds them.
+
+Letters in shapes are those of `torch_core`, and F features, C0, C1, C2 channels of the grid's levels, I x J
+nodes. The grid is dense here: nodes that no particle touches are kept at zero, by masks.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d, one_hot, relu
+
+from torch_core import MATERIALS, Bodies, State, core
+
+# Scales of the nearness of walls (domain lengths).
+NEAR, FAR = 0.03, 0.2
+# How far the velocity may leave the range of training velocities, as a share of that range.
+VELOCITY_MARGIN = 0.25
+
+# A solid particle's neighbours at rest: as far away (spacings), at most, at least, and the smallest ratio of
+# the eigenvalues of their second moment.
+RANGE, MOST, FEWEST, FLATTEST = 2.1, 12, 3, 0.05
+# Units of strain and bend, and how large they get.
+SHAPE_SCALE, SHAPE_LARGEST = (10.0, 10.0, 10.0, 60.0, 60.0), 4.0
+# Velocity, push, stop; four walls at two scales; shape; material.
+FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
+
+# What keeps a node's averages finite, and the mass of a node in the middle of a body.
+LEAST_MASS, FULL = 1e-3, 16.0
+# What a node knows beside its channels: how full it is, and how near the four walls are.
+NODE_FEATURES = 1 + 4
+# Nearness of a wall that ends free flight (cells).
+REACH = 1.5
+# Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
+MARGIN = 4
+
+
+class Around(nn.Linear):
+    """From the 3 x 3 nodes around each node, row by row from the lower left, to the node."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(9 * inputs, outputs)
+
+    def forward(self, grid: Tensor) -> Tensor:
+        kernel = self.weight.unflatten(1, (3, 3, -1)).permute(0, 3, 1, 2)
+        return conv2d(grid, kernel, self.bias, padding=1)
+
+
+class Down(nn.Linear):
+    """From the 2 x 2 nodes below each node of the next coarser level to the node."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(4 * inputs, outputs)
+
+    def forward(self, grid: Tensor) -> Tensor:
+        kernel = self.weight.unflatten(1, (2, 2, -1)).permute(0, 3, 1, 2)
+        return conv2d(grid, kernel, self.bias, stride=2)
+
+
+class Up(nn.Linear):
+    """From each node to the 2 x 2 below it, by a map for each; they share the bias."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(inputs, 4 * outputs)
+        self.bias = nn.Parameter(self.bias.detach()[:outputs].clone())
+
+    def forward(self, grid: Tensor) -> Tensor:
+        kernel = self.weight.unflatten(0, (2, 2, -1)).permute(3, 2, 0, 1)
+        return conv_transpose2d(grid, kernel, self.bias, stride=2)
+
+
+def spline(distance: Tensor) -> Tensor:
+    """The quadratic B-spline of distances in cells."""
+    outer = 0.5 * (1.5 - distance.abs()).clamp(min=0).square()
+    return torch.where(distance.abs() < 0.5, 0.75 - distance.square(), outer)
+
+
+def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
+    """What makes strain and bend of positions, [B, 3, N, N], from those at rest, [B, N, 2].
+
+    Its product with positions x gives the two columns of F = sum_j (x_j - x) c_j^T and the bend,
+    sum_j k_j (x_j - x - F (X_j - X)) / sum_j k_j in spacings; zeros where neighbours do not tell.
+    """
+    position, reach = position.double(), (RANGE * spacing) ** 2
+    apart = position.unsqueeze(1) - position.unsqueeze(2)  # X_j - X_i, [B, i, j, 2]
+    squared = apart.square().sum(-1)
+    solid = (material == MATERIALS.index("jelly")) | (material == MATERIALS.index("rope"))
+    linked = (material.unsqueeze(1) == material.unsqueeze(2)) & solid.unsqueeze(2) & (squared < reach)
+    linked &= ~torch.eye(position.shape[1], dtype=torch.bool)
+    rank = squared.masked_fill(~linked, torch.inf).argsort(stable=True).argsort()
+    linked &= rank < MOST
+    weight = torch.where(linked, (1 - squared / reach).square(), 0)  # k
+
+    moment = torch.einsum("bij,bijx,bijy->bixy", weight, apart, apart)  # A
+    low, high = torch.linalg.eigvalsh(moment).unbind(-1)
+    told = (linked.sum(-1) >= FEWEST) & (low > FLATTEST * high)
+    inverse = torch.linalg.inv(torch.where(told[..., None, None], moment, torch.eye(2).double()))
+    weight = torch.where(told.unsqueeze(2), weight, 0)
+    column = torch.einsum("bij,bixy,bijy->bxij", weight, inverse, apart)  # c
+    mean = torch.einsum("bij,bijx->bix", weight, apart)
+    share = weight - torch.einsum("bxij,bix->bij", column, mean)
+    total = torch.where(told, weight.sum(-1), 1).unsqueeze(2)
+    shape = torch.cat([column, (share / (total * spacing)).unsqueeze(1)], 1)
+    return shape - torch.diag_embed(shape.sum(-1))  # of x_j - x_i
+
+
+class ParticleModel(nn.Module):
+    """Predicts the frame after each of T frames."""
+
+    def __init__(self, description: dict[str, Any]) -> None:
+        super().__init__()
+        sizes, surroundings = description["sizes"], description["surroundings"]
+        width, hidden, channels = sizes["encoder"], sizes["hidden"], surroundings["channels"]
+        self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
+
+        c0, c1, c2 = channels
+        self.encoder = nn.ModuleList([nn.Linear(FEATURES, width), nn.Linear(width, c0)])
+        fine = {"a": Around(c0 + NODE_FEATURES, c0), "b": Around(c0, c0), "up": Up(c1, c0), "c": Around(c0, c0)}
+        middle = {"down": Down(c0, c1), "a": Around(c1, c1), "up": Up(c2, c1), "b": Around(c1, c1)}
+        coarse = {"down": Down(c1, c2), "a": Around(c2, c2), "b": Around(c2, c2)}
+        self.grid = nn.ModuleDict(
+            {str(level): nn.ModuleDict(layers) for level, layers in enumerate((fine, middle, coarse))}
+        )
+        self.context = nn.Linear(FEATURES + c0, hidden)
+        self.core = core(description, hidden)
+        self.mixer = nn.Linear(hidden, hidden)
+        self.decoder = nn.Linear(hidden, 4)
+
+        scale = {name: torch.tensor(values) for name, values in description["normalization"].items()}
+        margin = VELOCITY_MARGIN * (scale["maximum"] - scale["minimum"])[2:]
+        corner, end = (torch.tensor(description["domain"][side]) for side in ("lower", "upper"))
+        ends = (torch.ceil((end - corner) / self.cell) + 2).int().tolist()
+        x, y = (torch.arange(-MARGIN, end + -end % MARGIN) for end in ends)
+        constants = {
+            "gravity": torch.tensor(description["gravity"]),
+            "unit": scale["standard_deviation"][2:].square().mean().sqrt(),
+            "lower": scale["minimum"][:2],  # walls in effect
+            "upper": scale["maximum"][:2],
+            "slowest": scale["minimum"][2:] - margin,
+            "fastest": scale["maximum"][2:] + margin,
+            "shape_scale": torch.tensor(SHAPE_SCALE),
+            "corner": corner,
+            "node_x": x.float(),  # [I]
+            "node_y": y.float(),  # [J]
+        }
+        for name, tensor in constants.items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def matter(self, material: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """What does not change: materials [B, N] as features [B, N, 4], and `rest_shape` of the positions at
+        rest [B, N, 2], those of a stream's first frame."""
+        return one_hot(material, len(MATERIALS)).to(self.unit), rest_shape(rest, material, self.spacing).to(self.unit)
+
+    def forward(
+        self, bodies: Bodies, matter: tuple[Tensor, Tensor], state: tuple[State, Tensor] | None = None
+    ) -> tuple[Bodies, tuple[State, Tensor]]:
+        """The frame after each of T frames, and after the last the core's state and the velocities that the
+        ballistic step foretells; `matter` is from `matter()`."""
+        position, velocity = (track.to(self.unit) for track in bodies)
+        carried, foretold = (None, velocity[0]) if state is None else state
+        fallen_position, fallen_velocity, stopped = self.fall(position, velocity)
+        push = velocity - torch.cat([foretold.unsqueeze(0), fallen_velocity[:-1]])
+        features = self.features(position, torch.cat([velocity, push, stopped], -1), matter)  # [T, B, N, F]
+
+        encoded = self.encoder[1](relu(self.encoder[0](features)))  # [T, B, N, C0]
+        context = torch.stack([self.look_around(*frame) for frame in zip(position, encoded)])
+        signal = relu(self.context(torch.cat([features, context], -1)))  # [T, B, N, H]
+        signal, carried = self.core(signal.flatten(1, 2), carried)
+        output = self.decoder(relu(self.mixer(signal))).unflatten(1, position.shape[1:3])  # [T, B, N, 4]
+
+        faster, farther = (self.unit * output).split(2, -1)
+        velocity = (fallen_velocity + faster).clamp(self.slowest, self.fastest)
+        position = (fallen_position + self.dt * farther).clamp(self.lower, self.upper)
+        return (position, velocity), (carried, fallen_velocity[-1])
+
+    def fall(self, position: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The ballistic step: the next positions and velocities, and the velocities that walls stop."""
+        faster = velocity + self.gravity * self.dt
+        free = position + 0.5 * (velocity + faster) * self.dt
+        held = free.clamp(self.lower, self.upper)
+        stopped = torch.where(held == free, 0, -faster)
+        return held, faster + stopped, stopped
+
+    def features(self, position: Tensor, velocities: Tensor, matter: tuple[Tensor, Tensor]) -> Tensor:
+        """[T, B, N, F] from positions [T, B, N, 2] and velocities, pushes and stops [T, B, N, 6]."""
+        material, shape = matter
+        distance = torch.cat([position - self.lower, self.upper - position], -1).clamp(min=0)
+        walls = torch.cat([torch.exp(-distance / NEAR), torch.exp(-distance / FAR)], -1)
+        material = material.expand(len(position), -1, -1, -1)
+        return torch.cat([velocities / self.unit, walls, self.strain(position, shape), material], -1)
+
+    def strain(self, position: Tensor, shape: Tensor) -> Tensor:
+        """Strain B - 1, B = F F^T, as xx, yy, xy, and bend as x, y: [T, B, N, 5]."""
+        solid = (shape != 0).any(3).any(1).unsqueeze(-1)  # [B, N, 1]
+        first, second, bend = torch.einsum("bkij,tbjx->ktbix", shape, position)
+        square = first.square() + second.square() - solid.to(first)
+        product = first.prod(-1, keepdim=True) + second.prod(-1, keepdim=True)
+        numbers = torch.cat([square, product, bend], -1) * self.shape_scale
+        return numbers.clamp(-SHAPE_LARGEST, SHAPE_LARGEST)
+
+    def look_around(self, position: Tensor, encoded: Tensor) -> Tensor:
+        """What each particle reads, [B, N, C0], where all have written `encoded`, [B, N, C0], from
+        `position`, [B, N, 2], inside the domain."""
+        x, y = ((position - self.corner) / self.cell).unsqueeze(-1).unbind(2)
+        across, up = spline(x - self.node_x), spline(y - self.node_y)  # weights [B, N, I], [B, N, J]
+        mass = torch.einsum("bnj,bni->bji", up, across).unsqueeze(1)  # [B, 1, J, I]
+        written = torch.einsum("bnj,bni,bnc->bcji", up, across, encoded) / (mass + LEAST_MASS)
+        walls = self.node_walls().expand(len(mass), -1, -1, -1)
+
+        there = [(mass > 0).to(mass)]  # at each level
+        for _ in range(2):
+            there.append(max_pool2d(there[-1], 2))
+        fine, middle, coarse = self.grid.values()
+        held_0 = there[0] * torch.cat([written, mass / FULL, walls], 1)  # [B, C0 + 5, J, I]
+        held_0 = there[0] * relu(fine["a"](held_0))
+        held_0 = there[0] * relu(fine["b"](held_0))
+        held_1 = there[1] * relu(middle["down"](held_0))  # [B, C1, J / 2, I / 2]
+        held_1 = there[1] * relu(middle["a"](held_1))
+        held_2 = there[2] * relu(coarse["down"](held_1))  # [B, C2, J / 4, I / 4]
+        held_2 = there[2] * relu(coarse["a"](held_2))
+        held_2 = there[2] * relu(coarse["b"](held_2))
+        held_1 = there[1] * relu(middle["up"](held_2) + held_1)
+        held_1 = there[1] * relu(middle["b"](held_1))
+        held_0 = there[0] * relu(fine["up"](held_1) + held_0)
+        return torch.einsum("bnj,bni,bcji->bnc", up, across, fine["c"](held_0))
+
+    def node_walls(self) -> Tensor:
+        """Nearness of the left, lower, right and upper wall at each node, [4, J, I]."""
+        (left, lower), (right, upper) = self.lower, self.upper
+        x = self.corner[0] + self.cell * self.node_x  # [I]
+        y = self.corner[1] + self.cell * self.node_y.unsqueeze(-1)  # [J, 1]
+        distances = torch.broadcast_tensors(x - left, y - lower, right - x, upper - y)
+        return torch.exp(-torch.stack(distances).clamp(min=0) / self.cell)
+
+    def keep_momentum(self, bodies: Bodies, predicted: Bodies) -> Bodies:
+        """What eddy predicts with for the frame after `bodies`, [N, 2] each, where `predicted` is the network's
+        own: bodies in free flight lose the mean and the rotation of what is added to the ballistic step."""
+        fallen_position, fallen_velocity, _ = self.fall(*(track.to(self.unit) for track in bodies))
+        body = self.body(bodies[0])
+        free = torch.ones_like(body, dtype=torch.bool)
+        for position in (bodies[0], fallen_position):
+            gap = torch.cat([position - self.lower, self.upper - position], -1)
+            free &= gap.amin(-1) >= REACH * self.cell
+        kept = []
+        for fallen, found in zip((fallen_position, fallen_velocity), predicted):
+            change = found - fallen
+            for number in body.unique():
+                members = body == number
+                if free[members].all():
+                    arm = fallen_position[members] - fallen_position[members].mean(0)
+                    turned = torch.stack([-arm[:, 1], arm[:, 0]], -1)
+                    angle = (turned * change[members]).sum() / arm.square().sum().clamp(min=1e-10)
+                    change[members] -= change[members].mean(0) + angle * turned
+            kept.append(fallen + change)
+        return kept[0].clamp(self.lower, self.upper), kept[1]
+
+    def body(self, position: Tensor) -> Tensor:
+        """The number of the body that each particle belongs to, [N]: of nodes that are next to each other."""
+        place = torch.floor((position - self.corner) / self.cell - 0.5).long() + MARGIN
+        there = torch.zeros(1, len(self.node_y), len(self.node_x))
+        for across in range(3):
+            for up in range(3):
+                there[0, place[:, 1] + up, place[:, 0] + across] = 1
+        number, before = there * torch.arange(1.0, there.numel() + 1).view_as(there), None
+        while before is None or not number.equal(before):
+            before, number = number, there * max_pool2d(number, 3, stride=1, padding=1)
+        return number[0, place[:, 1], place[:, 0]]
