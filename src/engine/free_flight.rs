@@ -163,9 +163,8 @@ impl Sums {
         let x = fallen.0.map(f64::from);
         self.count += 1.0;
         self.square += x[0] * x[0] + x[1] * x[1];
-        for axis in 0..2 {
-            self.x[axis] += x[axis];
-        }
+        self.x[0] += x[0];
+        self.x[1] += x[1];
         let pairs = [(next.0, fallen.0), (next.1, fallen.1)];
         for (which, (next, fallen)) in pairs.into_iter().enumerate() {
             let d = [0, 1].map(|axis| f64::from(next[axis]) - f64::from(fallen[axis]));

@@ -58,6 +58,15 @@ impl Memory {
     pub fn particles(&self) -> usize {
         self.material.len()
     }
+
+    /// Forgets the frames it observed, but not the shape that solids rest in: for a stream that was not
+    /// seen for a while.
+    pub fn forget(&mut self) {
+        self.hidden.fill(0.0);
+        self.cell.fill(0.0);
+        self.foretold.fill([0.0; 2]);
+        self.begun = false;
+    }
 }
 
 impl Clone for Memory {

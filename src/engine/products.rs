@@ -97,8 +97,8 @@ fn some<S: Simd, const G: usize, const R: usize>(
     let sums = source.add::<S, G, R>(simd, linear, panels, first, count, sums);
     for g in 0..G {
         let outputs = linear.outputs(panels[g]);
-        for r in 0..R.min(count - first) {
-            sink.put(simd, first + r, outputs.clone(), sums[g][r]);
+        for (row, &sums) in (first..count).zip(&sums[g]) {
+            sink.put(simd, row, outputs.clone(), sums);
         }
     }
 }
@@ -138,8 +138,8 @@ impl<'a> Rows<'a> {
     #[inline(always)]
     pub(super) fn some<const R: usize>(&self, first: usize, count: usize) -> [&'a [f32]; R] {
         let mut rows = [[].as_slice(); R];
-        for r in 0..R {
-            rows[r] = self.row((first + r).min(count - 1));
+        for (r, row) in rows.iter_mut().enumerate() {
+            *row = self.row((first + r).min(count - 1));
         }
         rows
     }
@@ -203,11 +203,11 @@ impl<const K: usize> Source for Gathered<'_, K> {
         for k in 0..K {
             let mut rows = [[].as_slice(); R];
             let mut none = true;
-            for r in 0..R {
+            for (r, numbers) in rows.iter_mut().enumerate() {
                 // What is missing has a number beyond all.
                 let row = (self.table[(first + r).min(count - 1)][k] as usize).min(self.zero);
                 none &= row == self.zero;
-                rows[r] = self.rows.row(row);
+                *numbers = self.rows.row(row);
             }
             if !none {
                 sums = add_part(simd, linear, panels, k * self.rows.width, rows, sums);

@@ -64,8 +64,8 @@ struct Workshop {
 }
 
 enum Room {
-    Frame(frame_model::Room),
-    Particle(particle_model::Room),
+    Frame(Box<frame_model::Room>),
+    Particle(Box<particle_model::Room>),
 }
 
 impl Surrogate {
@@ -97,13 +97,13 @@ impl Surrogate {
             Architecture::Frame => {
                 let model = FrameModel::pack(arch, description, tensors);
                 let crew = Crew::new(threads, model.stages());
-                let room = Room::Frame(model.room(crew.threads(), description.core));
+                let room = Room::Frame(Box::new(model.room(crew.threads(), description.core)));
                 (Network::Frame(model), crew, room)
             }
             Architecture::Particle => {
                 let model = ParticleModel::pack(arch, description, tensors, conserve);
                 let crew = Crew::new(threads, particle_model::STAGES);
-                let room = Room::Particle(model.room(crew.threads()));
+                let room = Room::Particle(Box::new(model.room(crew.threads())));
                 (Network::Particle(model), crew, room)
             }
         };

@@ -249,6 +249,19 @@ fn a_copied_memory_goes_on_from_where_it_was_copied() {
 }
 
 #[test]
+fn a_memory_that_forgot_its_frames_still_knows_the_shape_at_rest() {
+    let surrogate = Surrogate::load(&particle_model(Core::Lstm), threads(1)).unwrap();
+    let frames = frames(3, 300, 3);
+    let mut memory = surrogate.start(&frames[0]).unwrap();
+    for frame in &frames {
+        surrogate.step(&mut memory, frame);
+    }
+    memory.forget();
+    assert_eq!(memory, surrogate.start(&frames[0]).unwrap());
+    assert_ne!(memory, surrogate.start(&frames[2]).unwrap(), "the shape is the first frame's");
+}
+
+#[test]
 fn what_is_not_finite_stays_so() {
     for (checkpoint, mut frames) in wide(Core::MinGru) {
         let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();

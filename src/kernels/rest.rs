@@ -65,6 +65,10 @@ impl Rest {
         assert_eq!(position.len(), material.len());
         assert!(windows > 0 && position.len().is_multiple_of(windows), "windows: {windows}");
         let range = RANGE * f64::from(spacing);
+        if windows == 1 {
+            // A stream's: no other threads are woken for it.
+            return Self::of(position, material, range);
+        }
         let particles = (position.len() / windows).max(1);
         let places = position.par_chunks(particles).zip(material.par_chunks(particles));
         let shapes: Vec<_> = places.map(|(x, material)| Self::of(x, material, range)).collect();

@@ -165,87 +165,60 @@ pub(crate) fn sum_row<S: Simd>(
             let sums = &mut sums[first..first + 2 * stride + width];
             let slots = cell.slots();
             let weights = &nodes.weights()[slots.clone()];
-            let mut channel = 0;
+            let cell = (number, weights, slots.start);
             // Two vectors at once where there are: their sums hide each other's waiting.
-            while channel < width {
-                let left = width - channel;
-                if left > S::F32_LANES {
-                    let parts = [
-                        channel..channel + S::F32_LANES,
-                        channel + S::F32_LANES..width.min(channel + 2 * S::F32_LANES),
-                    ];
-                    sum_cell(
-                        simd,
-                        number,
-                        weights,
-                        slots.start,
-                        channels,
-                        width,
-                        &place,
-                        sums,
-                        stride,
-                        parts,
-                    );
-                    channel += 2 * S::F32_LANES;
+            for first in (0..width).step_by(2 * S::F32_LANES) {
+                let rows = (channels, width);
+                if width - first > S::F32_LANES {
+                    sum_cell::<S, 2>(simd, cell, rows, &place, first, sums, stride);
                 } else {
-                    let parts = [channel..width];
-                    sum_cell(
-                        simd,
-                        number,
-                        weights,
-                        slots.start,
-                        channels,
-                        width,
-                        &place,
-                        sums,
-                        stride,
-                        parts,
-                    );
-                    channel = width;
+                    sum_cell::<S, 1>(simd, cell, rows, &place, first, sums, stride);
                 }
             }
         }
     }
 }
 
-/// The share of one cell: some vectors of channels.
+/// The share of one cell, `number` its row of the stencil, with its particles' weights and its first slot:
+/// V vectors of channels from number `first` on.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "as above, and what is shared by the parts")]
 fn sum_cell<S: Simd, const V: usize>(
     simd: S,
-    number: usize,
-    weights: &[[[f32; 3]; 2]],
-    slot: usize,
-    channels: &[f32],
-    width: usize,
+    (number, weights, slot): (usize, &[[[f32; 3]; 2]], usize),
+    (channels, width): (&[f32], usize),
     place: &impl Fn(usize) -> usize,
+    first: usize,
     sums: &mut [f32],
     stride: usize,
-    parts: [Range<usize>; V],
 ) {
+    let mut parts = [const { 0..0 }; V];
+    for (v, part) in parts.iter_mut().enumerate() {
+        let first = first + v * S::F32_LANES;
+        *part = first..(first + S::F32_LANES).min(width);
+    }
     let mut sum = [[simd.splat_f32s(0.0); 3]; V];
-    for v in 0..V {
-        for node in 0..3 {
-            sum[v][node] = load(simd, of(sums, node, stride, &parts[v]));
+    for (sum, part) in sum.iter_mut().zip(&parts) {
+        for (node, sum) in sum.iter_mut().enumerate() {
+            *sum = load(simd, of(sums, node, stride, part));
         }
     }
     for (particle, [columns, rows]) in weights.iter().enumerate() {
         let row = place(slot + particle);
         let mut weight = [simd.splat_f32s(0.0); 3];
-        for node in 0..3 {
-            weight[node] = simd.splat_f32s(columns[node] * rows[number]);
+        for (weight, column) in weight.iter_mut().zip(columns) {
+            *weight = simd.splat_f32s(column * rows[number]);
         }
-        for v in 0..V {
-            let values = load(simd, of(channels, row, width, &parts[v]));
-            for node in 0..3 {
-                sum[v][node] = simd.mul_add_e_f32s(weight[node], values, sum[v][node]);
+        for (sum, part) in sum.iter_mut().zip(&parts) {
+            let values = load(simd, of(channels, row, width, part));
+            for (sum, &weight) in sum.iter_mut().zip(&weight) {
+                *sum = simd.mul_add_e_f32s(weight, values, *sum);
             }
         }
     }
-    for v in 0..V {
-        for node in 0..3 {
+    for (sum, part) in sum.iter().zip(&parts) {
+        for (node, &sum) in sum.iter().enumerate() {
             let first = node * stride;
-            store(simd, &mut sums[first + parts[v].start..first + parts[v].end], sum[v][node]);
+            store(simd, &mut sums[first + part.start..first + part.end], sum);
         }
     }
 }
@@ -266,10 +239,9 @@ fn stencil<S: Simd>(
     part: &Range<usize>,
 ) -> [[S::f32s; 3]; 3] {
     let mut values = [[simd.splat_f32s(0.0); 3]; 3];
-    for row in 0..3 {
-        for column in 0..3 {
-            let node = cell.nodes[row] as usize + column;
-            values[row][column] = load(simd, of(field, node, width, part));
+    for (values, &first) in values.iter_mut().zip(&cell.nodes) {
+        for (column, values) in values.iter_mut().enumerate() {
+            *values = load(simd, of(field, first as usize + column, width, part));
         }
     }
     values

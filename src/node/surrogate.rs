@@ -210,7 +210,10 @@ impl SurrogateNode {
             Follows::After { gap } => {
                 self.counters.missing = self.counters.missing.saturating_add(gap);
                 self.counters.resets += 1;
-                self.begin(frame)
+                // The particles are the same: solids still rest in the shape they had at first.
+                track.memory.forget();
+                self.surrogate.step_into(&mut track.memory, frame, &mut track.predicted);
+                Ok(StreamTrack { observed: 0, free_run_due: None, ..track })
             }
             Follows::Restart => {
                 self.counters.resets += 1;

@@ -1,6 +1,6 @@
 //! Who is judged, and how.
 
-use std::num::NonZeroUsize;
+use std::{collections::BTreeMap, num::NonZeroUsize};
 
 use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
@@ -54,13 +54,20 @@ impl Contest {
             .map(|_| checkpoints.iter().map(load).collect())
             .collect::<anyhow::Result<_>>()?;
         let names: Vec<String> = checkpoints.into_iter().map(|(name, _)| name).collect();
+        let mut remarks = BTreeMap::new();
         for stream in &survey.streams {
             let first = stream.cut(0..1)?.frame(0);
             for (name, model) in names.iter().zip(&models[0]) {
                 model.fits(&first).with_context(|| {
                     format!("{name}: {}: stream {}", stream.source.display(), stream.id)
                 })?;
+                for remark in model.remarks(&first) {
+                    *remarks.entry(format!("{name}: {remark}")).or_insert(0) += 1;
+                }
             }
+        }
+        for (remark, streams) in remarks {
+            println!("{remark} ({streams} of {} streams)", survey.streams.len());
         }
         ensure!(!interrupt.requested(), "interrupted");
         let rivals = pool.install(|| Rivals::new(&args.rivals, &survey.streams))?;

@@ -32,7 +32,8 @@ impl Survey {
             println!("this is what a checkpoint was trained on: only its test part is judged");
             streams = dataset::test_part(&streams);
         }
-        let mut spacings: Vec<f32> = streams.iter().map(|s| eddy::kernels::spacing::spacing(&s.rest)).collect();
+        let mut spacings: Vec<f32> =
+            streams.iter().map(|s| eddy::kernels::spacing::spacing(&s.rest)).collect();
         spacings.sort_by(f32::total_cmp);
         let spacing = spacings.get(spacings.len() / 2).copied().unwrap_or(f32::INFINITY);
         let warm_up = descriptions.iter().map(|description| description.warm_up as usize).max();
