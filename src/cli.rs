@@ -97,6 +97,10 @@ pub struct SimulateArgs {
     /// Seed of random scenes: the same seed gives the same bytes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Particles of a random scene; 2500 if not given. The domain of more is wider, at the same
+    /// spacing and height.
+    #[arg(long, conflicts_with = "scene")]
+    pub particles: Option<usize>,
     /// Length of a scene (simulated seconds); its own if not given.
     #[arg(long)]
     pub duration: Option<f64>,

@@ -58,12 +58,13 @@ pub struct Arena {
 }
 
 impl Arena {
-    /// The arena for models with these descriptions (at least one): interval, gravity, domain and the
-    /// ranges of MinMax errors are those of the first.
+    /// The arena for models of which this is the first: interval, gravity and the ranges of MinMax errors
+    /// are its own. `domain` is that of the streams: a particle model may have been trained in another.
     pub fn new(
         settings: Settings,
         first: &Description,
         warm_up: usize,
+        domain: Domain,
         walls: Bounds,
         spacing: f32,
         extremes: Extremes,
@@ -74,7 +75,7 @@ impl Arena {
             settings,
             warm_up,
             ballistic: Ballistic { gravity, dt, lower, upper },
-            domain: first.domain,
+            domain,
             spacing,
             extremes,
             ranges: ranges(&first.normalization),

@@ -16,12 +16,19 @@ pub struct Attractor {
     pub strength: f32,
     /// How long it acts, in frame intervals.
     pub frames: u32,
+    /// How far along x the point comes again (domain lengths), for wide domains: what pulls is the
+    /// nearest; one point by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub period: Option<f32>,
 }
 
 impl Attractor {
     /// Acceleration at a position (domain lengths per s^2).
     pub fn acceleration(&self, position: [f32; 2]) -> [f32; 2] {
-        let towards = [self.centre[0] - position[0], self.centre[1] - position[1]];
+        let mut towards = [self.centre[0] - position[0], self.centre[1] - position[1]];
+        if let Some(period) = self.period {
+            towards[0] -= period * (towards[0] / period).round();
+        }
         let distance = (towards[0] * towards[0] + towards[1] * towards[1]).sqrt();
         let scale = self.strength / (CORE + distance);
         [towards[0] * scale, towards[1] * scale]
@@ -34,9 +41,20 @@ mod tests {
 
     #[test]
     fn it_pulls_towards_its_centre_and_not_at_its_centre() {
-        let attractor = Attractor { centre: [0.5, 0.5], strength: 10.0, frames: 1 };
+        let attractor = Attractor { centre: [0.5, 0.5], strength: 10.0, frames: 1, period: None };
         assert_eq!(attractor.acceleration([0.5, 0.5]), [0.0, 0.0]);
         let [x, y] = attractor.acceleration([0.1, 0.5]);
         assert!(x > 8.0 && x < 10.0 && y == 0.0);
+    }
+
+    #[test]
+    fn one_that_repeats_pulls_towards_the_nearest_of_its_centres() {
+        let attractor =
+            Attractor { centre: [0.5, 0.5], strength: 10.0, frames: 1, period: Some(2.0) };
+        for centre in [0.5, 2.5, 8.5] {
+            assert_eq!(attractor.acceleration([centre, 0.5]), [0.0, 0.0]);
+            assert!(attractor.acceleration([centre - 0.9, 0.5])[0] > 9.0);
+            assert!(attractor.acceleration([centre + 0.9, 0.5])[0] < -9.0);
+        }
     }
 }

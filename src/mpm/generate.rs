@@ -4,13 +4,8 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    attractor::Attractor,
-    body::Body,
-    grid::GridShape,
-    placement::Placement,
-    preset::{PARTICLES, Preset},
-    scene::Scene,
-    shape::Shape,
+    attractor::Attractor, body::Body, extent::Extent, placement::Placement, preset::Preset,
+    scene::Scene, shape::Shape,
 };
 use crate::frame::Material;
 
@@ -43,6 +38,10 @@ const SPLIT: [f32; 2] = [0.35, 0.65];
 const ASPECT: [f32; 2] = [1.0, 3.0];
 /// Particles across a rope: four are two cells.
 const ROPE_ROWS: [usize; 2] = [5, 8];
+/// A rope is so many times as long as thick, at least.
+const ROPE_ASPECT: usize = 3;
+/// Particles of the shortest rope, and of bodies of which there are fewer rather than smaller ones.
+const FEWEST_OF_A_BODY: usize = ROPE_ROWS[0] * ROPE_ROWS[0] * ROPE_ASPECT;
 /// Particles of the longest rope that still finds a place: more are cut into several ropes.
 const ROPE_PARTICLES: usize = 640;
 /// Largest velocity of a body along x and y (domain lengths per second).
@@ -55,74 +54,111 @@ const PULL_FRAMES: [u32; 2] = [3, 12];
 const TRIES: usize = 200;
 
 impl Scene {
-    /// The scene `id` of a preset. The same arguments give the same scene, bit by bit.
+    /// The scene `id` of a preset, with 2,500 particles in the unit square. The same arguments give
+    /// the same scene, bit by bit.
     pub fn generate(preset: Preset, seed: u64, id: u64) -> Self {
+        Self::generate_in(&Extent::usual(preset), seed, id)
+    }
+
+    /// As [`Scene::generate`], with as many particles as asked for.
+    pub fn generate_in(extent: &Extent, seed: u64, id: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(id);
-        // Bodies fill at most a fifth of the room between the walls, so this ends: of the first
-        // thousand scenes none needs more than a few draws.
-        let bodies = loop {
-            if let Some(found) = arrange(preset, id, &mut rng) {
-                break found;
-            }
-        };
+        let mut placement = Placement::new(extent.grid());
+        let bodies = (0..extent.sets())
+            .flat_map(|set| {
+                // Bodies fill at most a fifth of the room between the walls, so this ends: of the
+                // first thousand scenes none needs more than a few draws.
+                loop {
+                    if let Some(found) = arrange(extent, set, id, &mut placement, &mut rng) {
+                        break found;
+                    }
+                }
+            })
+            .collect();
+        let width = extent.width_of_a_set();
         let attractor = rng.random_bool(0.5).then(|| Attractor {
-            centre: [rng.random_range(0.2..0.8), rng.random_range(0.2..0.8)],
+            centre: [width * rng.random_range(0.2..0.8), rng.random_range(0.2..0.8)],
             strength: rng.random_range(PULL[0]..PULL[1]),
             frames: rng.random_range(PULL_FRAMES[0]..=PULL_FRAMES[1]),
+            period: (extent.sets() > 1).then_some(width),
         });
-        Self { id, bodies, attractor, ..preset.empty_scene() }
+        let domain = extent.grid().size();
+        Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() }
     }
 }
 
-/// Draws bodies and places for them; `None` if they found no place.
-fn arrange(preset: Preset, id: u64, rng: &mut ChaCha8Rng) -> Option<Vec<Body>> {
-    let spacing = preset.spacing();
-    let mut bodies = match preset {
-        Preset::MultiMaterial | Preset::Stiff => {
-            mixed_bodies(MIXES[(id % MIXES.len() as u64) as usize], spacing, rng)
-        }
-        Preset::Fluid => {
-            let parts = rng.random_range(1..=3);
-            bodies_of(Liquid, PARTICLES, parts, spacing, rng)
-        }
-        Preset::Kinds => {
-            let (round, kind) = (id as usize / KINDS, id as usize % KINDS);
-            match Material::ALL.get(kind) {
-                Some(&alone) => {
-                    bodies_of(alone, PARTICLES, ALONE[round % ALONE.len()], spacing, rng)
-                }
-                None => mixed_bodies(MIXES[round % MIXES.len()], spacing, rng),
-            }
-        }
-    };
-    let mut placement = Placement::new(GridShape::unit(preset.cells()));
+/// Draws the bodies of a set and places for them, their middles in the set's part of the domain;
+/// `None`, and no place is taken, if they found no place.
+fn arrange(
+    extent: &Extent,
+    set: usize,
+    id: u64,
+    placement: &mut Placement,
+    rng: &mut ChaCha8Rng,
+) -> Option<Vec<Body>> {
+    let spacing = extent.preset().spacing();
+    let mut bodies = set_of_bodies(extent, set, id, rng);
+    let [left, right] = [set, set + 1].map(|set| set as f32 * extent.width_of_a_set());
+    let before = placement.clone();
     for body in &mut bodies {
         let lattice = body.lattice(spacing);
         let placed = (0..TRIES).any(|_| {
-            body.position = [rng.random_range(0.0..1.0), rng.random_range(0.0..1.0)];
+            body.position = [rng.random_range(left..right), rng.random_range(0.0..1.0)];
             body.angle_degrees = rng.random_range(0.0..180.0);
             placement.take(&body.placed(&lattice))
         });
         if !placed {
+            *placement = before;
             return None;
         }
     }
     Some(bodies)
 }
 
+/// The bodies of a set, not yet placed. In a wide scene the sets are those of the scenes of the same
+/// kind that come next.
+fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
+    let (preset, particles) = (extent.preset(), extent.particles_of(set));
+    let (id, spacing) = (id as usize, preset.spacing());
+    match preset {
+        Preset::MultiMaterial | Preset::Stiff => {
+            mixed_bodies(MIXES[(id + set) % MIXES.len()], particles, spacing, rng)
+        }
+        Preset::Fluid => {
+            let parts = rng.random_range(1..=3);
+            bodies_of(Liquid, particles, parts, spacing, rng)
+        }
+        Preset::Kinds => {
+            let (round, kind) = (id / KINDS + set, id % KINDS);
+            match Material::ALL.get(kind) {
+                Some(&alone) => {
+                    bodies_of(alone, particles, ALONE[round % ALONE.len()], spacing, rng)
+                }
+                None => mixed_bodies(MIXES[round % MIXES.len()], particles, spacing, rng),
+            }
+        }
+    }
+}
+
 /// The bodies of one or two materials (more where ropes are cut), in any order.
-fn mixed_bodies(mix: &[Material], spacing: f32, rng: &mut ChaCha8Rng) -> Vec<Body> {
+fn mixed_bodies(
+    mix: &[Material],
+    particles: usize,
+    spacing: f32,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Body> {
     let (first, second) = (mix[0], mix[mix.len() - 1]);
-    let share = part_of(PARTICLES, SHARE, rng);
+    let share = part_of(particles, SHARE, rng);
     let bodies = |material: Material| mix.iter().filter(|&&m| m == material).count();
     let mut all = bodies_of(first, share, bodies(first), spacing, rng);
-    all.extend(bodies_of(second, PARTICLES - share, bodies(second), spacing, rng));
+    all.extend(bodies_of(second, particles - share, bodies(second), spacing, rng));
     all.shuffle(rng);
     all
 }
 
-/// `parts` bodies of one material with `particles` in all, not yet placed.
+/// `parts` bodies of one material with `particles` in all, not yet placed: fewer where they would be
+/// too small, and more ropes where they would be too long.
 fn bodies_of(
     material: Material,
     particles: usize,
@@ -130,6 +166,7 @@ fn bodies_of(
     spacing: f32,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Body> {
+    let parts = parts.min(particles / FEWEST_OF_A_BODY).max(1);
     let parts =
         if material == Rope { parts.max(particles.div_ceil(ROPE_PARTICLES)) } else { parts };
     let mut left = particles;
@@ -157,7 +194,8 @@ fn bodies_of(
 /// A shape with room for so many particles, and hardly more.
 fn shape_of(material: Material, particles: usize, spacing: f32, rng: &mut ChaCha8Rng) -> Shape {
     let rows = if material == Rope {
-        rng.random_range(ROPE_ROWS[0]..=ROPE_ROWS[1])
+        let thickest = ROPE_ROWS[1].min((particles / ROPE_ASPECT).isqrt());
+        rng.random_range(ROPE_ROWS[0]..=thickest.max(ROPE_ROWS[0]))
     } else if rng.random_bool(0.5) {
         // One spacing more than the area asks for, so that no lattice has too few points.
         let radius = (particles as f32 / std::f32::consts::PI).sqrt() + 1.0;
@@ -178,7 +216,9 @@ fn part_of(whole: usize, [smallest, largest]: [f32; 2], rng: &mut ChaCha8Rng) ->
 mod tests {
     use std::collections::BTreeSet;
 
-    use super::*;
+    use sha2::{Digest, Sha256};
+
+    use super::{super::preset::PARTICLES, *};
 
     const PRESETS: [Preset; 3] = [Preset::MultiMaterial, Preset::Fluid, Preset::Kinds];
 
@@ -193,16 +233,79 @@ mod tests {
     }
 
     #[test]
+    fn the_scenes_of_2500_particles_are_the_ones_that_they_were() {
+        // Digests of bodies and attractors in the manifests of `eddy simulate --preset .. --scenes 10`
+        // (seed 1) before scenes could have other numbers of particles.
+        let multi_material = "179655deff5684195fb375394a2e3dc34f5a999e23f230a2092878de657d0238";
+        let before = [
+            (Preset::MultiMaterial, multi_material),
+            (Preset::Stiff, multi_material),
+            (Preset::Fluid, "3b59b9fe0ad7c80a5258f3bcbc840c9dc5faf67559d9e59e7c5ad7da521624a9"),
+            (Preset::Kinds, "52909a90f809ec5a27e1e879ec00df4dd870ddb79d2767371d5af02b4ceb7fdc"),
+        ];
+        for (preset, digest) in before {
+            let mut found = Sha256::new();
+            for id in 0..10 {
+                let scene = Scene::generate(preset, 1, id);
+                found.update(serde_json::to_string(&scene.bodies).unwrap());
+                found.update(serde_json::to_string(&scene.attractor).unwrap());
+            }
+            assert_eq!(format!("{:x}", found.finalize()), digest, "{preset}");
+        }
+    }
+
+    /// Fails if a scene does not have so many particles, a spacing apart and inside the walls of a
+    /// domain of this width, or if bodies overlap.
+    fn assert_sound(scene: &Scene, particles: usize, width: f32) {
+        let (id, dx, domain) = (scene.id, scene.cell_width, scene.domain);
+        assert_eq!(domain, [width, 1.0], "{particles}: {id}");
+        // Refuses what overlaps.
+        let found = scene.particles().unwrap();
+        assert_eq!(found.len(), particles, "{id}");
+        let positions: Vec<[f32; 2]> = found.iter().map(|p| p.position).collect();
+        let free = |x: f32, side: f32| (3.0 * dx..=side - 3.0 * dx).contains(&x);
+        assert!(positions.iter().all(|p| free(p[0], width) && free(p[1], 1.0)), "{id}");
+        let nearest = nearest_neighbours(&positions);
+        assert!(nearest > 0.999 * scene.spacing(), "{particles}: {id}: {nearest}");
+    }
+
+    #[test]
     fn every_scene_has_2500_particles_a_spacing_apart_inside_the_walls() {
         for (preset, id) in PRESETS.into_iter().flat_map(|p| (0..100).map(move |id| (p, id))) {
-            let scene = Scene::generate(preset, 1, id);
-            let particles = scene.particles().unwrap();
-            assert_eq!(particles.len(), PARTICLES);
-            let positions: Vec<[f32; 2]> = particles.iter().map(|p| p.position).collect();
-            let wall = 3.0 * preset.dx();
-            assert!(positions.as_flattened().iter().all(|x| (wall..=1.0 - wall).contains(x)));
-            let nearest = nearest_neighbours(&positions);
-            assert!(nearest > 0.999 * preset.spacing(), "{preset} {id}: {nearest}");
+            assert_sound(&Scene::generate(preset, 1, id), PARTICLES, 1.0);
+        }
+    }
+
+    #[test]
+    fn scenes_of_other_sizes_have_their_particles_a_spacing_apart_in_a_domain_that_grows() {
+        for (particles, width, scenes) in
+            [(250, 1.0, 40), (1000, 1.0, 40), (10_000, 4.0, 10), (100_000, 40.0, 5)]
+        {
+            for preset in PRESETS {
+                let extent = Extent::of(preset, particles).unwrap();
+                for id in 0..scenes {
+                    let scene = Scene::generate_in(&extent, 1, id);
+                    assert_eq!(scene, Scene::generate_in(&extent, 1, id));
+                    assert_sound(&scene, particles, width);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bodies_of_wide_scenes_are_as_large_as_usual_and_everywhere() {
+        let of = |particles| Extent::of(Preset::Kinds, particles).unwrap();
+        let largest = |scenes: &[Scene]| {
+            scenes.iter().flat_map(|scene| &scene.bodies).filter_map(|body| body.particles).max()
+        };
+        let usual: Vec<Scene> = (0..40).map(|id| Scene::generate(Preset::Kinds, 1, id)).collect();
+        let wide: Vec<Scene> = (0..5).map(|id| Scene::generate_in(&of(100_000), 1, id)).collect();
+        assert_eq!(largest(&wide), largest(&usual));
+        for scene in &wide {
+            let mut middles: Vec<f32> = scene.bodies.iter().map(|body| body.position[0]).collect();
+            middles.sort_by(f32::total_cmp);
+            assert!(middles.windows(2).all(|pair| pair[1] - pair[0] < 2.0), "{middles:?}");
+            assert!(middles[0] < 1.0 && middles[middles.len() - 1] > 39.0, "{middles:?}");
         }
     }
 
@@ -271,8 +374,11 @@ mod tests {
 
     #[test]
     fn ropes_are_at_least_two_cells_thick_and_longer_than_thick() {
-        for id in 0..40 {
-            for body in Scene::generate(Preset::MultiMaterial, 1, id).bodies {
+        for (particles, id) in
+            [250, 1000, 2500].into_iter().flat_map(|n| (0..40).map(move |id| (n, id)))
+        {
+            let extent = Extent::of(Preset::MultiMaterial, particles).unwrap();
+            for body in Scene::generate_in(&extent, 1, id).bodies {
                 if let (Rope, shape) = (body.material, body.shape) {
                     let Shape::Rectangle { size } = shape else { panic!("a rope is a {shape:?}") };
                     let [length, thickness] = size.map(|side| side * 64.0);

@@ -4,7 +4,8 @@
 //!
 //! 1. [`scene`]: everything that a simulation starts from: bodies ([`body`], [`shape`]), what comes
 //!    in and goes out ([`flow`]), checked so that nothing overlaps ([`placement`]).
-//! 2. [`generate`]: random scenes from a seed and an id, of the kinds in [`preset`].
+//! 2. [`generate`]: random scenes from a seed and an id, of the kinds in [`preset`] and as wide as
+//!    their particles are many ([`extent`]).
 //! 3. [`simulation`]: a scene made stable ([`stability`]), substeps run, frames handed out;
 //!    [`attractor`] pulls before the first of them.
 //!
@@ -27,6 +28,7 @@ mod body;
 mod constitutive;
 mod energy;
 mod error;
+mod extent;
 mod fast;
 mod flow;
 mod g2p;
@@ -51,6 +53,7 @@ pub use attractor::Attractor;
 pub use body::Body;
 pub use energy::Energy;
 pub use error::{Limit, MpmError};
+pub use extent::Extent;
 pub use fast::multiply_and_add;
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;

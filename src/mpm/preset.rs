@@ -9,7 +9,7 @@ use super::{
     scene::{Frames, Scene},
 };
 
-/// Particles of every random scene.
+/// Particles of a random scene where nothing else is asked for.
 pub const PARTICLES: usize = 2500;
 
 /// A kind of random scenes.

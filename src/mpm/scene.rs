@@ -182,7 +182,8 @@ impl Scene {
         if viscosity != 0.0 {
             positive("materials.viscosity", viscosity.into(), STIFFEST)?;
         }
-        if let Some(Attractor { centre, strength, frames }) = self.attractor {
+        if let Some(Attractor { centre, strength, frames, period }) = self.attractor {
+            positive("attractor.period", period.unwrap_or(1.0).into(), f64::MAX)?;
             if frames > LONGEST_PULL {
                 return Err(MpmError::Field {
                     field: "attractor.frames".into(),

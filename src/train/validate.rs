@@ -61,7 +61,8 @@ fn arena(config: &ValidationConfig, description: &Description, streams: &[Trajec
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));
     let warm_up = description.warm_up as usize;
-    Arena::new(settings, description, warm_up, walls, f32::INFINITY, Extremes::default())
+    let (domain, extremes) = (description.domain, Extremes::default());
+    Arena::new(settings, description, warm_up, domain, walls, f32::INFINITY, extremes)
 }
 
 /// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.

@@ -88,6 +88,25 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
 }
 
 #[test]
+fn scenes_in_a_wider_domain_than_the_checkpoints_are_judged_in_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
+    let scenes = ["simulate", "--preset", "kinds", "--particles", "10000", "--output", &data];
+    succeed([scenes.as_slice(), &["--duration", "0.2"]].concat());
+    let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
+    arguments.extend(["--horizon", "2", "--starts", "1", "--rivals", "mpm"]);
+    succeed(arguments);
+    let report = report(&folder);
+    let predictors = report["predictors"].as_array().unwrap();
+    for name in ["ballistic with walls", "MPM restarted", "truth"] {
+        let number = names(&report).iter().position(|found| *found == name).unwrap();
+        // Three quarters of the particles are outside the domain of the checkpoint.
+        assert_eq!(predictors[number]["blown_up_windows"], 0, "{name}");
+    }
+    assert!(report["walls"][1][0].as_f64().unwrap() > 3.0, "{}", report["walls"]);
+}
+
+#[test]
 fn without_a_manifest_there_are_no_rivals_and_that_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));

@@ -91,6 +91,37 @@ fn threads_change_nothing_but_the_time() {
 }
 
 #[test]
+fn scenes_of_more_particles_are_wider_and_the_same_command_goes_on_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let asked = |scenes, particles| {
+        let more = ["--preset", "kinds", "--scenes", scenes, "--particles", particles];
+        simulate(output, &more)
+    };
+    succeed(asked("1", "6000"));
+    assert!(succeed(asked("2", "6000")).contains("1 of 2 scenes are in"));
+    for bag in ["scene_0000", "scene_0001"] {
+        let frame = &frames(&output.join(bag))[1];
+        assert_eq!(frame.len(), 6000);
+        let width = (2.4f32 * 64.0).ceil() / 64.0;
+        assert_eq!((frame.domain.lower, frame.domain.upper), ([0.0; 2], [width, 1.0]));
+    }
+    assert_eq!(manifest(output)["request"]["particles"], 6000);
+    let said = fail(1, asked("2", "6001"));
+    assert!(said.contains("manifest.json: found") && said.contains("choose another"), "{said}");
+}
+
+#[test]
+fn asking_for_2500_particles_is_asking_for_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    succeed(simulate(output, &["--scenes", "1"]));
+    let said = succeed(simulate(output, &["--scenes", "2", "--particles", "2500"]));
+    assert!(said.contains("1 of 2 scenes are in"), "{said}");
+    assert_eq!(manifest(output)["request"].get("particles"), None);
+}
+
+#[test]
 fn a_scene_that_fails_leaves_the_others_as_they_are() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();
@@ -225,6 +256,17 @@ fn an_unstable_request_is_refused_before_anything_is_written() {
     assert!(said.contains("scene 0: substeps: found 20, expected at least 153 a frame"), "{said}");
     assert!(!output.exists());
     fail(2, ["simulate", "--preset", "gas", "--output", "x"]);
+
+    for (more, words) in [
+        (["--preset", "kinds", "--particles", "0"], ["particles: found 0", "expected 250 to "]),
+        (["--preset", "kinds", "--particles", "100"], ["particles: found 100", "expected 250 to "]),
+        (["--preset", "fluid", "--particles", "9999999"], ["found 9999999", "to 1277500 in"]),
+        (["--preset", "pour", "--particles", "1000"], ["particles: found 1000", "expected none"]),
+    ] {
+        let said = fail(1, simulate(&output, &more));
+        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+    }
+    fail(2, ["simulate", "--scene", "own.toml", "--particles", "1000", "--output", "x"]);
 }
 
 #[test]

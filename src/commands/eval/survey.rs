@@ -38,7 +38,10 @@ impl Survey {
         let spacing = spacings.get(spacings.len() / 2).copied().unwrap_or(f32::INFINITY);
         let warm_up = descriptions.iter().map(|description| description.warm_up as usize).max();
         let warm_up = warm_up.unwrap_or(1);
-        let arena = Arena::new(settings, descriptions[0], warm_up, walls, spacing, extremes);
+        let first = descriptions[0];
+        // The same for all streams of a data set.
+        let domain = streams.first().map_or(first.domain, |stream| stream.domain);
+        let arena = Arena::new(settings, first, warm_up, domain, walls, spacing, extremes);
         arena.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
         Ok(Self { streams, arena, digest })
     }

@@ -29,6 +29,9 @@ pub(super) struct Request {
     pub(super) scene: String,
     /// The seed of random scenes.
     pub(super) seed: u64,
+    /// Particles of random scenes, where they are not 2,500.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) particles: Option<usize>,
     /// What took the place of the scenes' own numbers.
     pub(super) settings: Settings,
 }

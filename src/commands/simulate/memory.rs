@@ -19,7 +19,7 @@ pub(super) fn check(scene: &Scene, at_once: usize, available: u64) -> anyhow::Re
     ensure!(
         needed <= available,
         "memory: found {} needed ({:.1e} particles, {} x {} cells, {at_once} at once), expected at \
-         most the {} that are free; make the spacing larger, the domain smaller, or give fewer --threads",
+         most the {} that are free; make the spacing larger, the domain smaller, or give fewer --particles or --threads",
         HumanBytes(needed),
         scene.estimate(),
         scene.grid()?.cells[0],

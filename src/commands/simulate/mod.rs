@@ -112,6 +112,7 @@ impl Job {
             eddy: env!("CARGO_PKG_VERSION").into(),
             scene,
             seed: args.seed,
+            particles: source.unusual_particles(),
             settings: Settings { stiffness, law, viscosity, substeps, duration },
         };
         Ok(Self { source, name, request, scenes: args.scenes, threads: 1 })

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use anyhow::bail;
 use clap::{
     ValueEnum,
     builder::{PossibleValue, PossibleValuesParser},
@@ -10,7 +11,7 @@ use clap::{
 use crate::cli::SimulateArgs;
 use eddy::{
     config,
-    mpm::{Preset, Scene},
+    mpm::{Extent, Preset, Scene},
 };
 
 /// The scene files that come with the program, by the names that `--preset` takes.
@@ -38,7 +39,7 @@ pub(crate) fn presets() -> PossibleValuesParser {
 #[derive(Clone, Debug)]
 pub(super) enum Source {
     /// Drawn from a seed.
-    Random(Preset),
+    Random(Extent),
     /// Written down: always the same scene.
     Written(Box<Scene>),
 }
@@ -50,17 +51,34 @@ impl Source {
             return Ok(Self::Written(Box::new(config::load(file)?)));
         }
         if let Ok(preset) = Preset::from_str(&args.preset, false) {
-            return Ok(Self::Random(preset));
+            let extent = args.particles.map(|particles| Extent::of(preset, particles));
+            return Ok(Self::Random(extent.transpose()?.unwrap_or(Extent::usual(preset))));
+        }
+        if let Some(particles) = args.particles {
+            bail!(
+                "particles: found {particles}, expected none: {} is a scene with particles of its own",
+                args.preset
+            );
         }
         let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
         let text = shipped.map_or("", |(_, text)| text);
         Ok(Self::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
     }
 
+    /// The particles of random scenes, where they are not the usual number.
+    pub(super) fn unusual_particles(&self) -> Option<usize> {
+        match self {
+            Self::Random(extent) if *extent != Extent::usual(extent.preset()) => {
+                Some(extent.particles())
+            }
+            Self::Random(_) | Self::Written(_) => None,
+        }
+    }
+
     /// Scene number `index` of those asked for; one that is written down has its own id.
     pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
         match self {
-            Self::Random(preset) => Scene::generate(*preset, seed, index),
+            Self::Random(extent) => Scene::generate_in(extent, seed, index),
             Self::Written(scene) => Scene::clone(scene),
         }
     }

@@ -44,7 +44,7 @@ proptest! {
         let law = if taichi { Law::Taichi } else { Law::Water };
         let mut fast = solver(&Scene::generate(preset, seed, id), law);
         fast.run(warm).unwrap();
-        let pull = Attractor { centre: [0.4, 0.6], strength: 15.0, frames: 1 };
+        let pull = Attractor { centre: [0.4, 0.6], strength: 15.0, frames: 1, period: None };
         fast.attractor = pulled.then_some(pull);
         let mut plain = fast.clone();
         fast.run(20).unwrap();
