@@ -35,7 +35,7 @@ pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Runs `eddy` with `arguments`, which must fail with `code`. Returns what it said.
+/// Runs `eddy` with `arguments`, which must end with `code`. Returns what it said.
 pub fn fail<S: AsRef<std::ffi::OsStr>>(
     code: i32,
     arguments: impl IntoIterator<Item = S>,

@@ -22,10 +22,10 @@ fn says(message: &str, words: &[&str]) {
 fn streams_shorter_than_a_window_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut short = dataset();
-    short.train = short.train.iter().map(|stream| stream.cut(0..8).unwrap().into()).collect();
+    short.train = short.train.iter().map(|stream| stream.cut(0..6).unwrap().into()).collect();
     let config = small(Architecture::Particle, Core::MinGru);
     let message = run(&config, &short, folder.path()).unwrap_err().to_string();
-    let expected = "the longest has 8 frames, expected at least 9: 5 observed and 4 predicted";
+    let expected = "the longest has 6 frames, expected at least 7: 3 observed and 4 predicted";
     assert_eq!(message, format!("training streams: {expected}"));
 }
 
@@ -43,10 +43,10 @@ fn the_frame_model_refuses_streams_with_other_numbers_of_particles() {
 fn validation_streams_shorter_than_a_rollout_are_refused_before_the_first_epoch() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small(Architecture::Particle, Core::MinGru);
-    config.validation.horizon = 36;
+    config.validation.horizon = 38;
     let message = run(&config, &dataset(), folder.path()).unwrap_err().to_string();
     let expected =
-        "the longest has 40 frames, expected at least 41: 5 to observe and 36 to predict";
+        "the longest has 40 frames, expected at least 41: 3 to observe and 38 to predict";
     assert_eq!(message, format!("validation: streams: {expected}"));
     assert!(files(folder.path()).is_empty());
 }

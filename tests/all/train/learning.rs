@@ -87,13 +87,13 @@ fn a_loss_that_is_no_number_names_its_batch_and_keeps_the_best_and_the_last_chec
     config.windows.per_epoch = 8;
     config.patience = 200;
     config.seed = 2;
-    // One of 192 windows is spoilt: sooner or later it is drawn.
+    // One of 204 windows is spoilt: sooner or later it is drawn.
     let mut spoilt = dataset();
     let mut stream = stream(2);
     stream.states[FRAMES - 1].velocity.fill([f32::NAN; 2]);
     spoilt.train[2] = stream.into();
     let message = run(&config, &spoilt, folder.path()).unwrap_err().to_string();
-    assert!(message.contains(" 2:31"), "{message}");
+    assert!(message.contains(" 2:33"), "{message}");
     assert!(message.ends_with("loss: found NaN, expected a finite number"), "{message}");
     let epoch = message.strip_prefix("epoch ").unwrap().split(',').next().unwrap();
     let failed: u32 = epoch.parse().unwrap();

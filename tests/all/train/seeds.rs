@@ -5,7 +5,8 @@ use std::{fs, path::Path};
 use super::{stream, write_bag};
 use crate::support::{fail, succeed, talking_eddy};
 
-const SETTINGS: &str = "windows.per_epoch = 128\nwindows.particles = 8\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n";
+const SETTINGS: &str =
+    "windows.per_epoch = 128\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n";
 
 #[test]
 fn each_seed_has_a_run_and_a_table_compares_them() {
