@@ -49,9 +49,7 @@ pub(crate) fn frame_features(material: MaterialInput) -> usize {
 }
 
 /// Input features of the particle model; `model/features.rs` says which.
-pub(crate) const PARTICLE_FEATURES: usize = 16 + Material::COUNT;
-/// The same where it sees surroundings.
-pub(crate) const SURROUNDED_FEATURES: usize = 19 + Material::COUNT;
+pub(crate) const PARTICLE_FEATURES: usize = 19 + Material::COUNT;
 /// What a node of the grid knows beside the channels: how full it is, and how near each wall is.
 pub(crate) const NODE_FEATURES: usize = 5;
 
@@ -116,12 +114,9 @@ pub(crate) fn grid_layers(
 pub(crate) fn linear_layers(description: &Description) -> Vec<LinearLayer> {
     let Description { architecture, core, sizes, frame, surroundings, .. } = description;
     let hidden = sizes.hidden;
-    let (features, outputs) = match (architecture, surroundings) {
-        (Architecture::Frame, _) => {
-            (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0))
-        }
-        (Architecture::Particle, None) => (PARTICLE_FEATURES, 4),
-        (Architecture::Particle, Some(_)) => (SURROUNDED_FEATURES, 4),
+    let (features, outputs) = match architecture {
+        Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
+        Architecture::Particle => (PARTICLE_FEATURES, 4),
     };
     let encoded = surroundings.map_or(hidden, |surroundings| surroundings.channels[0]);
     let pooled = match frame.pooling {

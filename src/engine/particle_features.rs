@@ -3,7 +3,7 @@
 use pulp::Simd;
 
 use crate::{
-    checkpoint::{Description, layout::SURROUNDED_FEATURES},
+    checkpoint::{Description, layout::PARTICLE_FEATURES},
     frame::{Domain, Frame},
     kernels::{
         math::exp,
@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// F.
-pub(super) const FEATURES: usize = SURROUNDED_FEATURES;
+pub(super) const FEATURES: usize = PARTICLE_FEATURES;
 
 /// Nearness of four walls at two scales.
 const NEARNESSES: usize = 8;

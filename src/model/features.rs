@@ -3,7 +3,7 @@
 //! Frame model: x, y, vx, vy scaled by the training split's smallest and largest values (the paper's
 //! eq. 1) or its means and deviations, and the material, one-hot or as one number.
 //!
-//! Particle model ([`SURROUNDED_FEATURES`]), per axis where there are two numbers:
+//! Particle model ([`PARTICLE_FEATURES`]), per axis where there are two numbers:
 //!
 //! | numbers | feature |
 //! |---|---|
@@ -22,7 +22,7 @@ use burn::tensor::{Device, Tensor};
 use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
 use crate::{
     checkpoint::{
-        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::SURROUNDED_FEATURES,
+        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
     },
     frame::Material,
 };
@@ -126,7 +126,7 @@ impl Scaling {
             ],
             1,
         );
-        debug_assert_eq!(features.dims()[1], SURROUNDED_FEATURES);
+        debug_assert_eq!(features.dims()[1], PARTICLE_FEATURES);
         features
     }
 }

@@ -3,7 +3,7 @@
 
 use super::{Machine, Run, TrainConfig, TrainError};
 use crate::checkpoint::{
-    Architecture, Description, Pooling, layout::SURROUNDED_FEATURES, tensor_shapes,
+    Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
 };
 
 /// Bytes of a number.
@@ -68,9 +68,7 @@ fn batch_numbers(config: &TrainConfig, description: &Description, particles: usi
             (particles, encoder + pooled, 2 * hidden + gates + 2 * particles)
         }
         // Nodes are fewer than particles, and not known.
-        Architecture::Particle => {
-            (particles, SURROUNDED_FEATURES + encoder + 2 * hidden + gates, 0)
-        }
+        Architecture::Particle => (particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0),
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
     let computed = 2 * (particles * of_particle + of_window);

@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::{
-    checkpoint::layout::SURROUNDED_FEATURES,
+    checkpoint::layout::PARTICLE_FEATURES,
     kernels::{
         math::exp,
         rest::{Rest, SHAPE_FEATURES},
@@ -111,7 +111,7 @@ pub(crate) fn perceive(
     material: Arc<Vec<f32>>,
     [position, velocity, foretold, shape]: [Tensor<2>; 4],
 ) -> Tensor<2> {
-    let size = [position.dims()[0], SURROUNDED_FEATURES];
+    let size = [position.dims()[0], PARTICLE_FEATURES];
     let inputs = [input(position), input(velocity), input(foretold), input(shape)];
     apply(Perceive { ballistic, velocity_unit, material }, inputs, size)
 }
@@ -138,7 +138,7 @@ impl Operation<4> for Perceive {
         let (position, velocity, foretold) = (pairs(position), pairs(velocity), pairs(foretold));
         let (shape, _) = shape.as_chunks::<SHAPE_FEATURES>();
         let (material, _) = self.material.as_chunks::<4>();
-        let mut features = vec![[0.0; SURROUNDED_FEATURES]; position.len()];
+        let mut features = vec![[0.0; PARTICLE_FEATURES]; position.len()];
         features.par_chunks_mut(ROWS).enumerate().for_each(|(part, rows)| {
             let first = part * ROWS;
             let mut nearness = vec![[0.0; NEARNESSES]; rows.len()];
@@ -180,8 +180,8 @@ impl Operation<4> for Perceive {
         let mut by_velocity = vec![[0.0; 2]; rows];
         let mut by_foretold = vec![[0.0; 2]; rows];
         let mut by_shape = vec![[0.0; SHAPE_FEATURES]; shape.len() / SHAPE_FEATURES];
-        let (features, _) = features.as_chunks::<SURROUNDED_FEATURES>();
-        let (gradient, _) = gradient.as_chunks::<SURROUNDED_FEATURES>();
+        let (features, _) = features.as_chunks::<PARTICLE_FEATURES>();
+        let (gradient, _) = gradient.as_chunks::<PARTICLE_FEATURES>();
         let states = pairs(position).par_iter().zip(pairs(velocity));
         let above = states.zip(features.par_iter().zip(gradient));
         let below = by_position.par_iter_mut().zip(&mut by_velocity);
