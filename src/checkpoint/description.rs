@@ -206,8 +206,8 @@ pub struct Normalization {
     pub standard_deviation: [f32; 4],
 }
 
-/// How the weights came about.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// How the weights came about; by default, that they did not yet.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSummary {
     /// The command line that made it.
@@ -296,15 +296,7 @@ impl Description {
                 mean: [0.5, 0.5, 0.0, 0.0],
                 standard_deviation: [0.3, 0.3, 0.6, 0.6],
             },
-            training: TrainingSummary {
-                command: String::new(),
-                seed: 0,
-                epochs: 0,
-                best_epoch: 0,
-                training_loss: 0.0,
-                validation_loss: 0.0,
-                samples: 0,
-            },
+            training: TrainingSummary::default(),
         }
     }
 }

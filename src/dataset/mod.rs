@@ -17,6 +17,7 @@ mod trajectory;
 
 use std::path::PathBuf;
 
+use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 pub use shelf::{Residency, Shelf};
@@ -25,7 +26,12 @@ pub use statistics::Bounds;
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use crate::{bag::BagError, checkpoint::Normalization, frame::Material, kernels::spacing::spacing};
+use crate::{
+    bag::BagError,
+    checkpoint::Normalization,
+    frame::Material,
+    kernels::spacing::{median, spacing},
+};
 use statistics::Statistics;
 
 /// The topic that holds the truth.
@@ -42,8 +48,8 @@ pub struct Dataset {
     pub test: Vec<Trajectory>,
     /// Statistics of the training part.
     pub normalization: Normalization,
-    /// Distance between neighbouring particles in the first frame of the first training stream, the
-    /// median (domain lengths).
+    /// Distance between neighbouring particles in the first frames of the training part: the median over
+    /// its streams of their medians (domain lengths). One stream alone may have been pressed together.
     pub spacing: f32,
     /// SHA-256 over every stream, hexadecimal.
     pub digest: String,
@@ -132,7 +138,7 @@ impl Dataset {
             }
         }
         let (normalization, digest) = (statistics.normalization(), in_words(hasher));
-        let spacing = train.first().map_or(f32::INFINITY, |stream| spacing(&stream.rest));
+        let spacing = median(train.par_iter().map(|stream| spacing(&stream.rest)).collect());
         Ok(Self { train, validation, test, normalization, spacing, digest })
     }
 

@@ -5,9 +5,13 @@
 pub fn spacing(points: &[[f32; 2]]) -> f32 {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let mut nearest: Vec<f32> = (0..sorted.len()).map(|at| nearest(&sorted, at)).collect();
-    nearest.sort_by(f32::total_cmp);
-    nearest.get(nearest.len() / 2).copied().unwrap_or(f32::INFINITY)
+    median((0..sorted.len()).map(|at| nearest(&sorted, at)).collect())
+}
+
+/// The median of distances, the upper one of two in the middle; infinite for none.
+pub fn median(mut distances: Vec<f32>) -> f32 {
+    distances.sort_by(f32::total_cmp);
+    distances.get(distances.len() / 2).copied().unwrap_or(f32::INFINITY)
 }
 
 /// Looks left and right of a point until even the horizontal distance is too long.
@@ -39,5 +43,6 @@ mod tests {
         assert_eq!(spacing(&lattice), 0.25);
         assert_eq!(spacing(&[[0.5; 2]]), f32::INFINITY);
         assert_eq!(spacing(&[]), f32::INFINITY);
+        assert_eq!(median(vec![0.3, 0.1, 0.2]), 0.2);
     }
 }

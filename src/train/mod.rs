@@ -318,11 +318,8 @@ fn describe(
         training: TrainingSummary {
             command: command.to_owned(),
             seed: config.seed,
-            epochs: 0,
-            best_epoch: 0,
-            training_loss: 0.0,
             validation_loss: f64::MAX,
-            samples: 0,
+            ..TrainingSummary::default()
         },
     })
 }

@@ -57,15 +57,7 @@ fn untrained(description: &Description) -> Description {
     let zero = [0.0; 4];
     let normalization =
         Normalization { minimum: zero, maximum: zero, mean: zero, standard_deviation: zero };
-    let training = TrainingSummary {
-        command: String::new(),
-        seed: 0,
-        epochs: 0,
-        best_epoch: 0,
-        training_loss: 0.0,
-        validation_loss: 0.0,
-        samples: 0,
-    };
+    let training = TrainingSummary::default();
     Description { data: String::new(), normalization, training, ..description.clone() }
 }
 

@@ -125,3 +125,19 @@ fn a_bag_that_changes_while_it_is_learned_from_is_noticed() {
     let message = stored.train[0].cut(0..10).unwrap_err().to_string();
     assert!(message.contains("bag") && message.contains("stream 0"), "{message}");
 }
+
+#[test]
+fn one_stream_that_begins_pressed_together_does_not_set_the_spacing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut streams: Vec<_> = (0..5).map(|id| Stream { id, ..stream(1) }).collect();
+    write_bag(&folder.path().join("as-they-are"), &streams);
+    for state in &mut streams[0].states {
+        for position in &mut state.position {
+            *position = position.map(|x| 0.4 + 0.1 * x);
+        }
+    }
+    write_bag(&folder.path().join("pressed"), &streams);
+    let spacing = |name: &str| load(&[folder.path().join(name)], u64::MAX).unwrap().spacing;
+    assert_eq!(spacing("pressed"), spacing("as-they-are"));
+    assert!(spacing("pressed") > 0.0 && spacing("pressed").is_finite());
+}
