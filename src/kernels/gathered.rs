@@ -3,54 +3,41 @@
 //!
 //! | layer | what a row is gathered from | weight in memory |
 //! |---|---|---|
-//! | [`Convolution`] | the 9 neighbours of a node | `[9 I, O]` |
-//! | [`Down`] | the 4 children of a node | `[4 I, O]` |
-//! | [`Up`], the transpose of `Down` | the share of the node's parent that is meant for it | `[I, 4 O]` |
+//! | [`Convolution`] by [`Table::Neighbours`] | the 9 neighbours of a node | `[9 I, O]` |
+//! | [`Convolution`] by [`Table::Children`] | the 4 children of a node | `[4 I, O]` |
+//! | [`Up`], the transpose of the latter | the share of the node's parent that is meant for it | `[I, 4 O]` |
 //!
-//! A neighbour or child that is missing counts as zeros. ReLU follows if `rectify` says so.
-//!
-//! 1. `products`: gathered rows times a matrix, and the matrix's gradient.
-//! 2. Here: the layers out of these.
+//! A neighbour or child that is missing counts as zeros. The products are those of
+//! [`narrow`](super::narrow).
 
-mod products;
+use super::{
+    activation::through,
+    linear::Gradients,
+    matrix::Matrix,
+    narrow::{Panels, Rows, by_matrix, products},
+};
 
-use std::borrow::Cow;
-
-use super::matrix::{Matrix, sum_rows};
-use products::{add_products, by_matrix, shares};
-
-/// Gradients of a layer; those not asked for are empty.
-#[derive(Clone, Debug)]
-pub struct Gradients {
-    /// By the input, of its shape.
-    pub input: Vec<f32>,
-    /// By the weight, of its shape.
-    pub weight: Vec<f32>,
-    /// By the bias, `[O]`.
-    pub bias: Vec<f32>,
+/// What a layer's rows are gathered from.
+#[derive(Clone, Copy, Debug)]
+pub enum Table<'a> {
+    /// Each node's neighbours, as in [`Level`](super::nodes::Level), `[M]`.
+    Neighbours(&'a [[u32; 9]]),
+    /// A coarser level's children.
+    Children {
+        /// Each parent's children, as in [`Level`](super::nodes::Level), `[P]`.
+        children: &'a [[u32; 4]],
+        /// Each child's place among them, `[M]`.
+        parent: &'a [u32],
+    },
 }
 
-/// 3 x 3 convolution, y = sum over neighbours k of x_k W_k, + b.
+/// y = sum over the row's places k of x_k W_k, + b: a 3 x 3 convolution over neighbours, or a 2 x 2 one
+/// with stride 2 from children to parents.
 #[derive(Clone, Copy, Debug)]
 pub struct Convolution<'a> {
-    /// Each node's neighbours, as in [`Level`](super::nodes::Level), `[M]`.
-    pub neighbours: &'a [[u32; 9]],
-    /// W, `[9 I, O]`.
-    pub weight: &'a [f32],
-    /// b, `[O]`.
-    pub bias: &'a [f32],
-    /// Whether ReLU follows.
-    pub rectify: bool,
-}
-
-/// 2 x 2 convolution with stride 2, from children to parents: y = sum over children k of x_k W_k, + b.
-#[derive(Clone, Copy, Debug)]
-pub struct Down<'a> {
-    /// Each parent's children, as in [`Level`](super::nodes::Level), `[P]`.
-    pub children: &'a [[u32; 4]],
-    /// Each child's place among them, `[M]`.
-    pub parent: &'a [u32],
-    /// W, `[4 I, O]`.
+    /// Which rows are where.
+    pub table: Table<'a>,
+    /// W, `[K I, O]`.
     pub weight: &'a [f32],
     /// b, `[O]`.
     pub bias: &'a [f32],
@@ -71,14 +58,29 @@ pub struct Up<'a> {
     pub bias: &'a [f32],
 }
 
+impl<'a> Table<'a> {
+    /// K.
+    fn places(self) -> usize {
+        match self {
+            Self::Neighbours(_) => 9,
+            Self::Children { .. } => 4,
+        }
+    }
+
+    /// The gathered rows of `input`, `[.., width]`.
+    fn rows(self, input: &'a [f32], width: usize) -> Rows<'a> {
+        match self {
+            Self::Neighbours(neighbours) => Rows::gathered(input, width, neighbours),
+            Self::Children { children, .. } => Rows::gathered(input, width, children),
+        }
+    }
+}
+
 impl Convolution<'_> {
-    /// y, `[M, O]`, from x, `[M, I]`.
+    /// y, `[M, O]`, from x, `[.., I]`.
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
-        let Self { neighbours, weight, bias, rectify } = *self;
-        let weight = Matrix::new(weight, weight.len() / bias.len(), bias.len());
-        let mut output = bias.repeat(neighbours.len());
-        add_products(neighbours, input, weight, &mut output, rectify);
-        output
+        let rows = self.table.rows(input, self.inputs());
+        products(rows, &Panels::new(self.matrix()), Some(self.bias), self.rectify)
     }
 
     /// The gradients from `gradient`, that of the `output`, `[M, O]`.
@@ -90,59 +92,40 @@ impl Convolution<'_> {
         by_input: bool,
         by_weight: bool,
     ) -> Gradients {
-        let Self { neighbours, weight, bias, rectify } = *self;
-        let outputs = bias.len();
-        let inputs = weight.len() / 9 / outputs;
-        let gradient = through(rectify, output, gradient);
+        let (inputs, outputs) = (self.inputs(), self.bias.len());
+        let gradient = through(self.rectify, output, gradient);
         let mut by = Gradients::new(&gradient, outputs);
-        if by_input {
-            // A node is its neighbour k's neighbour 8 - k.
-            let blocks = weight.chunks_exact(inputs * outputs).rev();
-            let back: Vec<f32> = blocks.flat_map(|block| transposed(block, outputs)).collect();
-            by.input = vec![0.0; input.len()];
-            let back = Matrix::new(&back, 9 * outputs, inputs);
-            add_products(neighbours, &gradient, back, &mut by.input, false);
-        }
         if by_weight {
-            by.weight = by_matrix(neighbours, input, inputs, &gradient, outputs);
+            by.weight = by_matrix(self.table.rows(input, inputs), &gradient, outputs);
         }
+        if !by_input {
+            return by;
+        }
+        by.input = match self.table {
+            Table::Neighbours(neighbours) => {
+                // A node is its neighbour k's neighbour 8 - k.
+                let blocks = self.weight.chunks_exact(inputs * outputs).rev();
+                let turned = |block| Matrix::new(block, inputs, outputs).transposed();
+                let back = Panels::below_each_other(&blocks.map(turned).collect::<Vec<_>>());
+                products(Rows::gathered(&gradient, outputs, neighbours), &back, None, false)
+            }
+            Table::Children { parent, .. } => {
+                let mut by_input = vec![0.0; input.len()];
+                add_shares(parent, &gradient, self.matrix().transposed(), &mut by_input);
+                by_input
+            }
+        };
         by
     }
-}
 
-impl Down<'_> {
-    /// y, `[P, O]`, from x, `[M, I]`.
-    pub fn forward(&self, input: &[f32]) -> Vec<f32> {
-        let Self { children, weight, bias, rectify, .. } = *self;
-        let weight = Matrix::new(weight, weight.len() / bias.len(), bias.len());
-        let mut output = bias.repeat(children.len());
-        add_products(children, input, weight, &mut output, rectify);
-        output
+    /// I.
+    fn inputs(&self) -> usize {
+        self.weight.len() / self.table.places() / self.bias.len()
     }
 
-    /// The gradients from `gradient`, that of the `output`, `[P, O]`.
-    pub fn backward(
-        &self,
-        input: &[f32],
-        output: &[f32],
-        gradient: &[f32],
-        by_input: bool,
-        by_weight: bool,
-    ) -> Gradients {
-        let Self { children, parent, weight, bias, rectify } = *self;
-        let outputs = bias.len();
-        let gradient = through(rectify, output, gradient);
-        let mut by = Gradients::new(&gradient, outputs);
-        if by_input {
-            let back = Matrix::new(weight, weight.len() / outputs, outputs).transposed();
-            by.input = vec![0.0; input.len()];
-            shares(parent, &gradient, back, &mut by.input);
-        }
-        if by_weight {
-            let inputs = weight.len() / 4 / outputs;
-            by.weight = by_matrix(children, input, inputs, &gradient, outputs);
-        }
-        by
+    /// W.
+    fn matrix(&self) -> Matrix<'_> {
+        Matrix::new(self.weight, self.weight.len() / self.bias.len(), self.bias.len())
     }
 }
 
@@ -151,7 +134,7 @@ impl Up<'_> {
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
         let Self { parent, bias, .. } = *self;
         let mut output = bias.repeat(parent.len());
-        shares(parent, input, self.matrix(), &mut output);
+        add_shares(parent, input, self.matrix(), &mut output);
         output
     }
 
@@ -165,15 +148,13 @@ impl Up<'_> {
     ) -> Gradients {
         let Self { children, bias, .. } = *self;
         let mut by = Gradients::new(gradient, bias.len());
+        let above = Rows::gathered(gradient, bias.len(), children);
         if by_input {
-            by.input = vec![0.0; input.len()];
-            let back = self.matrix().transposed();
-            add_products(children, gradient, back, &mut by.input, false);
+            by.input = products(above, &Panels::new(self.matrix().transposed()), None, false);
         }
         if by_weight {
             let [inputs, _] = self.matrix().shape();
-            let back = by_matrix(children, gradient, bias.len(), input, inputs);
-            by.weight = transposed(&back, inputs);
+            by.weight = transposed(&by_matrix(above, input, inputs), inputs);
         }
         by
     }
@@ -185,28 +166,28 @@ impl Up<'_> {
     }
 }
 
-impl Gradients {
-    /// That by the bias alone.
-    fn new(gradient: &[f32], outputs: usize) -> Self {
-        let mut bias = vec![0.0; outputs];
-        sum_rows(gradient, &mut bias);
-        Self { input: Vec::new(), weight: Vec::new(), bias }
+/// Adds to `sums`, `[M, O]`, each row's share of its parent's: row `parent[m]` of the products, in rows
+/// of O, of `input`, `[P, I]`, and the matrix, `[I, 4 O]`.
+fn add_shares(parent: &[u32], input: &[f32], matrix: Matrix, sums: &mut [f32]) {
+    let [inputs, outputs] = matrix.shape();
+    let products = products(Rows::plain(input, inputs), &Panels::new(matrix), None, false);
+    let width = outputs / 4;
+    for (sums, &place) in sums.chunks_exact_mut(width).zip(parent) {
+        let share = &products[place as usize * width..][..width];
+        for (sum, share) in sums.iter_mut().zip(share) {
+            *sum += share;
+        }
     }
-}
-
-/// The gradient before ReLU from that after it.
-fn through<'a>(rectify: bool, output: &[f32], gradient: &'a [f32]) -> Cow<'a, [f32]> {
-    if !rectify {
-        return Cow::Borrowed(gradient);
-    }
-    let pairs = gradient.iter().zip(output);
-    Cow::Owned(pairs.map(|(by, &y)| if y > 0.0 { *by } else { 0.0 }).collect())
 }
 
 /// Rows and columns of a matrix exchanged.
 fn transposed(matrix: &[f32], columns: usize) -> Vec<f32> {
-    let column = |column: usize| matrix[column..].iter().step_by(columns);
-    (0..columns).flat_map(column).copied().collect()
+    let rows = matrix.len() / columns;
+    let mut turned = vec![0.0; matrix.len()];
+    for (row, numbers) in matrix.chunks_exact(columns).enumerate() {
+        turned[row..].iter_mut().step_by(rows).zip(numbers).for_each(|(to, &from)| *to = from);
+    }
+    turned
 }
 
 #[cfg(test)]
