@@ -145,8 +145,8 @@ impl Slopes<'_> {
             let Some(list) = self.rows.list(self.first + row, place) else { continue };
             let list = &list[input..input + R];
             let mut by = [simd.splat_f32s(0.0); G];
-            for g in 0..G {
-                by[g] = load(simd, self.gradient, lanes::<S>(row, vector + g, self.outputs));
+            for (g, by) in by.iter_mut().enumerate() {
+                *by = load(simd, self.gradient, lanes::<S>(row, vector + g, self.outputs));
             }
             for r in 0..R {
                 let x = simd.splat_f32s(list[r]);

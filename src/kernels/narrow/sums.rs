@@ -167,9 +167,9 @@ impl Products<'_> {
         for place in 0..rows.places {
             let mut lists = [missing; R];
             let mut none = true;
-            for r in 0..R {
-                if let Some(list) = rows.list(first + (row + r).min(count - 1), place) {
-                    lists[r] = list;
+            for (r, list) in lists.iter_mut().enumerate() {
+                if let Some(found) = rows.list(first + (row + r).min(count - 1), place) {
+                    *list = found;
                     none = false;
                 }
             }
@@ -177,8 +177,8 @@ impl Products<'_> {
                 continue;
             }
             let mut panels = [[].as_slice(); G];
-            for g in 0..G {
-                panels[g] = matrix.weights::<S>(vector + g, place * rows.width, rows.width);
+            for (g, panel) in panels.iter_mut().enumerate() {
+                *panel = matrix.weights::<S>(vector + g, place * rows.width, rows.width);
             }
             for i in 0..rows.width {
                 let mut weights = [simd.splat_f32s(0.0); G];
