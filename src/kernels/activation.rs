@@ -1,8 +1,13 @@
 //! The networks' activations with their slopes.
 
-use pulp::Simd;
+use std::borrow::Cow;
 
-use super::math::{elu, relu, sigmoid, tanh};
+use pulp::{Arch, Simd, WithSimd};
+
+use super::{
+    math::{elu, relu, sigmoid, tanh},
+    vectors::zip,
+};
 
 /// An activation y = f(x), number by number.
 pub trait Activate: Copy + Send + Sync {
@@ -69,5 +74,52 @@ impl Activate for Elu {
         let one = simd.splat_f32s(1.0);
         let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
         simd.select_f32s(positive, one, simd.add_f32s(y, one))
+    }
+}
+
+/// ReLU, in place.
+pub fn rectify(values: &mut [f32]) {
+    Arch::new().dispatch(Rectify(values));
+}
+
+/// The gradient before a layer's ReLU from that after it: where its output is positive. The same where
+/// there is none.
+pub fn through<'a>(rectified: bool, output: &[f32], gradient: &'a [f32]) -> Cow<'a, [f32]> {
+    if !rectified {
+        return Cow::Borrowed(gradient);
+    }
+    Cow::Owned(Arch::new().dispatch(Through { output, gradient }))
+}
+
+struct Rectify<'a>(&'a mut [f32]);
+
+impl WithSimd for Rectify<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        zip(
+            simd,
+            [],
+            [self.0],
+            #[inline(always)]
+            |[], [x]| [relu(simd, x)],
+        );
+    }
+}
+
+struct Through<'a> {
+    output: &'a [f32],
+    gradient: &'a [f32],
+}
+
+impl WithSimd for Through<'_> {
+    type Output = Vec<f32>;
+
+    // Left to the compiler: it need not fill the list before.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vec<f32> {
+        let pairs = self.gradient.iter().zip(self.output);
+        pairs.map(|(by, &y)| if y > 0.0 { *by } else { 0.0 }).collect()
     }
 }

@@ -1,6 +1,13 @@
-//! A linear layer, y = x W + b, and its gradients.
+//! A linear layer, y = x W + b, and its gradients. ReLU follows if `rectify` says so.
 
-use super::matrix::{Into, Matrix, multiply, product, sum_rows};
+use super::{
+    activation::{rectify, through},
+    matrix::{Into, Matrix, multiply, product, sum_rows},
+    narrow::{Panels, Rows, add_products, by_matrix, products},
+};
+
+/// Numbers of a weight up to which the products are those of [`narrow`](super::narrow).
+const NARROW: usize = 1 << 13;
 
 /// The layer, from `I` to `O` numbers.
 #[derive(Clone, Copy, Debug)]
@@ -9,14 +16,16 @@ pub struct Linear<'a> {
     pub weight: &'a [f32],
     /// b, `[O]`.
     pub bias: &'a [f32],
+    /// Whether ReLU follows.
+    pub rectify: bool,
 }
 
-/// Gradients of the layer; those not asked for are empty.
+/// Gradients of a layer; those not asked for are empty.
 #[derive(Clone, Debug)]
 pub struct Gradients {
-    /// By x, `[R, I]`.
+    /// By x, of its shape.
     pub input: Vec<f32>,
-    /// By W, `[I, O]`.
+    /// By W, of its shape.
     pub weight: Vec<f32>,
     /// By b, `[O]`.
     pub bias: Vec<f32>,
@@ -25,33 +34,76 @@ pub struct Gradients {
 impl Linear<'_> {
     /// y, `[R, O]`, from x, `[R, I]`.
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
-        let (inputs, outputs) = (self.weight.len() / self.bias.len(), self.bias.len());
+        let matrix = self.matrix();
+        let [inputs, _] = matrix.shape();
+        if self.is_narrow() {
+            let rows = Rows::plain(input, inputs);
+            return products(rows, &Panels::new(matrix), Some(self.bias), self.rectify);
+        }
         let rows = input.len() / inputs;
         let mut output = self.bias.repeat(rows);
-        let input = Matrix::new(input, rows, inputs);
-        multiply(input, Matrix::new(self.weight, inputs, outputs), &mut output, Into::Add);
+        multiply(Matrix::new(input, rows, inputs), matrix, &mut output, Into::Add);
+        if self.rectify {
+            rectify(&mut output);
+        }
         output
+    }
+
+    /// Adds x W to y instead of b: for a layer whose inputs are in two lists.
+    pub fn add(&self, input: &[f32], output: &mut [f32]) {
+        let matrix = self.matrix();
+        let rows = Rows::plain(input, matrix.shape()[0]);
+        add_products(rows, &Panels::new(matrix), self.rectify, output);
     }
 
     /// The gradients from `gradient`, that of y, `[R, O]`.
     pub fn backward(
         &self,
         input: &[f32],
+        output: &[f32],
         gradient: &[f32],
         by_input: bool,
         by_weight: bool,
     ) -> Gradients {
-        let (inputs, outputs) = (self.weight.len() / self.bias.len(), self.bias.len());
+        let gradient = through(self.rectify, output, gradient);
+        let mut by = Gradients::new(&gradient, self.bias.len());
+        let matrix = self.matrix();
+        let [inputs, outputs] = matrix.shape();
+        if self.is_narrow() {
+            if by_input {
+                let above = Rows::plain(&gradient, outputs);
+                by.input = products(above, &Panels::new(matrix.transposed()), None, false);
+            }
+            if by_weight {
+                by.weight = by_matrix(Rows::plain(input, inputs), &gradient, outputs);
+            }
+            return by;
+        }
         let rows = input.len() / inputs;
-        let above = Matrix::new(gradient, rows, outputs);
-        let weight = Matrix::new(self.weight, inputs, outputs).transposed();
-        let input = Matrix::new(input, rows, inputs).transposed();
+        let above = Matrix::new(&gradient, rows, outputs);
+        if by_input {
+            by.input = product(above, matrix.transposed());
+        }
+        if by_weight {
+            by.weight = product(Matrix::new(input, rows, inputs).transposed(), above);
+        }
+        by
+    }
+
+    fn matrix(&self) -> Matrix<'_> {
+        Matrix::new(self.weight, self.weight.len() / self.bias.len(), self.bias.len())
+    }
+
+    fn is_narrow(&self) -> bool {
+        self.weight.len() <= NARROW
+    }
+}
+
+impl Gradients {
+    /// That by the bias alone, from the gradient of what it is added to, `[R, O]`.
+    pub(super) fn new(gradient: &[f32], outputs: usize) -> Self {
         let mut bias = vec![0.0; outputs];
         sum_rows(gradient, &mut bias);
-        Gradients {
-            input: if by_input { product(above, weight) } else { Vec::new() },
-            weight: if by_weight { product(input, above) } else { Vec::new() },
-            bias,
-        }
+        Self { input: Vec::new(), weight: Vec::new(), bias }
     }
 }

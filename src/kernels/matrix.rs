@@ -1,6 +1,9 @@
 //! Products of matrices.
 
+use std::ops::Range;
+
 use gemm::Parallelism;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Multiplications and additions that are worth other threads.
 const LARGE: usize = 1 << 18;
@@ -44,6 +47,27 @@ impl<'a> Matrix<'a> {
         self.values[row * self.strides[0] + column * self.strides[1]]
     }
 
+    /// Puts some columns, from number `first` on, into `packed`, `[rows, lanes]`; where there are fewer,
+    /// it stays as it is.
+    pub(super) fn pack(&self, first: usize, lanes: usize, packed: &mut [f32]) {
+        let ([_, columns], [down, across]) = (self.shape, self.strides);
+        let end = columns.min(first + lanes);
+        if across == 1 {
+            for (row, packed) in packed.chunks_exact_mut(lanes).enumerate() {
+                packed[..end - first].copy_from_slice(&self.values[row * down..][first..end]);
+            }
+            return;
+        }
+        for (lane, column) in (first..end).enumerate() {
+            let numbers = self.values[column * across..].iter().step_by(down);
+            packed[lane..]
+                .iter_mut()
+                .step_by(lanes)
+                .zip(numbers)
+                .for_each(|(to, from)| *to = *from);
+        }
+    }
+
     /// Rows and columns exchanged.
     pub fn transposed(self) -> Self {
         let ([rows, columns], [row, column]) = (self.shape, self.strides);
@@ -68,16 +92,6 @@ pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
     assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
     // SAFETY: there is a place for each number, and each holds one.
     unsafe { gemm(a, b, product.as_mut_ptr(), into, parallelism(a, b)) }
-}
-
-/// The same on this thread alone: for one of many products that threads share.
-///
-/// # Panics
-/// When the shapes do not fit.
-pub fn multiply_alone(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
-    assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
-    // SAFETY: there is a place for each number, and each holds one.
-    unsafe { gemm(a, b, product.as_mut_ptr(), into, Parallelism::None) }
 }
 
 /// `a b`, its rows one after the other.
@@ -136,11 +150,59 @@ unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into, parallelism:
 
 /// Adds up the rows of a matrix with rows of `sums.len()` numbers.
 pub fn sum_rows(values: &[f32], sums: &mut [f32]) {
-    for row in values.chunks_exact(sums.len()) {
-        for (sum, value) in sums.iter_mut().zip(row) {
-            *sum += value;
+    Arch::new().dispatch(SumRows { values, sums });
+}
+
+struct SumRows<'a> {
+    values: &'a [f32],
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for SumRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { values, sums } = self;
+        let width = sums.len();
+        let mut first = 0;
+        while width - first >= 4 * S::F32_LANES {
+            sum_columns::<S, 4>(simd, values, sums, first..first + 4 * S::F32_LANES);
+            first += 4 * S::F32_LANES;
+        }
+        while width - first >= S::F32_LANES {
+            sum_columns::<S, 1>(simd, values, sums, first..first + S::F32_LANES);
+            first += S::F32_LANES;
+        }
+        if first < width {
+            let mut sum = simd.partial_load_f32s(&sums[first..]);
+            for row in values.chunks_exact(width) {
+                sum = simd.add_f32s(sum, simd.partial_load_f32s(&row[first..]));
+            }
+            simd.partial_store_f32s(&mut sums[first..], sum);
         }
     }
+}
+
+/// V vectors of columns.
+#[inline(always)]
+fn sum_columns<S: Simd, const V: usize>(
+    simd: S,
+    values: &[f32],
+    sums: &mut [f32],
+    columns: Range<usize>,
+) {
+    let (vectors, _) = S::as_mut_simd_f32s(&mut sums[columns.clone()]);
+    let mut sum = [simd.splat_f32s(0.0); V];
+    sum.copy_from_slice(vectors);
+    for row in values.chunks_exact(sums.len()) {
+        let (row, _) = S::as_simd_f32s(&row[columns.clone()]);
+        for (sum, &number) in sum.iter_mut().zip(row) {
+            *sum = simd.add_f32s(*sum, number);
+        }
+    }
+    let (vectors, _) = S::as_mut_simd_f32s(&mut sums[columns]);
+    vectors.copy_from_slice(&sum);
 }
 
 #[cfg(test)]

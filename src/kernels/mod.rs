@@ -10,7 +10,8 @@
 //!
 //! Values and gradients of whole layers, for training:
 //!
-//! 4. [`linear`]: a linear layer; [`matrix`] has the products.
+//! 4. [`linear`]: a linear layer; [`matrix`] has the products of large matrices, [`narrow`] those with
+//!    matrices of few columns.
 //! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
 //! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
 //! 7. [`gru`], [`lstm`]: frame by frame, with recurrent weights that are [`packed`].
@@ -32,6 +33,7 @@ pub mod lstm;
 pub mod math;
 pub mod matrix;
 pub mod minimal;
+pub mod narrow;
 pub mod nodes;
 pub mod packed;
 pub mod rest;

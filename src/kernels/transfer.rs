@@ -89,16 +89,40 @@ fn parts<'a>(
     nodes.windows().iter().map(cut).collect()
 }
 
-/// Some channels of a row, filled up with zeros where they are fewer than a vector holds.
+/// Some channels of a row. Where they are fewer than a vector holds, whatever follows in the list comes
+/// behind them, or zeros: to leave it out takes longer than to compute with it and not to keep the result.
 #[inline(always)]
-fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
-    match S::as_simd_f32s(row) {
+fn load<S: Simd>(
+    simd: S,
+    numbers: &[f32],
+    row: usize,
+    width: usize,
+    part: &Range<usize>,
+) -> S::f32s {
+    let first = row * width + part.start;
+    match numbers.get(first..first + S::F32_LANES) {
+        Some(numbers) => S::as_simd_f32s(numbers).0[0],
+        None => simd.partial_load_f32s(&numbers[first..row * width + part.end]),
+    }
+}
+
+/// The same with zeros behind them.
+#[inline(always)]
+fn load_alone<S: Simd>(
+    simd: S,
+    numbers: &[f32],
+    row: usize,
+    width: usize,
+    part: &Range<usize>,
+) -> S::f32s {
+    let numbers = &numbers[row * width + part.start..row * width + part.end];
+    match S::as_simd_f32s(numbers) {
         ([vector, ..], _) => *vector,
         (_, rest) => simd.partial_load_f32s(rest),
     }
 }
 
-/// The inverse.
+/// The inverse; what follows stays as it is.
 #[inline(always)]
 fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     if row.len() >= S::F32_LANES {
@@ -199,7 +223,7 @@ fn sum_cell<S: Simd, const V: usize>(
     let mut sum = [[simd.splat_f32s(0.0); 3]; V];
     for (sum, part) in sum.iter_mut().zip(&parts) {
         for (node, sum) in sum.iter_mut().enumerate() {
-            *sum = load(simd, of(sums, node, stride, part));
+            *sum = load(simd, sums, node, stride, part);
         }
     }
     for (particle, [columns, rows]) in weights.iter().enumerate() {
@@ -209,7 +233,7 @@ fn sum_cell<S: Simd, const V: usize>(
             *weight = simd.splat_f32s(column * rows[number]);
         }
         for (sum, part) in sum.iter_mut().zip(&parts) {
-            let values = load(simd, of(channels, row, width, part));
+            let values = load(simd, channels, row, width, part);
             for (sum, &weight) in sum.iter_mut().zip(&weight) {
                 *sum = simd.mul_add_e_f32s(weight, values, *sum);
             }
@@ -221,12 +245,6 @@ fn sum_cell<S: Simd, const V: usize>(
             store(simd, &mut sums[first + part.start..first + part.end], sum);
         }
     }
-}
-
-/// Some channels of a row.
-#[inline(always)]
-fn of<'a>(numbers: &'a [f32], row: usize, width: usize, part: &Range<usize>) -> &'a [f32] {
-    &numbers[row * width + part.start..row * width + part.end]
 }
 
 /// The nine nodes of a cell's stencil: some channels of each.
@@ -241,7 +259,7 @@ fn stencil<S: Simd>(
     let mut values = [[simd.splat_f32s(0.0); 3]; 3];
     for (values, &first) in values.iter_mut().zip(&cell.nodes) {
         for (column, values) in values.iter_mut().enumerate() {
-            *values = load(simd, of(field, first as usize + column, width, part));
+            *values = load(simd, field, first as usize + column, width, part);
         }
     }
     values
@@ -352,7 +370,7 @@ impl WithSimd for Slope<'_> {
                 for slot in cell.slots() {
                     let [columns, rows] = &nodes.weights()[slot];
                     let particle = nodes.order()[slot] as usize;
-                    let own = load(simd, of(channels, particle, width, &part));
+                    let own = load_alone(simd, channels, particle, width, &part);
                     let across = weigh(simd, &values, &slopes(columns), rows);
                     let up = weigh(simd, &values, columns, &slopes(rows));
                     let gradient = &mut gradient[2 * (particle - place.particles.start)..][..2];

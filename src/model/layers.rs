@@ -29,7 +29,7 @@ impl Linear {
         let input = input.reshape([rows, width]);
         let Self { weight, bias } = self.clone();
         let output = if fused::runs_on(&weight.device()) {
-            training::linear(input, weight, bias)
+            training::linear(false, input, weight, bias)
         } else {
             input.matmul(weight) + bias.unsqueeze()
         };
@@ -41,10 +41,19 @@ impl Linear {
     pub(crate) fn rectified(&self, input: Tensor<2>) -> Tensor<2> {
         let Self { weight, bias } = self.clone();
         if fused::runs_on(&weight.device()) {
-            training::rectified(input, weight, bias)
+            training::linear(true, input, weight, bias)
         } else {
             relu(input.matmul(weight) + bias.unsqueeze())
         }
+    }
+
+    /// The same for inputs that are side by side, `[R, I]` and `[R, J]`.
+    pub(crate) fn beside(&self, left: Tensor<2>, right: Tensor<2>) -> Tensor<2> {
+        let Self { weight, bias } = self.clone();
+        if fused::runs_on(&weight.device()) {
+            return training::beside([left, right], weight, bias);
+        }
+        self.rectified(Tensor::cat(vec![left, right], 1))
     }
 }
 

@@ -143,7 +143,7 @@ impl ParticleModel {
         let ground =
             Ground::new(&self.surroundings, &self.ballistic.plain, self.domain, &position, windows);
         let context = grid.look_around(&ground, encoded, &bodies.position); // [T R, C0]
-        grid.context.rectified(Tensor::cat(vec![features, context], 1))
+        grid.context.beside(features, context)
     }
 
     fn features(
@@ -176,9 +176,9 @@ impl ParticleModel {
         if self.fused() {
             let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
             let inputs = [position, velocity, output];
-            let next = training::move_on(ballistic, unit, self.limits, inputs);
-            let [position, velocity] = halves(next);
-            return Bodies { position, velocity };
+            let next = training::move_on(ballistic, unit, self.limits, inputs); // [2 rows, 2]
+            let half = |first: usize| next.clone().slice([first..first + rows, 0..2]);
+            return Bodies { position: half(0), velocity: half(rows) };
         }
         let fallen = self.ballistic.step(position, velocity);
         let [faster, farther] = halves(output.mul_scalar(self.scaling.velocity_unit));

@@ -60,16 +60,17 @@ impl Scale<'_> {
                 let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
                 let share = f64::from(self.loss.common_share);
                 for (own, common) in own.iter().zip(&self.common) {
-                    for &material in &window.material {
-                        let m = material as usize;
-                        for (part, weights) in weights.iter_mut().enumerate() {
-                            let floor = self.floor(part);
+                    for (part, weights) in weights.iter_mut().enumerate() {
+                        let floor = self.floor(part);
+                        let of = |m: usize| {
                             let error = (own[m][part] + floor).powf(1.0 - share)
                                 * (common[m][part] + floor).powf(share);
                             let even = counts[m] * present * unroll as f64 * sum;
-                            let weight = (sums[part] / (error * even)) as f32;
-                            weights.extend([weight; 2]);
-                        }
+                            (sums[part] / (error * even)) as f32
+                        };
+                        let weight: [f32; Material::COUNT] = std::array::from_fn(of);
+                        let own = window.material.iter().map(|&kind| weight[kind as usize]);
+                        weights.extend(own.flat_map(|weight| [weight; 2]));
                     }
                 }
             }

@@ -111,7 +111,8 @@ proptest! {
         let lengths = [level.len() * i, 9 * i * o, level.len() * o];
         let [x, weight, above] = lengths.map(|length| numbers(&mut random, length));
         let bias = biases(&mut random, o);
-        let layer = Convolution { neighbours: &level.neighbours, weight: &weight, bias: &bias, rectify };
+        let table = Table::Neighbours(&level.neighbours);
+        let layer = Convolution { table, weight: &weight, bias: &bias, rectify };
         let output = layer.forward(&x);
         let by = layer.backward(&x, &output, &above, true, true);
         let plain = Plain { links: links(&level.neighbours), rows: level.len(), below: true, rectify };
@@ -134,7 +135,8 @@ proptest! {
         let lengths = [fine.len() * i, 4 * i * o, coarse.len() * o];
         let [x, weight, above] = lengths.map(|length| numbers(&mut random, length));
         let bias = biases(&mut random, o);
-        let layer = Down { children, parent, weight: &weight, bias: &bias, rectify };
+        let table = Table::Children { children, parent };
+        let layer = Convolution { table, weight: &weight, bias: &bias, rectify };
         let output = layer.forward(&x);
         let by = layer.backward(&x, &output, &above, true, true);
         let links = links(children);
@@ -163,8 +165,8 @@ proptest! {
         let lengths = [level.len() * 5, 9 * 5 * 8, level.len() * 8];
         let [x, weight, above] = lengths.map(|length| numbers(&mut random, length));
         let bias = biases(&mut random, 8);
-        let layer =
-            Convolution { neighbours: &level.neighbours, weight: &weight, bias: &bias, rectify: true };
+        let table = Table::Neighbours(&level.neighbours);
+        let layer = Convolution { table, weight: &weight, bias: &bias, rectify: true };
         let all = [1, 2, 5].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {

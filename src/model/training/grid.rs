@@ -7,7 +7,7 @@ use burn::tensor::Tensor;
 use crate::{
     checkpoint::layout::NODE_FEATURES,
     kernels::{
-        gathered::{Convolution, Down, Up},
+        gathered::{self, Convolution, Up},
         nodes::Nodes,
         transfer::{by_position, mass, to_nodes, to_particles},
     },
@@ -30,64 +30,32 @@ pub(crate) fn gathered(
     let (Table::Neighbours(level) | Table::Children(level)) = table;
     let shape = [nodes.level(level).len(), bias.dims()[0]];
     let inputs = [input(rows), input(weight), input(bias)];
-    let nodes = nodes.clone();
-    match table {
-        Table::Neighbours(level) => apply(Around { nodes, level, rectify }, inputs, shape),
-        Table::Children(level) => apply(FromChildren { nodes, level, rectify }, inputs, shape),
-    }
+    apply(Gathered { nodes: nodes.clone(), table, rectify }, inputs, shape)
 }
 
 #[derive(Clone, Debug)]
-struct Around {
+struct Gathered {
     nodes: Arc<Nodes>,
-    level: usize,
+    table: Table,
     rectify: bool,
 }
 
-impl Around {
+impl Gathered {
     fn layer<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> Convolution<'a> {
-        let neighbours = &self.nodes.level(self.level).neighbours;
-        Convolution { neighbours, weight, bias, rectify: self.rectify }
+        let table = match self.table {
+            Table::Neighbours(level) => {
+                gathered::Table::Neighbours(&self.nodes.level(level).neighbours)
+            }
+            Table::Children(level) => gathered::Table::Children {
+                children: &self.nodes.level(level).children,
+                parent: &self.nodes.level(level - 1).parent,
+            },
+        };
+        Convolution { table, weight, bias, rectify: self.rectify }
     }
 }
 
-impl Operation<3> for Around {
-    type Kept = ();
-
-    fn forward(&self, [rows, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
-        (self.layer(weight, bias).forward(rows), ())
-    }
-
-    fn backward(
-        &self,
-        [rows, weight, bias]: [&[f32]; 3],
-        output: &[f32],
-        (): (),
-        gradient: &[f32],
-        [by_rows, by_weight, _]: [bool; 3],
-    ) -> [Vec<f32>; 3] {
-        let layer = self.layer(weight, bias);
-        let by = layer.backward(rows, output, gradient, by_rows, by_weight);
-        [by.input, by.weight, by.bias]
-    }
-}
-
-#[derive(Clone, Debug)]
-struct FromChildren {
-    nodes: Arc<Nodes>,
-    level: usize,
-    rectify: bool,
-}
-
-impl FromChildren {
-    fn layer<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> Down<'a> {
-        let children = &self.nodes.level(self.level).children;
-        let parent = &self.nodes.level(self.level - 1).parent;
-        Down { children, parent, weight, bias, rectify: self.rectify }
-    }
-}
-
-impl Operation<3> for FromChildren {
+impl Operation<3> for Gathered {
     type Kept = ();
 
     fn forward(&self, [rows, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {

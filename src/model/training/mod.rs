@@ -10,13 +10,12 @@ pub(crate) use grid::{gathered, read, spread, write};
 pub(crate) use motion::{foretell, move_on, perceive, shape};
 
 use burn::tensor::Tensor;
-use rayon::prelude::*;
 
 use super::fused::{Operation, apply, input};
 use crate::{
     checkpoint::Activation,
     kernels::{
-        activation::{Elu, Relu, Sigmoid, Tanh},
+        activation::{Elu, Relu, Sigmoid, Tanh, through},
         encoder::{Encoder, Gradients},
         gru::{self, Gru},
         linear::Linear,
@@ -25,41 +24,29 @@ use crate::{
     },
 };
 
-/// A linear layer: `input` `[R, I]`, `weight` `[I, O]` and `bias` `[O]` to `[R, O]`.
-pub(crate) fn linear(input: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
+/// A linear layer, with a ReLU behind it or without: `input` `[R, I]`, `weight` `[I, O]` and `bias`
+/// `[O]` to `[R, O]`.
+pub(crate) fn linear(
+    rectify: bool,
+    input: Tensor<2>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
     let shape = [input.dims()[0], bias.dims()[0]];
-    apply(
-        LinearLayer { rectified: false },
-        [self::input(input), self::input(weight), self::input(bias)],
-        shape,
-    )
-}
-
-/// The same with a ReLU behind it.
-pub(crate) fn rectified(input: Tensor<2>, weight: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
-    let shape = [input.dims()[0], bias.dims()[0]];
-    apply(
-        LinearLayer { rectified: true },
-        [self::input(input), self::input(weight), self::input(bias)],
-        shape,
-    )
+    let inputs = [self::input(input), self::input(weight), self::input(bias)];
+    apply(LinearLayer { rectify }, inputs, shape)
 }
 
 #[derive(Clone, Copy, Debug)]
 struct LinearLayer {
-    /// Whether there is a ReLU behind it.
-    rectified: bool,
+    rectify: bool,
 }
 
 impl Operation<3> for LinearLayer {
     type Kept = ();
 
     fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
-        let mut output = Linear { weight, bias }.forward(input);
-        if self.rectified {
-            rectify(&mut output);
-        }
-        (output, ())
+        (Linear { weight, bias, rectify: self.rectify }.forward(input), ())
     }
 
     fn backward(
@@ -70,15 +57,65 @@ impl Operation<3> for LinearLayer {
         gradient: &[f32],
         [by_input, by_weight, _]: [bool; 3],
     ) -> [Vec<f32>; 3] {
-        let passed: Vec<f32>;
-        let gradient = if self.rectified {
-            passed = passed_on(output, gradient);
-            &passed
-        } else {
-            gradient
-        };
-        let by = Linear { weight, bias }.backward(input, gradient, by_input, by_weight);
+        let layer = Linear { weight, bias, rectify: self.rectify };
+        let by = layer.backward(input, output, gradient, by_input, by_weight);
         [by.input, by.weight, by.bias]
+    }
+}
+
+/// A linear layer with a ReLU behind it whose inputs are side by side: `left` `[R, I]`, `right` `[R, J]`,
+/// `weight` `[I + J, O]` and `bias` `[O]` to `[R, O]`.
+pub(crate) fn beside(
+    [left, right]: [Tensor<2>; 2],
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let [rows, width] = left.dims();
+    let shape = [rows, bias.dims()[0]];
+    apply(Beside { width }, [input(left), input(right), input(weight), input(bias)], shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Beside {
+    /// I.
+    width: usize,
+}
+
+impl Beside {
+    /// The layers of the two inputs; the second one's output, added to the first one's, is the whole's.
+    fn layers<'a>(&self, weight: &'a [f32], bias: &'a [f32]) -> [Linear<'a>; 2] {
+        let (left, right) = weight.split_at(self.width * bias.len());
+        [
+            Linear { weight: left, bias, rectify: false },
+            Linear { weight: right, bias, rectify: true },
+        ]
+    }
+}
+
+impl Operation<4> for Beside {
+    type Kept = ();
+
+    fn forward(&self, [left, right, weight, bias]: [&[f32]; 4]) -> (Vec<f32>, ()) {
+        let [first, second] = self.layers(weight, bias);
+        let mut output = first.forward(left);
+        second.add(right, &mut output);
+        (output, ())
+    }
+
+    fn backward(
+        &self,
+        [left, right, weight, bias]: [&[f32]; 4],
+        output: &[f32],
+        (): (),
+        gradient: &[f32],
+        [by_left, by_right, by_weight, _]: [bool; 4],
+    ) -> [Vec<f32>; 4] {
+        let [first, second] = self.layers(weight, bias);
+        let gradient = through(second.rectify, output, gradient);
+        let second = Linear { rectify: false, ..second };
+        let left = first.backward(left, output, &gradient, by_left, by_weight);
+        let right = second.backward(right, output, &gradient, by_right, by_weight);
+        [left.input, right.input, [left.weight, right.weight].concat(), left.bias]
     }
 }
 
@@ -289,18 +326,4 @@ impl Operation<5> for LstmLayer {
         let by = layer.backward(states, &gates, gradient, by_hidden || by_cell);
         [by.inputs, by.weight, by.bias, by.hidden, by.cell]
     }
-}
-
-/// Numbers that a thread takes at once.
-const CHUNK: usize = 1 << 14;
-
-/// ReLU.
-fn rectify(values: &mut [f32]) {
-    values.par_chunks_mut(CHUNK).for_each(|part| part.iter_mut().for_each(|x| *x = x.max(0.0)));
-}
-
-/// The gradient in front of a ReLU: where its output is positive.
-fn passed_on(output: &[f32], gradient: &[f32]) -> Vec<f32> {
-    let pass = |(y, g): (&f32, &f32)| if *y > 0.0 { *g } else { 0.0 };
-    output.par_iter().zip(gradient).with_min_len(CHUNK).map(pass).collect()
 }

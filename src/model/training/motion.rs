@@ -231,17 +231,17 @@ impl WithSimd for Exponentials<'_> {
     }
 }
 
-/// The next positions and velocities side by side, `[R, 4]`, from these and the decoder's output,
-/// `[R, 4]`.
+/// The next positions and below them the next velocities, `[2 R, 2]`, from these and the decoder's
+/// output, `[R, 4]`.
 pub(crate) fn move_on(
     ballistic: Ballistic,
     velocity_unit: f32,
     limits: [[f32; 2]; 2],
     [position, velocity, output]: [Tensor<2>; 3],
 ) -> Tensor<2> {
-    let size = output.dims();
+    let [rows, _] = output.dims();
     let inputs = [input(position), input(velocity), input(output)];
-    apply(MoveOn { ballistic, velocity_unit, limits }, inputs, size)
+    apply(MoveOn { ballistic, velocity_unit, limits }, inputs, [2 * rows, 2])
 }
 
 #[derive(Clone, Debug)]
@@ -274,13 +274,15 @@ impl Operation<3> for MoveOn {
 
     fn forward(&self, [position, velocity, output]: [&[f32]; 3]) -> (Vec<f32>, ()) {
         let [low, high] = self.bounds();
-        let rows = pairs(position).par_iter().zip(pairs(velocity)).zip(output.as_chunks::<4>().0);
-        let next: Vec<_> = rows
-            .map(|((x, v), o)| {
-                let next = self.unlimited(x, v, o);
-                std::array::from_fn::<f32, 4, _>(|k| next[k].max(low[k]).min(high[k]))
-            })
-            .collect();
+        let mut next = vec![[0.0; 2]; position.len()];
+        let (to_position, to_velocity) = next.split_at_mut(position.len() / 2);
+        let states = pairs(position).par_iter().zip(pairs(velocity)).zip(output.as_chunks::<4>().0);
+        let all = states.zip(to_position.par_iter_mut().zip(to_velocity)).with_min_len(ROWS);
+        all.for_each(|(((x, v), o), (position, velocity))| {
+            let next = self.unlimited(x, v, o);
+            let [x, y, u, v] = std::array::from_fn(|k| next[k].max(low[k]).min(high[k]));
+            (*position, *velocity) = ([x, y], [u, v]);
+        });
         (next.into_flattened(), ())
     }
 
@@ -298,12 +300,14 @@ impl Operation<3> for MoveOn {
         let mut by_velocity = vec![[0.0; 2]; position.len() / 2];
         let mut by_output = vec![[0.0; 4]; position.len() / 2];
         let states = pairs(position).par_iter().zip(pairs(velocity));
-        let (output, gradient) = (output.as_chunks::<4>().0, gradient.as_chunks::<4>().0);
-        let above = states.zip(output.par_iter().zip(gradient));
+        let (by_next, by_fallen) = pairs(gradient).split_at(position.len() / 2);
+        let above = by_next.par_iter().zip(by_fallen);
+        let above = states.zip(output.as_chunks::<4>().0.par_iter().zip(above));
         let below = by_position.par_iter_mut().zip(&mut by_velocity).zip(&mut by_output);
         let all = above.zip(below).with_min_len(ROWS);
-        all.for_each(|(((x, v), (o, g)), ((position, velocity), output))| {
+        all.for_each(|(((x, v), (o, (g, h))), ((position, velocity), output))| {
             let next = self.unlimited(x, v, o);
+            let g = [g[0], g[1], h[0], h[1]];
             let within = |k: usize| next[k] >= low[k] && next[k] <= high[k];
             let g: [f32; 4] = std::array::from_fn(|k| if within(k) { g[k] } else { 0.0 });
             let moving = moving(&self.ballistic, x, v);
