@@ -8,6 +8,14 @@ use crate::{
     kernels::rest::Rest,
 };
 
+/// Rows of hidden states are a multiple of this long, and begin at a cache line as often as can be.
+const LINE: usize = 16;
+
+/// Length of the row of so many units in the particle model.
+pub(super) fn stride(hidden: usize) -> usize {
+    hidden.next_multiple_of(LINE)
+}
+
 /// The hidden state of one stream: what the network remembers of the frames it observed.
 ///
 /// `clone_from` copies into a memory of the same network and number of particles without asking for
@@ -20,7 +28,7 @@ pub struct Memory {
     /// holds no particles in the frame model.
     pub(super) rest: Arc<Rest>,
     /// Last outputs of the core, `[layer, R, H]`, R being 1 in the frame model and N in the particle
-    /// model. Zero before the first frame.
+    /// model, whose rows are [`stride`] long. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
     /// Cells of an LSTM, of the same shape; empty in other cores.
     pub(super) cell: Vec<f32>,
@@ -38,11 +46,12 @@ impl Memory {
         let rest = description.surroundings.map(|surroundings| {
             Rest::new(&frame.position, &frame.material, 1, surroundings.spacing)
         });
-        let (rows, foretold) = match description.sizes.particles {
-            Some(_) => (1, 0),
-            None => (particles, particles),
+        let hidden = description.sizes.hidden;
+        let (numbers, foretold) = match description.sizes.particles {
+            Some(_) => (hidden, 0),
+            None => (particles * stride(hidden), particles),
         };
-        let states = description.sizes.layers * rows * description.sizes.hidden;
+        let states = description.sizes.layers * numbers;
         let cells = if description.core == Core::Lstm { states } else { 0 };
         Self {
             material: frame.material.iter().map(|&material| material as u8).collect(),

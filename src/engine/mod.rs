@@ -30,6 +30,7 @@ mod memory;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
+mod pieces;
 mod products;
 mod remark;
 mod surrogate;
