@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::{
-    checkpoint::{Core, Description},
+    checkpoint::{Core, Description, Surroundings},
     frame::Frame,
     kernels::rest::Rest,
 };
@@ -22,6 +22,9 @@ pub(super) fn stride(hidden: usize) -> usize {
 /// more room, as a look-ahead does at every frame.
 #[derive(Debug, PartialEq)]
 pub struct Memory {
+    /// Particle model: the particle in each row here, those that were near each other in the stream's first
+    /// frame one after the other; empty in the frame model, which has them in their own order.
+    pub(super) order: Arc<Vec<u32>>,
     /// Each particle's material number, `[N]`.
     pub(super) material: Vec<u8>,
     /// Particle model: the shape in which jelly and rope rest, taken from the stream's first frame; it
@@ -43,9 +46,14 @@ impl Memory {
     /// The empty memory for the particles of `frame`.
     pub(super) fn new(description: &Description, frame: &Frame) -> Self {
         let particles = frame.len();
-        let rest = description.surroundings.map(|surroundings| {
-            Rest::new(&frame.position, &frame.material, 1, surroundings.spacing)
-        });
+        let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
+        let (mut order, mut rest) = (Vec::new(), Rest::default());
+        if let Some(Surroundings { cell_width, spacing, .. }) = description.surroundings {
+            order = by_place(frame, cell_width);
+            // Which neighbours count where several are as far must not depend on the order.
+            rest = Rest::new(&frame.position, &frame.material, 1, spacing).permuted(&order);
+            material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
+        }
         let hidden = description.sizes.hidden;
         let (numbers, foretold) = match description.sizes.particles {
             Some(_) => (hidden, 0),
@@ -54,8 +62,9 @@ impl Memory {
         let states = description.sizes.layers * numbers;
         let cells = if description.core == Core::Lstm { states } else { 0 };
         Self {
-            material: frame.material.iter().map(|&material| material as u8).collect(),
-            rest: Arc::new(rest.unwrap_or_default()),
+            order: Arc::new(order),
+            material,
+            rest: Arc::new(rest),
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],
             foretold: vec![[0.0; 2]; foretold],
@@ -78,9 +87,22 @@ impl Memory {
     }
 }
 
+/// The particles by rows of cells, so that what is worked on one after the other is near in memory, too.
+fn by_place(frame: &Frame, cell_width: f32) -> Vec<u32> {
+    let lower = frame.domain.lower;
+    let cell = |particle: u32| {
+        let x = frame.position[particle as usize];
+        [1, 0].map(|axis| ((x[axis] - lower[axis]) / cell_width) as i32)
+    };
+    let mut order: Vec<_> = (0..frame.len() as u32).collect();
+    order.sort_by_cached_key(|&particle| cell(particle));
+    order
+}
+
 impl Clone for Memory {
     fn clone(&self) -> Self {
         Self {
+            order: Arc::clone(&self.order),
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
             hidden: self.hidden.clone(),
@@ -91,7 +113,8 @@ impl Clone for Memory {
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self { material, rest, hidden, cell, foretold, begun } = self;
+        let Self { order, material, rest, hidden, cell, foretold, begun } = self;
+        *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
         hidden.clone_from(&other.hidden);

@@ -52,7 +52,7 @@ impl Pass<'_> {
             |particle| match self.begun {
                 // SAFETY: a particle has one slot, in this block.
                 true => unsafe { self.foretold.read(particle..particle + 1)[0] },
-                false => self.known.frame.velocity[particle],
+                false => self.known.velocity[particle],
             },
             (states, BLOCK),
             fallen,
@@ -119,7 +119,7 @@ impl Pass<'_> {
             for (&particle, last) in particles.iter().zip(states.chunks_exact_mut(width)) {
                 let row = (first + particle as usize) * width;
                 // SAFETY: a particle has one slot, in this block.
-                last.copy_from_slice(unsafe { self.hidden.read(row..row + width) });
+                copy(unsafe { self.hidden.read(row..row + width) }, last);
             }
             // So many rows that the sums of all gates fit into registers.
             let lists = (&**input, &**states);
@@ -132,7 +132,7 @@ impl Pass<'_> {
             for (&particle, output) in particles.iter().zip(output.chunks_exact(width)) {
                 let row = (first + particle as usize) * width;
                 // SAFETY: as above.
-                unsafe { self.hidden.part(row..row + width) }.copy_from_slice(output);
+                copy(output, unsafe { self.hidden.part(row..row + width) });
             }
             std::mem::swap(input, output);
         }
@@ -146,7 +146,8 @@ impl Pass<'_> {
 
         let residuals = input.chunks_exact(length);
         for ((&particle, fallen), residual) in particles.iter().zip(fallen).zip(residuals) {
-            let particle = particle as usize..particle as usize + 1;
+            let particle = self.place[particle as usize] as usize;
+            let particle = particle..particle + 1;
             // SAFETY: as above.
             let (position, velocity) =
                 unsafe { (self.position.part(particle.clone()), self.velocity.part(particle)) };
@@ -223,6 +224,14 @@ impl ParticleModel {
                 between(faster, self.slowest[axis], self.fastest[axis])
             }),
         )
+    }
+}
+
+/// Copies a row of hidden states, a multiple of eight long.
+#[inline(always)]
+fn copy(from: &[f32], to: &mut [f32]) {
+    for (to, from) in to.as_chunks_mut::<8>().0.iter_mut().zip(from.as_chunks().0) {
+        *to = *from;
     }
 }
 

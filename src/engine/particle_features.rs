@@ -5,7 +5,7 @@ use pulp::Simd;
 use super::linear::{load, store};
 use crate::{
     checkpoint::{Description, layout::PARTICLE_FEATURES},
-    frame::{Domain, Frame},
+    frame::Domain,
     kernels::{
         math::exp,
         rest::{Rest, SHAPE_FEATURES},
@@ -46,7 +46,9 @@ pub(super) struct Features {
 
 /// What is known of the particles before the network.
 pub(super) struct Known<'a> {
-    pub(super) frame: &'a Frame,
+    /// In the order of the stream's memory, as all else here.
+    pub(super) position: &'a [[f32; 2]],
+    pub(super) velocity: &'a [[f32; 2]],
     /// The ballistic step in the frame's domain.
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],
@@ -94,16 +96,16 @@ impl Features {
         fallen: &mut [State],
         columns: &mut [f32],
     ) {
-        let Known { frame, material, rest, .. } = known;
+        let Known { position, velocity, material, rest, .. } = known;
         let (shape, last) = columns.split_at_mut(MATERIAL * length);
         last.fill(0.0);
         for (place, &particle) in particles.iter().enumerate() {
             let particle = particle as usize;
-            let seen = [frame.position[particle], frame.velocity[particle], foretold(particle)];
+            let seen = [position[particle], velocity[particle], foretold(particle)];
             for (column, number) in seen.as_flattened().iter().enumerate() {
                 states[column * length + place] = *number;
             }
-            let strained = rest.shape_of(particle, &frame.position);
+            let strained = rest.shape_of(particle, position);
             for (column, number) in strained.iter().enumerate() {
                 shape[(SHAPE + column) * length + place] = *number;
             }

@@ -67,6 +67,8 @@ pub(super) struct ParticleModel {
 #[derive(Debug)]
 pub(super) struct Room {
     grid: surroundings::Room,
+    /// Positions and velocities in the order of the stream's memory.
+    state: [Vec<[f32; 2]>; 2],
     /// Input of the network, `[block, F, BLOCK]`.
     features: Vec<f32>,
     pieces: Pieces,
@@ -144,6 +146,7 @@ impl ParticleModel {
         };
         Room {
             grid: surroundings::Room::default(),
+            state: Default::default(),
             features: Vec::new(),
             pieces: Pieces::default(),
             written: Vec::new(),
@@ -168,17 +171,25 @@ impl ParticleModel {
         let ballistic = self.features.ballistic(&frame.domain);
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
         let window = Window { particles: 0..frame.len(), lower, upper };
-        room.grid.nodes.rebuild(&frame.position, &[window], self.grid.cell_width);
+        put_in_order(crew, alone, &memory.order, frame, &mut room.state);
+        room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
         self.make_room(room, frame.len());
 
-        let Room { grid, features, pieces, written, fallen, near, flights, motions, benches } =
-            room;
+        let Room { grid, features, pieces, written, fallen, near, flights, .. } = room;
+        let Room { state: [position, velocity], motions, benches, .. } = room;
         let surroundings::Room { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let pass = Pass {
             model: self,
             width: stride(self.hidden),
-            known: Known { frame, ballistic, material: &memory.material, rest: &memory.rest },
+            known: Known {
+                position,
+                velocity,
+                ballistic,
+                material: &memory.material,
+                rest: &memory.rest,
+            },
+            place: &memory.order,
             walls,
             nodes,
             pieces,
@@ -232,6 +243,32 @@ fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> L
     Linear::pack(lanes, &weight, &bias, 0, 1)
 }
 
+/// Particles that are put in order at once.
+const SOME: usize = 4096;
+
+/// Positions and velocities of a frame, those of particle `order[row]` in each row.
+fn put_in_order(
+    crew: &mut Crew,
+    alone: bool,
+    order: &[u32],
+    frame: &Frame,
+    state: &mut [Vec<[f32; 2]>; 2],
+) {
+    for list in &mut *state {
+        list.resize(order.len(), [0.0; 2]);
+    }
+    let [position, velocity] = state.each_mut().map(|list| Parts::new(list));
+    let alone = alone || order.len() <= 2 * SOME;
+    crew.run([order.len().div_ceil(SOME)], alone, &|Task { item, .. }| {
+        let rows = item * SOME..((item + 1) * SOME).min(order.len());
+        // SAFETY: these rows are those of this item alone.
+        let lists = unsafe { (position.part(rows.clone()), velocity.part(rows.clone())) };
+        for ((&particle, x), v) in order[rows].iter().zip(lists.0).zip(lists.1) {
+            (*x, *v) = (frame.position[particle as usize], frame.velocity[particle as usize]);
+        }
+    });
+}
+
 /// What happens to a frame, in order.
 #[derive(Clone, Copy, Debug)]
 enum Stage {
@@ -274,6 +311,8 @@ pub(super) struct Pass<'a> {
     /// Length of the rows of hidden states.
     pub(super) width: usize,
     pub(super) known: Known<'a>,
+    /// The particle of the frame in each row of the memory.
+    pub(super) place: &'a [u32],
     pub(super) walls: Walls<'a>,
     pub(super) nodes: &'a Nodes,
     pub(super) pieces: &'a Pieces,
@@ -329,7 +368,7 @@ impl Pass<'_> {
             *sums = Sums::default();
             if flights.flies(cell) {
                 for slot in cell.slots() {
-                    let particle = order[slot] as usize;
+                    let particle = self.place[order[slot] as usize] as usize;
                     sums.take(&fallen[slot], &(position[particle], velocity[particle]));
                 }
             }
@@ -345,7 +384,7 @@ impl Pass<'_> {
         for cell in &self.nodes.cells()[self.cells(item)] {
             if flights.flies(cell) {
                 for slot in cell.slots() {
-                    let particle = order[slot] as usize;
+                    let particle = self.place[order[slot] as usize] as usize;
                     // SAFETY: a particle has one slot, which is in a cell of this item alone.
                     let (position, velocity) = unsafe {
                         let position = self.position.part(particle..particle + 1);

@@ -32,7 +32,7 @@ const LEAST_EXPONENT: f32 = -87.336_54;
 #[inline(always)]
 pub fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let vanishes = simd.less_than_f32s(x, simd.splat_f32s(LEAST_EXPONENT));
-    let (n, above_one) = reduce(simd, between(simd, x, -104.0, 89.0));
+    let (n, above_one) = reduce(simd, between(simd, x, LEAST_EXPONENT, 89.0));
     let fraction = simd.add_f32s(simd.splat_f32s(1.0), above_one);
     // In two steps, as 2^n itself may have no place among the normal numbers.
     let shifted = simd.add_u32s(n, simd.splat_u32s(256));
@@ -48,7 +48,8 @@ pub fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 #[inline(always)]
 pub fn sigmoid<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // At 88.8, 2^n is the bit pattern of infinity; at -88, that of zero.
-    let negative = between(simd, simd.neg_f32s(x), -88.0, 88.8);
+    let negative = simd.sub_f32s(simd.splat_f32s(0.0), x);
+    let negative = between(simd, negative, -88.0, 88.8);
     let (n, above_one) = reduce(simd, negative);
     let power = power_of_two(simd, n);
     let one = simd.splat_f32s(1.0);
