@@ -1,14 +1,12 @@
 //! What happens to a block of particles before they write to the grid, and after they have read from it.
 
-use std::array;
-
 use pulp::Simd;
 
 use super::{
     core::CoreLayer,
     free_flight::REACH,
     linear::store,
-    particle_features::{FEATURES, State},
+    particle_features::{FEATURES, State, fallen},
     particle_model::{BLOCK, Bench, COLUMNS, ParticleModel, Pass},
     products::{Beside, Columns, Output, Rows, pass},
     surroundings::READ,
@@ -34,7 +32,7 @@ impl Pass<'_> {
         let (count, stride) = (block.len(), second.stride());
         let sums = self.pieces.sums(item);
         // SAFETY: no other item has this thread's number, or this block, while this one is under way.
-        let (bench, columns, fallen, near, sums) = unsafe {
+        let (bench, columns, later, near, sums) = unsafe {
             (
                 &mut self.benches.part(thread..thread + 1)[0],
                 self.features.part(item * COLUMNS..(item + 1) * COLUMNS),
@@ -55,19 +53,19 @@ impl Pass<'_> {
                 false => self.known.velocity[particle],
             },
             (states, BLOCK),
-            fallen,
             columns,
         );
         let reach = REACH * self.walls.cell_width;
-        for (place, (fallen, near)) in fallen.iter().zip(near).enumerate() {
+        for (place, (later, near)) in later.iter_mut().zip(near).enumerate() {
             let now = [states[place], states[BLOCK + place]];
+            *later = fallen(states, BLOCK, place);
             *near = is_near(&self.walls.ballistic, now, reach)
-                | is_near(&self.walls.ballistic, fallen.0, reach);
+                | is_near(&self.walls.ballistic, later.0, reach);
         }
-        for (&particle, fallen) in particles.iter().zip(&*fallen) {
+        for (&particle, later) in particles.iter().zip(&*later) {
             let particle = particle as usize;
             // SAFETY: as above.
-            unsafe { self.foretold.part(particle..particle + 1)[0] = fallen.1 };
+            unsafe { self.foretold.part(particle..particle + 1)[0] = later.1 };
         }
 
         let input = Columns { numbers: columns, width: FEATURES, length: BLOCK };
@@ -213,17 +211,15 @@ impl ParticleModel {
             let raised = if x < low { low } else { x };
             if raised > high { high } else { raised }
         };
-        let residual = residual.map(|number| number * self.features.velocity_unit);
-        (
-            array::from_fn(|axis| {
-                let farther = position[axis] + residual[2 + axis] * ballistic.dt;
-                between(farther, ballistic.lower[axis], ballistic.upper[axis])
-            }),
-            array::from_fn(|axis| {
-                let faster = velocity[axis] + residual[axis];
-                between(faster, self.slowest[axis], self.fastest[axis])
-            }),
-        )
+        // Loops: what `map` and `from_fn` call may not be inlined, and so use other instructions.
+        let (mut place, mut speed, unit) = ([0.0; 2], [0.0; 2], self.features.velocity_unit);
+        for axis in 0..2 {
+            let faster = velocity[axis] + residual[axis] * unit;
+            speed[axis] = between(faster, self.slowest[axis], self.fastest[axis]);
+            let farther = position[axis] + residual[2 + axis] * unit * ballistic.dt;
+            place[axis] = between(farther, ballistic.lower[axis], ballistic.upper[axis]);
+        }
+        (place, speed)
     }
 }
 

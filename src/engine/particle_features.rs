@@ -82,9 +82,9 @@ impl Features {
         moved
     }
 
-    /// Fills the columns of a block's features, `[F, length]`, for the particles with these numbers, and
-    /// `fallen` with their ballistic step. `foretold` gives the velocity the step foretold one frame ago
-    /// for a particle; `states`, `[STATES, length]`, is room.
+    /// Fills the columns of a block's features, `[F, length]`, and of its `states`, `[STATES, length]`, for
+    /// the particles with these numbers. `foretold` gives the velocity the ballistic step foretold one frame
+    /// ago for a particle.
     #[inline(always)]
     pub(super) fn fill<S: Simd>(
         &self,
@@ -93,7 +93,6 @@ impl Features {
         particles: &[u32],
         foretold: impl Fn(usize) -> [f32; 2],
         (states, length): (&mut [f32], usize),
-        fallen: &mut [State],
         columns: &mut [f32],
     ) {
         let Known { position, velocity, material, rest, .. } = known;
@@ -113,12 +112,6 @@ impl Features {
         }
         let vectors = particles.len().div_ceil(S::F32_LANES);
         self.see(simd, &known.ballistic, vectors, (states, length), columns);
-        for (place, (x, v)) in fallen.iter_mut().enumerate() {
-            for axis in 0..2 {
-                x[axis] = states[(6 + axis) * length + place];
-                v[axis] = states[(8 + axis) * length + place];
-            }
-        }
     }
 
     /// The ballistic step and the features that come from a particle's own state, so many vectors of
@@ -175,4 +168,11 @@ impl Features {
             }
         }
     }
+}
+
+/// The ballistic step of the particle in a place, from the columns of [`Features::fill`].
+#[inline(always)]
+pub(super) fn fallen(states: &[f32], length: usize, place: usize) -> State {
+    let of = |column: usize| states[column * length + place];
+    ([of(6), of(7)], [of(8), of(9)])
 }

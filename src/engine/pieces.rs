@@ -219,3 +219,67 @@ fn add_cell<S: Simd, const V: usize>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use pulp::{Arch, WithSimd};
+
+    use super::*;
+    use crate::kernels::{nodes::Window, transfer::to_nodes};
+
+    /// The sums on all nodes, from rows by particle.
+    struct Sum<'a>(&'a Nodes, usize, &'a [f32], usize);
+
+    impl WithSimd for Sum<'_> {
+        type Output = Vec<f32>;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Vec<f32> {
+            let Self(nodes, block, rows, stride) = self;
+            let mut pieces = Pieces::default();
+            let [count, most] = pieces.cut(nodes, block);
+            assert!(count <= most, "{count} sums, room for {most}");
+            // What was there before does not matter.
+            let mut sums = vec![7.0; count * stride];
+            for (number, slots) in nodes.order().chunks(block).enumerate() {
+                let row = |&particle: &u32| &rows[particle as usize * stride..][..stride];
+                let rows: Vec<f32> = slots.iter().flat_map(row).copied().collect();
+                let own = pieces.sums(number);
+                let own = &mut sums[own.start * stride..own.end * stride];
+                pieces.add(simd, nodes, number, &rows, stride, own);
+            }
+            let mut joined = vec![0.0; nodes.level(0).len() * stride];
+            for row in nodes.rows() {
+                let own = range(row.nodes);
+                let own = &mut joined[own.start * stride..own.end * stride];
+                pieces.join(simd, nodes, row, &sums, stride, own);
+            }
+            joined
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_pieces_add_up_to_is_what_particles_write(
+            position in proptest::collection::vec([-0.1f32..1.1, 0f32..0.6], 0..300),
+            block in 1usize..60,
+            width in 1usize..4,
+            scale in 0.05f32..1.0,
+        ) {
+            let stride = width * 16;
+            let position: Vec<_> = position.iter().map(|x| x.map(|x| scale * x)).collect();
+            let window = Window { particles: 0..position.len(), lower: [0.0; 2], upper: [1.0, 0.5] };
+            let mut nodes = Nodes::default();
+            nodes.rebuild(&position, &[window], 0.05);
+            let number = |n: usize| (n % 37) as f32 * 0.05 - 0.7;
+            let rows: Vec<_> = (0..position.len() * stride).map(number).collect();
+            let found = Arch::new().dispatch(Sum(&nodes, block, &rows, stride));
+            let expected = to_nodes(&nodes, &rows, stride);
+            prop_assert_eq!(found.len(), expected.len());
+            for (found, expected) in found.iter().zip(&expected) {
+                prop_assert!((found - expected).abs() <= 1e-4, "{} {}", found, expected);
+            }
+        }
+    }
+}

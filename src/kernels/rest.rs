@@ -251,8 +251,12 @@ fn scaled([[a, b], [c, d]]: [[f32; 2]; 2], [x, y]: [f32; 2]) -> [f32; SHAPE_FEAT
 }
 
 #[inline(always)]
-fn limited(shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
-    shape.map(|number| number.clamp(-LARGEST, LARGEST))
+fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
+    // A loop: what `map` calls may not be inlined, and so use other instructions.
+    for number in &mut shape {
+        *number = number.clamp(-LARGEST, LARGEST);
+    }
+    shape
 }
 
 /// A neighbour at rest: its row, and where it is from the particle (domain lengths).
