@@ -179,10 +179,10 @@ impl Grid {
         written.fill(0.0);
         pieces.join(simd, nodes, row, sums, width, written);
         let at = &nodes.level(0).at[own];
-        let mut beside = [0.0; 4];
-        walls.distances(at.first().unwrap_or(&[0; 2]), &mut beside);
-        let rows = exp(simd, simd.partial_load_f32s(&[beside[1], beside[3]]));
-        simd.partial_store_f32s(&mut beside[..2], rows);
+        let mut distances = [0.0; 4];
+        walls.distances(at.first().unwrap_or(&[0; 2]), &mut distances);
+        let mut beside = [distances[1], distances[3]];
+        Exp(&mut beside).with_simd(simd);
         for (written, &[column, _]) in written.chunks_exact_mut(width).zip(at) {
             let mass = written[channels];
             let scale = simd.splat_f32s(1.0 / (mass + LEAST_MASS));
