@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::order::by_place;
 use crate::{
     checkpoint::{Core, Description, Surroundings},
     frame::Frame,
@@ -85,18 +86,6 @@ impl Memory {
         self.foretold.fill([0.0; 2]);
         self.begun = false;
     }
-}
-
-/// The particles by rows of cells, so that what is worked on one after the other is near in memory, too.
-fn by_place(frame: &Frame, cell_width: f32) -> Vec<u32> {
-    let lower = frame.domain.lower;
-    let cell = |particle: u32| {
-        let x = frame.position[particle as usize];
-        [1, 0].map(|axis| ((x[axis] - lower[axis]) / cell_width) as i32)
-    };
-    let mut order: Vec<_> = (0..frame.len() as u32).collect();
-    order.sort_by_cached_key(|&particle| cell(particle));
-    order
 }
 
 impl Clone for Memory {

@@ -1,9 +1,9 @@
 //! The particle model, one frame at a time: `model/particle_model.rs` for one stream.
 //!
 //! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
-//! to stay in the nearest caches. A frame is one job: particles are encoded, write to the nodes, the
-//! nodes' layers follow each other, particles read and are decoded; at last bodies in free flight get
-//! their momentum back.
+//! to stay in the nearest caches. Once a frame's particles are in the order of the stream's memory, the rest
+//! is one job: particles are encoded and write to the nodes, the nodes' layers follow each other, particles
+//! read and are decoded; at last bodies in free flight get their momentum back.
 
 use std::collections::BTreeMap;
 
@@ -15,6 +15,7 @@ use super::{
     free_flight::{Flights, Sums},
     linear::Linear,
     memory::{Memory, stride},
+    order::put_in_order,
     particle_features::{FEATURES, Features, Known, STATES, State},
     pieces::Pieces,
     surroundings::{self, Fields, Grid, Walls},
@@ -241,32 +242,6 @@ fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> L
     bias.values.push(1.0);
     bias.values.resize(outputs, 0.0);
     Linear::pack(lanes, &weight, &bias, 0, 1)
-}
-
-/// Particles that are put in order at once.
-const SOME: usize = 4096;
-
-/// Positions and velocities of a frame, those of particle `order[row]` in each row.
-fn put_in_order(
-    crew: &mut Crew,
-    alone: bool,
-    order: &[u32],
-    frame: &Frame,
-    state: &mut [Vec<[f32; 2]>; 2],
-) {
-    for list in &mut *state {
-        list.resize(order.len(), [0.0; 2]);
-    }
-    let [position, velocity] = state.each_mut().map(|list| Parts::new(list));
-    let alone = alone || order.len() <= 2 * SOME;
-    crew.run([order.len().div_ceil(SOME)], alone, &|Task { item, .. }| {
-        let rows = item * SOME..((item + 1) * SOME).min(order.len());
-        // SAFETY: these rows are those of this item alone.
-        let lists = unsafe { (position.part(rows.clone()), velocity.part(rows.clone())) };
-        for ((&particle, x), v) in order[rows].iter().zip(lists.0).zip(lists.1) {
-            (*x, *v) = (frame.position[particle as usize], frame.velocity[particle as usize]);
-        }
-    });
 }
 
 /// What happens to a frame, in order.
