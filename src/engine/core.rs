@@ -68,6 +68,12 @@ impl CoreLayer {
         self.input[0].panels()
     }
 
+    /// The units of a panel where rows have a place for each of its lanes.
+    #[inline(always)]
+    pub(super) fn places(&self, panel: usize) -> std::ops::Range<usize> {
+        self.input[0].places(panel)
+    }
+
     /// The units of a panel.
     #[inline(always)]
     pub(super) fn units(&self, panel: usize) -> std::ops::Range<usize> {
@@ -85,7 +91,7 @@ impl CoreLayer {
     }
 
     /// One frame on: the new state of a panel of units from the layer's inputs, and from its last
-    /// outputs and cells (all units of each row). Sums are in K parts, as in [`add_products`].
+    /// outputs and cells (rows of all units, or longer). Sums are in K parts, as in [`add_products`].
     #[inline(always)]
     pub(super) fn step<S: Simd, const R: usize, const K: usize>(
         &self,
@@ -95,7 +101,9 @@ impl CoreLayer {
         hidden: [&[f32]; R],
         cells: [&[f32]; R],
     ) -> Units<S, R> {
-        let units = self.units(panel);
+        // Rows are as long as there are units, or as there are lanes.
+        let places = self.input[0].places(panel);
+        let units = places.start..places.end.min(hidden[0].len());
         let mut next = Units { hidden: [simd.splat_f32s(0.0); R], cell: None };
         match self.core {
             Core::Mlp => {

@@ -107,6 +107,17 @@ impl Linear {
         outputs(panel, self.lanes, self.output)
     }
 
+    /// The outputs of a panel where rows are as long as all panels are.
+    #[inline(always)]
+    pub(super) fn places(&self, panel: usize) -> std::ops::Range<usize> {
+        panel * self.lanes..(panel + 1) * self.lanes
+    }
+
+    /// Length of rows that have a place for each lane of each panel; those of no output come out as zero.
+    pub(super) fn stride(&self) -> usize {
+        self.panels() * self.lanes
+    }
+
     /// Weights of a panel, `[input, lane]`.
     #[inline(always)]
     pub(super) fn panel(&self, panel: usize) -> &[f32] {
@@ -156,7 +167,7 @@ pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     }
 }
 
-/// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers. Every
+/// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers or more. Every
 /// sum is in K parts, input k in part k mod K: independent, so that the processor need not wait for
 /// one addition before it begins the next.
 #[inline(always)]
@@ -166,9 +177,9 @@ pub(super) fn add_products<S: Simd, const G: usize, const R: usize, const K: usi
     rows: [&[f32]; R],
     sums: [[S::f32s; R]; G],
 ) -> [[S::f32s; R]; G] {
-    let width = rows[0].len();
     let panels = panels.map(|panel| S::as_simd_f32s(panel).0);
-    assert!(rows.iter().all(|row| row.len() == width));
+    let width = panels[0].len();
+    assert!(rows.iter().all(|row| row.len() >= width));
     assert!(panels.iter().all(|panel| panel.len() == width));
 
     let mut parts = [[[simd.splat_f32s(0.0); R]; G]; K];

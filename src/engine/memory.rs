@@ -2,11 +2,20 @@
 
 use std::sync::Arc;
 
+use super::order::by_place;
 use crate::{
-    checkpoint::{Core, Description},
+    checkpoint::{Core, Description, Surroundings},
     frame::Frame,
     kernels::rest::Rest,
 };
+
+/// Rows of hidden states are a multiple of this long, and begin at a cache line as often as can be.
+const LINE: usize = 16;
+
+/// Length of the row of so many units in the particle model.
+pub(super) fn stride(hidden: usize) -> usize {
+    hidden.next_multiple_of(LINE)
+}
 
 /// The hidden state of one stream: what the network remembers of the frames it observed.
 ///
@@ -14,13 +23,16 @@ use crate::{
 /// more room, as a look-ahead does at every frame.
 #[derive(Debug, PartialEq)]
 pub struct Memory {
+    /// Particle model: the particle in each row here, those that were near each other in the stream's first
+    /// frame one after the other; empty in the frame model, which has them in their own order.
+    pub(super) order: Arc<Vec<u32>>,
     /// Each particle's material number, `[N]`.
     pub(super) material: Vec<u8>,
     /// Particle model: the shape in which jelly and rope rest, taken from the stream's first frame; it
     /// holds no particles in the frame model.
     pub(super) rest: Arc<Rest>,
     /// Last outputs of the core, `[layer, R, H]`, R being 1 in the frame model and N in the particle
-    /// model. Zero before the first frame.
+    /// model, whose rows are [`stride`] long. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
     /// Cells of an LSTM, of the same shape; empty in other cores.
     pub(super) cell: Vec<f32>,
@@ -35,18 +47,25 @@ impl Memory {
     /// The empty memory for the particles of `frame`.
     pub(super) fn new(description: &Description, frame: &Frame) -> Self {
         let particles = frame.len();
-        let rest = description.surroundings.map(|surroundings| {
-            Rest::new(&frame.position, &frame.material, 1, surroundings.spacing)
-        });
-        let (rows, foretold) = match description.sizes.particles {
-            Some(_) => (1, 0),
-            None => (particles, particles),
+        let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
+        let (mut order, mut rest) = (Vec::new(), Rest::default());
+        if let Some(Surroundings { cell_width, spacing, .. }) = description.surroundings {
+            order = by_place(frame, cell_width);
+            // Which neighbours count where several are as far must not depend on the order.
+            rest = Rest::new(&frame.position, &frame.material, 1, spacing).permuted(&order);
+            material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
+        }
+        let hidden = description.sizes.hidden;
+        let (numbers, foretold) = match description.sizes.particles {
+            Some(_) => (hidden, 0),
+            None => (particles * stride(hidden), particles),
         };
-        let states = description.sizes.layers * rows * description.sizes.hidden;
+        let states = description.sizes.layers * numbers;
         let cells = if description.core == Core::Lstm { states } else { 0 };
         Self {
-            material: frame.material.iter().map(|&material| material as u8).collect(),
-            rest: Arc::new(rest.unwrap_or_default()),
+            order: Arc::new(order),
+            material,
+            rest: Arc::new(rest),
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],
             foretold: vec![[0.0; 2]; foretold],
@@ -72,6 +91,7 @@ impl Memory {
 impl Clone for Memory {
     fn clone(&self) -> Self {
         Self {
+            order: Arc::clone(&self.order),
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
             hidden: self.hidden.clone(),
@@ -82,7 +102,8 @@ impl Clone for Memory {
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self { material, rest, hidden, cell, foretold, begun } = self;
+        let Self { order, material, rest, hidden, cell, foretold, begun } = self;
+        *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
         hidden.clone_from(&other.hidden);

@@ -7,9 +7,9 @@
 //! 4. `crew`: threads that stay and share the items of a frame's stages.
 //! 5. `frame_model`: the paper's network (Table 1) out of these.
 //! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
-//!    `particle_blocks` have what happens to particles, `surroundings` what happens to the grid's nodes,
-//!    `free_flight` keeps the momentum of bodies that touch nothing.
-//! 7. `memory`: what a network remembers of a stream.
+//!    `particle_blocks` have what happens to particles, `pieces` what they write to the grid's nodes,
+//!    `surroundings` what happens to these, `free_flight` keeps the momentum of bodies that touch nothing.
+//! 7. `memory`: what a network remembers of a stream, and in which `order`.
 //! 8. [`Remark`]: what is predicted although the network was not made for it.
 //! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
 //!
@@ -27,9 +27,11 @@ mod frame_model;
 mod free_flight;
 mod linear;
 mod memory;
+mod order;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
+mod pieces;
 mod products;
 mod remark;
 mod surrogate;

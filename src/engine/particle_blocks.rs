@@ -1,16 +1,14 @@
 //! What happens to a block of particles before they write to the grid, and after they have read from it.
 
-use std::array;
-
 use pulp::Simd;
 
 use super::{
     core::CoreLayer,
     free_flight::REACH,
     linear::store,
-    particle_features::{FEATURES, State},
-    particle_model::{BLOCK, Bench, ParticleModel, Pass},
-    products::{Beside, Output, Rows, pass},
+    particle_features::{FEATURES, State, fallen},
+    particle_model::{BLOCK, Bench, COLUMNS, ParticleModel, Pass},
+    products::{Beside, Columns, Output, Rows, pass},
     surroundings::READ,
 };
 use crate::{kernels::transfer::gather, model::Ballistic};
@@ -29,19 +27,21 @@ impl Pass<'_> {
     #[inline(always)]
     pub(super) fn encode<S: Simd>(&self, simd: S, item: usize, thread: usize) {
         let ParticleModel { features, encoder: [first, second], .. } = self.model;
-        let (block, width) = (self.block(item), second.output());
+        let block = self.block(item);
         let particles = &self.nodes.order()[block.clone()];
-        let count = block.len();
+        let (count, stride) = (block.len(), second.stride());
+        let sums = self.pieces.sums(item);
         // SAFETY: no other item has this thread's number, or this block, while this one is under way.
-        let (bench, rows, fallen, encoded, near) = unsafe {
+        let (bench, columns, later, near, sums) = unsafe {
             (
                 &mut self.benches.part(thread..thread + 1)[0],
-                self.features.part(block.start * FEATURES..block.end * FEATURES),
+                self.features.part(item * COLUMNS..(item + 1) * COLUMNS),
                 self.fallen.part(block.clone()),
-                self.encoded.part(block.start * width..block.end * width),
-                self.near.part(block.clone()),
+                self.near.part(block),
+                self.sums.part(sums.start * stride..sums.end * stride),
             )
         };
+        let Bench { input: hidden, output: encoded, states } = bench;
         features.fill(
             simd,
             &self.known,
@@ -50,48 +50,52 @@ impl Pass<'_> {
             |particle| match self.begun {
                 // SAFETY: a particle has one slot, in this block.
                 true => unsafe { self.foretold.read(particle..particle + 1)[0] },
-                false => self.known.frame.velocity[particle],
+                false => self.known.velocity[particle],
             },
-            fallen,
-            rows,
+            (states, BLOCK),
+            columns,
         );
-        for ((&particle, fallen), near) in particles.iter().zip(&*fallen).zip(near) {
+        let reach = REACH * self.walls.cell_width;
+        for (place, (later, near)) in later.iter_mut().zip(near).enumerate() {
+            let now = [states[place], states[BLOCK + place]];
+            *later = fallen(states, BLOCK, place);
+            *near = is_near(&self.walls.ballistic, now, reach)
+                | is_near(&self.walls.ballistic, later.0, reach);
+        }
+        for (&particle, later) in particles.iter().zip(&*later) {
             let particle = particle as usize;
             // SAFETY: as above.
-            unsafe { self.foretold.part(particle..particle + 1)[0] = fallen.1 };
-            let now = self.known.frame.position[particle];
-            *near = is_near(&self.walls.ballistic, now, REACH * self.walls.cell_width)
-                || is_near(&self.walls.ballistic, fallen.0, REACH * self.walls.cell_width);
+            unsafe { self.foretold.part(particle..particle + 1)[0] = later.1 };
         }
 
-        let Bench { input: hidden, .. } = bench;
-        let input = Rows { numbers: rows, width: FEATURES };
-        let mut output = Output { numbers: hidden, width: first.output(), rectify: true };
+        let input = Columns { numbers: columns, width: FEATURES, length: BLOCK };
+        let mut output = Output { numbers: hidden, width: first.stride(), rectify: true };
         pass(simd, first, count, &input, &mut output);
-        let input = Rows { numbers: hidden, width: first.output() };
-        let mut output = Output { numbers: encoded, width, rectify: false };
+        let input = Rows { numbers: hidden, width: first.stride() };
+        let mut output = Output { numbers: encoded, width: stride, rectify: false };
         pass(simd, second, count, &input, &mut output);
+        self.pieces.add(simd, self.nodes, item, encoded, stride, sums);
     }
 
     /// From what a block of particles reads to their next states.
     #[inline(always)]
     pub(super) fn decode<S: Simd>(&self, simd: S, item: usize, thread: usize) {
         let model = self.model;
-        let (block, channels, width) = (self.block(item), model.grid.channels, model.hidden);
+        let (block, channels, width) = (self.block(item), model.grid.read(), self.width);
         let particles = &self.nodes.order()[block.clone()];
         let count = block.len();
         let field = &self.fields[READ];
         // SAFETY: no other item has this thread's number while this one is under way, and this stage only
         // reads the other lists.
-        let (bench, features, fallen, field) = unsafe {
+        let (bench, columns, fallen, field) = unsafe {
             (
                 &mut self.benches.part(thread..thread + 1)[0],
-                self.features.read(block.start * FEATURES..block.end * FEATURES),
+                self.features.read(item * COLUMNS..(item + 1) * COLUMNS),
                 self.fallen.read(block.clone()),
                 field.read(0..self.nodes.level(0).len() * channels),
             )
         };
-        let Bench { input, output } = bench;
+        let Bench { input, output, states } = bench;
         gather(
             simd,
             self.nodes,
@@ -102,7 +106,7 @@ impl Pass<'_> {
             |slot| slot - block.start,
             input,
         );
-        let seen = Rows { numbers: features, width: FEATURES };
+        let seen = Columns { numbers: columns, width: FEATURES, length: BLOCK };
         let read = Rows { numbers: input, width: channels };
         let mut context = Output { numbers: output, width, rectify: true };
         pass(simd, &model.context, count, &Beside(seen, read), &mut context);
@@ -110,39 +114,48 @@ impl Pass<'_> {
 
         for (number, layer) in model.core.iter().enumerate() {
             let first = number * self.nodes.order().len();
+            for (&particle, last) in particles.iter().zip(states.chunks_exact_mut(width)) {
+                let row = (first + particle as usize) * width;
+                // SAFETY: a particle has one slot, in this block.
+                copy(unsafe { self.hidden.read(row..row + width) }, last);
+            }
             // So many rows that the sums of all gates fit into registers.
+            let lists = (&**input, &**states);
             match (layer.sums(), S::REGISTER_COUNT >= 32) {
-                (..=2, true) => self.recur::<S, 12>(simd, layer, first, particles, input, output),
-                (_, true) => self.recur::<S, 6>(simd, layer, first, particles, input, output),
-                (..=2, false) => self.recur::<S, 6>(simd, layer, first, particles, input, output),
-                (_, false) => self.recur::<S, 3>(simd, layer, first, particles, input, output),
+                (..=2, true) => self.recur::<S, 12>(simd, layer, first, particles, lists, output),
+                (_, true) => self.recur::<S, 6>(simd, layer, first, particles, lists, output),
+                (..=2, false) => self.recur::<S, 6>(simd, layer, first, particles, lists, output),
+                (_, false) => self.recur::<S, 3>(simd, layer, first, particles, lists, output),
             }
             for (&particle, output) in particles.iter().zip(output.chunks_exact(width)) {
                 let row = (first + particle as usize) * width;
-                // SAFETY: a particle has one slot, in this block.
-                unsafe { self.hidden.part(row..row + width) }.copy_from_slice(output);
+                // SAFETY: as above.
+                copy(output, unsafe { self.hidden.part(row..row + width) });
             }
             std::mem::swap(input, output);
         }
         let signal = Rows { numbers: input, width };
-        let mut mixed = Output { numbers: output, width, rectify: true };
+        let mut mixed = Output { numbers: output, width: model.mixer.stride(), rectify: true };
         pass(simd, &model.mixer, count, &signal, &mut mixed);
-        let signal = Rows { numbers: output, width };
-        let mut residuals = Output { numbers: input, width: OUTPUTS, rectify: false };
+        let signal = Rows { numbers: output, width: model.mixer.stride() };
+        let length = model.decoder.stride();
+        let mut residuals = Output { numbers: input, width: length, rectify: false };
         pass(simd, &model.decoder, count, &signal, &mut residuals);
 
-        let residuals = input.as_chunks::<OUTPUTS>().0;
+        let residuals = input.chunks_exact(length);
         for ((&particle, fallen), residual) in particles.iter().zip(fallen).zip(residuals) {
-            let particle = particle as usize..particle as usize + 1;
+            let particle = self.place[particle as usize] as usize;
+            let particle = particle..particle + 1;
             // SAFETY: as above.
             let (position, velocity) =
                 unsafe { (self.position.part(particle.clone()), self.velocity.part(particle)) };
-            (position[0], velocity[0]) = model.add(&self.walls.ballistic, fallen, residual);
+            let (residual, _) = residual.as_chunks::<OUTPUTS>();
+            (position[0], velocity[0]) = model.add(&self.walls.ballistic, fallen, &residual[0]);
         }
     }
 
-    /// A layer of the core, R rows at a time: new outputs to `output`, new cells in place. The states of its particles begin
-    /// with row `first`.
+    /// A layer of the core, R rows at a time: new outputs to `output`, new cells in place, from the
+    /// layer's inputs and its last outputs. The states of its particles begin with row `first`.
     #[inline(always)]
     fn recur<S: Simd, const R: usize>(
         &self,
@@ -150,33 +163,29 @@ impl Pass<'_> {
         layer: &CoreLayer,
         first: usize,
         particles: &[u32],
-        input: &[f32],
+        (input, last): (&[f32], &[f32]),
         output: &mut [f32],
     ) {
-        let (width, count) = (self.model.hidden, particles.len());
-        let input = Rows { numbers: input, width };
+        let (width, count) = (self.width, particles.len());
+        let [input, last] = [input, last].map(|numbers| Rows { numbers, width });
         for panel in 0..layer.panels() {
-            let units = layer.units(panel);
+            let units = layer.places(panel);
             for begin in (0..count).step_by(R) {
-                let mut hidden = [[].as_slice(); R];
                 let mut cells = [[].as_slice(); R];
-                for r in 0..R {
-                    let row = (first + particles[(begin + r).min(count - 1)] as usize) * width;
-                    // SAFETY: a particle has one slot, in this block, and its cells are written only after
-                    // this use.
-                    unsafe {
-                        hidden[r] = self.hidden.read(row..row + width);
-                        if self.cell.len() > 0 {
-                            cells[r] = self.cell.read(row..row + width);
-                        }
+                if self.cell.len() > 0 {
+                    for (r, cells) in cells.iter_mut().enumerate() {
+                        let row = (first + particles[(begin + r).min(count - 1)] as usize) * width;
+                        // SAFETY: a particle has one slot, in this block, and its cells are written only
+                        // after this use.
+                        *cells = unsafe { self.cell.read(row..row + width) };
                     }
                 }
                 let inputs = input.some::<R>(begin, count);
+                let hidden = last.some::<R>(begin, count);
                 let next = layer.step::<S, R, 1>(simd, panel, inputs, hidden, cells);
                 for r in 0..R.min(count - begin) {
                     let row = (begin + r) * width;
-                    let own = row + units.start..row + units.end;
-                    store(simd, &mut output[own], next.hidden[r]);
+                    store(simd, &mut output[row + units.start..row + units.end], next.hidden[r]);
                     if let Some(cells) = &next.cell {
                         let row = (first + particles[begin + r] as usize) * width;
                         // SAFETY: as above.
@@ -202,17 +211,23 @@ impl ParticleModel {
             let raised = if x < low { low } else { x };
             if raised > high { high } else { raised }
         };
-        let residual = residual.map(|number| number * self.features.velocity_unit);
-        (
-            array::from_fn(|axis| {
-                let farther = position[axis] + residual[2 + axis] * ballistic.dt;
-                between(farther, ballistic.lower[axis], ballistic.upper[axis])
-            }),
-            array::from_fn(|axis| {
-                let faster = velocity[axis] + residual[axis];
-                between(faster, self.slowest[axis], self.fastest[axis])
-            }),
-        )
+        // Loops: what `map` and `from_fn` call may not be inlined, and so use other instructions.
+        let (mut place, mut speed, unit) = ([0.0; 2], [0.0; 2], self.features.velocity_unit);
+        for axis in 0..2 {
+            let faster = velocity[axis] + residual[axis] * unit;
+            speed[axis] = between(faster, self.slowest[axis], self.fastest[axis]);
+            let farther = position[axis] + residual[2 + axis] * unit * ballistic.dt;
+            place[axis] = between(farther, ballistic.lower[axis], ballistic.upper[axis]);
+        }
+        (place, speed)
+    }
+}
+
+/// Copies a row of hidden states, a multiple of eight long.
+#[inline(always)]
+fn copy(from: &[f32], to: &mut [f32]) {
+    for (to, from) in to.as_chunks_mut::<8>().0.iter_mut().zip(from.as_chunks().0) {
+        *to = *from;
     }
 }
 
@@ -220,5 +235,9 @@ impl ParticleModel {
 #[inline(always)]
 fn is_near(walls: &Ballistic, position: [f32; 2], reach: f32) -> bool {
     let Ballistic { lower, upper, .. } = walls;
-    (0..2).any(|axis| position[axis] < lower[axis] + reach || position[axis] > upper[axis] - reach)
+    // Without branches.
+    let near = |axis: usize| {
+        (position[axis] < lower[axis] + reach) | (position[axis] > upper[axis] - reach)
+    };
+    near(0) | near(1)
 }

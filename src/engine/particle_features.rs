@@ -2,9 +2,10 @@
 
 use pulp::Simd;
 
+use super::linear::{load, store};
 use crate::{
     checkpoint::{Description, layout::PARTICLE_FEATURES},
-    frame::{Domain, Frame},
+    frame::Domain,
     kernels::{
         math::exp,
         rest::{Rest, SHAPE_FEATURES},
@@ -21,8 +22,9 @@ pub(super) const FEATURES: usize = PARTICLE_FEATURES;
 /// Nearness of four walls at two scales.
 const NEARNESSES: usize = 8;
 
-/// Particles whose nearnesses are computed at once: as many as fill the longest vectors.
-const TOGETHER: usize = 2;
+/// Columns of numbers of a block before they are features: positions, velocities and the velocities
+/// that were foretold, then what the ballistic step makes of the first two, along x and y each.
+pub(super) const STATES: usize = 10;
 
 /// Where nearness, the shape of solids and the material are among the features.
 const WALLS: usize = 6;
@@ -44,7 +46,9 @@ pub(super) struct Features {
 
 /// What is known of the particles before the network.
 pub(super) struct Known<'a> {
-    pub(super) frame: &'a Frame,
+    /// In the order of the stream's memory, as all else here.
+    pub(super) position: &'a [[f32; 2]],
+    pub(super) velocity: &'a [[f32; 2]],
     /// The ballistic step in the frame's domain.
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],
@@ -78,8 +82,9 @@ impl Features {
         moved
     }
 
-    /// Fills `rows`, `[count, F]`, for the particles with these numbers, and `fallen` with their ballistic
-    /// step. `foretold` gives the velocity the step foretold one frame ago for a particle.
+    /// Fills the columns of a block's features, `[F, length]`, and of its `states`, `[STATES, length]`, for
+    /// the particles with these numbers. `foretold` gives the velocity the ballistic step foretold one frame
+    /// ago for a particle.
     #[inline(always)]
     pub(super) fn fill<S: Simd>(
         &self,
@@ -87,47 +92,87 @@ impl Features {
         known: &Known,
         particles: &[u32],
         foretold: impl Fn(usize) -> [f32; 2],
-        fallen: &mut [State],
-        rows: &mut [f32],
+        (states, length): (&mut [f32], usize),
+        columns: &mut [f32],
     ) {
-        let Known { frame, ballistic, material, rest } = known;
+        let Known { position, velocity, material, rest, .. } = known;
+        let (shape, last) = columns.split_at_mut(MATERIAL * length);
+        last.fill(0.0);
+        for (place, &particle) in particles.iter().enumerate() {
+            let particle = particle as usize;
+            let seen = [position[particle], velocity[particle], foretold(particle)];
+            for (column, number) in seen.as_flattened().iter().enumerate() {
+                states[column * length + place] = *number;
+            }
+            let strained = rest.shape_of(particle, position);
+            for (column, number) in strained.iter().enumerate() {
+                shape[(SHAPE + column) * length + place] = *number;
+            }
+            last[usize::from(material[particle]) * length + place] = 1.0;
+        }
+        let vectors = particles.len().div_ceil(S::F32_LANES);
+        self.see(simd, &known.ballistic, vectors, (states, length), columns);
+    }
+
+    /// The ballistic step and the features that come from a particle's own state, so many vectors of
+    /// particles.
+    #[inline(always)]
+    fn see<S: Simd>(
+        &self,
+        simd: S,
+        ballistic: &Ballistic,
+        vectors: usize,
+        (states, length): (&mut [f32], usize),
+        columns: &mut [f32],
+    ) {
         let Ballistic { gravity, dt, lower, upper } = *ballistic;
-        let (rows, _) = rows.as_chunks_mut::<FEATURES>();
-        let per_unit = 1.0 / self.velocity_unit;
-        // Walls of several particles fill a vector.
-        let mut walls = [[0.0; NEARNESSES]; TOGETHER];
-        let groups = rows.chunks_mut(TOGETHER).zip(fallen.chunks_mut(TOGETHER));
-        for ((rows, fallen), particles) in groups.zip(particles.chunks(TOGETHER)) {
-            let all = rows.iter_mut().zip(fallen).zip(particles);
-            for (((row, fallen), &particle), walls) in all.zip(&mut walls) {
-                let particle = particle as usize;
-                let (x, v) = (frame.position[particle], frame.velocity[particle]);
-                *fallen = ballistic.step(x, v);
-                let foretold = foretold(particle);
-                for axis in 0..2 {
-                    let stopped = fallen.1[axis] - (v[axis] + gravity[axis] * dt);
-                    row[axis] = v[axis] * per_unit;
-                    row[2 + axis] = (v[axis] - foretold[axis]) * per_unit;
-                    row[4 + axis] = stopped * per_unit;
-                    let below = (x[axis] - lower[axis]).max(0.0);
-                    let above = (upper[axis] - x[axis]).max(0.0);
-                    for (half, distance) in [(0, below), (2, above)] {
-                        walls[half + axis] = distance * (-1.0 / NEAR);
-                        walls[4 + half + axis] = distance * (-1.0 / FAR);
+        let (zero, half) = (simd.splat_f32s(0.0), simd.splat_f32s(0.5));
+        let per_unit = simd.splat_f32s(1.0 / self.velocity_unit);
+        let interval = simd.splat_f32s(dt);
+        for axis in 0..2 {
+            let fall = simd.splat_f32s(gravity[axis] * dt);
+            let (low, high) = (simd.splat_f32s(lower[axis]), simd.splat_f32s(upper[axis]));
+            for vector in 0..vectors {
+                let place = |column: usize| {
+                    let begin = column * length + vector * S::F32_LANES;
+                    begin..begin + S::F32_LANES
+                };
+                let x = load(simd, &states[place(axis)]);
+                let v = load(simd, &states[place(2 + axis)]);
+                let foretold = load(simd, &states[place(4 + axis)]);
+                // As `Ballistic::step`, what is not a number included.
+                let free = simd.add_f32s(v, fall);
+                let mean = simd.mul_f32s(half, simd.add_f32s(v, free));
+                let to = simd.add_f32s(x, simd.mul_f32s(mean, interval));
+                let held = simd.select_f32s(simd.greater_than_f32s(to, low), to, low);
+                let held = simd.select_f32s(simd.less_than_f32s(held, high), held, high);
+                let stopped = simd.select_f32s(simd.equal_f32s(held, to), free, zero);
+                store(simd, &mut states[place(6 + axis)], held);
+                store(simd, &mut states[place(8 + axis)], stopped);
+
+                let push = simd.sub_f32s(v, foretold);
+                let stop = simd.sub_f32s(stopped, free);
+                store(simd, &mut columns[place(axis)], simd.mul_f32s(v, per_unit));
+                store(simd, &mut columns[place(2 + axis)], simd.mul_f32s(push, per_unit));
+                store(simd, &mut columns[place(4 + axis)], simd.mul_f32s(stop, per_unit));
+                let sides = [simd.sub_f32s(x, low), simd.sub_f32s(high, x)];
+                for (side, distance) in sides.into_iter().enumerate() {
+                    let outside = simd.greater_than_f32s(distance, zero);
+                    let distance = simd.select_f32s(outside, distance, zero);
+                    for (scale, reach) in [NEAR, FAR].into_iter().enumerate() {
+                        let apart = simd.mul_f32s(distance, simd.splat_f32s(-1.0 / reach));
+                        let column = WALLS + 4 * scale + 2 * side + axis;
+                        store(simd, &mut columns[place(column)], exp(simd, apart));
                     }
                 }
-                let shape = rest.shape_of(particle, &frame.position);
-                row[SHAPE..MATERIAL].copy_from_slice(&shape);
-                row[MATERIAL..].fill(0.0);
-                row[MATERIAL + usize::from(material[particle])] = 1.0;
-            }
-            let (vectors, _) = S::as_mut_simd_f32s(walls.as_flattened_mut());
-            for vector in vectors {
-                *vector = exp(simd, *vector);
-            }
-            for (row, walls) in rows.iter_mut().zip(&walls) {
-                row[WALLS..SHAPE].copy_from_slice(walls);
             }
         }
     }
+}
+
+/// The ballistic step of the particle in a place, from the columns of [`Features::fill`].
+#[inline(always)]
+pub(super) fn fallen(states: &[f32], length: usize, place: usize) -> State {
+    let of = |column: usize| states[column * length + place];
+    ([of(6), of(7)], [of(8), of(9)])
 }

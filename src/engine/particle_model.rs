@@ -1,9 +1,9 @@
 //! The particle model, one frame at a time: `model/particle_model.rs` for one stream.
 //!
 //! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
-//! to stay in the nearest caches. A frame is one job: particles are encoded, write to the nodes, the
-//! nodes' layers follow each other, particles read and are decoded; at last bodies in free flight get
-//! their momentum back.
+//! to stay in the nearest caches. Once a frame's particles are in the order of the stream's memory, the rest
+//! is one job: particles are encoded and write to the nodes, the nodes' layers follow each other, particles
+//! read and are decoded; at last bodies in free flight get their momentum back.
 
 use std::collections::BTreeMap;
 
@@ -14,12 +14,14 @@ use super::{
     crew::{Crew, Parts, Task},
     free_flight::{Flights, Sums},
     linear::Linear,
-    memory::Memory,
-    particle_features::{FEATURES, Features, Known, State},
+    memory::{Memory, stride},
+    order::put_in_order,
+    particle_features::{FEATURES, Features, Known, STATES, State},
+    pieces::Pieces,
     surroundings::{self, Fields, Grid, Walls},
 };
 use crate::{
-    checkpoint::{Description, Weights},
+    checkpoint::{Description, Weights, layout},
     frame::Frame,
     kernels::{
         nodes::{Nodes, Window},
@@ -30,6 +32,9 @@ use crate::{
 
 /// Particles of a block: a multiple of the rows that are computed at once.
 pub(super) const BLOCK: usize = 48;
+
+/// Numbers of a block's features.
+pub(super) const COLUMNS: usize = BLOCK * FEATURES;
 
 /// Cells of an item of the stages for free flight.
 const CELLS: usize = 64;
@@ -63,17 +68,20 @@ pub(super) struct ParticleModel {
 #[derive(Debug)]
 pub(super) struct Room {
     grid: surroundings::Room,
-    /// Input of the network, `[slot, F]`.
+    /// Positions and velocities in the order of the stream's memory.
+    state: [Vec<[f32; 2]>; 2],
+    /// Input of the network, `[block, F, BLOCK]`.
     features: Vec<f32>,
-    /// What particles write to the grid, `[slot, C0]`.
-    encoded: Vec<f32>,
+    pieces: Pieces,
+    /// What each piece adds to the nodes.
+    written: Vec<f32>,
     /// The ballistic step of each slot.
     fallen: Vec<State>,
     /// Whether a slot is near a wall.
     near: Vec<bool>,
     flights: Flights,
     /// Of the residuals of each cell.
-    sums: Vec<Sums>,
+    motions: Vec<Sums>,
     /// For each thread.
     benches: Vec<Bench>,
 }
@@ -85,6 +93,8 @@ pub(super) struct Bench {
     pub(super) input: Vec<f32>,
     /// Its output, `[BLOCK, its width]`.
     pub(super) output: Vec<f32>,
+    /// States that come before, of particles or of the core's units, `[BLOCK, their width]`.
+    pub(super) states: Vec<f32>,
 }
 
 impl ParticleModel {
@@ -102,7 +112,7 @@ impl ParticleModel {
         Self {
             arch,
             features: Features::new(description),
-            encoder: ["encoder.0", "encoder.1"].map(linear),
+            encoder: [linear("encoder.0"), with_one(lanes, tensors, "encoder.1")],
             grid: Grid::pack(lanes, surroundings, tensors),
             context: linear("context"),
             core: (0..description.sizes.layers)
@@ -125,19 +135,26 @@ impl ParticleModel {
     }
 
     pub(super) fn room(&self, threads: usize) -> Room {
-        let widest = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder]
-            .map(|linear| linear.input().max(linear.output()));
-        let widest = widest.into_iter().max().unwrap_or(0);
-        let bench =
-            || Bench { input: vec![0.0; BLOCK * widest], output: vec![0.0; BLOCK * widest] };
+        let widths = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder];
+        let widths = widths.map(Linear::stride).into_iter();
+        let states = stride(self.hidden);
+        let widest = widths.max().unwrap_or(0).max(states).max(self.grid.read());
+        let zeros = |width| vec![0.0; BLOCK * width];
+        let bench = || Bench {
+            input: zeros(widest),
+            output: zeros(widest),
+            states: zeros(states.max(STATES)),
+        };
         Room {
             grid: surroundings::Room::default(),
+            state: Default::default(),
             features: Vec::new(),
-            encoded: Vec::new(),
+            pieces: Pieces::default(),
+            written: Vec::new(),
             fallen: Vec::new(),
             near: Vec::new(),
             flights: Flights::default(),
-            sums: Vec::new(),
+            motions: Vec::new(),
             benches: (0..threads).map(|_| bench()).collect(),
         }
     }
@@ -155,24 +172,36 @@ impl ParticleModel {
         let ballistic = self.features.ballistic(&frame.domain);
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
         let window = Window { particles: 0..frame.len(), lower, upper };
-        room.grid.nodes.rebuild(&frame.position, &[window], self.grid.cell_width);
+        put_in_order(crew, alone, &memory.order, frame, &mut room.state);
+        room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
         self.make_room(room, frame.len());
 
-        let Room { grid, features, encoded, fallen, near, flights, sums, benches } = room;
-        let surroundings::Room { nodes, fields } = grid;
+        let Room { grid, features, pieces, written, fallen, near, flights, .. } = room;
+        let Room { state: [position, velocity], motions, benches, .. } = room;
+        let surroundings::Room { nodes, fields, columns } = grid;
+        let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let pass = Pass {
             model: self,
-            known: Known { frame, ballistic, material: &memory.material, rest: &memory.rest },
-            walls: Walls { ballistic, origin: lower, cell_width: self.grid.cell_width },
+            width: stride(self.hidden),
+            known: Known {
+                position,
+                velocity,
+                ballistic,
+                material: &memory.material,
+                rest: &memory.rest,
+            },
+            place: &memory.order,
+            walls,
             nodes,
+            pieces,
             begun: memory.begun,
             features: Parts::new(features),
-            encoded: Parts::new(encoded),
+            sums: Parts::new(written),
             fallen: Parts::new(fallen),
             near: Parts::new(near),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
             flights: Parts::new(std::slice::from_mut(flights)),
-            sums: Parts::new(sums),
+            motions: Parts::new(motions),
             benches: Parts::new(benches),
             hidden: Parts::new(&mut memory.hidden),
             cell: Parts::new(&mut memory.cell),
@@ -187,27 +216,42 @@ impl ParticleModel {
 
     /// Makes room for what is at particles, cells and nodes.
     fn make_room(&self, room: &mut Room, particles: usize) {
-        let Room { grid, features, encoded, fallen, near, flights, sums, .. } = room;
+        let Room { grid, features, pieces, written, fallen, near, flights, motions, .. } = room;
         self.grid.make_room(grid);
-        features.resize(particles * FEATURES, 0.0);
-        encoded.resize(particles * self.grid.channels, 0.0);
+        features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
+        let [sums, most] = pieces.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written());
+        written.reserve(most.saturating_sub(written.len()));
+        written.resize(sums.max(written.len()), 0.0);
         fallen.resize(particles, State::default());
         near.resize(particles, false);
         flights.make_room(&grid.nodes);
-        sums.clear();
-        sums.reserve(particles);
-        sums.resize(grid.nodes.cells().len(), Sums::default());
+        motions.clear();
+        motions.reserve(particles);
+        motions.resize(grid.nodes.cells().len(), Sums::default());
     }
+}
+
+/// The second layer of the encoder, with a one behind its outputs, for the mass of the nodes, and room for
+/// the nodes' own features.
+fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Linear {
+    let [mut weight, mut bias] = layout::names(layer).map(|name| tensors[&name].clone());
+    let (outputs, inputs) = (weight.shape[0] + layout::NODE_FEATURES, weight.shape[1]);
+    weight.shape[0] = outputs;
+    weight.values.resize(outputs * inputs, 0.0);
+    bias.shape[0] = outputs;
+    bias.values.push(1.0);
+    bias.values.resize(outputs, 0.0);
+    Linear::pack(lanes, &weight, &bias, 0, 1)
 }
 
 /// What happens to a frame, in order.
 #[derive(Clone, Copy, Debug)]
 enum Stage {
-    /// Features, encoder; an item is a block of slots.
+    /// Features, encoder, sums on nodes; an item is a block of slots.
     Encode,
     /// Which bodies there are, and which fly; one item.
     Find,
-    /// Particles write to the nodes; an item is a row of nodes.
+    /// The blocks' sums are joined; an item is a row of nodes.
     Write,
     /// A layer on the nodes; an item is a block of them.
     Layer(usize),
@@ -239,17 +283,23 @@ impl Stage {
 /// One frame under way.
 pub(super) struct Pass<'a> {
     pub(super) model: &'a ParticleModel,
+    /// Length of the rows of hidden states.
+    pub(super) width: usize,
     pub(super) known: Known<'a>,
-    pub(super) walls: Walls,
+    /// The particle of the frame in each row of the memory.
+    pub(super) place: &'a [u32],
+    pub(super) walls: Walls<'a>,
     pub(super) nodes: &'a Nodes,
+    pub(super) pieces: &'a Pieces,
     pub(super) begun: bool,
     pub(super) features: Parts<'a, f32>,
-    pub(super) encoded: Parts<'a, f32>,
+    /// What each piece adds to the nodes.
+    pub(super) sums: Parts<'a, f32>,
     pub(super) fallen: Parts<'a, State>,
     pub(super) near: Parts<'a, bool>,
     pub(super) fields: Fields<'a>,
     flights: Parts<'a, Flights>,
-    sums: Parts<'a, Sums>,
+    motions: Parts<'a, Sums>,
     pub(super) benches: Parts<'a, Bench>,
     pub(super) hidden: Parts<'a, f32>,
     pub(super) cell: Parts<'a, f32>,
@@ -286,14 +336,14 @@ impl Pass<'_> {
                 self.fallen.read(0..order.len()),
                 self.position.read(0..order.len()),
                 self.velocity.read(0..order.len()),
-                self.sums.part(cells.clone()),
+                self.motions.part(cells.clone()),
             )
         };
         for (cell, sums) in self.nodes.cells()[cells].iter().zip(sums) {
             *sums = Sums::default();
             if flights.flies(cell) {
                 for slot in cell.slots() {
-                    let particle = order[slot] as usize;
+                    let particle = self.place[order[slot] as usize] as usize;
                     sums.take(&fallen[slot], &(position[particle], velocity[particle]));
                 }
             }
@@ -309,7 +359,7 @@ impl Pass<'_> {
         for cell in &self.nodes.cells()[self.cells(item)] {
             if flights.flies(cell) {
                 for slot in cell.slots() {
-                    let particle = order[slot] as usize;
+                    let particle = self.place[order[slot] as usize] as usize;
                     // SAFETY: a particle has one slot, which is in a cell of this item alone.
                     let (position, velocity) = unsafe {
                         let position = self.position.part(particle..particle + 1);
@@ -342,9 +392,10 @@ impl WithSimd for Item<'_> {
             Stage::Encode => pass.encode(simd, item, thread),
             Stage::Decode => pass.decode(simd, item, thread),
             Stage::Write => {
-                // SAFETY: this stage only reads what is encoded.
-                let encoded = unsafe { pass.encoded.read(0..particles * grid.channels) };
-                grid.write(simd, nodes, &nodes.rows()[item], encoded, &pass.walls, fields);
+                // SAFETY: this stage only reads what the pieces add.
+                let sums = unsafe { pass.sums.read(0..pass.sums.len()) };
+                let row = &nodes.rows()[item];
+                grid.write(simd, nodes, row, (pass.pieces, sums), &pass.walls, fields);
             }
             Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
             // SAFETY: these stages have one item each.
@@ -353,7 +404,7 @@ impl WithSimd for Item<'_> {
             },
             // SAFETY: as above.
             Stage::Join => unsafe {
-                pass.flights.part(0..1)[0].join(nodes, pass.sums.read(0..nodes.cells().len()));
+                pass.flights.part(0..1)[0].join(nodes, pass.motions.read(0..nodes.cells().len()));
             },
             Stage::Sum => pass.sum(item),
             Stage::Correct => pass.correct(item),

@@ -26,7 +26,7 @@ pub(super) trait Source {
 
 /// Where the outputs go.
 pub(super) trait Sink {
-    /// Takes some outputs of a row.
+    /// Takes some outputs of a row, a whole vector.
     fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s);
 }
 
@@ -96,26 +96,26 @@ fn some<S: Simd, const G: usize, const R: usize>(
     }
     let sums = source.add::<S, G, R>(simd, linear, panels, first, count, sums);
     for g in 0..G {
-        let outputs = linear.outputs(panels[g]);
+        let outputs = linear.places(panels[g]);
         for (row, &sums) in (first..count).zip(&sums[g]) {
             sink.put(simd, row, outputs.clone(), sums);
         }
     }
 }
 
-/// Adds the products of R rows with the weights of G panels from input number `input` on.
+/// Adds the products of R rows with the weights of G panels to the inputs with these numbers.
 #[inline(always)]
 fn add_part<S: Simd, const G: usize, const R: usize>(
     simd: S,
     linear: &Linear,
     panels: [usize; G],
-    input: usize,
+    inputs: Range<usize>,
     rows: [&[f32]; R],
     sums: [[S::f32s; R]; G],
 ) -> [[S::f32s; R]; G] {
     let mut weights = [[].as_slice(); G];
     for g in 0..G {
-        weights[g] = linear.inputs(panels[g], input..input + rows[0].len());
+        weights[g] = linear.inputs(panels[g], inputs.clone());
     }
     add_products::<S, G, R, 1>(simd, weights, rows, sums)
 }
@@ -125,6 +125,7 @@ fn add_part<S: Simd, const G: usize, const R: usize>(
 pub(super) struct Rows<'a> {
     /// `[.., width]`.
     pub(super) numbers: &'a [f32],
+    /// Length of a row: as many as the layer has inputs, or more.
     pub(super) width: usize,
 }
 
@@ -156,12 +157,73 @@ impl Source for Rows<'_> {
         count: usize,
         sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
-        add_part(simd, linear, panels, 0, self.some::<R>(first, count), sums)
+        add_part(simd, linear, panels, 0..linear.input(), self.some::<R>(first, count), sums)
     }
 }
 
-/// Two rows side by side.
-pub(super) struct Beside<'a>(pub(super) Rows<'a>, pub(super) Rows<'a>);
+/// Rows of a block that lie beside each other, number by number.
+#[derive(Clone, Copy)]
+pub(super) struct Columns<'a> {
+    /// `[width, LENGTH]`, in the places of rows that there are not anything.
+    pub(super) numbers: &'a [f32],
+    pub(super) width: usize,
+    pub(super) length: usize,
+}
+
+impl Columns<'_> {
+    /// Adds the products of R rows with the weights of the first inputs.
+    #[inline(always)]
+    fn add_first<S: Simd, const G: usize, const R: usize>(
+        &self,
+        simd: S,
+        linear: &Linear,
+        panels: [usize; G],
+        first: usize,
+        mut sums: [[S::f32s; R]; G],
+    ) -> [[S::f32s; R]; G] {
+        let mut weights = [[].as_slice(); G];
+        for g in 0..G {
+            weights[g] = S::as_simd_f32s(linear.inputs(panels[g], 0..self.width)).0;
+        }
+        assert!(weights.iter().all(|weights| weights.len() == self.width));
+        assert!(first + R <= self.length && self.numbers.len() == self.width * self.length);
+        for k in 0..self.width {
+            // SAFETY: as asserted, k being below the width.
+            let (weights, numbers) = unsafe {
+                let first = k * self.length + first;
+                (
+                    weights.map(|weights| *weights.get_unchecked(k)),
+                    self.numbers.get_unchecked(first..first + R),
+                )
+            };
+            for r in 0..R {
+                let number = simd.splat_f32s(numbers[r]);
+                for g in 0..G {
+                    sums[g][r] = simd.mul_add_e_f32s(weights[g], number, sums[g][r]);
+                }
+            }
+        }
+        sums
+    }
+}
+
+impl Source for Columns<'_> {
+    #[inline(always)]
+    fn add<S: Simd, const G: usize, const R: usize>(
+        &self,
+        simd: S,
+        linear: &Linear,
+        panels: [usize; G],
+        first: usize,
+        _: usize,
+        sums: [[S::f32s; R]; G],
+    ) -> [[S::f32s; R]; G] {
+        self.add_first(simd, linear, panels, first, sums)
+    }
+}
+
+/// Two parts of a row side by side.
+pub(super) struct Beside<'a>(pub(super) Columns<'a>, pub(super) Rows<'a>);
 
 impl Source for Beside<'_> {
     #[inline(always)]
@@ -175,8 +237,9 @@ impl Source for Beside<'_> {
         sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
         let Self(left, right) = self;
-        let sums = add_part(simd, linear, panels, 0, left.some::<R>(first, count), sums);
-        add_part(simd, linear, panels, left.width, right.some::<R>(first, count), sums)
+        let sums = left.add_first(simd, linear, panels, first, sums);
+        let inputs = left.width..linear.input();
+        add_part(simd, linear, panels, inputs, right.some::<R>(first, count), sums)
     }
 }
 
@@ -200,6 +263,7 @@ impl<const K: usize> Source for Gathered<'_, K> {
         count: usize,
         mut sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
+        let width = linear.input() / K;
         for k in 0..K {
             let mut rows = [[].as_slice(); R];
             let mut none = true;
@@ -210,7 +274,7 @@ impl<const K: usize> Source for Gathered<'_, K> {
                 *numbers = self.rows.row(row);
             }
             if !none {
-                sums = add_part(simd, linear, panels, k * self.rows.width, rows, sums);
+                sums = add_part(simd, linear, panels, k * width..(k + 1) * width, rows, sums);
             }
         }
         sums

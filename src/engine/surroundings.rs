@@ -5,19 +5,21 @@
 
 use std::collections::BTreeMap;
 
-use pulp::Simd;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     crew::Parts,
     linear::{Linear, load, store},
+    pieces::Pieces,
     products::{Gathered, Output, Rows, Sink, pass},
 };
 use crate::{
     checkpoint::{Surroundings, Weights, layout},
+    frame::Domain,
     kernels::{
         math::{exp, relu},
         nodes::{Level, MISSING, Nodes, Row, range},
-        transfer::sum_row,
+        vectors::zip,
     },
     model::{
         Ballistic,
@@ -73,18 +75,21 @@ pub(super) const STAGES: usize = LAYERS.len();
 pub(super) struct Grid {
     /// One matrix a layer, or one for each child.
     layers: Vec<Vec<Linear>>,
-    widths: [usize; FIELDS],
+    /// Length of the rows of each list: with a place for each lane of the layer that writes it.
+    strides: [usize; FIELDS],
     pub(super) cell_width: f32,
     /// C0.
-    pub(super) channels: usize,
+    channels: usize,
 }
 
 /// The nodes of a frame, and what layers hand on.
 #[derive(Debug, Default)]
 pub(super) struct Room {
     pub(super) nodes: Nodes,
-    /// `[nodes + 1, its width]` each, the last row zero.
+    /// `[nodes + 1, its stride]` each, the last row zero.
     pub(super) fields: [Vec<f32>; FIELDS],
+    /// How near the left and the right wall are, for each column of nodes from number [`FIRST`] on.
+    pub(super) columns: Vec<[f32; 2]>,
 }
 
 /// Its lists, for all threads.
@@ -114,19 +119,30 @@ impl Grid {
             }
         };
         let layers = layout::grid_layers(surroundings).into_iter().zip(LAYERS);
+        let widths = [c0 + layout::NODE_FEATURES, c0, c0, c1, c1, c2, c2];
         Self {
             layers: layers.map(|(layer, (reach, ..))| pack(layer, reach)).collect(),
-            widths: [c0 + layout::NODE_FEATURES, c0, c0, c1, c1, c2, c2],
+            strides: widths.map(|width| width.next_multiple_of(lanes)),
             cell_width: surroundings.cell_width,
             channels: c0,
         }
+    }
+
+    /// Length of the rows that particles write to nodes.
+    pub(super) fn written(&self) -> usize {
+        self.strides[WRITTEN]
+    }
+
+    /// Length of the rows that particles read from nodes.
+    pub(super) fn read(&self) -> usize {
+        self.strides[READ]
     }
 
     /// Makes room for what is at the nodes, and for what may be as long as the nodes themselves need no
     /// more.
     pub(super) fn make_room(&self, room: &mut Room) {
         for (list, numbers) in room.fields.iter_mut().enumerate() {
-            let (level, width) = (room.nodes.level(LEVEL[list]), self.widths[list]);
+            let (level, width) = (room.nodes.level(LEVEL[list]), self.strides[list]);
             let length = level.len() * width;
             numbers.truncate(length);
             numbers.reserve((level.capacity() + 1) * width - numbers.len());
@@ -145,47 +161,38 @@ impl Grid {
         rows.len().div_ceil(BLOCK)
     }
 
-    /// What particles write to a row of nodes, from what they are encoded as, `[slot, C0]`.
+    /// What particles write to a row of nodes, from the sums over pieces of the particles.
     #[inline(always)]
     pub(super) fn write<S: Simd>(
         &self,
         simd: S,
         nodes: &Nodes,
         row: &Row,
-        encoded: &[f32],
+        (pieces, sums): (&Pieces, &[f32]),
         walls: &Walls,
         fields: &Fields,
     ) {
-        let width = self.widths[WRITTEN];
+        let (channels, width) = (self.channels, self.strides[WRITTEN]);
         let own = range(row.nodes);
         // SAFETY: these nodes are those of this item alone.
         let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
         written.fill(0.0);
-        sum_row(
-            simd,
-            nodes,
-            row,
-            encoded,
-            self.channels,
-            #[inline(always)]
-            |slot| slot,
-            written,
-            width,
-        );
-        add_mass(nodes, row, written, self.channels, width);
-        for (written, at) in written.chunks_exact_mut(width).zip(&nodes.level(0).at[own]) {
-            let (averages, rest) = written.split_at_mut(self.channels);
-            let scale = simd.splat_f32s(1.0 / (rest[0] + LEAST_MASS));
-            for part in averages.chunks_mut(S::F32_LANES) {
-                let average = simd.mul_f32s(load(simd, part), scale);
-                store(simd, part, average);
+        pieces.join(simd, nodes, row, sums, width, written);
+        let at = &nodes.level(0).at[own];
+        let mut distances = [0.0; 4];
+        walls.distances(at.first().unwrap_or(&[0; 2]), &mut distances);
+        let mut beside = [distances[1], distances[3]];
+        Exp(&mut beside).with_simd(simd);
+        for (written, &[column, _]) in written.chunks_exact_mut(width).zip(at) {
+            let mass = written[channels];
+            let scale = simd.splat_f32s(1.0 / (mass + LEAST_MASS));
+            for part in S::as_mut_simd_f32s(written).0 {
+                *part = simd.mul_f32s(*part, scale);
             }
-            rest[0] /= FULL;
-            walls.distances(at, &mut rest[1..]);
-            for part in rest[1..].chunks_mut(S::F32_LANES) {
-                let nearness = exp(simd, simd.partial_load_f32s(part));
-                store(simd, part, nearness);
-            }
+            let [left, right] = walls.columns[(column - FIRST) as usize];
+            written[channels] = mass / FULL;
+            written[channels + 1..channels + 5]
+                .copy_from_slice(&[left, beside[0], right, beside[1]]);
         }
     }
 
@@ -201,10 +208,10 @@ impl Grid {
     ) {
         let (reach, from, to) = LAYERS[layer];
         let linears = &self.layers[layer];
-        let (width, level) = (self.widths[to], nodes.level(LEVEL[to]));
+        let (width, level) = (self.strides[to], nodes.level(LEVEL[to]));
         // SAFETY: no item of this stage writes to this list.
         let numbers = unsafe { fields[from].read(0..fields[from].len()) };
-        let rows = Rows { numbers, width: self.widths[from] };
+        let rows = Rows { numbers, width: self.strides[from] };
         let zero = nodes.level(LEVEL[from]).len();
         let begin = item * BLOCK;
         let block = |all: &Level| begin..(begin + BLOCK).min(all.len());
@@ -274,38 +281,41 @@ impl Sink for Children<'_> {
     }
 }
 
-/// Adds the mass of a row's nodes to number `column` of their rows, `width` apart.
-#[inline(always)]
-fn add_mass(nodes: &Nodes, row: &Row, written: &mut [f32], column: usize, width: usize) {
-    for (number, &cells) in row.cells.iter().enumerate() {
-        for cell in &nodes.cells()[range(cells)] {
-            let first = (cell.nodes[number] - row.nodes[0]) as usize;
-            let mut mass = [0.0; 3];
-            for node in 0..3 {
-                mass[node] = written[(first + node) * width + column];
-            }
-            for [columns, rows] in &nodes.weights()[cell.slots()] {
-                for node in 0..3 {
-                    mass[node] += columns[node] * rows[number];
-                }
-            }
-            for node in 0..3 {
-                written[(first + node) * width + column] = mass[node];
-            }
-        }
-    }
-}
-
 /// The walls in effect, as nodes see them.
-pub(super) struct Walls {
+pub(super) struct Walls<'a> {
     pub(super) ballistic: Ballistic,
     /// Lower corner of the domain (domain lengths).
-    pub(super) origin: [f32; 2],
+    origin: [f32; 2],
     /// Of level 0 (domain lengths).
     pub(super) cell_width: f32,
+    columns: &'a [[f32; 2]],
 }
 
-impl Walls {
+/// Number of a column left of all nodes.
+const FIRST: i32 = -2;
+
+impl<'a> Walls<'a> {
+    pub(super) fn new(
+        arch: Arch,
+        ballistic: Ballistic,
+        domain: &Domain,
+        cell_width: f32,
+        columns: &'a mut Vec<[f32; 2]>,
+    ) -> Self {
+        let origin = domain.lower;
+        columns.clear();
+        let count = ((domain.upper[0] - origin[0]) / cell_width).ceil() as i32 + 5;
+        let mut walls = Self { ballistic, origin, cell_width, columns: &[] };
+        columns.extend((FIRST..FIRST + count).map(|column| {
+            let mut distances = [0.0; 4];
+            walls.distances(&[column, 0], &mut distances);
+            [distances[0], distances[2]]
+        }));
+        arch.dispatch(Exp(columns.as_flattened_mut()));
+        walls.columns = columns;
+        walls
+    }
+
     /// A node's distances from the left, lower, right and upper wall (cells), negative.
     #[inline(always)]
     fn distances(&self, at: &[i32; 2], distances: &mut [f32]) {
@@ -316,5 +326,23 @@ impl Walls {
             distances[axis] = -below / self.cell_width;
             distances[2 + axis] = -above / self.cell_width;
         }
+    }
+}
+
+/// The exponential of numbers, in place.
+struct Exp<'a>(&'a mut [f32]);
+
+impl WithSimd for Exp<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        zip(
+            simd,
+            [],
+            [self.0],
+            #[inline(always)]
+            |[], [x]| [exp(simd, x)],
+        );
     }
 }

@@ -95,6 +95,27 @@ impl Rest {
         shape
     }
 
+    /// The same shapes in another order of the particles: `order` has the row here of each row there.
+    ///
+    /// # Panics
+    /// When `order` is no permutation of the rows.
+    pub fn permuted(&self, order: &[u32]) -> Self {
+        assert_eq!(order.len(), self.len());
+        let mut place = vec![0; order.len()];
+        for (row, &from) in order.iter().enumerate() {
+            place[from as usize] = row as u32;
+        }
+        let mut first = Vec::with_capacity(order.len() + 1);
+        let mut links = Vec::with_capacity(self.links.len());
+        first.push(0);
+        for &from in order {
+            let moved = |link: &Link| Link { particle: place[link.particle as usize], ..*link };
+            links.extend(self.links(from as usize).iter().map(moved));
+            first.push(links.len() as u32);
+        }
+        Self { first, links, particles: self.particles }
+    }
+
     /// R.
     pub fn len(&self) -> usize {
         self.first.len().saturating_sub(1)
@@ -230,8 +251,12 @@ fn scaled([[a, b], [c, d]]: [[f32; 2]; 2], [x, y]: [f32; 2]) -> [f32; SHAPE_FEAT
 }
 
 #[inline(always)]
-fn limited(shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
-    shape.map(|number| number.clamp(-LARGEST, LARGEST))
+fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
+    // A loop: what `map` calls may not be inlined, and so use other instructions.
+    for number in &mut shape {
+        *number = number.clamp(-LARGEST, LARGEST);
+    }
+    shape
 }
 
 /// A neighbour at rest: its row, and where it is from the particle (domain lengths).

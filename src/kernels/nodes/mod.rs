@@ -213,6 +213,11 @@ impl Nodes {
         &self.tables.rows
     }
 
+    /// For how many rows there is room: as many as particles in such a domain can ever touch.
+    pub(crate) fn most_rows(&self) -> usize {
+        self.tables.rows.capacity()
+    }
+
     /// A level; 0 is the finest.
     pub fn level(&self, level: usize) -> &Level {
         &self.tables.levels[level]

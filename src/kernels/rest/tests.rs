@@ -168,3 +168,19 @@ fn places_far_out_or_in_one_point_or_no_numbers_leave_no_links() {
     }
     assert!(Rest::new(&square(4), &[Material::Jelly; 16], 1, 0.0).links.is_empty());
 }
+
+#[test]
+fn shapes_in_another_order_are_those_of_their_particles() {
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let (at_rest, material) = body(&mut random, 60);
+    let now: Vec<_> = at_rest.iter().map(|[x, y]| [1.05 * x + 0.1 * y, *y]).collect();
+    let order: Vec<u32> = (0..60).map(|row| row * 7 % 60).collect();
+    let rest = Rest::new(&at_rest, &material, 1, SPACING);
+    let there: Vec<_> = order.iter().map(|&row| now[row as usize]).collect();
+    let (here, moved) = (rest.shape(&now), rest.permuted(&order).shape(&there));
+    for (shape, &row) in moved.as_chunks::<SHAPE_FEATURES>().0.iter().zip(&order) {
+        let first = row as usize * SHAPE_FEATURES;
+        assert_eq!(shape[..], here[first..first + SHAPE_FEATURES]);
+    }
+    assert!(here.iter().any(|number| *number != 0.0));
+}
