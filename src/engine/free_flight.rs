@@ -1,8 +1,9 @@
-//! A body in free flight keeps its momentum and its spin: whatever the network says, the mean and the
-//! rigid rotation of its particles' residuals are taken away.
+//! A body in free flight keeps its momentum and its spin: whatever the network says, its particles' mean
+//! position and velocity are those of the free fall, and they neither turn as a whole nor have another
+//! angular momentum.
 //!
 //! Bodies are what hangs together on the grid: nodes that are next to each other. One is in free flight
-//! when none of its particles is near a wall, now or after the ballistic step.
+//! when it is away from walls, now and where its mean velocity takes it.
 
 use crate::{
     kernels::nodes::{Cell, Nodes},
@@ -12,7 +13,7 @@ use crate::{
 use super::particle_features::State;
 
 /// Nearness of a wall that ends free flight (cells of level 0).
-pub(super) const REACH: f32 = 1.5;
+const REACH: f32 = 1.5;
 
 /// No body.
 const NONE: u32 = u32::MAX;
@@ -31,34 +32,89 @@ pub(super) struct Flights {
 }
 
 /// A body.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Body {
+    /// Of its particles.
+    extent: Extent,
     flies: bool,
     sums: Sums,
     motion: Motion,
 }
 
-/// Sums over particles, x being where the ballistic step takes them, and d a residual.
+/// Where particles are, and their velocity.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    lower: [f32; 2],
+    upper: [f32; 2],
+    /// Sum over the particles.
+    velocity: [f64; 2],
+    count: f64,
+}
+
+/// Sums over particles: x and v are where free fall takes them, X and V what is predicted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Sums {
     count: f64,
-    x: [f64; 2],
-    /// x . x.
-    square: f64,
-    /// d of position and velocity.
-    d: [[f64; 2]; 2],
-    /// x cross d.
-    turn: [f64; 2],
+    /// x, v, X, V.
+    first: [[f64; 2]; 4],
+    /// x . x and X . X.
+    squares: [f64; 2],
+    /// x cross v, x cross X, X cross V.
+    turns: [f64; 3],
+    /// x . V.
+    stretch: f64,
 }
 
-/// The rigid part of the residuals of a body.
+/// What is wrong with the prediction for a body.
 #[derive(Clone, Copy, Debug, Default)]
 struct Motion {
-    centre: [f64; 2],
-    /// Means, of position and velocity.
-    mean: [[f64; 2]; 2],
-    /// Angles, likewise.
-    angle: [f64; 2],
+    /// Of x and of X.
+    centres: [[f64; 2]; 2],
+    /// How much faster it is than in free fall.
+    faster: [f64; 2],
+    /// How far it turned (radians).
+    angle: f64,
+    /// How much faster it turns (radians per second).
+    spin: f64,
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        let (lower, upper) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        Self { lower, upper, velocity: [0.0; 2], count: 0.0 }
+    }
+}
+
+impl Extent {
+    #[inline(always)]
+    fn take(&mut self, position: [f32; 2], velocity: [f32; 2]) {
+        for axis in 0..2 {
+            self.lower[axis] = self.lower[axis].min(position[axis]);
+            self.upper[axis] = self.upper[axis].max(position[axis]);
+            self.velocity[axis] += f64::from(velocity[axis]);
+        }
+        self.count += 1.0;
+    }
+
+    fn join(&mut self, other: &Self) {
+        for axis in 0..2 {
+            self.lower[axis] = self.lower[axis].min(other.lower[axis]);
+            self.upper[axis] = self.upper[axis].max(other.upper[axis]);
+            self.velocity[axis] += other.velocity[axis];
+        }
+        self.count += other.count;
+    }
+
+    /// Whether it keeps `reach` from walls for a frame (domain lengths).
+    fn flies(&self, walls: &Ballistic, reach: f32) -> bool {
+        let velocity = self.velocity.map(|sum| (sum / self.count.max(1.0)) as f32);
+        let ([x, y], _) = walls.free([0.0; 2], velocity);
+        // What is not a number flies nowhere.
+        [0, 1].into_iter().zip([x, y]).all(|(axis, way)| {
+            self.lower[axis] + way.min(0.0) >= walls.lower[axis] + reach
+                && self.upper[axis] + way.max(0.0) <= walls.upper[axis] - reach
+        })
+    }
 }
 
 impl Flights {
@@ -75,8 +131,14 @@ impl Flights {
         bodies.reserve(most.div_ceil(9));
     }
 
-    /// Finds the bodies, and which are in free flight: `near` says of each slot whether it is near a wall.
-    pub(super) fn find(&mut self, nodes: &Nodes, near: &[bool]) {
+    /// Finds the bodies, and which are in free flight. `position` and `velocity` are those of each row.
+    pub(super) fn find(
+        &mut self,
+        nodes: &Nodes,
+        position: &[[f32; 2]],
+        velocity: &[[f32; 2]],
+        walls: &Ballistic,
+    ) {
         let Self { body, bodies, open } = self;
         let neighbours = &nodes.level(0).neighbours;
         body.resize(neighbours.len(), NONE);
@@ -85,7 +147,7 @@ impl Flights {
                 continue;
             }
             let number = bodies.len() as u32;
-            bodies.push(Body { flies: true, sums: Sums::default(), motion: Motion::default() });
+            bodies.push(Body::default());
             body[start] = number;
             open.push(start as u32);
             while let Some(node) = open.pop() {
@@ -101,9 +163,14 @@ impl Flights {
             }
         }
         for cell in nodes.cells() {
-            if near[cell.slots()].contains(&true) {
-                bodies[body[cell.nodes[0] as usize] as usize].flies = false;
+            let mut extent = Extent::default();
+            for &row in &nodes.order()[cell.slots()] {
+                extent.take(position[row as usize], velocity[row as usize]);
             }
+            bodies[body[cell.nodes[0] as usize] as usize].extent.join(&extent);
+        }
+        for body in bodies {
+            body.flies = body.extent.flies(walls, REACH * nodes.width());
         }
     }
 
@@ -116,7 +183,7 @@ impl Flights {
         &self.bodies[self.body[cell.nodes[0] as usize] as usize]
     }
 
-    /// Finds the rigid part of each body's residuals from its cells' sums.
+    /// Finds what is wrong with each body's prediction from its cells' sums.
     pub(super) fn join(&mut self, nodes: &Nodes, sums: &[Sums]) {
         for (cell, sums) in nodes.cells().iter().zip(sums) {
             self.bodies[self.body[cell.nodes[0] as usize] as usize].sums.add(sums);
@@ -126,77 +193,96 @@ impl Flights {
         }
     }
 
-    /// What the particle of a cell has as its next state instead of `next`.
+    /// What the particle of a cell has as its next state instead of `next`, where free fall takes it to
+    /// `free`.
     #[inline(always)]
     pub(super) fn correct(
         &self,
         cell: &Cell,
-        fallen: &State,
+        free: &State,
         next: State,
         walls: &Ballistic,
     ) -> State {
-        let Motion { centre, mean, angle } = &self.body(cell).motion;
+        let Motion { centres: [centre, predicted], faster, angle, spin } = &self.body(cell).motion;
         let (mut position, mut velocity) = next;
-        let r = [0, 1].map(|axis| f64::from(fallen.0[axis]) - centre[axis]);
-        let turned = [-r[1], r[0]];
+        let from = |x: [f32; 2], centre: &[f64; 2]| {
+            [f64::from(x[0]) - centre[0], f64::from(x[1]) - centre[1]]
+        };
+        let (r, place) = (from(free.0, centre), from(next.0, predicted));
+        let arm = [place[0] + angle * r[1], place[1] - angle * r[0]];
+        let turned = [-arm[1], arm[0]];
         for axis in 0..2 {
-            let rigid = |which: usize| mean[which][axis] + angle[which] * turned[axis];
-            let free = (f64::from(position[axis]) - rigid(0)) as f32;
+            let x = (centre[axis] + arm[axis]) as f32;
             let (lower, upper) = (walls.lower[axis], walls.upper[axis]);
-            position[axis] = if free < lower {
+            position[axis] = if x < lower {
                 lower
-            } else if free > upper {
+            } else if x > upper {
                 upper
             } else {
-                free
+                x
             };
-            velocity[axis] = (f64::from(velocity[axis]) - rigid(1)) as f32;
+            let v = f64::from(velocity[axis]) - faster[axis] - spin * turned[axis];
+            velocity[axis] = v as f32;
         }
         (position, velocity)
     }
 }
 
+#[inline(always)]
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+#[inline(always)]
+fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
 impl Sums {
     /// Takes a particle in.
     #[inline(always)]
-    pub(super) fn take(&mut self, fallen: &State, next: &State) {
-        let x = fallen.0.map(f64::from);
+    pub(super) fn take(&mut self, free: &State, next: &State) {
+        let double = |x: [f32; 2]| [f64::from(x[0]), f64::from(x[1])];
+        let (x, v) = (double(free.0), double(free.1));
+        let (place, speed) = (double(next.0), double(next.1));
         self.count += 1.0;
-        self.square += x[0] * x[0] + x[1] * x[1];
-        self.x[0] += x[0];
-        self.x[1] += x[1];
-        let pairs = [(next.0, fallen.0), (next.1, fallen.1)];
-        for (which, (next, fallen)) in pairs.into_iter().enumerate() {
-            let d = [0, 1].map(|axis| f64::from(next[axis]) - f64::from(fallen[axis]));
-            self.d[which][0] += d[0];
-            self.d[which][1] += d[1];
-            self.turn[which] += x[0] * d[1] - x[1] * d[0];
+        for (sum, value) in self.first.iter_mut().zip([x, v, place, speed]) {
+            sum[0] += value[0];
+            sum[1] += value[1];
         }
+        self.squares[0] += dot(x, x);
+        self.squares[1] += dot(place, place);
+        self.turns[0] += cross(x, v);
+        self.turns[1] += cross(x, place);
+        self.turns[2] += cross(place, speed);
+        self.stretch += dot(x, speed);
     }
 
     fn add(&mut self, other: &Self) {
-        self.count += other.count;
-        self.square += other.square;
-        for axis in 0..2 {
-            self.x[axis] += other.x[axis];
-            self.turn[axis] += other.turn[axis];
-            for which in 0..2 {
-                self.d[which][axis] += other.d[which][axis];
-            }
-        }
+        let Self { count, first, squares, turns, stretch } = self;
+        *count += other.count;
+        *stretch += other.stretch;
+        let all = first.as_flattened_mut().iter_mut().chain(squares).chain(turns);
+        let others = other.first.as_flattened().iter().chain(&other.squares).chain(&other.turns);
+        all.zip(others).for_each(|(sum, other)| *sum += other);
     }
 
+    /// With r, w, p, q for x, v, X, V about their means, and J turning by a right angle: the positions p - angle J r do not
+    /// turn as a whole against r, and with them the velocities q - spin J (p - angle J r) have the angular momentum
+    /// of r and w.
     fn motion(&self) -> Motion {
         let count = self.count.max(1.0);
-        let centre = self.x.map(|x| x / count);
-        let mean = self.d.map(|d| d.map(|d| d / count));
-        // About the centre: what is left of x . x and x cross d.
-        let square = self.square - count * (centre[0] * centre[0] + centre[1] * centre[1]);
-        let angle = [0, 1].map(|which| {
-            let d = self.d[which];
-            let turn = self.turn[which] - (centre[0] * d[1] - centre[1] * d[0]);
-            if square > POINT * count { turn / square } else { 0.0 }
-        });
-        Motion { centre, mean, angle }
+        let [x, v, place, speed] = self.first.map(|sum| sum.map(|sum| sum / count));
+        let rr = self.squares[0] - count * dot(x, x);
+        let pp = self.squares[1] - count * dot(place, place);
+        let rw = self.turns[0] - count * cross(x, v);
+        let rp = self.turns[1] - count * cross(x, place);
+        let pq = self.turns[2] - count * cross(place, speed);
+        let rq = self.stretch - count * dot(x, speed);
+        let angle = if rr > POINT * count { rp / rr } else { 0.0 };
+        let inertia = pp - angle * angle * rr;
+        let spin = if inertia > POINT * count { (pq + angle * rq - rw) / inertia } else { 0.0 };
+        let faster = [speed[0] - v[0], speed[1] - v[1]];
+        Motion { centres: [x, place], faster, angle, spin }
     }
 }

@@ -36,6 +36,7 @@ mod products;
 mod remark;
 mod surrogate;
 mod surroundings;
+mod volume;
 
 #[cfg(test)]
 mod tests;

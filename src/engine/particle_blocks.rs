@@ -4,7 +4,6 @@ use pulp::Simd;
 
 use super::{
     core::CoreLayer,
-    free_flight::REACH,
     linear::store,
     particle_features::{FEATURES, State, fallen},
     particle_model::{BLOCK, Bench, COLUMNS, ParticleModel, Pass},
@@ -32,12 +31,11 @@ impl Pass<'_> {
         let (count, stride) = (block.len(), second.stride());
         let sums = self.pieces.sums(item);
         // SAFETY: no other item has this thread's number, or this block, while this one is under way.
-        let (bench, columns, later, near, sums) = unsafe {
+        let (bench, columns, later, sums) = unsafe {
             (
                 &mut self.benches.part(thread..thread + 1)[0],
                 self.features.part(item * COLUMNS..(item + 1) * COLUMNS),
-                self.fallen.part(block.clone()),
-                self.near.part(block),
+                self.fallen.part(block),
                 self.sums.part(sums.start * stride..sums.end * stride),
             )
         };
@@ -55,12 +53,8 @@ impl Pass<'_> {
             (states, BLOCK),
             columns,
         );
-        let reach = REACH * self.walls.cell_width;
-        for (place, (later, near)) in later.iter_mut().zip(near).enumerate() {
-            let now = [states[place], states[BLOCK + place]];
+        for (place, later) in later.iter_mut().enumerate() {
             *later = fallen(states, BLOCK, place);
-            *near = is_near(&self.walls.ballistic, now, reach)
-                | is_near(&self.walls.ballistic, later.0, reach);
         }
         for (&particle, later) in particles.iter().zip(&*later) {
             let particle = particle as usize;
@@ -229,15 +223,4 @@ fn copy(from: &[f32], to: &mut [f32]) {
     for (to, from) in to.as_chunks_mut::<8>().0.iter_mut().zip(from.as_chunks().0) {
         *to = *from;
     }
-}
-
-/// Whether a position is less than `reach` from a wall (domain lengths).
-#[inline(always)]
-fn is_near(walls: &Ballistic, position: [f32; 2], reach: f32) -> bool {
-    let Ballistic { lower, upper, .. } = walls;
-    // Without branches.
-    let near = |axis: usize| {
-        (position[axis] < lower[axis] + reach) | (position[axis] > upper[axis] - reach)
-    };
-    near(0) | near(1)
 }

@@ -3,7 +3,7 @@
 //! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
 //! to stay in the nearest caches. Once a frame's particles are in the order of the stream's memory, the rest
 //! is one job: particles are encoded and write to the nodes, the nodes' layers follow each other, particles
-//! read and are decoded; at last bodies in free flight get their momentum back.
+//! read and are decoded; at last liquids get their area back, and bodies in free flight their momentum.
 
 use std::collections::BTreeMap;
 
@@ -19,6 +19,7 @@ use super::{
     particle_features::{FEATURES, Features, Known, STATES, State},
     pieces::Pieces,
     surroundings::{self, Fields, Grid, Walls},
+    volume::Volume,
 };
 use crate::{
     checkpoint::{Description, Weights, layout},
@@ -39,9 +40,12 @@ pub(super) const COLUMNS: usize = BLOCK * FEATURES;
 /// Cells of an item of the stages for free flight.
 const CELLS: usize = 64;
 
+/// Particles of an item of the stage that gives liquids their area.
+const SOME: usize = 512;
+
 /// Stages of a frame, those of the grid's layers between the third and the rest.
 const BEFORE: usize = 3;
-pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + 4;
+pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + 6;
 
 /// The packed network.
 #[derive(Debug)]
@@ -60,7 +64,9 @@ pub(super) struct ParticleModel {
     /// Bounds of the predicted velocities (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
-    /// Whether bodies in free flight keep their momentum.
+    /// Between particles at rest (domain lengths).
+    spacing: f32,
+    /// Whether liquids keep their area, and bodies in free flight their momentum.
     conserve: bool,
 }
 
@@ -77,10 +83,9 @@ pub(super) struct Room {
     written: Vec<f32>,
     /// The ballistic step of each slot.
     fallen: Vec<State>,
-    /// Whether a slot is near a wall.
-    near: Vec<bool>,
+    volume: Volume,
     flights: Flights,
-    /// Of the residuals of each cell.
+    /// Of the predictions for each cell.
     motions: Vec<Sums>,
     /// For each thread.
     benches: Vec<Bench>,
@@ -123,6 +128,7 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
+            spacing: surroundings.spacing,
             conserve,
         }
     }
@@ -152,7 +158,7 @@ impl ParticleModel {
             pieces: Pieces::default(),
             written: Vec::new(),
             fallen: Vec::new(),
-            near: Vec::new(),
+            volume: Volume::new(self.spacing),
             flights: Flights::default(),
             motions: Vec::new(),
             benches: (0..threads).map(|_| bench()).collect(),
@@ -176,7 +182,7 @@ impl ParticleModel {
         room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
         self.make_room(room, frame.len());
 
-        let Room { grid, features, pieces, written, fallen, near, flights, .. } = room;
+        let Room { grid, features, pieces, written, fallen, volume, flights, .. } = room;
         let Room { state: [position, velocity], motions, benches, .. } = room;
         let surroundings::Room { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
@@ -198,7 +204,8 @@ impl ParticleModel {
             features: Parts::new(features),
             sums: Parts::new(written),
             fallen: Parts::new(fallen),
-            near: Parts::new(near),
+            frame,
+            volume: Parts::new(std::slice::from_mut(volume)),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
             flights: Parts::new(std::slice::from_mut(flights)),
             motions: Parts::new(motions),
@@ -216,14 +223,13 @@ impl ParticleModel {
 
     /// Makes room for what is at particles, cells and nodes.
     fn make_room(&self, room: &mut Room, particles: usize) {
-        let Room { grid, features, pieces, written, fallen, near, flights, motions, .. } = room;
+        let Room { grid, features, pieces, written, fallen, flights, motions, .. } = room;
         self.grid.make_room(grid);
         features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
         let [sums, most] = pieces.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written());
         written.reserve(most.saturating_sub(written.len()));
         written.resize(sums.max(written.len()), 0.0);
         fallen.resize(particles, State::default());
-        near.resize(particles, false);
         flights.make_room(&grid.nodes);
         motions.clear();
         motions.reserve(particles);
@@ -257,7 +263,11 @@ enum Stage {
     Layer(usize),
     /// Particles read, core, decoder; an item is a block of slots.
     Decode,
-    /// The residuals' sums; an item is a block of cells.
+    /// The pressure among liquids; one item.
+    Press,
+    /// Liquids give way to it; an item is some particles.
+    Yield,
+    /// Sums over the predictions; an item is a block of cells.
     Sum,
     /// The bodies' rigid motions; one item.
     Join,
@@ -273,8 +283,10 @@ impl Stage {
             2 => Self::Write,
             _ => match stage - BEFORE {
                 layer if layer < surroundings::STAGES => Self::Layer(layer),
-                later => [Self::Decode, Self::Sum, Self::Join, Self::Correct]
-                    [later - surroundings::STAGES],
+                later => {
+                    [Self::Decode, Self::Press, Self::Yield, Self::Sum, Self::Join, Self::Correct]
+                        [later - surroundings::STAGES]
+                }
             },
         }
     }
@@ -296,7 +308,9 @@ pub(super) struct Pass<'a> {
     /// What each piece adds to the nodes.
     pub(super) sums: Parts<'a, f32>,
     pub(super) fallen: Parts<'a, State>,
-    pub(super) near: Parts<'a, bool>,
+    /// As it was observed.
+    frame: &'a Frame,
+    volume: Parts<'a, Volume>,
     pub(super) fields: Fields<'a>,
     flights: Parts<'a, Flights>,
     motions: Parts<'a, Sums>,
@@ -314,7 +328,8 @@ impl Pass<'_> {
         let conserve = usize::from(self.model.conserve);
         match stage {
             Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
-            Stage::Find | Stage::Join => conserve,
+            Stage::Find | Stage::Press | Stage::Join => conserve,
+            Stage::Yield => conserve * self.position.len().div_ceil(SOME),
             Stage::Write => self.nodes.rows().len(),
             Stage::Layer(layer) => self.model.grid.items(layer, self.nodes),
             Stage::Sum | Stage::Correct => conserve * self.nodes.cells().len().div_ceil(CELLS),
@@ -326,14 +341,36 @@ impl Pass<'_> {
         item * CELLS..((item + 1) * CELLS).min(self.nodes.cells().len())
     }
 
-    /// Sums of the residuals of the item's cells that fly.
+    /// Moves the item's liquid particles to where they have room.
+    #[inline(always)]
+    fn give_way(&self, item: usize) {
+        let particles = item * SOME..((item + 1) * SOME).min(self.position.len());
+        // SAFETY: this stage only reads the pressure, and these particles are those of this item alone.
+        let (volume, position, velocity) = unsafe {
+            (
+                &self.volume.read(0..1)[0],
+                self.position.part(particles.clone()),
+                self.velocity.part(particles.clone()),
+            )
+        };
+        let material = &self.frame.material[particles];
+        volume.give_way(position, velocity, material, &self.walls.ballistic);
+    }
+
+    /// Where free fall takes a row's particle.
+    #[inline(always)]
+    fn free(&self, row: usize) -> State {
+        self.walls.ballistic.free(self.known.position[row], self.known.velocity[row])
+    }
+
+    /// Sums over the predictions for the item's cells that fly.
+    #[inline(always)]
     fn sum(&self, item: usize) {
         let (order, cells) = (self.nodes.order(), self.cells(item));
         // SAFETY: this stage only reads these lists, and these cells are those of this item alone.
-        let (flights, fallen, position, velocity, sums) = unsafe {
+        let (flights, position, velocity, sums) = unsafe {
             (
                 &self.flights.read(0..1)[0],
-                self.fallen.read(0..order.len()),
                 self.position.read(0..order.len()),
                 self.velocity.read(0..order.len()),
                 self.motions.part(cells.clone()),
@@ -342,32 +379,36 @@ impl Pass<'_> {
         for (cell, sums) in self.nodes.cells()[cells].iter().zip(sums) {
             *sums = Sums::default();
             if flights.flies(cell) {
-                for slot in cell.slots() {
-                    let particle = self.place[order[slot] as usize] as usize;
-                    sums.take(&fallen[slot], &(position[particle], velocity[particle]));
+                for &row in &order[cell.slots()] {
+                    let particle = self.place[row as usize] as usize;
+                    sums.take(&self.free(row as usize), &(position[particle], velocity[particle]));
                 }
             }
         }
     }
 
-    /// Takes the rigid motion out of the residuals of the item's cells that fly.
+    /// Gives the item's cells that fly their momentum and their spin.
+    #[inline(always)]
     fn correct(&self, item: usize) {
         let order = self.nodes.order();
-        // SAFETY: this stage only reads these lists.
-        let (flights, fallen) =
-            unsafe { (&self.flights.read(0..1)[0], self.fallen.read(0..order.len())) };
+        // SAFETY: this stage only reads them.
+        let flights = unsafe { &self.flights.read(0..1)[0] };
         for cell in &self.nodes.cells()[self.cells(item)] {
             if flights.flies(cell) {
-                for slot in cell.slots() {
-                    let particle = self.place[order[slot] as usize] as usize;
+                for &row in &order[cell.slots()] {
+                    let particle = self.place[row as usize] as usize;
                     // SAFETY: a particle has one slot, which is in a cell of this item alone.
                     let (position, velocity) = unsafe {
                         let position = self.position.part(particle..particle + 1);
                         (&mut position[0], &mut self.velocity.part(particle..particle + 1)[0])
                     };
                     let next = (*position, *velocity);
-                    (*position, *velocity) =
-                        flights.correct(cell, &fallen[slot], next, &self.walls.ballistic);
+                    (*position, *velocity) = flights.correct(
+                        cell,
+                        &self.free(row as usize),
+                        next,
+                        &self.walls.ballistic,
+                    );
                 }
             }
         }
@@ -400,8 +441,16 @@ impl WithSimd for Item<'_> {
             Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
             // SAFETY: these stages have one item each.
             Stage::Find => unsafe {
-                pass.flights.part(0..1)[0].find(nodes, pass.near.read(0..particles));
+                let Known { position, velocity, ballistic, .. } = &pass.known;
+                pass.flights.part(0..1)[0].find(nodes, position, velocity, ballistic);
             },
+            // SAFETY: as above.
+            Stage::Press => unsafe {
+                let Frame { material, domain, .. } = pass.frame;
+                let position = pass.position.read(0..particles);
+                pass.volume.part(0..1)[0].find(position, material, domain, &pass.walls.ballistic);
+            },
+            Stage::Yield => pass.give_way(item),
             // SAFETY: as above.
             Stage::Join => unsafe {
                 pass.flights.part(0..1)[0].join(nodes, pass.motions.read(0..nodes.cells().len()));

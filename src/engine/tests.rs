@@ -377,7 +377,7 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
         (gain / f64::from(fall), (turned / spin - 1.0).abs(), next)
     });
     let [(gain, spin, kept), (other_gain, _, free)] = gains;
-    assert!(gain < 1e-4 && spin < 0.02, "{gain} of g dt, {spin} of the spin");
+    assert!(gain < 1e-4 && spin < 1e-4, "{gain} of g dt, {spin} of the spin");
     // The network would have had it otherwise, and still shapes the body.
     assert!(other_gain > 0.1, "{other_gain}");
     assert!(largest_difference(&kept.velocity, &free.velocity) > 0.01);
@@ -387,6 +387,8 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
 fn a_body_that_touches_a_wall_is_as_the_network_has_it() {
     let checkpoint = particle_model(Core::MinGru);
     let mut frame = disc(400);
+    // Not of a liquid, whose area is kept everywhere.
+    frame.material.fill(Material::Jelly);
     // Falls so fast that it is there at the next frame only.
     for (x, v) in frame.position.iter_mut().zip(&mut frame.velocity) {
         x[1] -= 0.38;

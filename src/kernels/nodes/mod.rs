@@ -22,6 +22,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+pub use window::weights;
+
 use window::Maps;
 
 /// Number of levels.

@@ -209,7 +209,7 @@ impl Maps {
 
 /// Weights of three nodes at a distance `x` in 0.5 to 1.5 from the first (cells): the quadratic spline.
 #[inline(always)]
-fn weights(x: f32) -> [f32; 3] {
+pub fn weights(x: f32) -> [f32; 3] {
     [0.5 * (1.5 - x) * (1.5 - x), 0.75 - (x - 1.0) * (x - 1.0), 0.5 * (x - 0.5) * (x - 0.5)]
 }
 
