@@ -20,8 +20,9 @@ use crate::{
 
 /// Width of a cell (spacings).
 const CELL: f32 = 2.0;
-/// How full a node is when pressure sets in. Particles in disorder that are as dense as at rest fill nodes up to here.
-const FULLEST: f32 = 1.15;
+/// How full a node is when pressure sets in: with particles in disorder, nodes of the truth are at times this
+/// full.
+const FULLEST: f32 = 1.25;
 /// A node less full than this is beyond the surface.
 const SURFACE: f32 = 0.5;
 /// How often the pressure at all nodes is made to agree with that at their neighbours.
@@ -359,7 +360,7 @@ mod tests {
         let frame = block([0.3, 0.3], 0.8 * SPACING, Material::Liquid);
         let (before, at) = (fullest(&frame), centre(&frame));
         let frame = moved(frame, 10);
-        assert!(before > 1.5 && fullest(&frame) < 1.2, "{before}, {}", fullest(&frame));
+        assert!(before > 1.5 && fullest(&frame) < 1.3, "{before}, {}", fullest(&frame));
         let to = centre(&frame);
         assert!(
             (0..2).all(|axis| (to[axis] - at[axis]).abs() < 0.1 * f64::from(SPACING)),
@@ -372,7 +373,7 @@ mod tests {
         let frame = block(WALLS.lower, 0.8 * SPACING, Material::Liquid);
         let at = centre(&frame);
         let frame = moved(frame, 10);
-        assert!(fullest(&frame) < 1.25, "{}", fullest(&frame));
+        assert!(fullest(&frame) < 1.35, "{}", fullest(&frame));
         let to = centre(&frame);
         assert!(to[0] > at[0] && to[1] > at[1], "{at:?} {to:?}");
     }

@@ -19,6 +19,7 @@ import torch
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from torch import Tensor
 
 from torch_core import Bodies
 from torch_model import Model, describe, load, network, save
@@ -77,7 +78,7 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
     with torch.no_grad():
         expected, _ = model.double()(bodies, model.matter(material, bodies[0][0]))
         if isinstance(model, ParticleModel):
-            expected = conserve(model, bodies, expected)
+            expected = put_right(model, material[0], bodies, expected)
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
         expected = expected[-len(found) :]  # without those of the warm-up
@@ -85,10 +86,11 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
     return apart
 
 
-def conserve(model: ParticleModel, bodies: Bodies, predicted: Bodies) -> Bodies:
-    """What the model predicts, [T, 1, N, 2], where bodies in free flight keep their momentum and spin."""
+def put_right(model: ParticleModel, material: Tensor, bodies: Bodies, predicted: Bodies) -> Bodies:
+    """What eddy predicts, [T, 1, N, 2], where liquids keep their area, bodies in free flight their momenta."""
     frames = zip(zip(*(track[:, 0] for track in bodies)), zip(*(track[:, 0] for track in predicted)))
-    position, velocity = zip(*(model.keep_momentum(*both) for both in frames))
+    both = (model.keep_momentum(shown, model.keep_area(material, next)) for shown, next in frames)
+    position, velocity = zip(*both)
     return torch.stack(position).unsqueeze(1), torch.stack(velocity).unsqueeze(1)
 
 

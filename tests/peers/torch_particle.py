@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d, one_hot, relu
+from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d, one_hot, pad, relu
 
 from torch_core import MATERIALS, Bodies, State, core
 
@@ -32,6 +32,9 @@ LEAST_MASS, FULL = 1e-3, 16.0
 NODE_FEATURES = 1 + 4
 # Nearness of a wall that ends free flight (cells).
 REACH = 1.5
+# Where liquids keep their area: width of a cell (spacings), how full a node is when pressure sets in and where the
+# surface is, sweeps and over-relaxation of its solution, the longest shift (cells).
+AREA_CELL, FULLEST, SURFACE, SWEEPS, OVER, LONGEST = 2, 1.25, 0.5, 20, 1.7, 0.5
 # Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
 MARGIN = 4
 
@@ -74,6 +77,12 @@ def spline(distance: Tensor) -> Tensor:
     """The quadratic B-spline of distances in cells."""
     outer = 0.5 * (1.5 - distance.abs()).clamp(min=0).square()
     return torch.where(distance.abs() < 0.5, 0.75 - distance.square(), outer)
+
+
+def spline_slope(distance: Tensor) -> Tensor:
+    """Its slope."""
+    outer = -distance.sign() * (1.5 - distance.abs()).clamp(min=0)
+    return torch.where(distance.abs() < 0.5, -2 * distance, outer)
 
 
 def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
@@ -141,6 +150,7 @@ class ParticleModel(nn.Module):
             "fastest": scale["maximum"][2:] + margin,
             "shape_scale": torch.tensor(SHAPE_SCALE),
             "corner": corner,
+            "far_corner": end,
             "node_x": x.float(),  # [I]
             "node_y": y.float(),  # [J]
         }
@@ -233,27 +243,82 @@ class ParticleModel(nn.Module):
         distances = torch.broadcast_tensors(x - left, y - lower, right - x, upper - y)
         return torch.exp(-torch.stack(distances).clamp(min=0) / self.cell)
 
+    def keep_area(self, material: Tensor, predicted: Bodies) -> Bodies:
+        """What eddy makes of the network's own prediction, [N, 2] each, first: liquids keep their area."""
+        position, velocity = predicted
+        cell = AREA_CELL * self.spacing
+        corner, extent = self.corner, ((self.far_corner - self.corner) / cell).ceil().int().tolist()
+        x, y = (torch.arange(-2.0, end + 2) for end in extent)  # [I], [J]
+        place = (position - corner) / cell
+        across, up = (spline(place[:, axis, None] - nodes) for axis, nodes in enumerate((x, y)))
+        wet = (material == MATERIALS.index("liquid")).to(position)
+        fill = torch.einsum("nj,ni->ji", up, across) / AREA_CELL**2
+        liquid = torch.einsum("nj,ni,n->ji", up, across, wet) / AREA_CELL**2
+        bounds = [((self.lower - corner)[axis] / cell - 0.5, (self.upper - corner)[axis] / cell + 0.5) for axis in (0, 1)]
+        columns, rows = ((nodes >= low) & (nodes <= high) for nodes, (low, high) in zip((x, y), bounds))
+        inside = rows.unsqueeze(1) & columns
+        pressed = inside & (fill >= SURFACE)
+        excess = torch.where(pressed, (fill - FULLEST).clamp(min=0) * liquid / fill.clamp(min=1e-9), 0)
+        if not (excess > 0).any():
+            return predicted
+
+        def neighbours(field: Tensor) -> Tensor:
+            framed = pad(field[None], (1, 1, 1, 1))[0]
+            return framed[:-2, 1:-1] + framed[2:, 1:-1] + framed[1:-1, :-2] + framed[1:-1, 2:]
+
+        pressure, count = torch.zeros_like(fill), neighbours(inside.to(fill))
+        odd = (torch.arange(len(y)).unsqueeze(1) + torch.arange(len(x))) % 2
+        for sweep in range(2 * SWEEPS):
+            level = (neighbours(pressure) + excess) / count.clamp(min=1)
+            relaxed = (pressure + OVER * (level - pressure)).clamp(min=0)
+            pressure = torch.where(pressed & (odd == sweep % 2), relaxed, pressure)
+        kept = pressure[rows][:, columns][None, None]
+        left, below = int(columns.int().argmax()), int(rows.int().argmax())
+        pressure = pad(kept, (1, 1, 1, 1), mode="replicate")[0, 0]  # beyond walls as at walls
+
+        x, y = (nodes[at - 1 : at + width + 1] for nodes, at, width in
+                ((x, left, kept.shape[3]), (y, below, kept.shape[2])))
+        across, up = place[:, 0, None] - x, place[:, 1, None] - y
+        slope = torch.stack(
+            [
+                torch.einsum("nj,ni,ji->n", spline(up), spline_slope(across), pressure),
+                torch.einsum("nj,ni,ji->n", spline_slope(up), spline(across), pressure),
+            ],
+            -1,
+        )
+        shift = wet.unsqueeze(1) * -slope.clamp(-LONGEST, LONGEST) * cell
+        moved = (position + shift).clamp(self.lower, self.upper)
+        return moved, velocity + (moved - position) / self.dt
+
     def keep_momentum(self, bodies: Bodies, predicted: Bodies) -> Bodies:
-        """What eddy predicts with for the frame after `bodies`, [N, 2] each, where `predicted` is the network's
-        own: bodies in free flight lose the mean and the rotation of what is added to the ballistic step."""
-        fallen_position, fallen_velocity, _ = self.fall(*(track.to(self.unit) for track in bodies))
-        body = self.body(bodies[0])
-        free = torch.ones_like(body, dtype=torch.bool)
-        for position in (bodies[0], fallen_position):
-            gap = torch.cat([position - self.lower, self.upper - position], -1)
-            free &= gap.amin(-1) >= REACH * self.cell
-        kept = []
-        for fallen, found in zip((fallen_position, fallen_velocity), predicted):
-            change = found - fallen
-            for number in body.unique():
-                members = body == number
-                if free[members].all():
-                    arm = fallen_position[members] - fallen_position[members].mean(0)
-                    turned = torch.stack([-arm[:, 1], arm[:, 0]], -1)
-                    angle = (turned * change[members]).sum() / arm.square().sum().clamp(min=1e-10)
-                    change[members] -= change[members].mean(0) + angle * turned
-            kept.append(fallen + change)
-        return kept[0].clamp(self.lower, self.upper), kept[1]
+        """What eddy makes of a prediction, [N, 2] each, for the frame after `bodies`, [N, 2] each, at last: bodies in
+        free flight keep their momentum and their angular momentum."""
+        position, velocity = (track.to(self.unit) for track in bodies)
+        faster = velocity + self.gravity * self.dt
+        fallen = position + 0.5 * (velocity + faster) * self.dt
+        number, reach = self.body(bodies[0]), REACH * self.cell
+        kept_position, kept_velocity = (track.clone() for track in predicted)
+
+        def turn(arm: Tensor, way: Tensor) -> Tensor:
+            return (arm[:, 0] * way[:, 1] - arm[:, 1] * way[:, 0]).sum()
+
+        for body in number.unique():
+            own = number == body
+            way = 0.5 * self.dt * (velocity[own] + faster[own]).mean(0)
+            lowest, highest = position[own].amin(0), position[own].amax(0)
+            if (lowest + way.clamp(max=0) < self.lower + reach).any():
+                continue
+            if (highest + way.clamp(min=0) > self.upper - reach).any():
+                continue
+            arm, flight = fallen[own] - fallen[own].mean(0), faster[own] - faster[own].mean(0)
+            found, speed = (track[own] - track[own].mean(0) for track in predicted)
+            turned = torch.stack([-arm[:, 1], arm[:, 0]], -1)
+            found = found - turn(arm, found) / arm.square().sum().clamp(min=1e-10) * turned
+            turned = torch.stack([-found[:, 1], found[:, 0]], -1)
+            spin = (turn(found, speed) - turn(arm, flight)) / found.square().sum().clamp(min=1e-10)
+            kept_position[own] = (fallen[own].mean(0) + found).clamp(self.lower, self.upper)
+            kept_velocity[own] = faster[own].mean(0) + speed - spin * turned
+        return kept_position, kept_velocity
 
     def body(self, position: Tensor) -> Tensor:
         """The number of the body that each particle belongs to, [N]: of nodes that are next to each other."""
