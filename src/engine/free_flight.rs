@@ -1,6 +1,6 @@
 //! A body in free flight keeps its momentum and its spin: whatever the network says, its particles' mean
-//! position and velocity are those of the free fall, and they neither turn as a whole nor have another
-//! angular momentum.
+//! position and velocity are those of free fall, as a whole they turn no further than in free fall, and they
+//! have its angular momentum.
 //!
 //! Bodies are what hangs together on the grid: nodes that are next to each other. One is in free flight
 //! when it is away from walls, now and where its mean velocity takes it.
@@ -109,7 +109,6 @@ impl Extent {
     fn flies(&self, walls: &Ballistic, reach: f32) -> bool {
         let velocity = self.velocity.map(|sum| (sum / self.count.max(1.0)) as f32);
         let ([x, y], _) = walls.free([0.0; 2], velocity);
-        // What is not a number flies nowhere.
         [0, 1].into_iter().zip([x, y]).all(|(axis, way)| {
             self.lower[axis] + way.min(0.0) >= walls.lower[axis] + reach
                 && self.upper[axis] + way.max(0.0) <= walls.upper[axis] - reach
@@ -190,6 +189,8 @@ impl Flights {
         }
         for body in &mut self.bodies {
             body.motion = body.sums.motion();
+            // One particle without a number must not take all others with it.
+            body.flies &= body.motion.is_finite();
         }
     }
 
@@ -212,15 +213,7 @@ impl Flights {
         let arm = [place[0] + angle * r[1], place[1] - angle * r[0]];
         let turned = [-arm[1], arm[0]];
         for axis in 0..2 {
-            let x = (centre[axis] + arm[axis]) as f32;
-            let (lower, upper) = (walls.lower[axis], walls.upper[axis]);
-            position[axis] = if x < lower {
-                lower
-            } else if x > upper {
-                upper
-            } else {
-                x
-            };
+            position[axis] = walls.hold(axis, (centre[axis] + arm[axis]) as f32);
             let v = f64::from(velocity[axis]) - faster[axis] - spin * turned[axis];
             velocity[axis] = v as f32;
         }
@@ -236,6 +229,14 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 #[inline(always)]
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
+}
+
+impl Motion {
+    fn is_finite(&self) -> bool {
+        let Self { centres, faster, angle, spin } = self;
+        let numbers = centres.as_flattened().iter().chain(faster).chain([angle, spin]);
+        numbers.into_iter().all(|number| number.is_finite())
+    }
 }
 
 impl Sums {

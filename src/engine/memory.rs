@@ -26,7 +26,7 @@ pub struct Memory {
     /// Particle model: the particle in each row here, those that were near each other in the stream's first
     /// frame one after the other; empty in the frame model, which has them in their own order.
     pub(super) order: Arc<Vec<u32>>,
-    /// Each particle's material number, `[N]`.
+    /// The material number of each row's particle, `[N]`.
     pub(super) material: Vec<u8>,
     /// Particle model: the shape in which jelly and rope rest, taken from the stream's first frame; it
     /// holds no particles in the frame model.

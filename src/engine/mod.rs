@@ -8,7 +8,8 @@
 //! 5. `frame_model`: the paper's network (Table 1) out of these.
 //! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
 //!    `particle_blocks` have what happens to particles, `pieces` what they write to the grid's nodes,
-//!    `surroundings` what happens to these, `free_flight` keeps the momentum of bodies that touch nothing.
+//!    `surroundings` what happens to these, `volume` keeps the area of liquids, `free_flight`
+//!    the momentum and the spin of bodies that touch nothing.
 //! 7. `memory`: what a network remembers of a stream, and in which `order`.
 //! 8. [`Remark`]: what is predicted although the network was not made for it.
 //! 9. `surrogate`: a checkpoint that predicts frames, one after the other.

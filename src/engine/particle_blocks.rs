@@ -211,7 +211,7 @@ impl ParticleModel {
             let faster = velocity[axis] + residual[axis] * unit;
             speed[axis] = between(faster, self.slowest[axis], self.fastest[axis]);
             let farther = position[axis] + residual[2 + axis] * unit * ballistic.dt;
-            place[axis] = between(farther, ballistic.lower[axis], ballistic.upper[axis]);
+            place[axis] = ballistic.hold(axis, farther);
         }
         (place, speed)
     }

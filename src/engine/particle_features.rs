@@ -157,8 +157,8 @@ impl Features {
                 store(simd, &mut columns[place(4 + axis)], simd.mul_f32s(stop, per_unit));
                 let sides = [simd.sub_f32s(x, low), simd.sub_f32s(high, x)];
                 for (side, distance) in sides.into_iter().enumerate() {
-                    let outside = simd.greater_than_f32s(distance, zero);
-                    let distance = simd.select_f32s(outside, distance, zero);
+                    let inside = simd.greater_than_f32s(distance, zero);
+                    let distance = simd.select_f32s(inside, distance, zero);
                     for (scale, reach) in [NEAR, FAR].into_iter().enumerate() {
                         let apart = simd.mul_f32s(distance, simd.splat_f32s(-1.0 / reach));
                         let column = WALLS + 4 * scale + 2 * side + axis;

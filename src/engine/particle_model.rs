@@ -45,7 +45,7 @@ const SOME: usize = 512;
 
 /// Stages of a frame, those of the grid's layers between the third and the rest.
 const BEFORE: usize = 3;
-pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + 6;
+pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + LAST.len();
 
 /// The packed network.
 #[derive(Debug)]
@@ -61,7 +61,7 @@ pub(super) struct ParticleModel {
     pub(super) decoder: Linear,
     /// H.
     pub(super) hidden: usize,
-    /// Bounds of the predicted velocities (domain lengths per second).
+    /// Bounds of the network's velocities (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
     /// Between particles at rest (domain lengths).
@@ -275,6 +275,10 @@ enum Stage {
     Correct,
 }
 
+/// Those after the layers.
+const LAST: [Stage; 6] =
+    [Stage::Decode, Stage::Press, Stage::Yield, Stage::Sum, Stage::Join, Stage::Correct];
+
 impl Stage {
     fn number(stage: usize) -> Self {
         match stage {
@@ -283,10 +287,7 @@ impl Stage {
             2 => Self::Write,
             _ => match stage - BEFORE {
                 layer if layer < surroundings::STAGES => Self::Layer(layer),
-                later => {
-                    [Self::Decode, Self::Press, Self::Yield, Self::Sum, Self::Join, Self::Correct]
-                        [later - surroundings::STAGES]
-                }
+                later => LAST[later - surroundings::STAGES],
             },
         }
     }

@@ -81,8 +81,8 @@ impl Surrogate {
         Self::load_for(checkpoint, threads, Arch::new(), true)
     }
 
-    /// The same with a set of instructions that this processor has; `conserve` says whether bodies in free
-    /// flight keep their momentum.
+    /// The same with a set of instructions that this processor has; `conserve` says whether liquids keep their
+    /// area and bodies in free flight their momentum.
     pub(super) fn load_for(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,

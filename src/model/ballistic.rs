@@ -57,6 +57,18 @@ impl Ballistic {
         (place, fallen)
     }
 
+    /// A coordinate held between walls; what is not a number stays so.
+    #[inline(always)]
+    pub fn hold(&self, axis: usize, x: f32) -> f32 {
+        if x < self.lower[axis] {
+            self.lower[axis]
+        } else if x > self.upper[axis] {
+            self.upper[axis]
+        } else {
+            x
+        }
+    }
+
     /// All particles, one frame on, in place.
     pub fn step_all(&self, position: &mut [[f32; 2]], velocity: &mut [[f32; 2]]) {
         for (x, v) in position.iter_mut().zip(velocity) {

@@ -79,6 +79,13 @@ def spline(distance: Tensor) -> Tensor:
     return torch.where(distance.abs() < 0.5, 0.75 - distance.square(), outer)
 
 
+def spline_until(distance: Tensor) -> Tensor:
+    """Its integral from the far left."""
+    tail = (1.5 - distance.abs()).clamp(min=0).pow(3) / 6
+    outer = torch.where(distance > 0, 1 - tail, tail)
+    return torch.where(distance.abs() < 0.5, 0.5 + 0.75 * distance - distance.pow(3) / 3, outer)
+
+
 def spline_slope(distance: Tensor) -> Tensor:
     """Its slope."""
     outer = -distance.sign() * (1.5 - distance.abs()).clamp(min=0)
@@ -247,18 +254,22 @@ class ParticleModel(nn.Module):
         """What eddy makes of the network's own prediction, [N, 2] each, first: liquids keep their area."""
         position, velocity = predicted
         cell = AREA_CELL * self.spacing
-        corner, extent = self.corner, ((self.far_corner - self.corner) / cell).ceil().int().tolist()
-        x, y = (torch.arange(-2.0, end + 2) for end in extent)  # [I], [J]
-        place = (position - corner) / cell
+        extent = ((self.far_corner - self.corner) / cell).ceil().int().tolist()
+        x, y = (torch.arange(-2.0, end + 4) for end in extent)  # [I], [J]
+        place, low, high = ((at - self.corner) / cell for at in (position, self.lower, self.upper))
         across, up = (spline(place[:, axis, None] - nodes) for axis, nodes in enumerate((x, y)))
+        columns, rows = ((nodes >= low[axis]) & (nodes <= high[axis]) for axis, nodes in enumerate((x, y)))
+        inside, beyond = rows.unsqueeze(1) & columns, 0.5 / AREA_CELL
+        share = [
+            spline_until(high[axis] + beyond - nodes) - spline_until(low[axis] - beyond - nodes)
+            for axis, nodes in enumerate((x, y))
+        ]
         wet = (material == MATERIALS.index("liquid")).to(position)
-        fill = torch.einsum("nj,ni->ji", up, across) / AREA_CELL**2
-        liquid = torch.einsum("nj,ni,n->ji", up, across, wet) / AREA_CELL**2
-        bounds = [((self.lower - corner)[axis] / cell - 0.5, (self.upper - corner)[axis] / cell + 0.5) for axis in (0, 1)]
-        columns, rows = ((nodes >= low) & (nodes <= high) for nodes, (low, high) in zip((x, y), bounds))
-        inside = rows.unsqueeze(1) & columns
-        pressed = inside & (fill >= SURFACE)
-        excess = torch.where(pressed, (fill - FULLEST).clamp(min=0) * liquid / fill.clamp(min=1e-9), 0)
+        mass = torch.einsum("nj,ni->ji", up, across) / AREA_CELL**2
+        liquid = torch.einsum("nj,ni,n->ji", up, across, wet) / AREA_CELL**2 / mass.clamp(min=1e-9)
+        fill = torch.where(inside, mass / (share[1].unsqueeze(1) * share[0]).clamp(min=1e-9), 0)
+        pressed = fill >= SURFACE
+        excess = torch.where(pressed, (fill - FULLEST).clamp(min=0) * liquid, 0)
         if not (excess > 0).any():
             return predicted
 
@@ -274,10 +285,8 @@ class ParticleModel(nn.Module):
             pressure = torch.where(pressed & (odd == sweep % 2), relaxed, pressure)
         kept = pressure[rows][:, columns][None, None]
         left, below = int(columns.int().argmax()), int(rows.int().argmax())
-        pressure = pad(kept, (1, 1, 1, 1), mode="replicate")[0, 0]  # beyond walls as at walls
-
-        x, y = (nodes[at - 1 : at + width + 1] for nodes, at, width in
-                ((x, left, kept.shape[3]), (y, below, kept.shape[2])))
+        pressure = pad(kept, (2, 2, 2, 2), mode="replicate")[0, 0]  # beyond walls as at walls
+        x, y = x[left - 2 : left + kept.shape[3] + 2], y[below - 2 : below + kept.shape[2] + 2]
         across, up = place[:, 0, None] - x, place[:, 1, None] - y
         slope = torch.stack(
             [
