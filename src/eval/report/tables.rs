@@ -167,7 +167,11 @@ impl Report {
     fn measures(&self, columns: &[Column]) -> Table {
         let frames = self.measured();
         let title = |name: &str| {
-            frames.iter().map(|ahead| format!("{name}, {ahead}")).collect::<Vec<String>>()
+            let mut titles: Vec<String> = frames.iter().map(usize::to_string).collect();
+            if let Some(first) = titles.first_mut() {
+                *first = format!("{name}, {first}");
+            }
+            titles
         };
         let titles = columns.iter().flat_map(|(name, ..)| title(name));
         let mut table = table(std::iter::once("at frame".to_owned()).chain(titles));
