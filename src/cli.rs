@@ -314,7 +314,7 @@ pub struct EvalArgs {
     pub output: PathBuf,
     /// Frames of the free rollouts that are compared with the truth; they go on to frame 200 to see
     /// whether they blow up.
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 100)]
     pub horizon: usize,
     /// Start frames a stream, spread evenly over its first 80 %.
     #[arg(long, default_value_t = 7)]

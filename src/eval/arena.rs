@@ -1,6 +1,6 @@
 //! What is the same for everyone who is judged.
 
-use super::{EvalError, Extremes, RANGES, window::starts};
+use super::{EvalError, RANGES, window::starts};
 use crate::{
     checkpoint::{Description, Normalization},
     dataset::Bounds,
@@ -51,8 +51,6 @@ pub struct Arena {
     pub domain: Domain,
     /// Distance between neighbouring particles at rest (domain lengths).
     pub spacing: f32,
-    /// What the truth never exceeds.
-    pub extremes: Extremes,
     /// What MinMax errors of x, y, vx, vy are divided by.
     pub ranges: [f64; RANGES],
 }
@@ -67,7 +65,6 @@ impl Arena {
         domain: Domain,
         walls: Bounds,
         spacing: f32,
-        extremes: Extremes,
     ) -> Self {
         let Bounds { lower, upper } = walls;
         let (gravity, dt) = (first.gravity, first.dt);
@@ -77,7 +74,6 @@ impl Arena {
             ballistic: Ballistic { gravity, dt, lower, upper },
             domain,
             spacing,
-            extremes,
             ranges: ranges(&first.normalization),
         }
     }

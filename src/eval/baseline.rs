@@ -26,25 +26,27 @@ impl Baseline {
         }
     }
 
-    /// The states 1 to `horizon` frames after `state`. Interval, gravity and walls are those of
-    /// `ballistic`.
+    /// One frame on, in place. Interval, gravity and walls are those of `ballistic`.
+    pub fn step(self, State { position, velocity }: &mut State, ballistic: &Ballistic) {
+        match self {
+            Self::Persistence => {}
+            Self::ConstantVelocity => {
+                for (x, v) in position.iter_mut().zip(velocity) {
+                    *x = [x[0] + ballistic.dt * v[0], x[1] + ballistic.dt * v[1]];
+                }
+            }
+            Self::Ballistic => ballistic.step_all(position, velocity),
+        }
+    }
+
+    /// The states 1 to `horizon` frames after `state`.
     pub fn roll_out(self, state: &State, horizon: usize, ballistic: &Ballistic) -> Vec<State> {
         let mut state = state.clone();
-        (0..horizon)
-            .map(|_| {
-                let State { position, velocity } = &mut state;
-                match self {
-                    Self::Persistence => {}
-                    Self::ConstantVelocity => {
-                        for (x, v) in position.iter_mut().zip(velocity) {
-                            *x = [x[0] + ballistic.dt * v[0], x[1] + ballistic.dt * v[1]];
-                        }
-                    }
-                    Self::Ballistic => ballistic.step_all(position, velocity),
-                }
-                state.clone()
-            })
-            .collect()
+        let next = |_| {
+            self.step(&mut state, ballistic);
+            state.clone()
+        };
+        (0..horizon).map(next).collect()
     }
 }
 

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Rollout;
+use super::{EvalError, Rollout};
 use crate::{
     dataset::{State, Stream},
     frame::{Frame, decimal},
@@ -20,26 +20,52 @@ pub const NAME: &str = "truth displaced by 1e-4";
 /// particle is displaced at random by up to [`DISPLACEMENT`] and followed for `reach` frames.
 ///
 /// # Errors
-/// [`MpmError`] for a scene that cannot be simulated.
+/// [`EvalError`] for a scene that cannot be simulated, or comes to another state at a start than was
+/// recorded. Every start has its rollout even so, from there on a lost one.
 pub fn roll_out(
     scene: &Scene,
     stream: &Stream,
     starts: &[usize],
     reach: usize,
     each: &mut dyn FnMut(usize, Rollout),
-) -> Result<(), MpmError> {
-    let mut simulation = simulation(scene, stream, reach)?;
+) -> Result<(), EvalError> {
+    let mut followed = 0;
+    let mut count = |number: usize, rollout: Rollout| {
+        followed = number + 1;
+        each(number, rollout);
+    };
+    let done = follow(scene, stream, starts, reach, &mut count);
+    for (number, &start) in starts.iter().enumerate().skip(followed) {
+        each(number, Rollout::lost(&stream.states[start], reach));
+    }
+    done
+}
+
+fn follow(
+    scene: &Scene,
+    stream: &Stream,
+    starts: &[usize],
+    reach: usize,
+    each: &mut dyn FnMut(usize, Rollout),
+) -> Result<(), EvalError> {
+    let of_rival = |reason| EvalError::Rival { stream: stream.id, reason };
+    let mut simulation = simulation(scene, stream, reach).map_err(of_rival)?;
     let mut rng = ChaCha8Rng::seed_from_u64(stream.id);
     let mut done = 0;
     for (number, &start) in starts.iter().enumerate() {
         let wanted = stream.first_sequence + start as u64 + 1;
-        advance(&mut simulation, wanted - done)?;
+        let frame = advance(&mut simulation, wanted - done).map_err(of_rival)?;
         done = wanted;
+        let observed = &stream.states[start];
+        if frame.map(into_state).as_ref() != Some(observed) {
+            return Err(EvalError::OtherTruth { stream: stream.id, frame: start });
+        }
         let mut other = simulation.clone();
         let range = -DISPLACEMENT..DISPLACEMENT;
-        other.displace(|| [rng.random_range(range.clone()), rng.random_range(range.clone())])?;
+        let displacement = || [rng.random_range(range.clone()), rng.random_range(range.clone())];
+        other.displace(displacement).map_err(of_rival)?;
         let next = || other.next_frame().ok().flatten().map(into_state);
-        each(number, Rollout::collect(&stream.states[start], reach, next));
+        each(number, Rollout::collect(observed, reach, next));
     }
     Ok(())
 }
@@ -47,7 +73,7 @@ pub fn roll_out(
 /// The scene's simulation at the frame `start` of a stream, for `reach` frames more.
 ///
 /// # Errors
-/// As [`roll_out`].
+/// [`MpmError`] for a scene that cannot be simulated.
 pub(super) fn at(
     scene: &Scene,
     stream: &Stream,
@@ -59,14 +85,19 @@ pub(super) fn at(
     Ok(simulation)
 }
 
-fn advance(simulation: &mut Simulation, frames: u64) -> Result<(), MpmError> {
-    (0..frames).try_for_each(|_| simulation.next_frame().map(|_| ()))
+/// Takes so many frames, and gives the last of them.
+fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, MpmError> {
+    let mut last = None;
+    for _ in 0..frames {
+        last = simulation.next_frame()?;
+    }
+    Ok(last)
 }
 
 /// Whether `scene` is what the first frame of a stream came from.
 ///
 /// # Errors
-/// As [`roll_out`].
+/// [`MpmError`] for a scene that cannot be simulated.
 pub fn is_scene_of(scene: &Scene, stream: &Stream) -> Result<bool, MpmError> {
     let mut simulation = simulation(scene, stream, 0)?;
     advance(&mut simulation, stream.first_sequence)?;
@@ -128,5 +159,17 @@ mod tests {
         let apart = found.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f32::max);
         // Within a frame the solver smooths differences between neighbours.
         assert!(apart > 0.1 * DISPLACEMENT && apart < 3.0 * DISPLACEMENT, "{apart}");
+    }
+
+    #[test]
+    fn a_stream_that_is_not_what_its_scene_comes_to_is_followed_up_to_there() {
+        let scene = Scene::generate(Preset::Kinds, 5, 2);
+        let mut stream = stream(&scene, 6);
+        stream.states[3].position[7][0] += 1e-3;
+        let mut diverged = Vec::new();
+        let mut keep = |_: usize, rollout: Rollout| diverged.push(rollout.diverged);
+        let error = roll_out(&scene, &stream, &[1, 3, 4], 1, &mut keep).unwrap_err();
+        assert!(error.to_string().contains("stream 2: frame 3"), "{error}");
+        assert_eq!(diverged, [false, true, true]);
     }
 }

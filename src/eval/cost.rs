@@ -2,22 +2,33 @@
 
 use serde::Serialize;
 
-use super::{Arena, Baseline, EvalError, Predictor, chaos};
-use crate::{
-    clock::Clock,
-    dataset::{State, Stream},
-    engine::Surrogate,
-    mpm::Scene,
-};
+use super::{Arena, EvalError, Kind, Predictor, chaos};
+use crate::{clock::Clock, dataset::Stream, engine::Surrogate, mpm::Scene};
 
 /// Frames before the clock starts, and timed frames, of each stream.
 const FRAMES: [usize; 2] = [3, 40];
 /// Where in a stream the clock starts: things have met by then.
 const START: f64 = 0.15;
 
-/// The time of a predicted frame on one thread.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// The time of a predicted frame on one thread. How many substeps a solver takes depends on the material:
+/// kinds of scenes are timed apart, and count the same.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cost {
+    /// Mean of the kinds' medians (ms).
+    pub p50: f64,
+    /// Mean of the kinds' 99th percentiles (ms).
+    pub p99: f64,
+    /// Frames timed.
+    pub frames: usize,
+    /// By the kind of the scene.
+    pub kinds: Vec<KindCost>,
+}
+
+/// The time of a predicted frame in scenes of one kind.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct KindCost {
+    /// The kind.
+    pub kind: Kind,
     /// Median (ms).
     pub p50: f64,
     /// 99th percentile (ms).
@@ -26,8 +37,31 @@ pub struct Cost {
     pub frames: usize,
 }
 
+impl Cost {
+    /// The cost in all of these kinds; `None` where there are none.
+    fn of(kinds: Vec<KindCost>) -> Option<Self> {
+        let mean = |f: fn(&KindCost) -> f64| kinds.iter().map(f).sum::<f64>() / kinds.len() as f64;
+        let (p50, p99) = (mean(|kind| kind.p50), mean(|kind| kind.p99));
+        let frames = kinds.iter().map(|kind| kind.frames).sum();
+        (!kinds.is_empty()).then_some(Self { p50, p99, frames, kinds })
+    }
+}
+
+impl KindCost {
+    /// The cost by times (s); `None` where there are none.
+    fn of(kind: Kind, mut times: Vec<f64>) -> Option<Self> {
+        times.sort_by(f64::total_cmp);
+        let at = |share: usize| {
+            let place = (times.len() * share).div_ceil(100);
+            times.get(place.saturating_sub(1)).map(|seconds| 1e3 * seconds)
+        };
+        Some(Self { kind, p50: at(50)?, p99: at(99)?, frames: times.len() })
+    }
+}
+
 /// Times a predictor on some streams, one frame after the other: as many of each. Models must have
-/// been loaded for one thread. `None` for what takes no time, the truth.
+/// been loaded for one thread. `None` for what takes no time, the truth; kinds of scenes in which a solver
+/// fails have no time.
 ///
 /// # Errors
 /// As [`judge_scene`](super::judge_scene).
@@ -36,40 +70,52 @@ pub fn time(
     predictor: Predictor<'_>,
     streams: &[(Stream, Option<Scene>)],
 ) -> Result<Option<Cost>, EvalError> {
-    let mut times = Vec::new();
-    for (stream, scene) in streams {
-        let start = (START * stream.states.len() as f64) as usize;
-        let observed = &stream.states[start];
-        let scene = || scene.as_ref().ok_or(EvalError::NoScene { stream: stream.id });
-        let of_rival = |reason| EvalError::Rival { stream: stream.id, reason };
-        match predictor {
-            Predictor::Model(surrogate) | Predictor::JoinedLate(surrogate) => {
-                time_model(surrogate, stream, start, &mut times)?;
-            }
-            Predictor::Baseline(baseline) => {
-                let mut state = observed.clone();
-                run(&mut times, || time_baseline(baseline, arena, &mut state));
-            }
-            Predictor::Restart(restart) => {
-                let restarted = restart.begin(scene()?, stream, observed);
-                let mut restarted = restarted.map_err(of_rival)?;
-                run(&mut times, || restarted.next_state().is_some());
-            }
-            Predictor::Chaos => {
-                let mut simulation =
-                    chaos::at(scene()?, stream, start, FRAMES[0] + FRAMES[1]).map_err(of_rival)?;
-                run(&mut times, || matches!(simulation.next_frame(), Ok(Some(_))));
-            }
-            Predictor::Truth => {}
+    let mut kinds = Vec::new();
+    for kind in Kind::ALL {
+        let mut times = Vec::new();
+        for (stream, scene) in streams.iter().filter(|(s, _)| Kind::of(&s.material) == kind) {
+            add_times(arena, predictor, stream, scene.as_ref(), &mut times)?;
         }
+        kinds.extend(KindCost::of(kind, times));
     }
-    times.sort_by(f64::total_cmp);
-    let at = |share: usize| {
-        let place = (times.len() * share).div_ceil(100);
-        times.get(place.saturating_sub(1)).map(|seconds| 1e3 * seconds)
-    };
-    let frames = times.len();
-    Ok(at(50).zip(at(99)).map(|(p50, p99)| Cost { p50, p99, frames }))
+    Ok(Cost::of(kinds))
+}
+
+/// Times a predictor on one stream (s).
+fn add_times(
+    arena: &Arena,
+    predictor: Predictor<'_>,
+    stream: &Stream,
+    scene: Option<&Scene>,
+    times: &mut Vec<f64>,
+) -> Result<(), EvalError> {
+    let start = (START * stream.states.len() as f64) as usize;
+    let observed = &stream.states[start];
+    let scene = || scene.ok_or(EvalError::NoScene { stream: stream.id });
+    match predictor {
+        Predictor::Model(surrogate) | Predictor::JoinedLate(surrogate) => {
+            time_model(surrogate, stream, start, times)?;
+        }
+        Predictor::Baseline(baseline) => {
+            let mut state = observed.clone();
+            run(times, || {
+                baseline.step(&mut state, &arena.ballistic);
+                true
+            });
+        }
+        Predictor::Restart(restart) => {
+            if let Ok(mut restarted) = restart.begin(scene()?, stream, observed) {
+                run(times, || restarted.next_state().is_some());
+            }
+        }
+        Predictor::Chaos => {
+            if let Ok(mut simulation) = chaos::at(scene()?, stream, start, FRAMES[0] + FRAMES[1]) {
+                run(times, || matches!(simulation.next_frame(), Ok(Some(_))));
+            }
+        }
+        Predictor::Truth => {}
+    }
+    Ok(())
 }
 
 /// Times steps until they fail.
@@ -105,9 +151,18 @@ fn time_model(
     Ok(())
 }
 
-fn time_baseline(baseline: Baseline, arena: &Arena, state: &mut State) -> bool {
-    if let Some(next) = baseline.roll_out(state, 1, &arena.ballistic).pop() {
-        *state = next;
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_count_the_same_however_many_frames_were_timed() {
+        let slow = KindCost::of(Kind::Jelly, vec![0.006, 0.002, 0.004]).unwrap();
+        assert_eq!((slow.p50, slow.p99, slow.frames), (4.0, 6.0, 3));
+        let fast = KindCost::of(Kind::Liquid, vec![0.001; 40]).unwrap();
+        let cost = Cost::of(vec![fast, slow]).unwrap();
+        assert_eq!((cost.p50, cost.p99, cost.frames), (2.5, 3.5, 43));
+        assert_eq!(KindCost::of(Kind::Rope, Vec::new()), None);
+        assert_eq!(Cost::of(Vec::new()), None);
     }
-    true
 }

@@ -32,10 +32,10 @@ mod window;
 
 pub use arena::{Arena, Settings};
 pub use baseline::Baseline;
-pub use cost::{Cost, time};
+pub use cost::{Cost, KindCost, time};
 pub use errors::{ErrorSums, Errors, mean_squared_distance};
 pub use kind::Kind;
-pub use measure::{Extremes, FlightSums, Mean, Physics, SHOWN};
+pub use measure::{BlowUps, FlightSums, Mean, Physics, SHOWN};
 pub use predictor::Predictor;
 pub use report::{Contestant, Entry, Judged, KindCount, Origin, Report, Role};
 pub use restart::{Restart, Restarted};
@@ -68,6 +68,16 @@ pub enum EvalError {
         stream: u64,
         /// What the solver says.
         reason: MpmError,
+    },
+    /// The scene of a stream does not come to what was recorded.
+    #[error(
+        "stream {stream}: frame {frame}: found another state than the recorded one when simulating it again, expected the same"
+    )]
+    OtherTruth {
+        /// The stream.
+        stream: u64,
+        /// The frame, counted from the first of the stream.
+        frame: usize,
     },
     /// It is not known what a stream was simulated from.
     #[error("stream {stream}: found no scene, expected what it was simulated from")]

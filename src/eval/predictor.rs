@@ -2,15 +2,14 @@
 
 use super::{
     Arena, Baseline, EvalError, Restart, Rollout, chaos,
-    measure::{Flights, VelocityLimits},
+    measure::Flights,
     rollout::{roll_out_from_first, roll_out_joined_late},
     steps::{Follower, OnTheWay},
 };
 use crate::{
-    checkpoint::Architecture,
     dataset::{State, Stream},
     engine::{ModelError, Surrogate},
-    model::{Ballistic, particle_model::velocity_limits},
+    model::Ballistic,
     mpm::{MpmError, Scene},
 };
 
@@ -54,54 +53,52 @@ impl<'a> Predicting<'a> {
     }
 }
 
+/// What else there is to say of rollouts from every start.
+pub(super) struct RolledOut {
+    /// Predictions of next frames, where there are any.
+    pub(super) on_the_way: Option<OnTheWay>,
+    /// Why rollouts were lost.
+    pub(super) failure: Option<String>,
+}
+
 impl Predictor<'_> {
-    /// Rolls out from every start. `each` gets the number of the start and its rollout; what is
-    /// returned are predictions of next frames, where there are any.
+    /// Rolls out from every start. `each` gets the number of the start and its rollout.
     pub(super) fn roll_out(
         &self,
         arena: &Arena,
         what: &Predicting<'_>,
         each: &mut dyn FnMut(usize, Rollout),
-    ) -> Result<Option<OnTheWay>, EvalError> {
+    ) -> Result<RolledOut, EvalError> {
         let Predicting { stream, starts, reach, .. } = *what;
         let of_model = |reason: ModelError| EvalError::Model { stream: stream.id, reason };
         let of_rival = |reason: MpmError| EvalError::Rival { stream: stream.id, reason };
         let scene = || what.scene.ok_or(EvalError::NoScene { stream: stream.id });
-        match *self {
+        let mut failure = None;
+        let on_the_way = match *self {
             Self::Model(surrogate) => {
-                roll_out_from_first(surrogate, what, each).map(Some).map_err(of_model)
+                Some(roll_out_from_first(surrogate, what, each).map_err(of_model)?)
             }
             Self::JoinedLate(surrogate) => {
                 roll_out_joined_late(surrogate, what, each).map_err(of_model)?;
-                Ok(None)
+                None
             }
             Self::Baseline(baseline) => {
-                Ok(Some(roll_out_baseline(baseline, &arena.ballistic, what, each)))
+                Some(roll_out_baseline(baseline, &arena.ballistic, what, each))
             }
             Self::Restart(restart) => {
                 let scene = scene()?;
-                restart.roll_out(scene, stream, starts, reach, each).map_err(of_rival)?;
-                let flight = restart.fly(scene, stream, what.flights).map_err(of_rival)?;
-                Ok(Some(OnTheWay { steps: None, flight }))
+                let done = restart.roll_out(scene, stream, starts, reach, each);
+                failure = done.map_err(of_rival).err();
+                let flight = restart.fly(scene, stream, what.flights);
+                Some(OnTheWay { steps: None, flight })
             }
             Self::Chaos => {
-                chaos::roll_out(scene()?, stream, starts, reach, each).map_err(of_rival)?;
-                Ok(None)
+                failure = chaos::roll_out(scene()?, stream, starts, reach, each).err();
+                None
             }
-            Self::Truth => Ok(Some(roll_out_truth(what, each))),
-        }
-    }
-
-    /// The velocities beyond which it cannot predict.
-    pub(super) fn velocity_limits(&self) -> Option<VelocityLimits> {
-        match self {
-            Self::Model(surrogate) | Self::JoinedLate(surrogate) => {
-                let description = surrogate.description();
-                (description.architecture == Architecture::Particle)
-                    .then(|| velocity_limits(&description.normalization))
-            }
-            _ => None,
-        }
+            Self::Truth => Some(roll_out_truth(what, each)),
+        };
+        Ok(RolledOut { on_the_way, failure: failure.map(|reason| reason.to_string()) })
     }
 }
 

@@ -43,35 +43,43 @@ impl Restart {
         }
     }
 
+    /// Its grid in `scene`, and what coordinates are larger by in it than in frames (domain lengths).
+    ///
+    /// # Errors
+    /// [`MpmError`] for a scene that has no grid, or none that can be halved.
+    pub fn grid(self, scene: &Scene) -> Result<(GridShape, f32), MpmError> {
+        let fine = scene.grid()?;
+        match self {
+            Self::Full | Self::HalfStep => Ok((fine, 0.0)),
+            Self::HalfGrid => fine.coarsened().ok_or_else(|| MpmError::Field {
+                field: "domain".into(),
+                found: format!("{:?} cells", fine.cells),
+                expected: "even numbers of cells, for a grid of half as many".into(),
+            }),
+        }
+    }
+
     /// The solver at a state of `scene`, on one thread.
     ///
     /// # Errors
-    /// [`MpmError`] for a scene that has no grid, or none that can be halved; [`MpmError::Diverged`] for
-    /// a particle outside.
+    /// As [`Restart::grid`]; [`MpmError::Diverged`] for a particle outside.
     pub fn begin(
         self,
         scene: &Scene,
         stream: &Stream,
         state: &State,
     ) -> Result<Restarted, MpmError> {
-        let fine = scene.grid()?;
-        let substeps = |grid: GridShape| {
+        let (grid, shift) = self.grid(scene)?;
+        let least = || {
             let interval = decimal(scene.frames.interval);
             let (present, speed) = (scene.materials(), scene.fastest());
             minimum_substeps(&present, &scene.materials, grid.dx, speed, interval).0
         };
-        let of_truth = || scene.solver.substeps.unwrap_or_else(|| substeps(fine));
-        let (grid, shift, substeps) = match self {
-            Self::Full => (fine, 0.0, of_truth()),
-            Self::HalfStep => (fine, 0.0, of_truth().div_ceil(2)),
-            Self::HalfGrid => {
-                let (grid, shift) = fine.coarsened().ok_or_else(|| MpmError::Field {
-                    field: "domain".into(),
-                    found: format!("{:?} cells", fine.cells),
-                    expected: "even numbers of cells, for a grid of half as many".into(),
-                })?;
-                (grid, shift, substeps(grid))
-            }
+        let of_truth = || scene.solver.substeps.unwrap_or_else(least);
+        let substeps = match self {
+            Self::Full => of_truth(),
+            Self::HalfStep => of_truth().div_ceil(2),
+            Self::HalfGrid => least(),
         };
         let settings = SolverSettings {
             grid,
@@ -96,7 +104,8 @@ impl Restart {
     /// `reach` frames from each of the frames `starts` of a stream.
     ///
     /// # Errors
-    /// As [`Restart::begin`].
+    /// The first of [`Restart::begin`]. Every start has its rollout even so, those without a solver a lost
+    /// one.
     pub fn roll_out(
         self,
         scene: &Scene,
@@ -105,32 +114,32 @@ impl Restart {
         reach: usize,
         each: &mut dyn FnMut(usize, Rollout),
     ) -> Result<(), MpmError> {
+        let mut done = Ok(());
         for (number, &start) in starts.iter().enumerate() {
             let observed = &stream.states[start];
-            let mut restarted = self.begin(scene, stream, observed)?;
-            each(number, Rollout::collect(observed, reach, || restarted.next_state()));
+            let rollout = match self.begin(scene, stream, observed) {
+                Ok(mut restarted) => Rollout::collect(observed, reach, || restarted.next_state()),
+                Err(reason) => {
+                    done = done.and(Err(reason));
+                    Rollout::lost(observed, reach)
+                }
+            };
+            each(number, rollout);
         }
-        Ok(())
+        done
     }
 
-    /// What a frame of it does to bodies in free flight.
-    ///
-    /// # Errors
-    /// As [`Restart::begin`].
-    pub(super) fn fly(
-        self,
-        scene: &Scene,
-        stream: &Stream,
-        flights: &Flights,
-    ) -> Result<FlightSums, MpmError> {
+    /// What a frame of it does to bodies in free flight. Where it fails, that is no number.
+    pub(super) fn fly(self, scene: &Scene, stream: &Stream, flights: &Flights) -> FlightSums {
         let mut sums = FlightSums::default();
+        let lost = || vec![[f32::NAN; 2]; stream.material.len()];
         for index in flights.frames() {
-            let mut restarted = self.begin(scene, stream, &stream.states[index])?;
-            if let Some(State { position, velocity }) = restarted.next_state() {
-                flights.add(index, &position, &velocity, &mut sums);
-            }
+            let restarted = self.begin(scene, stream, &stream.states[index]).ok();
+            let state = restarted.and_then(|mut restarted| restarted.next_state());
+            let state = state.unwrap_or_else(|| State { position: lost(), velocity: lost() });
+            flights.add(index, &state.position, &state.velocity, &mut sums);
         }
-        Ok(sums)
+        sums
     }
 }
 
@@ -185,5 +194,32 @@ mod tests {
                 assert!(moved[0].hypot(moved[1]) < 1e-5, "{restart:?}: {moved:?}");
             }
         }
+    }
+
+    #[test]
+    fn where_it_cannot_begin_it_has_lost_its_rollout_and_goes_on() {
+        let scene = Scene::generate(Preset::Kinds, 1, 2);
+        let particles = scene.particles().unwrap();
+        let whole = State {
+            position: particles.iter().map(|p| p.position).collect(),
+            velocity: vec![[0.0; 2]; particles.len()],
+        };
+        let mut torn = whole.clone();
+        torn.position[3] = [-0.5, 0.5];
+        let stream = Stream {
+            id: 0,
+            source: "test".into(),
+            dt: scene.frames.interval,
+            domain: Domain::UNIT,
+            material: particles.iter().map(|p| p.material).collect(),
+            first_sequence: 0,
+            first_stamp: Stamp(0),
+            states: vec![torn, whole],
+        };
+        let mut diverged = Vec::new();
+        let mut keep = |_: usize, rollout: Rollout| diverged.push(rollout.diverged);
+        let done = Restart::Full.roll_out(&scene, &stream, &[0, 1], 2, &mut keep);
+        assert!(matches!(done, Err(MpmError::Diverged { particle: 3, .. })), "{done:?}");
+        assert_eq!(diverged, [true, false]);
     }
 }

@@ -34,6 +34,11 @@ impl Rollout {
         }
         rollout
     }
+
+    /// A rollout without a single prediction.
+    pub(super) fn lost(observed: &State, frames: usize) -> Self {
+        Self { states: vec![observed.clone(); frames], diverged: true }
+    }
 }
 
 fn is_finite(state: &State) -> bool {

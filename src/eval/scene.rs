@@ -2,8 +2,8 @@
 
 use super::{
     Arena, ErrorSums, EvalError, Kind, Predictor, Rollout,
-    measure::{FlightSums, Flights, Physics, Rest, SHOWN, Window, is_blown_up},
-    predictor::Predicting,
+    measure::{BlowUps, FlightSums, Flights, Physics, Rest, SHOWN, Window, most_energy},
+    predictor::{Predicting, RolledOut},
     steps::{OnTheWay, StepSums},
 };
 use crate::{dataset::Stream, mpm::Scene};
@@ -21,10 +21,10 @@ pub struct Tally {
     pub physics: Vec<Physics>,
     /// Rollouts.
     pub windows: usize,
-    /// Rollouts with a prediction that is not finite.
-    pub diverged: usize,
-    /// Rollouts that blew up, those that diverged among them.
-    pub blown_up: usize,
+    /// Rollouts that blew up.
+    pub blow_ups: BlowUps,
+    /// Why rollouts were lost, the first reason: they are among those that diverged.
+    pub failure: Option<String>,
 }
 
 impl Tally {
@@ -37,8 +37,8 @@ impl Tally {
             flight: FlightSums::default(),
             physics: vec![Physics::default(); if arena.settings.measures { shown } else { 0 }],
             windows: 0,
-            diverged: 0,
-            blown_up: 0,
+            blow_ups: BlowUps::default(),
+            failure: None,
         }
     }
 
@@ -53,8 +53,10 @@ impl Tally {
         self.flight.merge(&other.flight);
         self.physics.iter_mut().zip(&other.physics).for_each(|(sum, other)| sum.merge(other));
         self.windows += other.windows;
-        self.diverged += other.diverged;
-        self.blown_up += other.blown_up;
+        self.blow_ups.merge(&other.blow_ups);
+        if self.failure.is_none() {
+            self.failure.clone_from(&other.failure);
+        }
     }
 }
 
@@ -65,6 +67,9 @@ pub struct JudgedScene {
     pub id: u64,
     /// What it is made of.
     pub kind: Kind,
+    /// Rollouts of each predictor that have a true frame to be compared with, at each of [`SHOWN`] within
+    /// the horizon.
+    pub compared: Vec<usize>,
     /// What each predictor came to, in their order.
     pub tallies: Vec<Tally>,
 }
@@ -80,26 +85,37 @@ impl JudgedScene {
 /// from, for rivals that need it. Without room for a window there is nothing but empty tallies.
 ///
 /// # Errors
-/// [`EvalError`] when a predictor cannot take the particles.
+/// [`EvalError`] when a model cannot take the particles. The rollouts of a solver that fails have diverged.
 pub fn judge_scene(
     arena: &Arena,
     predictors: &[Predictor<'_>],
     stream: &Stream,
     scene: Option<&Scene>,
 ) -> Result<JudgedScene, EvalError> {
+    let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
     let starts = arena.starts(stream.states.len());
+    let compared = |ahead: usize| {
+        let last = stream.states.len().saturating_sub(1);
+        starts.iter().filter(|&&start| start + ahead <= last).count()
+    };
+    let (id, kind) = (stream.id, Kind::of(&stream.material));
+    let shown = SHOWN.into_iter().filter(|&ahead| ahead <= horizon);
+    let compared: Vec<usize> = shown.map(compared).collect();
+    if starts.is_empty() {
+        let tallies = vec![Tally::new(arena); predictors.len()];
+        return Ok(JudgedScene { id, kind, compared, tallies });
+    }
     let rest = arena.settings.measures.then(|| Rest::new(arena, stream));
-    let windows: Vec<Window> =
-        starts.iter().map(|&start| Window::new(arena, stream, start, rest.as_ref())).collect();
+    let most_energy = most_energy(arena, stream);
+    let window = |&start: &usize| Window::new(arena, stream, start, rest.as_ref(), most_energy);
+    let windows: Vec<Window> = starts.iter().map(window).collect();
     let flights = match rest {
         Some(_) => Flights::of(stream, &arena.ballistic, arena.spacing),
         None => Flights::default(),
     };
-    let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
     let what = Predicting { stream, scene, starts: &starts, flights: &flights, horizon, reach };
     let judge = |predictor: &Predictor<'_>| {
         let mut tally = Tally::new(arena);
-        let limits = predictor.velocity_limits();
         let mut add = |number: usize, rollout: Rollout| {
             let window: &Window = &windows[number];
             tally.errors.add(&stream.material, &rollout.states, window.truth);
@@ -107,16 +123,113 @@ pub fn judge_scene(
                 let sums = &mut tally.physics;
                 window.measure(arena, &stream.material, rest, &rollout.states, sums);
             }
-            let wild = |state| is_blown_up(state, &arena.extremes, limits, arena.domain);
             tally.windows += 1;
-            tally.diverged += usize::from(rollout.diverged);
-            tally.blown_up += usize::from(rollout.diverged || rollout.states.iter().any(wild));
+            window.count_blow_ups(&rollout, &mut tally.blow_ups);
         };
-        if let Some(OnTheWay { steps, flight }) = predictor.roll_out(arena, &what, &mut add)? {
+        let RolledOut { on_the_way, failure } = predictor.roll_out(arena, &what, &mut add)?;
+        tally.failure = failure;
+        if let Some(OnTheWay { steps, flight }) = on_the_way {
             (tally.steps, tally.flight) = (steps, flight);
         }
         Ok(tally)
     };
     let tallies = predictors.iter().map(judge).collect::<Result<_, EvalError>>()?;
-    Ok(JudgedScene { id: stream.id, kind: Kind::of(&stream.material), tallies })
+    Ok(JudgedScene { id, kind, compared, tallies })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        checkpoint::Checkpoint,
+        dataset::{Bounds, State},
+        eval::{Baseline, Settings},
+        frame::Stamp,
+        kernels::spacing::spacing,
+        mpm::{self, Preset, Simulation},
+    };
+
+    /// The first frames of a scene of liquid, as they are simulated.
+    fn liquid(frames: usize) -> Stream {
+        let scene = Scene::generate(Preset::Kinds, 5, 0);
+        let mut simulation = Simulation::new(scene.clone(), &mpm::Settings::default()).unwrap();
+        let frames: Vec<_> =
+            (0..frames).map(|_| simulation.next_frame().unwrap().unwrap()).collect();
+        Stream {
+            id: scene.id,
+            source: "test".into(),
+            dt: scene.frames.interval,
+            domain: frames[0].domain,
+            material: frames[0].material.clone(),
+            first_sequence: 0,
+            first_stamp: Stamp(0),
+            states: frames
+                .into_iter()
+                .map(|frame| State { position: frame.position, velocity: frame.velocity })
+                .collect(),
+        }
+    }
+
+    fn arena(stream: &Stream, settings: Settings) -> Arena {
+        let description = Checkpoint::shipped().unwrap().description;
+        let mut walls = Bounds::default();
+        for x in stream.states.iter().flat_map(|state| &state.position) {
+            walls.join(&Bounds { lower: *x, upper: *x });
+        }
+        let spacing = spacing(&stream.states[0].position);
+        Arena::new(settings, &description, 1, stream.domain, walls, spacing)
+    }
+
+    #[test]
+    fn a_stream_of_one_frame_has_nothing_to_judge() {
+        let stream = liquid(1);
+        let arena = arena(&stream, Settings::full(5, 3));
+        let predictors = [Predictor::Baseline(Baseline::Ballistic), Predictor::Truth];
+        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
+        assert_eq!((judged.windows(), judged.tallies.len()), (0, 2));
+        assert_eq!(judged.compared, [0, 0]);
+    }
+
+    #[test]
+    fn measures_find_nothing_wrong_with_the_truth_and_see_what_falls_through_the_floor() {
+        let stream = liquid(120);
+        let arena = arena(&stream, Settings::full(100, 4));
+        let predictors = [Predictor::Truth, Predictor::Baseline(Baseline::ConstantVelocity)];
+        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
+        assert_eq!(judged.windows(), 4);
+        assert_eq!(judged.compared, [4, 4, 4, 4, 3, 1], "{:?}", arena.starts(120));
+        let [truth, straight] = &judged.tallies[..] else { panic!() };
+
+        assert_eq!(truth.blow_ups, BlowUps::default());
+        for physics in &truth.physics {
+            assert_eq!(physics.misplaced.value(), 0.0);
+            assert_eq!(physics.kinetic_energy.value(), 0.0);
+            assert_eq!(physics.centre.value(), 0.0);
+            assert_eq!(physics.liquid_area.value(), 1.0);
+            assert_eq!(physics.liquid_area_off.value(), 0.0);
+        }
+        assert!(truth.flight.gain.weight > 0.0 && truth.flight.worst_gain < 1e-3, "{truth:?}");
+
+        assert!(straight.blow_ups.far_off > 0, "{:?}", straight.blow_ups);
+        assert_eq!(straight.blow_ups.any, straight.blow_ups.far_off);
+        let last = straight.physics.last().unwrap();
+        assert!(last.misplaced.value() > 0.5 && last.outside.value() > 0.5, "{last:?}");
+        // What keeps its velocity misses a whole g dt a frame.
+        assert!((straight.flight.gain.value() - 1.0).abs() < 1e-3, "{:?}", straight.flight);
+    }
+
+    #[test]
+    fn what_has_settled_is_found_and_the_way_of_who_leaves_it() {
+        let mut stream = liquid(1);
+        stream.states[0].velocity.fill([0.0, 0.1]);
+        stream.states = vec![stream.states[0].clone(); 30];
+        let arena = arena(&stream, Settings::full(20, 2));
+        let predictors = [Predictor::Truth, Predictor::Baseline(Baseline::ConstantVelocity)];
+        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
+        let at_ten = [0, 1].map(|number: usize| judged.tallies[number].physics[2].settled);
+        assert_eq!(at_ten[0].weight, judged.compared[2] as f64);
+        assert_eq!(at_ten[0].value(), 0.0);
+        let way = f64::from(10.0 * 0.1 * arena.ballistic.dt);
+        assert!((at_ten[1].value().sqrt() - way).abs() < 1e-5, "{at_ten:?}");
+    }
 }

@@ -12,6 +12,8 @@ const RESAMPLES: usize = 1000;
 const SEED: u64 = 1;
 /// The interval leaves out so much on either side.
 const TAIL: f64 = 0.025;
+/// Fewest scenes of a kind that have an interval.
+const FEWEST: usize = 5;
 
 /// Squared position errors of the scenes of one kind, one row a scene.
 struct KindErrors {
@@ -77,34 +79,21 @@ impl Skills {
 
     /// 95 % intervals of the mean skill of `predictors` (their mean) at `frames` ahead (from 1), by
     /// bootstrap over the scenes of each kind (B. Efron, "Bootstrap Methods: Another Look at the
-    /// Jackknife", Annals of Statistics 7(1), 1979; percentiles).
-    pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Vec<Interval> {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-        let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(RESAMPLES); frames.len()];
-        for _ in 0..RESAMPLES {
-            let choices: Vec<Vec<usize>> = self
-                .kinds
-                .iter()
-                .map(|kind| {
-                    let count = kind.scenes.len();
-                    (0..count).map(|_| rng.random_range(0..count)).collect()
-                })
-                .collect();
-            for (&ahead, drawn) in frames.iter().zip(&mut drawn) {
-                let mut sum = 0.0;
-                for (kind, chosen) in self.kinds.iter().zip(&choices) {
-                    let of = |&predictor: &usize| self.skill(kind, chosen, predictor, ahead - 1);
-                    sum += predictors.iter().map(of).sum::<f64>();
-                }
-                drawn.push(sum / (self.kinds.len() * predictors.len()) as f64);
-            }
-        }
-        let ends = |mut drawn: Vec<f64>| {
-            drawn.sort_by(f64::total_cmp);
-            let cut = (TAIL * RESAMPLES as f64) as usize;
-            Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] }
-        };
-        drawn.into_iter().map(ends).collect()
+    /// Jackknife", Annals of Statistics 7(1), 1979; percentiles). Nothing when a kind has fewer than five
+    /// scenes: what was drawn from so few says little about others.
+    pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Option<Vec<Interval>> {
+        bootstrap(self, &self.kinds, predictors, frames)
+    }
+
+    /// As [`Skills::intervals`], for the scenes of one kind.
+    pub fn intervals_of_kind(
+        &self,
+        kind: Kind,
+        predictors: &[usize],
+        frames: &[usize],
+    ) -> Option<Vec<Interval>> {
+        let at = self.kinds.iter().position(|errors| errors.kind == kind)?;
+        bootstrap(self, &self.kinds[at..=at], predictors, frames)
     }
 
     /// Skill over the chosen scenes of a kind at frame number `k`.
@@ -115,6 +104,42 @@ impl Skills {
         let best = self.baselines.clone().map(sum).fold(f64::INFINITY, f64::min);
         1.0 - sum(predictor) / best
     }
+}
+
+fn bootstrap(
+    skills: &Skills,
+    kinds: &[KindErrors],
+    predictors: &[usize],
+    frames: &[usize],
+) -> Option<Vec<Interval>> {
+    if kinds.is_empty() || kinds.iter().any(|kind| kind.scenes.len() < FEWEST) {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(RESAMPLES); frames.len()];
+    for _ in 0..RESAMPLES {
+        let choices: Vec<Vec<usize>> = kinds
+            .iter()
+            .map(|kind| {
+                let count = kind.scenes.len();
+                (0..count).map(|_| rng.random_range(0..count)).collect()
+            })
+            .collect();
+        for (&ahead, drawn) in frames.iter().zip(&mut drawn) {
+            let mut sum = 0.0;
+            for (kind, chosen) in kinds.iter().zip(&choices) {
+                let of = |&predictor: &usize| skills.skill(kind, chosen, predictor, ahead - 1);
+                sum += predictors.iter().map(of).sum::<f64>();
+            }
+            drawn.push(sum / (kinds.len() * predictors.len()) as f64);
+        }
+    }
+    let ends = |mut drawn: Vec<f64>| {
+        drawn.sort_by(f64::total_cmp);
+        let cut = (TAIL * RESAMPLES as f64) as usize;
+        Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] }
+    };
+    Some(drawn.into_iter().map(ends).collect())
 }
 
 #[cfg(test)]
@@ -143,15 +168,19 @@ mod tests {
 
     #[test]
     fn scenes_that_agree_have_no_spread_and_others_an_interval_around_the_mean() {
-        let same = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 3]);
-        assert_eq!(same.intervals(&[2], &[1]), [Interval { lower: 0.5, upper: 0.5 }]);
+        let same = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 5]);
+        let exactly = |x: f64| Some(vec![Interval { lower: x, upper: x }]);
+        assert_eq!(same.intervals(&[2], &[1]), exactly(0.5));
+        assert_eq!(same.intervals_of_kind(Kind::Rope, &[2], &[1]), exactly(0.25));
 
         // The error of each scene is drawn from 0..1: the standard error of the mean of 100 is 0.029.
         let spread = |n: usize| -> Vec<[f64; 3]> {
             (0..n).map(|k| [1.0, 2.0, (k as f64 * 0.618_034).fract()]).collect()
         };
-        let skills = skills(spread(100), vec![[1.0, 2.0, 0.5]]);
-        let [Interval { lower, upper }] = skills.intervals(&[2], &[1])[..] else { panic!() };
+        let skills = skills(spread(100), vec![[1.0, 2.0, 0.5]; 5]);
+        let [Interval { lower, upper }] = skills.intervals(&[2], &[1]).unwrap()[..] else {
+            panic!()
+        };
         let expected = 2.0 * 1.96 * 0.0289 / 2.0;
         assert!((0.5 * (lower + upper) - 0.5).abs() < 0.01, "{lower}..{upper}");
         assert!(((upper - lower) / expected - 1.0).abs() < 0.15, "{lower}..{upper}");
@@ -159,8 +188,17 @@ mod tests {
 
     #[test]
     fn several_predictors_have_the_interval_of_their_mean() {
-        let skills = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 3]);
+        let skills = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 5]);
         // The first baseline itself has no skill.
-        assert_eq!(skills.intervals(&[0, 2], &[1]), [Interval { lower: 0.25, upper: 0.25 }]);
+        let expected = Interval { lower: 0.25, upper: 0.25 };
+        assert_eq!(skills.intervals(&[0, 2], &[1]), Some(vec![expected]));
+    }
+
+    #[test]
+    fn fewer_than_five_scenes_of_a_kind_have_no_interval() {
+        let skills = skills(vec![[1.0, 2.0, 0.25]; 5], vec![[1.0, 2.0, 0.75]; 4]);
+        assert_eq!(skills.intervals(&[2], &[1]), None);
+        assert_eq!(skills.intervals_of_kind(Kind::Rope, &[2], &[1]), None);
+        assert!(skills.intervals_of_kind(Kind::Liquid, &[2], &[1]).is_some());
     }
 }

@@ -9,9 +9,7 @@ use crate::{
     checkpoint::{Checkpoint, Description},
     dataset::{Bounds, Trajectory},
     engine::Surrogate,
-    eval::{
-        Arena, Baseline, EvalError, Extremes, Predictor, Settings, Skills, judge_scene, starts,
-    },
+    eval::{Arena, Baseline, EvalError, Predictor, Settings, Skills, judge_scene, starts},
 };
 
 /// What free rollouts came to.
@@ -49,20 +47,21 @@ pub(super) fn validate(
     let skill = Skills::of(&scenes, 1..predictors, config.horizon).mean(0);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
-    // A rollout that diverged has no finite error; it must lose against any that has.
+    // The errors of a rollout that diverged are those of its last finite frame; it must lose against any
+    // that did not.
+    let diverged = scenes.iter().any(|scene| scene.tallies[0].blow_ups.diverged > 0);
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;
-    let loss = if mean.is_finite() { 1.0 - mean } else { f64::INFINITY };
+    let loss = if mean.is_finite() && !diverged { 1.0 - mean } else { f64::INFINITY };
     Ok(Score { loss, first_skill, last_skill })
 }
 
-/// Where rollouts are compared: of the truth's extremes and the particles' spacing nothing is asked.
+/// Where rollouts are compared: of the particles' spacing nothing is asked.
 fn arena(config: &ValidationConfig, description: &Description, streams: &[Trajectory]) -> Arena {
     let settings = Settings::errors_only(config.horizon, config.starts);
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));
     let warm_up = description.warm_up as usize;
-    let (domain, extremes) = (description.domain, Extremes::default());
-    Arena::new(settings, description, warm_up, domain, walls, f32::INFINITY, extremes)
+    Arena::new(settings, description, warm_up, description.domain, walls, f32::INFINITY)
 }
 
 /// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.

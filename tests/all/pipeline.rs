@@ -18,7 +18,8 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     assert!(losses[2] < losses[0], "the training loss rose: {losses:?}");
 
     let report = path("report");
-    let printed = succeed(["eval", "--checkpoint", &model, "--data", &data, "--output", &report]);
+    let judge = ["eval", "--checkpoint", &model, "--data", &data, "--output", &report];
+    let printed = succeed(judge.iter().chain(&["--horizon", "20"]));
     assert!(printed.contains("only its test part is judged"), "{printed}");
     assert!(printed.contains("ballistic with walls"), "{printed}");
     let json: serde_json::Value =

@@ -100,10 +100,13 @@ impl Contest {
         Ok(self.report(scenes, costs, digest.clone()))
     }
 
-    /// One stream of each kind, to take the time on: the first that is long enough.
+    /// One stream of each kind, to take the time on: the first that is judged.
     fn samples(&self) -> anyhow::Result<Vec<(Stream, Option<Scene>)>> {
         let all = || self.survey.streams.iter().zip(&self.rivals.scenes);
-        let first = |kind: Kind| all().find(|(stream, _)| Kind::of(&stream.material) == kind);
+        let is_judged = |stream: &Trajectory| !self.survey.arena.starts(stream.frames).is_empty();
+        let first = |kind: Kind| {
+            all().find(|(stream, _)| Kind::of(&stream.material) == kind && is_judged(stream))
+        };
         let cut = |(stream, scene): (&Trajectory, &Option<Scene>)| {
             Ok((stream.cut(0..stream.frames)?, scene.clone()))
         };

@@ -26,7 +26,7 @@ pub(super) struct Rivals {
 
 impl Rivals {
     /// Finds the scene of every stream. If one has none, no rival takes part: all are judged by the
-    /// same frames.
+    /// same frames. A restart that has no grid in one of the scenes is left out.
     pub(super) fn new(asked: &[Rival], streams: &[Trajectory]) -> anyhow::Result<Self> {
         let nobody =
             |notes| Self { scenes: vec![None; streams.len()], predictors: Vec::new(), notes };
@@ -37,15 +37,22 @@ impl Rivals {
             Ok(scenes) => scenes,
             Err(reason) => return Ok(nobody(vec![format!("no rivals: {reason}")])),
         };
-        let mut predictors = Vec::new();
-        if asked.contains(&Rival::Mpm) {
-            predictors.extend(Restart::ALL.map(Predictor::Restart));
+        let (mut predictors, mut notes) = (Vec::new(), Vec::new());
+        for restart in Restart::ALL.into_iter().filter(|_| asked.contains(&Rival::Mpm)) {
+            let hindrance = |(stream, scene): (&Trajectory, &Scene)| {
+                let reason = restart.grid(scene).err()?;
+                Some(format!("no {}: {}: {reason}", restart.name(), stream.source.display()))
+            };
+            match streams.iter().zip(&scenes).find_map(hindrance) {
+                Some(note) => notes.push(note),
+                None => predictors.push(Predictor::Restart(restart)),
+            }
         }
         if asked.contains(&Rival::Chaos) {
             predictors.push(Predictor::Chaos);
         }
         let scenes = scenes.into_iter().map(Some).collect();
-        Ok(Self { scenes, predictors, notes: Vec::new() })
+        Ok(Self { scenes, predictors, notes })
     }
 }
 

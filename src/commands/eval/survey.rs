@@ -1,9 +1,11 @@
 //! What there is to judge on.
 
+use anyhow::ensure;
+
 use eddy::{
     checkpoint::Description,
     dataset::{self, Bounds, Trajectory},
-    eval::{Arena, Extremes, Settings},
+    eval::{Arena, Settings},
 };
 
 /// The streams that are judged on, and what they have in common.
@@ -12,7 +14,7 @@ pub(super) struct Survey {
     pub(super) streams: Vec<Trajectory>,
     /// What is the same for everyone.
     pub(super) arena: Arena,
-    /// Digest of all streams.
+    /// Digest of the streams.
     pub(super) digest: String,
 }
 
@@ -24,13 +26,19 @@ impl Survey {
         descriptions: &[&Description],
         mut streams: Vec<Trajectory>,
     ) -> anyhow::Result<Self> {
-        let mut extremes = Extremes::default();
-        let digest = dataset::digest(&streams, |state| extremes.widen(state))?;
+        let mut digest = dataset::digest(&streams, |_| ())?;
         let mut walls = Bounds::default();
         streams.iter().for_each(|stream| walls.join(&stream.bounds));
         if descriptions.iter().any(|description| description.data == digest) {
-            println!("this is what a checkpoint was trained on: only its test part is judged");
+            let all = streams.len();
             streams = dataset::test_part(&streams);
+            ensure!(
+                !streams.is_empty(),
+                "--data: found {all} streams that a checkpoint was trained on, all in its training or \
+                 validation part, expected some that it has not seen"
+            );
+            println!("this is what a checkpoint was trained on: only its test part is judged");
+            digest = dataset::digest(&streams, |_| ())?;
         }
         let mut spacings: Vec<f32> =
             streams.iter().map(|s| eddy::kernels::spacing::spacing(&s.rest)).collect();
@@ -41,7 +49,7 @@ impl Survey {
         let first = descriptions[0];
         // The same for all streams of a data set.
         let domain = streams.first().map_or(first.domain, |stream| stream.domain);
-        let arena = Arena::new(settings, first, warm_up, domain, walls, spacing, extremes);
+        let arena = Arena::new(settings, first, warm_up, domain, walls, spacing);
         arena.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
         Ok(Self { streams, arena, digest })
     }

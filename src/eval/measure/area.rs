@@ -4,11 +4,13 @@ use crate::frame::Domain;
 
 /// Pixels a spacing; an area is a number of pixels.
 const PIXELS: f32 = 2.0;
+/// The most pixels: above, they are wider.
+const MOST: f32 = (1 << 26) as f32;
 /// The most pixels along an axis.
-const MOST: f32 = 32_768.0;
+const MOST_ALONG: f32 = (1 << 22) as f32;
 
 /// Area within one spacing of a particle (domain lengths^2), of the particles chosen. What is outside
-/// the domain does not count.
+/// the domain does not count. Particles without a spacing occupy nothing.
 ///
 /// At rest neighbours are a spacing apart, so that a body is filled even where its particles are in
 /// disorder, and its area follows its outline.
@@ -17,8 +19,13 @@ pub(super) fn occupied<'a>(
     domain: Domain,
     spacing: f32,
 ) -> f64 {
+    let mut position = position.peekable();
+    if position.peek().is_none() || !(spacing > 0.0 && spacing.is_finite()) {
+        return 0.0;
+    }
     let sides = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
-    let pixel = (spacing / PIXELS).max(sides[0].max(sides[1]) / MOST);
+    let widest = (sides[0].max(sides[1]) / MOST_ALONG).max((sides[0] * sides[1] / MOST).sqrt());
+    let pixel = (spacing / PIXELS).max(widest);
     let extent = sides.map(|side| (side / pixel).ceil() as usize);
     let radius = spacing / pixel;
     let mut painted = vec![false; extent[0] * extent[1]];
@@ -73,5 +80,13 @@ mod tests {
     fn particles_outside_occupy_nothing() {
         let far = [[-5.0, 0.5], [f32::NAN, 0.5], [f32::MAX, f32::MAX]];
         assert_eq!(occupied(far.iter(), Domain::UNIT, SPACING), 0.0);
+    }
+
+    #[test]
+    fn a_spacing_of_almost_nothing_takes_no_more_than_the_most_pixels() {
+        let one = [[0.5; 2]];
+        for spacing in [0.0, f32::MIN_POSITIVE, f32::INFINITY, f32::NAN] {
+            assert!(occupied(one.iter(), Domain::UNIT, spacing) < 1e-6, "{spacing}");
+        }
     }
 }

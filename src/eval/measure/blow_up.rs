@@ -1,108 +1,128 @@
 //! Rollouts that blew up.
 
+use serde::Serialize;
+
 use super::bulk::kinetic_energy;
-use crate::{dataset::State, frame::Domain};
+use crate::{
+    dataset::{State, Stream},
+    eval::{Arena, Baseline, Rollout, errors::mean_squared_distance},
+};
 
-/// How much faster than the fastest true particle is too fast, and how much more kinetic energy than
-/// any true frame has is too much.
-const TOO_MUCH: f64 = 3.0;
-/// Share of the particles that may be too fast, at the model's limit or outside.
-const TOLERATED: f64 = 0.01;
-/// A velocity this close to a limit is at it, as a share of the limits' range.
-const AT_LIMIT: f32 = 1e-3;
+/// The frame ahead at which positions are compared.
+const COMPARED: usize = 100;
+/// How many times the squared position error of the best trivial predictor is too much.
+const TOO_FAR: f64 = 4.0;
+/// A trivial predictor counts as wrong by at least so many spacings: it is exact where nothing moves.
+const LEAST_ERROR: f64 = 0.5;
+/// How many times the kinetic energy of the liveliest true frame of the stream is too much.
+const TOO_LIVELY: f64 = 3.0;
 
-/// What the truth of a data set never exceeds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Extremes {
-    /// Largest speed of a particle (domain lengths per second).
-    pub speed: f64,
-    /// Largest mean kinetic energy per mass of a frame (domain lengths^2 per s^2).
-    pub kinetic_energy: f64,
+/// Rollouts that blew up, and by which sign; one rollout may show several.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BlowUps {
+    /// Rollouts with any of the signs.
+    pub any: usize,
+    /// A prediction was not finite, or there was none. Such rollouts are not left out elsewhere: their
+    /// last finite frame counts as the prediction.
+    pub diverged: usize,
+    /// The mean squared position error at frame 100, or at the last frame that is compared, is more than
+    /// four times that of the best trivial predictor there, which counts as half a spacing (squared) at
+    /// least.
+    pub far_off: usize,
+    /// In a frame the mean kinetic energy per mass is more than three times that of the liveliest true
+    /// frame of the same stream, which counts as g times the spacing at least.
+    pub too_lively: usize,
 }
 
-impl Extremes {
-    /// Makes room for a true state.
-    pub fn widen(&mut self, state: &State) {
-        let speed = |v: &[f32; 2]| f64::from(v[0]).hypot(f64::from(v[1]));
-        self.speed = state.velocity.iter().map(speed).fold(self.speed, f64::max);
-        self.kinetic_energy = self.kinetic_energy.max(kinetic_energy(&state.velocity));
+impl BlowUps {
+    /// Adds those of other rollouts.
+    pub fn merge(&mut self, other: &Self) {
+        self.any += other.any;
+        self.diverged += other.diverged;
+        self.far_off += other.far_off;
+        self.too_lively += other.too_lively;
     }
 }
 
-/// Smallest and largest velocities that a model can predict, by axis (domain lengths per second).
-pub(in crate::eval) type VelocityLimits = ([f32; 2], [f32; 2]);
+/// Mean kinetic energy per mass (domain lengths^2 per s^2) above which a rollout in a stream is too lively.
+pub(in crate::eval) fn most_energy(arena: &Arena, stream: &Stream) -> f64 {
+    let [x, y] = arena.ballistic.gravity.map(f64::from);
+    let least = x.hypot(y) * f64::from(arena.spacing);
+    let energies = stream.states.iter().map(|state| kinetic_energy(&state.velocity));
+    TOO_LIVELY * energies.fold(least, f64::max)
+}
 
-/// Whether a predicted state is none that the truth could come near: more than 1 % of the particles
-/// are faster than three times the fastest true one, or at the limit of what the model can predict,
-/// or outside the domain; or the kinetic energy is more than three times the largest of any true frame.
-pub(in crate::eval) fn is_blown_up(
-    state: &State,
-    extremes: &Extremes,
-    limits: Option<VelocityLimits>,
-    domain: Domain,
-) -> bool {
-    let too_fast =
-        |v: &[f32; 2]| f64::from(v[0]).hypot(f64::from(v[1])) > TOO_MUCH * extremes.speed;
-    let at_limit = |v: &[f32; 2]| {
-        limits.is_some_and(|(least, most)| {
-            (0..2).any(|axis| {
-                let close = AT_LIMIT * (most[axis] - least[axis]);
-                v[axis] <= least[axis] + close || v[axis] >= most[axis] - close
-            })
-        })
-    };
-    let outside = |x: &[f32; 2]| {
-        (0..2).any(|axis| x[axis] < domain.lower[axis] || x[axis] > domain.upper[axis])
-    };
-    let most = TOLERATED * state.position.len() as f64;
-    let too_many = |count: usize| count as f64 > most;
-    too_many(state.velocity.iter().filter(|v| too_fast(v)).count())
-        || too_many(state.velocity.iter().filter(|v| at_limit(v)).count())
-        || too_many(state.position.iter().filter(|x| outside(x)).count())
-        || kinetic_energy(&state.velocity) > TOO_MUCH * extremes.kinetic_energy
+/// What the rollouts of one window may come to without having blown up.
+pub(super) struct Tolerance {
+    /// Frames ahead at which positions are compared.
+    ahead: usize,
+    /// Largest mean squared position error there (domain lengths^2).
+    squared_error: f64,
+    /// Largest mean kinetic energy per mass of any frame (domain lengths^2 per s^2).
+    kinetic_energy: f64,
+}
+
+impl Tolerance {
+    /// For rollouts from the state `observed`, whose true future is `truth`, one state or more.
+    pub(super) fn new(arena: &Arena, observed: &State, truth: &[State], most_energy: f64) -> Self {
+        let ahead = COMPARED.min(truth.len());
+        let error = |baseline: Baseline| {
+            let mut state = observed.clone();
+            (0..ahead).for_each(|_| baseline.step(&mut state, &arena.ballistic));
+            mean_squared_distance(&state.position, &truth[ahead - 1].position)
+        };
+        let best = Baseline::ALL.map(error).into_iter().fold(f64::INFINITY, f64::min);
+        let least = LEAST_ERROR * f64::from(arena.spacing);
+        let squared_error = TOO_FAR * best.max(least * least);
+        Self { ahead, squared_error, kinetic_energy: most_energy }
+    }
+
+    /// Counts a rollout of at least as many frames as are compared; `truth` as in [`Tolerance::new`].
+    pub(super) fn count(&self, rollout: &Rollout, truth: &[State], sums: &mut BlowUps) {
+        let [found, expected] = [&rollout.states, truth].map(|states| &states[self.ahead - 1]);
+        let error = mean_squared_distance(&found.position, &expected.position);
+        let lively = |state: &State| kinetic_energy(&state.velocity) > self.kinetic_energy;
+        let [diverged, far_off, too_lively] =
+            [rollout.diverged, error > self.squared_error, rollout.states.iter().any(lively)];
+        sums.merge(&BlowUps {
+            any: usize::from(diverged || far_off || too_lively),
+            diverged: diverged.into(),
+            far_off: far_off.into(),
+            too_lively: too_lively.into(),
+        });
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const EXTREMES: Extremes = Extremes { speed: 2.0, kinetic_energy: 1.0 };
-    const LIMITS: VelocityLimits = ([-5.0; 2], [5.0; 2]);
+    const TOLERANCE: Tolerance = Tolerance { ahead: 2, squared_error: 0.25, kinetic_energy: 3.0 };
 
-    /// A hundred particles that rest in the middle, but some that are elsewhere and fly.
-    fn state(some: usize, position: [f32; 2], velocity: [f32; 2]) -> State {
-        let mut state = State { position: vec![[0.5; 2]; 100], velocity: vec![[0.0; 2]; 100] };
-        state.position[..some].fill(position);
-        state.velocity[..some].fill(velocity);
-        state
+    /// Four particles that are `distance` away from the origin and have a speed.
+    fn state(distance: f32, speed: f32) -> State {
+        State { position: vec![[distance, 0.0]; 4], velocity: vec![[0.0, speed]; 4] }
     }
 
-    fn blown_up(state: &State) -> bool {
-        is_blown_up(state, &EXTREMES, Some(LIMITS), Domain::UNIT)
-    }
-
-    #[test]
-    fn one_in_a_hundred_may_be_wild_two_may_not() {
-        let middle = [0.5; 2];
-        for (position, velocity) in
-            [(middle, [0.0, 6.1]), (middle, [-4.999, 0.0]), ([0.5, -0.01], [0.0; 2])]
-        {
-            assert!(!blown_up(&state(1, position, velocity)), "{position:?} {velocity:?}");
-            assert!(blown_up(&state(2, position, velocity)), "{position:?} {velocity:?}");
-        }
+    fn count(states: [State; 3], diverged: bool) -> [usize; 4] {
+        let truth = [state(0.0, 0.0), state(0.0, 0.0)];
+        let mut sums = BlowUps::default();
+        let rollout = Rollout { states: states.to_vec(), diverged };
+        TOLERANCE.count(&rollout, &truth, &mut sums);
+        [sums.any, sums.diverged, sums.far_off, sums.too_lively]
     }
 
     #[test]
-    fn three_times_the_energy_of_the_liveliest_frame_is_a_blow_up() {
-        assert!(!blown_up(&state(100, [0.5; 2], [1.7, 1.7])));
-        assert!(blown_up(&state(100, [0.5; 2], [1.8, 1.8])));
+    fn positions_count_at_one_frame_and_energy_in_all() {
+        let calm = |distance| state(distance, 0.0);
+        assert_eq!(count([calm(9.0), calm(0.5), calm(9.0)], false), [0; 4]);
+        assert_eq!(count([calm(0.0), calm(0.51), calm(0.0)], false), [1, 0, 1, 0]);
+        assert_eq!(count([calm(0.0), calm(0.0), state(0.0, 2.4)], false), [0; 4]);
+        assert_eq!(count([calm(0.0), calm(0.0), state(0.0, 2.5)], false), [1, 0, 0, 1]);
     }
 
     #[test]
-    fn extremes_are_those_of_all_states() {
-        let mut extremes = Extremes::default();
-        extremes.widen(&state(100, [0.5; 2], [3.0, 4.0]));
-        extremes.widen(&state(1, [0.5; 2], [0.0, 6.0]));
-        assert_eq!(extremes, Extremes { speed: 6.0, kinetic_energy: 12.5 });
+    fn a_rollout_with_several_signs_blew_up_once() {
+        assert_eq!(count([state(1.0, 3.0), state(1.0, 0.0), state(1.0, 0.0)], true), [1; 4]);
     }
 }

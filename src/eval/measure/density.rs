@@ -4,8 +4,10 @@ use crate::frame::Domain;
 
 /// Cells of a map are so many times as wide as the spacing of particles: one holds about sixteen.
 const CELL_SPACINGS: f32 = 4.0;
-/// The most cells of a map along an axis; above, they are wider.
-const MOST_CELLS: f32 = 4096.0;
+/// The most cells of a map; above, they are wider.
+const MOST: f32 = (1 << 20) as f32;
+/// The most cells along an axis.
+const MOST_ALONG: f32 = (1 << 18) as f32;
 
 /// Lattice of a domain.
 #[derive(Clone, Copy, Debug)]
@@ -20,7 +22,8 @@ impl Lattice {
     /// The lattice for particles so far apart (domain lengths) in a domain.
     pub(super) fn new(domain: Domain, spacing: f32) -> Self {
         let sides = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
-        let cell = (CELL_SPACINGS * spacing).max(sides[0].max(sides[1]) / MOST_CELLS);
+        let widest = (sides[0].max(sides[1]) / MOST_ALONG).max((sides[0] * sides[1] / MOST).sqrt());
+        let cell = (CELL_SPACINGS * spacing).max(widest);
         let nodes = sides.map(|side| ((side / cell).ceil() as usize).max(1) + 1);
         Self { lower: domain.lower, scale: 1.0 / cell, nodes }
     }
@@ -66,6 +69,15 @@ mod tests {
         for position in [[0.3, 0.4], [1.0, 1.0], [0.0, 0.999], [-3.0, 7.0]] {
             let mass: f32 = lattice.map(&[position; 3]).iter().sum();
             assert!((mass - 3.0).abs() < 1e-5, "{position:?}: {mass}");
+        }
+    }
+
+    #[test]
+    fn a_spacing_of_nothing_takes_no_more_than_the_most_cells() {
+        for domain in [[1.0, 1.0], [4096.0, 1.0], [1e6, 1e-6]] {
+            let domain = Domain { lower: [0.0; 2], upper: domain };
+            let nodes = Lattice::new(domain, 0.0).map(&[[0.5; 2]]).len();
+            assert!(nodes < 3 << 20, "{domain:?}: {nodes}");
         }
     }
 

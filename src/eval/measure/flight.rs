@@ -92,7 +92,8 @@ impl Flights {
     }
 
     /// Adds what a prediction of the frame after frame `index` does to the bodies that are in flight
-    /// there. Without gravity there is no unit, and nothing is added.
+    /// there. Without gravity there is no unit, and nothing is added. What is no number counts as
+    /// infinite.
     pub(in crate::eval) fn add(
         &self,
         index: usize,
@@ -109,13 +110,20 @@ impl Flights {
             let (momentum, spin, _) = motion(&body.particles, position, velocity);
             let beside = [0, 1]
                 .map(|axis| momentum[axis] - body.momentum[axis] - self.gravity[axis] * self.dt);
-            let gain = square(beside).sqrt() / unit;
+            let gain = or_infinite(square(beside).sqrt() / unit);
             sums.gain.add(gain, 1.0);
             sums.worst_gain = sums.worst_gain.max(gain);
-            let change = (spin - body.spin) / body.inertia;
-            sums.spin.add(change * change, 1.0);
+            if body.inertia > 0.0 {
+                let change = (spin - body.spin) / body.inertia;
+                sums.spin.add(or_infinite(change * change), 1.0);
+            }
         }
     }
+}
+
+/// A maximum passes over what is no number.
+fn or_infinite(number: f64) -> f64 {
+    if number.is_nan() { f64::INFINITY } else { number }
 }
 
 /// Momentum, angular momentum about the centre, and moment of inertia, all per mass.
@@ -260,6 +268,12 @@ mod tests {
         flights.add(5, &truth.position, &pushed, &mut sums);
         assert!((sums.gain.value() - 0.1).abs() < 1e-5, "{sums:?}");
         assert!((sums.spin.value().sqrt() - 2.0).abs() < 1e-4, "{sums:?}");
+        let lost = vec![[f32::NAN; 2]; 288];
+        let mut infinite = FlightSums::default();
+        flights.add(5, &truth.position, &lost, &mut infinite);
+        assert_eq!(infinite.worst_gain, f64::INFINITY);
+        assert_eq!([infinite.gain.value(), infinite.spin.value()], [f64::INFINITY; 2]);
+
         flights.add(9, &truth.position, &pushed, &mut sums);
         assert_eq!(sums.gain.weight, 1.0, "nobody has seen the end of that flight");
     }

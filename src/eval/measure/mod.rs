@@ -5,7 +5,7 @@
 //! 3. `flight`: momentum and spin of bodies that nothing touches.
 //! 4. `area`: the area that liquids occupy.
 //! 5. `stretch`: how far rope and jelly are stretched and distorted.
-//! 6. `blow_up`: rollouts that no truth could come near.
+//! 6. `blow_up`: rollouts that are worse than no model, or livelier than any truth.
 
 mod area;
 mod blow_up;
@@ -14,14 +14,17 @@ mod density;
 mod flight;
 mod stretch;
 
-use super::{Arena, errors::square};
+use super::{
+    Arena, Rollout,
+    errors::{mean_squared_distance, square},
+};
 use crate::{
     dataset::{State, Stream},
     frame::Material,
 };
 
-pub use blow_up::Extremes;
-pub(super) use blow_up::{VelocityLimits, is_blown_up};
+pub use blow_up::BlowUps;
+pub(super) use blow_up::most_energy;
 pub use flight::FlightSums;
 pub(super) use flight::Flights;
 
@@ -67,6 +70,8 @@ pub struct Physics {
     pub outside: Mean,
     /// Area that liquid occupies over that in the truth.
     pub liquid_area: Mean,
+    /// Squared deviation of that ratio from 1, window by window.
+    pub liquid_area_off: Mean,
     /// Distance of rest neighbours within rope over that in the first frame.
     pub rope_stretch: Mean,
     /// Squared deviation of that from 1.
@@ -75,42 +80,41 @@ pub struct Physics {
     pub jelly_stretch: Mean,
     /// As `rope_distortion`, of jelly.
     pub jelly_distortion: Mean,
+    /// Mean squared way of the particles since the start (domain lengths^2), of settled windows.
+    pub settled: Mean,
 }
 
 impl Physics {
     /// Adds the measures of other windows.
     pub fn merge(&mut self, other: &Self) {
-        for (sum, other) in self.each_mut().into_iter().zip(other.each()) {
+        let Self {
+            misplaced,
+            kinetic_energy,
+            centre,
+            outside,
+            liquid_area,
+            liquid_area_off,
+            rope_stretch,
+            rope_distortion,
+            jelly_stretch,
+            jelly_distortion,
+            settled,
+        } = self;
+        for (sum, other) in [
+            (misplaced, &other.misplaced),
+            (kinetic_energy, &other.kinetic_energy),
+            (centre, &other.centre),
+            (outside, &other.outside),
+            (liquid_area, &other.liquid_area),
+            (liquid_area_off, &other.liquid_area_off),
+            (rope_stretch, &other.rope_stretch),
+            (rope_distortion, &other.rope_distortion),
+            (jelly_stretch, &other.jelly_stretch),
+            (jelly_distortion, &other.jelly_distortion),
+            (settled, &other.settled),
+        ] {
             sum.merge(other);
         }
-    }
-
-    fn each(&self) -> [&Mean; 9] {
-        [
-            &self.misplaced,
-            &self.kinetic_energy,
-            &self.centre,
-            &self.outside,
-            &self.liquid_area,
-            &self.rope_stretch,
-            &self.rope_distortion,
-            &self.jelly_stretch,
-            &self.jelly_distortion,
-        ]
-    }
-
-    fn each_mut(&mut self) -> [&mut Mean; 9] {
-        [
-            &mut self.misplaced,
-            &mut self.kinetic_energy,
-            &mut self.centre,
-            &mut self.outside,
-            &mut self.liquid_area,
-            &mut self.rope_stretch,
-            &mut self.rope_distortion,
-            &mut self.jelly_stretch,
-            &mut self.jelly_distortion,
-        ]
     }
 }
 
@@ -138,6 +142,11 @@ impl Rest {
 pub(super) struct Window<'a> {
     /// The states after the start, up to the horizon or the end of the stream.
     pub(super) truth: &'a [State],
+    observed: &'a State,
+    tolerance: blow_up::Tolerance,
+    /// Whether the truth moves less than a spacing (root mean square) from the start to any of the frames
+    /// shown.
+    settled: bool,
     shown: Vec<Shown>,
 }
 
@@ -151,17 +160,28 @@ struct Shown {
 }
 
 impl<'a> Window<'a> {
-    /// The window after frame `start` of a stream. Nothing is measured without `rest`.
+    /// The window after frame `start` of a stream, which has another frame after it. Nothing is measured
+    /// without `rest`; `most_energy` is that of the stream.
     pub(super) fn new(
         arena: &Arena,
         stream: &'a Stream,
         start: usize,
         rest: Option<&Rest>,
+        most_energy: f64,
     ) -> Self {
+        let observed = &stream.states[start];
         let end = stream.states.len().min(start + 1 + arena.settings.horizon);
         let truth = &stream.states[start + 1..end];
-        let Some(rest) = rest else { return Self { truth, shown: Vec::new() } };
+        let tolerance = blow_up::Tolerance::new(arena, observed, truth, most_energy);
+        let Some(rest) = rest else {
+            return Self { truth, observed, tolerance, settled: false, shown: Vec::new() };
+        };
         let shown = SHOWN.into_iter().filter(|&ahead| ahead <= truth.len());
+        let spacing = f64::from(arena.spacing);
+        let settled = shown.clone().all(|ahead| {
+            let way = mean_squared_distance(&truth[ahead - 1].position, &observed.position);
+            way < spacing * spacing
+        });
         let shown = shown.map(|ahead| {
             let state = &truth[ahead - 1];
             Shown {
@@ -172,7 +192,12 @@ impl<'a> Window<'a> {
                 liquid_area: liquid_area(arena, &stream.material, state),
             }
         });
-        Self { truth, shown: shown.collect() }
+        Self { truth, observed, tolerance, settled, shown: shown.collect() }
+    }
+
+    /// Counts a rollout if it blew up.
+    pub(super) fn count_blow_ups(&self, rollout: &Rollout, sums: &mut BlowUps) {
+        self.tolerance.count(rollout, self.truth, sums);
     }
 
     /// Adds the measures of predicted states to those at each of [`SHOWN`].
@@ -197,7 +222,16 @@ impl<'a> Window<'a> {
             sums.centre.add(square(apart), 1.0);
             let outside = bulk::share_outside(&state.position, walls, 0.5 * arena.spacing);
             sums.outside.add(outside, 1.0);
-            sums.liquid_area.add(liquid_area(arena, material, state), shown.liquid_area);
+            let area = liquid_area(arena, material, state);
+            sums.liquid_area.add(area, shown.liquid_area);
+            if shown.liquid_area > 0.0 {
+                let off = area / shown.liquid_area - 1.0;
+                sums.liquid_area_off.add(off * off, 1.0);
+            }
+            if self.settled {
+                let way = mean_squared_distance(&state.position, &self.observed.position);
+                sums.settled.add(way, 1.0);
+            }
             rest.rope.add(&state.position, &mut sums.rope_stretch, &mut sums.rope_distortion);
             rest.jelly.add(&state.position, &mut sums.jelly_stretch, &mut sums.jelly_distortion);
         }

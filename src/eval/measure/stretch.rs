@@ -1,10 +1,15 @@
 //! Distances between neighbours of the rest shape: how far solids are stretched and distorted.
 
+use std::collections::HashMap;
+
 use super::Mean;
 use crate::frame::Material;
 
 /// Neighbours at rest are at most so many spacings apart: the eight around a particle of a lattice.
 const REACH: f32 = 1.5;
+/// The most particles after one in the stream's order, in each of the nine cells around it, that are looked
+/// at: where they are pressed together, all pairs would be the square of their number.
+const MOST: usize = 64;
 
 /// Two particles that were neighbours in the first frame of a stream.
 #[derive(Clone, Copy, Debug)]
@@ -28,18 +33,27 @@ impl Solids {
         solid: Material,
         spacing: f32,
     ) -> Self {
-        let solid = |&k: &u32| material[k as usize] == solid;
-        let mut sorted: Vec<u32> = (0..position.len() as u32).filter(solid).collect();
-        let at = |k: u32| position[k as usize];
-        sorted.sort_by(|&a, &b| at(a)[0].total_cmp(&at(b)[0]));
         let reach = REACH * spacing;
+        let at = |k: u32| position[k as usize];
+        let cell = |k: u32| at(k).map(|x| (x / reach).floor() as i32);
+        let solid = |&k: &u32| material[k as usize] == solid;
+        // Ascending in each cell.
+        let mut cells: HashMap<[i32; 2], Vec<u32>> = HashMap::new();
+        for k in (0..position.len() as u32).filter(solid) {
+            cells.entry(cell(k)).or_default().push(k);
+        }
         let mut pairs = Vec::new();
-        for (n, &a) in sorted.iter().enumerate() {
-            let near = sorted[n + 1..].iter().take_while(|&&b| at(b)[0] - at(a)[0] <= reach);
-            for &b in near {
-                let rest = distance(at(a), at(b));
-                if rest > 0.0 && rest <= reach {
-                    pairs.push(Pair { particles: [a, b], rest });
+        for a in (0..position.len() as u32).filter(solid) {
+            let [column, row] = cell(a);
+            let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| [x, y]));
+            for [x, y] in around {
+                let place = [column.saturating_add(x), row.saturating_add(y)];
+                let Some(near) = cells.get(&place) else { continue };
+                for &b in near[near.partition_point(|&b| b <= a)..].iter().take(MOST) {
+                    let rest = distance(at(a), at(b));
+                    if rest > 0.0 && rest <= reach {
+                        pairs.push(Pair { particles: [a, b], rest });
+                    }
                 }
             }
         }
@@ -96,6 +110,14 @@ mod tests {
         assert!((stretch.value() - expected).abs() < 1e-6);
         let expected = (27.0 + 36.0 * (diagonal - 1.0) * (diagonal - 1.0)) / 83.0;
         assert!((distortion.value() - expected).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_pressed_together_has_no_more_pairs_than_are_looked_at() {
+        let pressed: Vec<[f32; 2]> =
+            (0..50_000u16).map(|k| [0.5, 0.5 + f32::from(k) * 1e-7]).collect();
+        let solids = Solids::new(&pressed, &[Material::Rope; 50_000], Material::Rope, SPACING);
+        assert!((1..=9 * MOST * pressed.len()).contains(&solids.pairs.len()));
     }
 
     #[test]

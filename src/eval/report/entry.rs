@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     checkpoint::Description,
-    eval::{Arena, Cost, Interval, JudgedScene, Kind, Skills, Tally},
+    eval::{Arena, BlowUps, Cost, Interval, JudgedScene, Kind, Skills, Tally},
     frame::Material,
 };
 
@@ -65,18 +65,14 @@ pub struct Entry {
     /// Digest of the checkpoint.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
-    /// Rollouts with a prediction that is not finite. They are not left out: their last finite frame
-    /// counts as the prediction.
-    pub diverged_windows: usize,
-    /// Rollouts that blew up, those that diverged among them: more than 1 % of the particles faster
-    /// than three times the fastest true one, at the limit of what the model can predict, or outside
-    /// the domain; or more than three times the largest kinetic energy of any true frame.
-    pub blown_up_windows: usize,
+    /// Rollouts that blew up.
+    pub blow_ups: BlowUps,
     /// Mean of the skills of all kinds: 1 - squared position error / that of the best baseline at that
     /// frame, both summed over the windows of a kind.
     pub skill: Vec<f64>,
-    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown.
-    pub skill_intervals: Vec<Interval>,
+    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
+    /// fewer than five scenes.
+    pub skill_intervals: Option<Vec<Interval>>,
     /// Errors over all scenes.
     #[serde(flatten)]
     pub curves: Curves,
@@ -101,11 +97,11 @@ pub struct KindEntry {
     /// The kind.
     pub kind: Kind,
     /// As in [`Entry`].
-    pub diverged_windows: usize,
-    /// As in [`Entry`].
-    pub blown_up_windows: usize,
+    pub blow_ups: BlowUps,
     /// Skill in the scenes of this kind.
     pub skill: Vec<f64>,
+    /// As in [`Entry`], of this skill.
+    pub skill_intervals: Option<Vec<Interval>>,
     /// As in [`Entry`].
     #[serde(flatten)]
     pub curves: Curves,
@@ -136,9 +132,9 @@ impl Entry {
             all.merge(&tally);
             kinds.push(KindEntry {
                 kind,
-                diverged_windows: tally.diverged,
-                blown_up_windows: tally.blown_up,
+                blow_ups: tally.blow_ups,
                 skill: skills.of_kind(kind, number),
+                skill_intervals: skills.intervals_of_kind(kind, &[number], shown),
                 curves: Curves::new(&tally.errors.total()),
                 steps: tally.steps.as_ref().map(StepCurves::new),
                 measures: measures(&tally, shown),
@@ -156,8 +152,7 @@ impl Entry {
             role,
             checkpoint,
             digest,
-            diverged_windows: all.diverged,
-            blown_up_windows: all.blown_up,
+            blow_ups: all.blow_ups,
             skill: skills.mean(number),
             skill_intervals: skills.intervals(&[number], shown),
             curves: Curves::new(&all.errors.total()),

@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use super::{Contestant, Role};
+use super::{Entry, Role};
 use crate::{
     checkpoint::{Description, Normalization, TrainingSummary},
-    eval::{Interval, Skills},
+    eval::{BlowUps, Interval, Kind, Skills},
 };
 
 /// Seeds of one model.
@@ -15,40 +15,76 @@ pub struct Group {
     pub name: String,
     /// Names of its checkpoints.
     pub members: Vec<String>,
-    /// Mean over the seeds of the mean skill over kinds; one number a frame ahead.
+    /// Rollouts of all seeds that blew up.
+    pub blow_ups: BlowUps,
+    /// Time of a frame on one thread, the mean over the seeds (ms); nothing where it was not taken.
+    pub ms: Option<f64>,
+    /// Mean skill over kinds.
+    #[serde(flatten)]
+    pub skill: GroupSkill,
+    /// By the kind of the scene.
+    pub kinds: Vec<(Kind, GroupSkill)>,
+}
+
+/// Skill of a group.
+#[derive(Clone, Debug, Serialize)]
+pub struct GroupSkill {
+    /// Mean over the seeds; one number a frame ahead.
     pub skill: Vec<f64>,
     /// Standard deviation of it between the seeds (of the sample); 0 for a single one.
     pub spread: Vec<f64>,
-    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown.
-    pub skill_intervals: Vec<Interval>,
+    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
+    /// fewer than five scenes.
+    pub skill_intervals: Option<Vec<Interval>>,
 }
 
 impl Group {
-    /// All groups among the models, in the order of their first members.
-    pub(super) fn all(contestants: &[Contestant], skills: &Skills, shown: &[usize]) -> Vec<Self> {
-        let mut networks: Vec<(Description, Vec<usize>)> = Vec::new();
-        for (number, contestant) in contestants.iter().enumerate() {
-            let (Some(origin), Role::Model) = (&contestant.origin, contestant.role) else {
-                continue;
-            };
-            let network = untrained(&origin.description);
-            match networks.iter_mut().find(|(other, _)| *other == network) {
+    /// All groups among the models, in the order of their first members. `networks` are the descriptions
+    /// of those that have one.
+    pub(super) fn all(
+        predictors: &[Entry],
+        networks: &[Option<Description>],
+        skills: &Skills,
+        shown: &[usize],
+    ) -> Vec<Self> {
+        let mut groups: Vec<(Description, Vec<usize>)> = Vec::new();
+        for (number, (entry, description)) in predictors.iter().zip(networks).enumerate() {
+            let (Some(description), Role::Model) = (description, entry.role) else { continue };
+            let network = untrained(description);
+            match groups.iter_mut().find(|(other, _)| *other == network) {
                 Some((_, members)) => members.push(number),
-                None => networks.push((network, vec![number])),
+                None => groups.push((network, vec![number])),
             }
         }
         let group = |(network, members): (Description, Vec<usize>)| {
-            let curves: Vec<Vec<f64>> = members.iter().map(|&member| skills.mean(member)).collect();
-            let (skill, spread) = mean_and_spread(&curves);
+            let entries: Vec<&Entry> = members.iter().map(|&member| &predictors[member]).collect();
+            let mut blow_ups = BlowUps::default();
+            entries.iter().for_each(|entry| blow_ups.merge(&entry.blow_ups));
+            let times: Option<Vec<f64>> =
+                entries.iter().map(|entry| entry.cost.as_ref().map(|cost| cost.p50)).collect();
+            let of_kind = |kind: Kind| {
+                let curves = members.iter().map(|&member| skills.of_kind(kind, member)).collect();
+                let intervals = skills.intervals_of_kind(kind, &members, shown);
+                (kind, GroupSkill::new(curves, intervals))
+            };
+            let curves = members.iter().map(|&member| skills.mean(member)).collect();
             Self {
                 name: format!("{} {}", network.architecture.name(), network.core.name()),
-                members: members.iter().map(|&m| contestants[m].name.clone()).collect(),
-                skill,
-                spread,
-                skill_intervals: skills.intervals(&members, shown),
+                members: entries.iter().map(|entry| entry.name.clone()).collect(),
+                blow_ups,
+                ms: times.map(|times| times.iter().sum::<f64>() / times.len() as f64),
+                skill: GroupSkill::new(curves, skills.intervals(&members, shown)),
+                kinds: skills.kinds().map(of_kind).collect(),
             }
         };
-        networks.into_iter().map(group).collect()
+        groups.into_iter().map(group).collect()
+    }
+}
+
+impl GroupSkill {
+    fn new(curves: Vec<Vec<f64>>, skill_intervals: Option<Vec<Interval>>) -> Self {
+        let (skill, spread) = mean_and_spread(&curves);
+        Self { skill, spread, skill_intervals }
     }
 }
 

@@ -18,8 +18,10 @@ pub struct Measures {
     pub centre_rmse: f64,
     /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
     pub outside: f64,
-    /// Area that liquid occupies over that in the truth.
+    /// Sum of the areas that liquid occupies over the sum of those in the truth.
     pub liquid_area: f64,
+    /// Root mean square over windows of what that ratio is away from 1 in each.
+    pub liquid_area_off: f64,
     /// Mean distance of rest neighbours within rope over that in the first frame of the stream.
     pub rope_stretch: f64,
     /// Root mean square deviation of that ratio from 1.
@@ -28,6 +30,11 @@ pub struct Measures {
     pub jelly_stretch: f64,
     /// As `rope_distortion`, of jelly.
     pub jelly_distortion: f64,
+    /// Settled windows that are measured here: those in which the truth moves less than a spacing (root mean
+    /// square) from the start to any of the frames shown.
+    pub settled_windows: usize,
+    /// Root mean square way of the particles since the start in settled windows (domain lengths).
+    pub settled_way: f64,
 }
 
 /// What predictions of the next frame do to bodies that are in free flight in the truth, over all
@@ -68,10 +75,13 @@ impl Measures {
             centre_rmse: sums.centre.value().sqrt(),
             outside: sums.outside.value(),
             liquid_area: sums.liquid_area.value(),
+            liquid_area_off: sums.liquid_area_off.value().sqrt(),
             rope_stretch: sums.rope_stretch.value(),
             rope_distortion: sums.rope_distortion.value().sqrt(),
             jelly_stretch: sums.jelly_stretch.value(),
             jelly_distortion: sums.jelly_distortion.value().sqrt(),
+            settled_windows: sums.settled.weight as usize,
+            settled_way: sums.settled.value().sqrt(),
         }
     }
 }

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 pub use entry::{Contestant, Entry, Origin, Role};
 
-use super::{Arena, Cost, Extremes, JudgedScene, Kind, SHOWN, Skills};
+use super::{Arena, Cost, JudgedScene, Kind, SHOWN, Skills};
 use group::Group;
 
 /// What was judged.
@@ -57,12 +57,13 @@ pub struct Report {
     /// Where the walls are in effect: smallest and largest coordinates of any true particle (domain
     /// lengths).
     pub walls: [[f32; 2]; 2],
-    /// What the truth never exceeds.
-    pub extremes: Extremes,
     /// The kinds of scenes that occur, and how many of each.
     pub kinds: Vec<KindCount>,
     /// The frames ahead of measures and intervals.
     pub shown: Vec<usize>,
+    /// Rollouts of each predictor that have a true frame to be compared with, at each of the frames shown:
+    /// the truth of late starts ends early.
+    pub compared: Vec<usize>,
     /// Everyone who was judged, in the order of the tables.
     pub predictors: Vec<Entry>,
     /// Networks that differ in nothing but their training.
@@ -72,7 +73,7 @@ pub struct Report {
 }
 
 /// Scenes of a kind.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct KindCount {
     /// The kind.
     pub kind: Kind,
@@ -80,12 +81,14 @@ pub struct KindCount {
     pub streams: usize,
     /// Free rollouts of each predictor.
     pub windows: usize,
+    /// Those of them that have a true frame to be compared with, at each of the frames shown.
+    pub compared: Vec<usize>,
 }
 
 impl Report {
     /// Puts the report of a judgement together.
     pub fn new(arena: &Arena, judged: Judged) -> Self {
-        let Judged { contestants, mut scenes, costs, data_digest, notes } = judged;
+        let Judged { contestants, mut scenes, costs, data_digest, mut notes } = judged;
         scenes.retain(|scene| scene.windows() > 0);
         let horizon = arena.settings.horizon;
         let baseline = |contestant: &Contestant| contestant.role == Role::Baseline;
@@ -96,10 +99,18 @@ impl Report {
         let kinds = skills.kinds().map(|kind| {
             let of_kind = || scenes.iter().filter(|scene| scene.kind == kind);
             let windows = of_kind().map(JudgedScene::windows).sum();
-            KindCount { kind, streams: of_kind().count(), windows }
+            let at = |number: usize| of_kind().map(|scene| scene.compared[number]).sum();
+            let compared = (0..shown.len()).map(at).collect();
+            KindCount { kind, streams: of_kind().count(), windows, compared }
         });
         let kinds: Vec<KindCount> = kinds.collect();
-        let groups = Group::all(&contestants, &skills, &shown);
+        let at = |number: usize| kinds.iter().map(|kind| kind.compared[number]).sum();
+        let compared = (0..shown.len()).map(at).collect();
+        for (number, contestant) in contestants.iter().enumerate() {
+            notes.extend(failures(&contestant.name, number, &scenes));
+        }
+        let description = |c: &Contestant| c.origin.as_ref().map(|o| o.description.clone());
+        let networks: Vec<_> = contestants.iter().map(description).collect();
         let predictors: Vec<Entry> = contestants
             .into_iter()
             .zip(costs)
@@ -108,6 +119,7 @@ impl Report {
                 Entry::new(arena, contestant, cost, number, &scenes, &skills, &shown)
             })
             .collect();
+        let groups = Group::all(&predictors, &networks, &skills, &shown);
         Self {
             data_digest,
             streams: scenes.len(),
@@ -117,12 +129,22 @@ impl Report {
             dt: arena.ballistic.dt,
             spacing: arena.spacing,
             walls: [arena.ballistic.lower, arena.ballistic.upper],
-            extremes: arena.extremes,
             kinds,
             shown,
+            compared,
             predictors,
             groups,
             notes,
         }
     }
+}
+
+/// What there is to say of scenes in which contestant `number` lost rollouts.
+fn failures(name: &str, number: usize, scenes: &[JudgedScene]) -> Option<String> {
+    let reasons: Vec<&String> =
+        scenes.iter().filter_map(|scene| scene.tallies[number].failure.as_ref()).collect();
+    let (first, scenes, all) = (reasons.first()?, reasons.len(), scenes.len());
+    Some(format!(
+        "{name}: lost rollouts count as diverged, in {scenes} of {all} streams; first: {first}"
+    ))
 }

@@ -20,13 +20,13 @@ impl Report {
                     Role::Rival => Mark::Square(2),
                     _ => Mark::Square(3),
                 };
-                let place = [entry.cost?.p50, 1.0 - entry.skill[ahead - 1]];
+                let place = [entry.cost.as_ref()?.p50, 1.0 - entry.skill[ahead - 1]];
                 Some(ScatterPoint { name: entry.name.clone(), place, mark })
             })
             .collect();
         let scatter = Scatter {
             title: format!("cost and error, {} streams, {} rollouts", self.streams, self.windows),
-            x: "ms a frame on one thread (median)".to_owned(),
+            x: "ms a frame on one thread (median of a kind, mean of kinds)".to_owned(),
             y: format!("1 - skill at frame {ahead} (squared error / best baseline)"),
             points,
         };
