@@ -1,4 +1,4 @@
-//! Rollouts that blew up.
+//! Rollouts that blew up, and those that ended far off.
 
 use serde::Serialize;
 
@@ -10,28 +10,27 @@ use crate::{
 
 /// The frame ahead at which positions are compared.
 const COMPARED: usize = 100;
-/// How many times the squared position error of the best trivial predictor is too much.
-const TOO_FAR: f64 = 4.0;
+/// How many times the position error of the best trivial predictor is far off.
+const FAR_OFF: f64 = 4.0;
 /// A trivial predictor counts as wrong by at least so many spacings: it is exact where nothing moves.
 const LEAST_ERROR: f64 = 0.5;
 /// How many times the kinetic energy of the liveliest true frame of the stream is too much.
 const TOO_LIVELY: f64 = 3.0;
 
-/// Rollouts that blew up, and by which sign; one rollout may show several.
+/// Rollouts that blew up, and by which sign; one rollout may show both. Beside them those that kept their calm but ended far off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct BlowUps {
-    /// Rollouts with any of the signs.
+    /// Rollouts that diverged or were too lively.
     pub any: usize,
     /// A prediction was not finite, or there was none. Such rollouts are not left out elsewhere: their
     /// last finite frame counts as the prediction.
     pub diverged: usize,
-    /// The mean squared position error at frame 100, or at the last frame that is compared, is more than
-    /// four times that of the best trivial predictor there, which counts as half a spacing (squared) at
-    /// least.
-    pub far_off: usize,
     /// In a frame the mean kinetic energy per mass is more than three times that of the liveliest true
     /// frame of the same stream, which counts as g times the spacing at least.
     pub too_lively: usize,
+    /// The position error (RMSE) at frame 100, or at the last frame that is compared, is more than four
+    /// times that of the best trivial predictor there, which counts as half a spacing at least.
+    pub far_off: usize,
 }
 
 impl BlowUps {
@@ -52,7 +51,7 @@ pub(in crate::eval) fn most_energy(arena: &Arena, stream: &Stream) -> f64 {
     TOO_LIVELY * energies.fold(least, f64::max)
 }
 
-/// What the rollouts of one window may come to without having blown up.
+/// What the rollouts of one window may come to.
 pub(super) struct Tolerance {
     /// Frames ahead at which positions are compared.
     ahead: usize,
@@ -73,7 +72,7 @@ impl Tolerance {
         };
         let best = Baseline::ALL.map(error).into_iter().fold(f64::INFINITY, f64::min);
         let least = LEAST_ERROR * f64::from(arena.spacing);
-        let squared_error = TOO_FAR * best.max(least * least);
+        let squared_error = FAR_OFF * FAR_OFF * best.max(least * least);
         Self { ahead, squared_error, kinetic_energy: most_energy }
     }
 
@@ -85,7 +84,7 @@ impl Tolerance {
         let [diverged, far_off, too_lively] =
             [rollout.diverged, error > self.squared_error, rollout.states.iter().any(lively)];
         sums.merge(&BlowUps {
-            any: usize::from(diverged || far_off || too_lively),
+            any: usize::from(diverged || too_lively),
             diverged: diverged.into(),
             far_off: far_off.into(),
             too_lively: too_lively.into(),
@@ -104,6 +103,7 @@ mod tests {
         State { position: vec![[distance, 0.0]; 4], velocity: vec![[0.0, speed]; 4] }
     }
 
+    /// Blown up, diverged, far off, too lively.
     fn count(states: [State; 3], diverged: bool) -> [usize; 4] {
         let truth = [state(0.0, 0.0), state(0.0, 0.0)];
         let mut sums = BlowUps::default();
@@ -116,7 +116,7 @@ mod tests {
     fn positions_count_at_one_frame_and_energy_in_all() {
         let calm = |distance| state(distance, 0.0);
         assert_eq!(count([calm(9.0), calm(0.5), calm(9.0)], false), [0; 4]);
-        assert_eq!(count([calm(0.0), calm(0.51), calm(0.0)], false), [1, 0, 1, 0]);
+        assert_eq!(count([calm(0.0), calm(0.51), calm(0.0)], false), [0, 0, 1, 0]);
         assert_eq!(count([calm(0.0), calm(0.0), state(0.0, 2.4)], false), [0; 4]);
         assert_eq!(count([calm(0.0), calm(0.0), state(0.0, 2.5)], false), [1, 0, 0, 1]);
     }

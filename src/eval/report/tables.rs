@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 
 use super::{Entry, Report, Role, group::GroupSkill, measures::Measures};
-use crate::eval::{Interval, KindCost};
+use crate::eval::{BlowUps, Interval, KindCost};
 
 /// The frames ahead at which kinds are shown side by side.
 const BY_KIND: [usize; 3] = [1, 20, 100];
@@ -73,13 +73,13 @@ impl Report {
 
     fn skills(&self) -> Table {
         let title = format!("skill, mean of {} kinds", self.kinds.len());
-        let mut table = self.over_frames(&title, &["blow-ups", "ms a frame"]);
+        let mut table = self.over_frames(&title, &["blow-ups", "far off", "ms a frame"]);
         let compared = self.compared.iter().map(usize::to_string).collect();
         table.add_row(row("windows with truth".to_owned(), compared));
         let ms = |ms: Option<f64>| ms.map_or(String::new(), |ms| format!("{ms:.3}"));
         for entry in self.predictors.iter().filter(|entry| entry.role != Role::Truth) {
             let mut row = row(entry.name.clone(), self.at_shown(&entry.skill, skill));
-            row.push(format!("{} of {}", entry.blow_ups.any, self.windows));
+            row.extend(counts(&entry.blow_ups, self.windows));
             row.push(ms(entry.cost.as_ref().map(|cost| cost.p50)));
             table.add_row(row);
         }
@@ -88,7 +88,7 @@ impl Report {
             let GroupSkill { skill: mean, spread, skill_intervals } = &group.skill;
             if seeds > 1 {
                 let mut cells = self.at_shown(mean, skill);
-                cells.push(format!("{} of {}", group.blow_ups.any, seeds * self.windows));
+                cells.extend(counts(&group.blow_ups, seeds * self.windows));
                 cells.push(ms(group.ms));
                 table.add_row(row(format!("{}, mean of {seeds} seeds", group.name), cells));
                 table.add_row(row(DEVIATION.into(), self.at_shown(spread, deviation)));
@@ -239,6 +239,11 @@ impl Report {
 
 /// The row below the mean of seeds.
 const DEVIATION: &str = "  standard deviation";
+
+/// How many of so many rollouts blew up, and how many ended far off.
+fn counts(blow_ups: &BlowUps, windows: usize) -> [String; 2] {
+    [blow_ups.any, blow_ups.far_off].map(|count| format!("{count} of {windows}"))
+}
 
 /// The name of the row of a group's intervals.
 fn of_interval(group: &str, seeds: usize) -> String {
