@@ -164,12 +164,12 @@ impl Volume {
         let held = |axis: usize, node: usize| {
             node.max(self.inside[axis].start).min(self.inside[axis].end - 1)
         };
-        for j in 0..3 {
+        for (j, (weight, steepness)) in up[0].into_iter().zip(up[1]).enumerate() {
             let row = held(1, b + j) * self.extent[0];
             let row = [0, 1, 2].map(|i| self.pressure[row + held(0, a + i)]);
             let sum = |by: &[f32; 3]| by[0] * row[0] + by[1] * row[1] + by[2] * row[2];
-            slope[0] += up[0][j] * sum(&across[1]);
-            slope[1] += up[1][j] * sum(&across[0]);
+            slope[0] += weight * sum(&across[1]);
+            slope[1] += steepness * sum(&across[0]);
         }
         [-slope[0], -slope[1]].map(|way| way.clamp(-LONGEST, LONGEST) * self.width)
     }
@@ -244,8 +244,8 @@ impl Volume {
                     false => touched.start.min(a)..touched.end.max(a + 3),
                 };
                 let nodes = (b + j) * self.extent[0] + a;
-                for i in 0..3 {
-                    let mass = one * up * across[i];
+                for (i, across) in across.into_iter().enumerate() {
+                    let mass = one * up * across;
                     self.fill[nodes + i] += mass;
                     self.liquid[nodes + i] += mass * wet;
                 }
