@@ -17,9 +17,9 @@ use crate::{
     checkpoint::{Surroundings, Weights, layout},
     frame::Domain,
     kernels::{
-        math::{exp, relu},
+        activation::Exponentials,
+        math::relu,
         nodes::{Level, MISSING, Nodes, Row, range},
-        vectors::zip,
     },
     model::{
         Ballistic,
@@ -182,7 +182,7 @@ impl Grid {
         let mut distances = [0.0; 4];
         walls.distances(at.first().unwrap_or(&[0; 2]), &mut distances);
         let mut beside = [distances[1], distances[3]];
-        Exp(&mut beside).with_simd(simd);
+        Exponentials(&mut beside).with_simd(simd);
         for (written, &[column, _]) in written.chunks_exact_mut(width).zip(at) {
             let mass = written[channels];
             let scale = simd.splat_f32s(1.0 / (mass + LEAST_MASS));
@@ -311,7 +311,7 @@ impl<'a> Walls<'a> {
             walls.distances(&[column, 0], &mut distances);
             [distances[0], distances[2]]
         }));
-        arch.dispatch(Exp(columns.as_flattened_mut()));
+        arch.dispatch(Exponentials(columns.as_flattened_mut()));
         walls.columns = columns;
         walls
     }
@@ -326,23 +326,5 @@ impl<'a> Walls<'a> {
             distances[axis] = -below / self.cell_width;
             distances[2 + axis] = -above / self.cell_width;
         }
-    }
-}
-
-/// The exponential of numbers, in place.
-struct Exp<'a>(&'a mut [f32]);
-
-impl WithSimd for Exp<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        zip(
-            simd,
-            [],
-            [self.0],
-            #[inline(always)]
-            |[], [x]| [exp(simd, x)],
-        );
     }
 }

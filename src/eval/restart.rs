@@ -164,24 +164,30 @@ mod tests {
         mpm::Preset,
     };
 
-    #[test]
-    fn every_restart_falls_as_it_should_from_where_it_was_seen() {
-        // Bodies of jelly at their starts, which touch nothing yet.
-        let scene = Scene::generate(Preset::Kinds, 1, 2);
-        let particles = scene.particles().unwrap();
-        let stream = Stream {
+    /// A scene's particles where they begin.
+    fn at_rest(scene: &Scene) -> State {
+        let position: Vec<_> = scene.particles().unwrap().iter().map(|p| p.position).collect();
+        State { velocity: vec![[0.0; 2]; position.len()], position }
+    }
+
+    fn stream(scene: &Scene, states: Vec<State>) -> Stream {
+        Stream {
             id: 0,
             source: "test".into(),
             dt: scene.frames.interval,
             domain: Domain::UNIT,
-            material: particles.iter().map(|p| p.material).collect(),
+            material: scene.particles().unwrap().iter().map(|p| p.material).collect(),
             first_sequence: 0,
             first_stamp: Stamp(0),
-            states: vec![State {
-                position: particles.iter().map(|p| p.position).collect(),
-                velocity: vec![[0.0; 2]; particles.len()],
-            }],
-        };
+            states,
+        }
+    }
+
+    #[test]
+    fn every_restart_falls_as_it_should_from_where_it_was_seen() {
+        // Bodies of jelly at their starts, which touch nothing yet.
+        let scene = Scene::generate(Preset::Kinds, 1, 2);
+        let stream = stream(&scene, vec![at_rest(&scene)]);
         let dt = scene.frames.interval;
         for restart in Restart::ALL {
             let mut restarted = restart.begin(&scene, &stream, &stream.states[0]).unwrap();
@@ -199,23 +205,10 @@ mod tests {
     #[test]
     fn where_it_cannot_begin_it_has_lost_its_rollout_and_goes_on() {
         let scene = Scene::generate(Preset::Kinds, 1, 2);
-        let particles = scene.particles().unwrap();
-        let whole = State {
-            position: particles.iter().map(|p| p.position).collect(),
-            velocity: vec![[0.0; 2]; particles.len()],
-        };
+        let whole = at_rest(&scene);
         let mut torn = whole.clone();
         torn.position[3] = [-0.5, 0.5];
-        let stream = Stream {
-            id: 0,
-            source: "test".into(),
-            dt: scene.frames.interval,
-            domain: Domain::UNIT,
-            material: particles.iter().map(|p| p.material).collect(),
-            first_sequence: 0,
-            first_stamp: Stamp(0),
-            states: vec![torn, whole],
-        };
+        let stream = stream(&scene, vec![torn, whole]);
         let mut diverged = Vec::new();
         let mut keep = |_: usize, rollout: Rollout| diverged.push(rollout.diverged);
         let done = Restart::Full.roll_out(&scene, &stream, &[0, 1], 2, &mut keep);

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    math::{elu, relu, sigmoid, tanh},
+    math::{elu, exp, relu, sigmoid, tanh},
     vectors::zip,
 };
 
@@ -104,6 +104,24 @@ impl WithSimd for Rectify<'_> {
             [self.0],
             #[inline(always)]
             |[], [x]| [relu(simd, x)],
+        );
+    }
+}
+
+/// The exponential of numbers, in place.
+pub struct Exponentials<'a>(pub &'a mut [f32]);
+
+impl WithSimd for Exponentials<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        zip(
+            simd,
+            [],
+            [self.0],
+            #[inline(always)]
+            |[], [x]| [exp(simd, x)],
         );
     }
 }

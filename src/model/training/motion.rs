@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use burn::tensor::Tensor;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::{
     checkpoint::layout::PARTICLE_FEATURES,
     kernels::{
-        math::exp,
+        activation::Exponentials,
         rest::{Rest, SHAPE_FEATURES},
     },
     model::{
@@ -211,23 +211,6 @@ impl Operation<4> for Perceive {
             by_foretold.into_flattened(),
             by_shape.into_flattened(),
         ]
-    }
-}
-
-/// e to the power of each number.
-struct Exponentials<'a>(&'a mut [f32]);
-
-impl WithSimd for Exponentials<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let (vectors, rest) = S::as_mut_simd_f32s(self.0);
-        for vector in vectors {
-            *vector = exp(simd, *vector);
-        }
-        let exponential = exp(simd, simd.partial_load_f32s(rest));
-        simd.partial_store_f32s(rest, exponential);
     }
 }
 
