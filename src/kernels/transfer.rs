@@ -19,7 +19,10 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::nodes::{Cell, Nodes, Place, Row, range};
+use super::{
+    nodes::{Cell, Nodes, Place, Row, range},
+    vectors::{load, store},
+};
 
 /// P2G: the sums `[M, C]` over particles of their weights times their `channels`, `[R, C]`.
 ///
@@ -89,46 +92,18 @@ fn parts<'a>(
     nodes.windows().iter().map(cut).collect()
 }
 
-/// Some channels of a row. Where they are fewer than a vector holds, whatever follows in the list comes
-/// behind them, or zeros: to leave it out takes longer than to compute with it and not to keep the result.
+/// Where some channels of a row are in a list.
 #[inline(always)]
-fn load<S: Simd>(
-    simd: S,
-    numbers: &[f32],
-    row: usize,
-    width: usize,
-    part: &Range<usize>,
-) -> S::f32s {
-    let first = row * width + part.start;
-    match numbers.get(first..first + S::F32_LANES) {
-        Some(numbers) => S::as_simd_f32s(numbers).0[0],
-        None => simd.partial_load_f32s(&numbers[first..row * width + part.end]),
-    }
+fn of_row(row: usize, width: usize, part: &Range<usize>) -> Range<usize> {
+    row * width + part.start..row * width + part.end
 }
 
-/// The same with zeros behind them.
+/// At most as many numbers as a vector holds, with zeros behind them.
 #[inline(always)]
-fn load_alone<S: Simd>(
-    simd: S,
-    numbers: &[f32],
-    row: usize,
-    width: usize,
-    part: &Range<usize>,
-) -> S::f32s {
-    let numbers = &numbers[row * width + part.start..row * width + part.end];
+fn load_alone<S: Simd>(simd: S, numbers: &[f32]) -> S::f32s {
     match S::as_simd_f32s(numbers) {
         ([vector, ..], _) => *vector,
         (_, rest) => simd.partial_load_f32s(rest),
-    }
-}
-
-/// The inverse; what follows stays as it is.
-#[inline(always)]
-fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
-    if row.len() >= S::F32_LANES {
-        S::as_mut_simd_f32s(row).0[0] = numbers;
-    } else {
-        simd.partial_store_f32s(row, numbers);
     }
 }
 
@@ -154,66 +129,33 @@ impl WithSimd for SumRow<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { nodes, row, channels, width, sums } = self;
-        let order = nodes.order();
-        sum_row(
-            simd,
-            nodes,
-            row,
-            channels,
-            width,
-            #[inline(always)]
-            |slot| order[slot] as usize,
-            sums,
-            width,
-        );
-    }
-}
-
-/// P2G for one row of nodes: adds to `sums`, rows `stride` numbers apart, what `channels`, `[.., C]`, have
-/// in the rows that `place` gives for slots.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "two matrices, each with its layout")]
-pub(crate) fn sum_row<S: Simd>(
-    simd: S,
-    nodes: &Nodes,
-    row: &Row,
-    channels: &[f32],
-    width: usize,
-    place: impl Fn(usize) -> usize,
-    sums: &mut [f32],
-    stride: usize,
-) {
-    for (number, &cells) in row.cells.iter().enumerate() {
-        for cell in &nodes.cells()[range(cells)] {
-            let first = (cell.nodes[number] - row.nodes[0]) as usize * stride;
-            let sums = &mut sums[first..first + 2 * stride + width];
-            let slots = cell.slots();
-            let weights = &nodes.weights()[slots.clone()];
-            let cell = (number, weights, slots.start);
-            // Two vectors at once where there are: their sums hide each other's waiting.
-            for first in (0..width).step_by(2 * S::F32_LANES) {
-                let rows = (channels, width);
-                if width - first > S::F32_LANES {
-                    sum_cell::<S, 2>(simd, cell, rows, &place, first, sums, stride);
-                } else {
-                    sum_cell::<S, 1>(simd, cell, rows, &place, first, sums, stride);
+        for (number, &cells) in row.cells.iter().enumerate() {
+            for cell in &nodes.cells()[range(cells)] {
+                let first = (cell.nodes[number] - row.nodes[0]) as usize * width;
+                let sums = &mut sums[first..first + 3 * width];
+                // Two vectors at once where there are: their sums hide each other's waiting.
+                for first in (0..width).step_by(2 * S::F32_LANES) {
+                    let rows = (channels, width);
+                    if width - first > S::F32_LANES {
+                        sum_cell::<S, 2>(simd, nodes, (cell, number), rows, first, sums);
+                    } else {
+                        sum_cell::<S, 1>(simd, nodes, (cell, number), rows, first, sums);
+                    }
                 }
             }
         }
     }
 }
 
-/// The share of one cell, `number` its row of the stencil, with its particles' weights and its first slot:
-/// V vectors of channels from number `first` on.
+/// The share of one cell in row `number` of its stencil: V vectors of channels, from channel `first` on.
 #[inline(always)]
 fn sum_cell<S: Simd, const V: usize>(
     simd: S,
-    (number, weights, slot): (usize, &[[[f32; 3]; 2]], usize),
+    nodes: &Nodes,
+    (cell, number): (&Cell, usize),
     (channels, width): (&[f32], usize),
-    place: &impl Fn(usize) -> usize,
     first: usize,
     sums: &mut [f32],
-    stride: usize,
 ) {
     let mut parts = [const { 0..0 }; V];
     for (v, part) in parts.iter_mut().enumerate() {
@@ -223,17 +165,18 @@ fn sum_cell<S: Simd, const V: usize>(
     let mut sum = [[simd.splat_f32s(0.0); 3]; V];
     for (sum, part) in sum.iter_mut().zip(&parts) {
         for (node, sum) in sum.iter_mut().enumerate() {
-            *sum = load(simd, sums, node, stride, part);
+            *sum = load(simd, sums, of_row(node, width, part));
         }
     }
-    for (particle, [columns, rows]) in weights.iter().enumerate() {
-        let row = place(slot + particle);
+    for slot in cell.slots() {
+        let row = nodes.order()[slot] as usize;
+        let [columns, rows] = &nodes.weights()[slot];
         let mut weight = [simd.splat_f32s(0.0); 3];
         for (weight, column) in weight.iter_mut().zip(columns) {
             *weight = simd.splat_f32s(column * rows[number]);
         }
         for (sum, part) in sum.iter_mut().zip(&parts) {
-            let values = load(simd, channels, row, width, part);
+            let values = load(simd, channels, of_row(row, width, part));
             for (sum, &weight) in sum.iter_mut().zip(&weight) {
                 *sum = simd.mul_add_e_f32s(weight, values, *sum);
             }
@@ -241,8 +184,7 @@ fn sum_cell<S: Simd, const V: usize>(
     }
     for (sum, part) in sum.iter().zip(&parts) {
         for (node, &sum) in sum.iter().enumerate() {
-            let first = node * stride;
-            store(simd, &mut sums[first + part.start..first + part.end], sum);
+            store(simd, sums, of_row(node, width, part), sum);
         }
     }
 }
@@ -259,7 +201,7 @@ fn stencil<S: Simd>(
     let mut values = [[simd.splat_f32s(0.0); 3]; 3];
     for (values, &first) in values.iter_mut().zip(&cell.nodes) {
         for (column, values) in values.iter_mut().enumerate() {
-            *values = load(simd, field, first as usize + column, width, part);
+            *values = load(simd, field, of_row(first as usize + column, width, part));
         }
     }
     values
@@ -340,8 +282,7 @@ pub(crate) fn gather<S: Simd>(
             for slot in own.clone() {
                 let [columns, rows] = &nodes.weights()[slot];
                 let sum = weigh(simd, &values, columns, rows);
-                let row = place(slot) * width;
-                store(simd, &mut sums[row + part.start..row + part.end], sum);
+                store(simd, sums, of_row(place(slot), width, &part), sum);
             }
         }
     }
@@ -370,7 +311,7 @@ impl WithSimd for Slope<'_> {
                 for slot in cell.slots() {
                     let [columns, rows] = &nodes.weights()[slot];
                     let particle = nodes.order()[slot] as usize;
-                    let own = load_alone(simd, channels, particle, width, &part);
+                    let own = load_alone(simd, &channels[of_row(particle, width, &part)]);
                     let across = weigh(simd, &values, &slopes(columns), rows);
                     let up = weigh(simd, &values, columns, &slopes(rows));
                     let gradient = &mut gradient[2 * (particle - place.particles.start)..][..2];

@@ -19,8 +19,6 @@ pub use panels::Panels;
 pub use slopes::by_matrix;
 pub use sums::{add_products, products};
 
-use std::ops::Range;
-
 use pulp::Simd;
 
 use super::nodes::MISSING;
@@ -81,34 +79,6 @@ impl<'a> Rows<'a> {
             },
         };
         Some(&self.numbers[list * self.width..][..self.width])
-    }
-}
-
-/// Where a vector of a row is, of so many columns in all.
-#[inline(always)]
-fn lanes<S: Simd>(row: usize, vector: usize, columns: usize) -> Range<usize> {
-    let first = vector * S::F32_LANES;
-    row * columns + first..row * columns + (first + S::F32_LANES).min(columns)
-}
-
-/// Numbers of a list, as many as a vector holds. Behind `lanes` is whatever follows in the list, or zeros:
-/// to leave something out takes longer than to compute with it and not to keep the result.
-#[inline(always)]
-fn load<S: Simd>(simd: S, list: &[f32], lanes: Range<usize>) -> S::f32s {
-    match list.get(lanes.start..lanes.start + S::F32_LANES) {
-        Some(numbers) => S::as_simd_f32s(numbers).0[0],
-        None => simd.partial_load_f32s(&list[lanes]),
-    }
-}
-
-/// The inverse; what is behind `lanes` stays as it is.
-#[inline(always)]
-fn store<S: Simd>(simd: S, list: &mut [f32], lanes: Range<usize>, vector: S::f32s) {
-    let list = &mut list[lanes];
-    if list.len() == S::F32_LANES {
-        S::as_mut_simd_f32s(list).0[0] = vector;
-    } else {
-        simd.partial_store_f32s(list, vector);
     }
 }
 

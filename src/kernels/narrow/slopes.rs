@@ -7,7 +7,8 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Room, Rows, lanes, load, store};
+use super::{Room, Rows};
+use crate::kernels::vectors::{lanes, load, store};
 
 /// Rows whose sums are one part of the whole.
 const PART: usize = 1 << 10;

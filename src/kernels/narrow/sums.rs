@@ -5,8 +5,11 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Panels, Room, Rows, lanes, load, store};
-use crate::kernels::math::relu;
+use super::{Panels, Room, Rows};
+use crate::kernels::{
+    math::relu,
+    vectors::{lanes, load, store},
+};
 
 /// Rows that a thread takes at once.
 const CHUNK: usize = 1 << 10;
