@@ -31,6 +31,8 @@ const SWEEPS: usize = 20;
 const OVER: f32 = 1.7;
 /// The longest shift along an axis (cells).
 const LONGEST: f32 = 0.5;
+/// An empty range that any node makes one of its own.
+const NONE: Range<usize> = Range { start: usize::MAX, end: 0 };
 /// Nodes before the domain's lower corner: one in the stencils of particles, and one around all.
 const MARGIN: usize = 2;
 
@@ -46,8 +48,7 @@ pub(super) struct Volume {
     /// Nodes between walls, along an axis.
     inside: [Range<usize>; 2],
     /// How full each node is, and with liquid, `[nodes up, nodes across]`.
-    fill: Vec<f32>,
-    liquid: Vec<f32>,
+    fill: Vec<[f32; 2]>,
     /// What there is too much of liquid.
     excess: Vec<f32>,
     /// 1 / neighbours between walls, 0 where there is no pressure.
@@ -55,7 +56,9 @@ pub(super) struct Volume {
     pressure: Vec<f32>,
     /// A row of the new pressure.
     row: Vec<f32>,
-    /// The columns of each row that particles touch.
+    /// [`OVER`] at every other node, else 0.
+    steps: Vec<f32>,
+    /// The columns of each row that particles touch; [`NONE`] where they touch none.
     touched: Vec<Range<usize>>,
     /// How much of a node's stencil is between walls, along an axis.
     open: [Vec<f32>; 2],
@@ -94,11 +97,11 @@ impl Volume {
             extent: [0; 2],
             inside: [0..0, 0..0],
             fill: Vec::new(),
-            liquid: Vec::new(),
             excess: Vec::new(),
             share: Vec::new(),
             pressure: Vec::new(),
             row: Vec::new(),
+            steps: Vec::new(),
             touched: Vec::new(),
             open: [Vec::new(), Vec::new()],
         }
@@ -125,6 +128,7 @@ impl Volume {
                 self.sweep(0);
                 self.sweep(1);
             }
+            self.extend();
         }
     }
 
@@ -160,13 +164,8 @@ impl Volume {
         let ((a, x), (b, y)) = (base(x), base(y));
         let (across, up) = ([weights(x), slopes(x)], [weights(y), slopes(y)]);
         let mut slope = [0.0; 2];
-        // Beyond a wall pressure is what it is at the wall.
-        let held = |axis: usize, node: usize| {
-            node.max(self.inside[axis].start).min(self.inside[axis].end - 1)
-        };
         for (j, (weight, steepness)) in up[0].into_iter().zip(up[1]).enumerate() {
-            let row = held(1, b + j) * self.extent[0];
-            let row = [0, 1, 2].map(|i| self.pressure[row + held(0, a + i)]);
+            let row = &self.pressure[(b + j) * self.extent[0] + a..][..3];
             let sum = |by: &[f32; 3]| by[0] * row[0] + by[1] * row[1] + by[2] * row[2];
             slope[0] += weight * sum(&across[1]);
             slope[1] += steepness * sum(&across[0]);
@@ -187,16 +186,16 @@ impl Volume {
         place
     }
 
-    /// Room for all nodes of the domain, of which those that particles touched last are zero again.
+    /// Room for all nodes of the domain; rows that particles touched last are zero again.
     fn make_room(&mut self, domain: &Domain, walls: &Ballistic) {
         let across = self.extent[0];
-        for (j, touched) in self.touched.iter_mut().enumerate() {
-            let nodes = j * across + touched.start..j * across + touched.end;
-            let Self { fill, liquid, excess, share, pressure, .. } = self;
-            for list in [fill, liquid, excess, share, pressure] {
+        for (j, touched) in self.touched.iter_mut().enumerate().filter(|(_, row)| **row != NONE) {
+            let nodes = j * across..(j + 1) * across;
+            self.fill[nodes.clone()].fill([0.0; 2]);
+            for list in [&mut self.excess, &mut self.share, &mut self.pressure] {
                 list[nodes.clone()].fill(0.0);
             }
-            *touched = 0..0;
+            *touched = NONE;
         }
         let before = self.extent;
         self.corner = domain.lower;
@@ -217,14 +216,17 @@ impl Volume {
         }
         if self.extent != before {
             let nodes = self.extent[0] * self.extent[1];
-            let Self { fill, liquid, excess, share, pressure, .. } = self;
-            for list in [fill, liquid, excess, share, pressure] {
+            self.fill.clear();
+            self.fill.resize(nodes, [0.0; 2]);
+            for list in [&mut self.excess, &mut self.share, &mut self.pressure] {
                 list.clear();
                 list.resize(nodes, 0.0);
             }
             self.row.resize(self.extent[0], 0.0);
+            self.steps.clear();
+            self.steps.extend((0..=self.extent[0]).map(|i| if i % 2 == 0 { OVER } else { 0.0 }));
             self.touched.clear();
-            self.touched.resize(self.extent[1], 0..0);
+            self.touched.resize(self.extent[1], NONE);
         }
     }
 
@@ -239,15 +241,12 @@ impl Volume {
             let wet = if material == Material::Liquid { 1.0 } else { 0.0 };
             for (j, up) in up.into_iter().enumerate() {
                 let touched = &mut self.touched[b + j];
-                *touched = match touched.start == touched.end {
-                    true => a..a + 3,
-                    false => touched.start.min(a)..touched.end.max(a + 3),
-                };
-                let nodes = (b + j) * self.extent[0] + a;
-                for (i, across) in across.into_iter().enumerate() {
+                *touched = touched.start.min(a)..touched.end.max(a + 3);
+                let nodes = &mut self.fill[(b + j) * self.extent[0] + a..][..3];
+                for ([fill, liquid], across) in nodes.iter_mut().zip(across) {
                     let mass = one * up * across;
-                    self.fill[nodes + i] += mass;
-                    self.liquid[nodes + i] += mass * wet;
+                    *fill += mass;
+                    *liquid += mass * wet;
                 }
             }
         }
@@ -271,7 +270,7 @@ impl Volume {
             let above = u8::from(j > rows.start) + u8::from(j + 1 < rows.end);
             for i in self.columns(j) {
                 // As full as if there were as much beyond walls.
-                let found = self.fill[row + i];
+                let [found, liquid] = self.fill[row + i];
                 let fill = found / (self.open[0][i] * self.open[1][j]);
                 let beside = u8::from(i > columns.start) + u8::from(i + 1 < columns.end);
                 let neighbours = above + beside;
@@ -281,12 +280,34 @@ impl Volume {
                 self.share[row + i] = 1.0 / f32::from(neighbours);
                 if fill > FULLEST {
                     // Others are not moved: snow packs, solids have their shape.
-                    self.excess[row + i] = (fill - FULLEST) * self.liquid[row + i] / found;
+                    self.excess[row + i] = (fill - FULLEST) * liquid / found;
                     any |= self.excess[row + i] > 0.0;
                 }
             }
         }
         any
+    }
+
+    /// Beyond a wall pressure is what it is at the wall.
+    #[inline(always)]
+    fn extend(&mut self) {
+        let [columns, rows] = self.inside.clone();
+        let across = self.extent[0];
+        for j in rows.clone().filter(|&j| self.touched[j] != NONE) {
+            let row = &mut self.pressure[j * across..][..across];
+            let (first, last) = (row[columns.start], row[columns.end - 1]);
+            row[..columns.start].fill(first);
+            row[columns.end..].fill(last);
+        }
+        for (wall, beyond) in
+            [(rows.start, 0..rows.start), (rows.end - 1, rows.end..self.extent[1])]
+        {
+            for j in beyond.filter(|&j| self.touched[j] != NONE) {
+                if self.touched[wall] != NONE {
+                    self.pressure.copy_within(wall * across..(wall + 1) * across, j * across);
+                }
+            }
+        }
     }
 
     /// One sweep over the nodes of one colour of the checkerboard.
@@ -306,12 +327,12 @@ impl Volume {
                 &self.excess[j * across + start..][..count],
                 &self.share[j * across + start..][..count],
             );
+            let steps = &self.steps[(start + j + colour) % 2..][..count];
             let new = &mut self.row[..count];
             for i in 0..count {
                 let sum = left[i] + right[i] + below[i] + above[i] + excess[i];
-                let relaxed = (here[i] + OVER * (sum * share[i] - here[i])).max(0.0);
-                let its_turn = (start + i + j) % 2 == colour;
-                new[i] = if its_turn { relaxed } else { here[i] };
+                let relaxed = here[i] + steps[i] * (sum * share[i] - here[i]);
+                new[i] = if relaxed > 0.0 { relaxed } else { 0.0 };
             }
             self.pressure[j * across + start..][..count].copy_from_slice(&self.row[..count]);
         }
@@ -365,7 +386,7 @@ mod tests {
         let mut volume = Volume::new(SPACING);
         volume.make_room(&frame.domain, &WALLS);
         volume.fill(&frame.position, &frame.material);
-        volume.fill.into_iter().fold(0.0, f32::max)
+        volume.fill.into_iter().map(|[fill, _]| fill).fold(0.0, f32::max)
     }
 
     fn centre(frame: &Frame) -> [f64; 2] {
