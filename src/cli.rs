@@ -56,10 +56,19 @@ pub enum Command {
     Predict(PredictArgs),
     /// Judges checkpoints by free rollouts over bags.
     Eval(EvalArgs),
+    /// Runs several of these commands from one file, and restarts what fails.
+    Launch(LaunchArgs),
     /// Looks into bags.
     Bag(BagArgs),
     /// Measures what this machine carries.
     Bench(BenchArgs),
+}
+
+/// `eddy launch`
+#[derive(Debug, Args)]
+pub struct LaunchArgs {
+    /// The launch file (TOML; launch_configs/ has examples).
+    pub file: PathBuf,
 }
 
 /// `eddy demo`

@@ -10,7 +10,7 @@
 //! | layer | modules |
 //! |---|---|
 //! | L7 | `cli`, `commands` |
-//! | L6 | `bench`, `config` |
+//! | L6 | `bench`, `config`, `launch` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine` |
@@ -29,6 +29,7 @@ pub mod eval;
 pub mod exchange;
 pub mod frame;
 pub mod kernels;
+pub mod launch;
 pub mod model;
 pub mod mpm;
 pub mod msg;

@@ -48,6 +48,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Node(args) => commands::node::run(args, quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
+        Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
         Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
         Command::Bag(args) => commands::bag::run(args, quiet, &interrupt),
     }

@@ -4,6 +4,7 @@ pub mod bag;
 pub mod bench;
 pub mod demo;
 pub mod eval;
+pub mod launch;
 pub mod node;
 pub mod predict;
 pub mod record;

@@ -1,8 +1,8 @@
 //! The settings in `launch_configs/` are what the program takes.
 
-use std::path::Path;
+use std::{fs, os::unix::fs::symlink, path::Path};
 
-use crate::support::{Process, fail, talking_eddy, unique};
+use crate::support::{Process, fail, succeed, talking_eddy, unique};
 
 fn file(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs");
@@ -32,5 +32,27 @@ fn training_takes_its_settings() {
             ["train", "--config", &config, "--data", "/no/bags/here", "--output", &output];
         let message = fail(1, arguments);
         assert!(message.contains("/no/bags/here"), "{settings}: {message}");
+    }
+}
+
+#[test]
+fn replay_node_and_record_run_from_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let bags = folder.path().join("bags");
+    fs::create_dir(&bags).unwrap();
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/sample");
+    symlink(sample, bags.join("sample")).unwrap();
+    let mut command = talking_eddy();
+    command.args(["launch", &file("replay_node_record.toml")]).current_dir(folder.path());
+    // Nobody else is in this domain, whatever runs beside this test.
+    command.env("ROS_DOMAIN_ID", (1 + std::process::id() % 232).to_string());
+    let output = command.output().unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(printed.contains("[replay] has ended"), "{printed}");
+
+    let recorded = succeed(["bag", "info", bags.join("launched").to_str().unwrap()]);
+    for topic in ["/particles", "/prediction"] {
+        assert!(recorded.contains(topic), "{recorded}");
     }
 }

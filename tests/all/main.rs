@@ -7,6 +7,7 @@ mod bench;
 mod eval;
 mod exchange;
 mod graph;
+mod launch;
 mod launch_configs;
 mod layers;
 mod mpm;

@@ -1,0 +1,108 @@
+//! `eddy launch`: several processes from one file.
+
+use std::{fs, path::Path, process::Command};
+
+use crate::support::{Process, fail, succeed, talking_eddy, unique, wait_for};
+
+/// Writes a launch file and returns its path.
+fn plan(folder: &Path, text: &str) -> String {
+    let file = folder.join("plan.toml");
+    fs::write(&file, text).unwrap();
+    file.display().to_string()
+}
+
+fn node(prefix: &str) -> String {
+    format!(
+        "[[process]]\nname = 'node'\nrun = ['node', '--input', 'shm:/{prefix}/particles', '--output', 'shm:/{prefix}/prediction']\n"
+    )
+}
+
+/// The numbers of processes that have this word among their arguments.
+fn running(word: &str) -> Vec<String> {
+    let arguments = |id: &str| fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+    fs::read_dir("/proc")
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|id| String::from_utf8_lossy(&arguments(id)).contains(word))
+        .collect()
+}
+
+#[test]
+fn what_is_killed_is_started_again_and_all_end_with_the_launch() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("again");
+    let file = plan(folder.path(), &format!("restart.delay = 0.05\n{}", node(&prefix)));
+    let mut launch =
+        Process::start_until(talking_eddy().args(["launch", &file]), "[node] predicting");
+    let first = running(&prefix);
+    assert_eq!(first.len(), 1, "{first:?}");
+    assert!(Command::new("kill").args(["-KILL", &first[0]]).status().unwrap().success());
+    let second =
+        wait_for("the node runs again", || running(&prefix).into_iter().find(|id| *id != first[0]));
+    launch.interrupt();
+    assert!(launch.wait().success());
+    assert!(!running(&prefix).contains(&second), "{second} outlived its launch");
+    let printed = launch.rest();
+    assert!(printed.contains("[node] signal: 9 (SIGKILL), starts again in 0.1 s"), "{printed}");
+    assert!(printed.ends_with("all ended: 1 restarts, 0 killed\n"), "{printed}");
+}
+
+#[test]
+fn a_launch_that_is_killed_takes_its_processes_along() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("along");
+    let file = plan(folder.path(), &node(&prefix));
+    let launch = Process::start_until(talking_eddy().args(["launch", &file]), "[node] predicting");
+    assert_eq!(running(&prefix).len(), 1);
+    launch.kill();
+    wait_for("the node ends", || running(&prefix).is_empty().then_some(()));
+}
+
+#[test]
+fn what_fails_too_often_ends_the_launch_with_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("often");
+    let text = format!(
+        "restart = {{ delay = 0.01, limit = 2 }}\n{}[[process]]\nname = 'lost'\nrun = ['replay', '/no/bag/here']\n",
+        node(&prefix)
+    );
+    let message = fail(1, ["launch", &plan(folder.path(), &text)]);
+    assert!(
+        message.contains("lost: found exit status: 1, expected no more than 2 restarts in a row"),
+        "{message}"
+    );
+    assert!(running(&prefix).is_empty());
+}
+
+#[test]
+fn wrong_usage_is_not_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[[process]]\nname = 'odd'\nrun = ['nod']\n";
+    let message = fail(1, ["launch", &plan(folder.path(), text)]);
+    assert!(message.contains("odd: found wrong usage"), "{message}");
+}
+
+#[test]
+fn a_process_may_end_all_others_when_it_is_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("done");
+    let text = format!(
+        "{}[[process]]\nname = 'short'\nrun = ['bag', 'info', 'bags/sample']\non_exit = 'shutdown'\n",
+        node(&prefix)
+    );
+    succeed(["launch", &plan(folder.path(), &text)]);
+    assert!(running(&prefix).is_empty());
+}
+
+#[test]
+fn a_plan_that_makes_no_sense_is_refused_by_file_and_field() {
+    let folder = tempfile::tempdir().unwrap();
+    for (text, expected) in [
+        ("process = []", "plan.toml: process: found none, expected at least one [[process]]"),
+        ("[[process]]\nname = 'a'\nrun = ['node']\nretsart = true", "unknown field `retsart`"),
+        ("[[process]\n", "plan.toml: "),
+    ] {
+        let message = fail(1, ["launch", &plan(folder.path(), text)]);
+        assert!(message.contains(expected), "{message}");
+    }
+}
