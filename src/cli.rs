@@ -9,12 +9,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::commands::simulate;
 use eddy::{
+    bag::Compression,
     model::{Architecture, Core, DeviceKind},
     mpm::Law,
     transport::{Link, Reliability, TransportKind},
 };
 
-pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
+pub use bag::{
+    BagArgs, BagCommand, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs, NewBagArgs,
+    RecoverArgs, RenderArgs,
+};
 pub use bench::{BenchArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
@@ -56,7 +60,7 @@ pub enum Command {
     Predict(PredictArgs),
     /// Judges checkpoints by free rollouts over bags.
     Eval(EvalArgs),
-    /// Looks into bags.
+    /// Looks into bags, and makes bags of bags.
     Bag(BagArgs),
     /// Measures what this machine carries.
     Bench(BenchArgs),
@@ -165,6 +169,16 @@ pub enum CompressionArg {
     None,
     Lz4,
     Zstd,
+}
+
+impl From<CompressionArg> for Compression {
+    fn from(arg: CompressionArg) -> Self {
+        match arg {
+            CompressionArg::None => Self::None,
+            CompressionArg::Lz4 => Self::Lz4,
+            CompressionArg::Zstd => Self::Zstd,
+        }
+    }
 }
 
 /// `eddy replay`

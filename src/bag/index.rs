@@ -6,14 +6,16 @@ use std::{
     fs::File,
     io::Read,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use mcap::{
     MAGIC, parse_record,
-    records::{Channel, ChunkIndex, Record, SchemaHeader, Statistics, op},
+    records::{self, ChunkIndex, Record, SchemaHeader, Statistics, op},
 };
 
 use super::{
+    channel::{Channel, Schema},
     error::BagError,
     layout,
     record::{self, RecordHeader, Records, SIZE_LIMIT, Step},
@@ -22,16 +24,6 @@ use super::{
 
 /// A run of messages outside chunks ends at this size (bytes), so that reading stays bounded.
 const LOOSE_RUN: u64 = 1 << 20;
-
-/// A channel: a topic of one file, with its type.
-#[derive(Clone, Debug)]
-pub(super) struct ChannelInfo {
-    pub(super) topic: String,
-    pub(super) type_name: String,
-    pub(super) schema: String,
-    /// RIHS01 type hash, if the file tells.
-    pub(super) hash: Option<String>,
-}
 
 /// What is wrong with a file as far as its index tells.
 #[derive(Clone, Debug)]
@@ -63,7 +55,8 @@ pub(super) struct FileIndex {
     pub(super) path: PathBuf,
     /// Length of the file (bytes).
     pub(super) size: u64,
-    pub(super) channels: BTreeMap<u16, ChannelInfo>,
+    pub(super) schemas: BTreeMap<u16, Arc<Schema>>,
+    pub(super) channels: BTreeMap<u16, Arc<Channel>>,
     /// Messages, by channel.
     pub(super) counts: BTreeMap<u16, u64>,
     /// Smallest and largest log time (ns), if there is a message.
@@ -72,6 +65,14 @@ pub(super) struct FileIndex {
     /// Names of the compressions of its chunks; empty for none.
     pub(super) compressions: BTreeSet<String>,
     pub(super) damage: Option<Damage>,
+    /// Whether all this is from the file's own summary.
+    pub(super) summarized: bool,
+    /// If it was walked through: the end of its last whole record before the summary (bytes).
+    pub(super) data_end: u64,
+    /// If it was walked through: its readable chunks as a summary lists them.
+    pub(super) chunks: Vec<ChunkIndex>,
+    /// If it was walked through: its attachments and its metadata records.
+    pub(super) extras: (u32, u32),
 }
 
 impl FileIndex {
@@ -100,6 +101,22 @@ impl FileIndex {
         let records = Records::new(file, size, magic.len() as u64);
         Builder::new(path, number, size).by_walking(records)
     }
+
+    /// Indexes the file by walking through it, whatever its summary says.
+    ///
+    /// # Errors
+    /// [`BagError::Io`].
+    pub(super) fn walk(path: &Path) -> Result<Self, BagError> {
+        let failed = |reason| BagError::Io { path: path.into(), action: "reading", reason };
+        let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
+        let size = file.metadata().map_err(failed)?.len();
+        Builder::new(path, 0, size).by_walking(Records::new(file, size, MAGIC.len() as u64))
+    }
+
+    /// How many messages it has.
+    pub(super) fn messages(&self) -> u64 {
+        self.counts.values().sum()
+    }
 }
 
 /// An index while it is being made.
@@ -107,8 +124,6 @@ struct Builder {
     index: FileIndex,
     /// Number of the file in its bag.
     number: usize,
-    /// Name and text, by MCAP's schema id.
-    schemas: BTreeMap<u16, (String, String)>,
 }
 
 impl Builder {
@@ -116,14 +131,19 @@ impl Builder {
         let index = FileIndex {
             path: path.into(),
             size,
+            schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             counts: BTreeMap::new(),
             times: None,
             segments: Vec::new(),
             compressions: BTreeSet::new(),
             damage: None,
+            summarized: false,
+            data_end: MAGIC.len() as u64,
+            chunks: Vec::new(),
+            extras: (0, 0),
         };
-        Self { index, number, schemas: BTreeMap::new() }
+        Self { index, number }
     }
 
     /// The index in the file's summary; `None` when it lacks a part that is needed or contradicts
@@ -179,6 +199,7 @@ impl Builder {
         self.index.counts = counts;
         self.index.times = (statistics.message_count > 0)
             .then_some((statistics.message_start_time, statistics.message_end_time));
+        self.index.summarized = true;
         Some(self.index)
     }
 
@@ -189,7 +210,7 @@ impl Builder {
         match ended {
             Ok(None) => {}
             Ok(Some(expected)) => {
-                let (size, messages) = (self.index.size, self.index.counts.values().sum());
+                let (size, messages) = (self.index.size, self.index.messages());
                 let truncated = Damage::Truncated { size, messages, expected };
                 self.index.damage.get_or_insert(truncated);
             }
@@ -229,8 +250,14 @@ impl Builder {
                 op::DATA_END => in_summary = true,
                 _ if in_summary => {}
                 op::CHUNK => self.chunk(&header, Kind::Chunk, records)?,
+                op::MESSAGE_INDEX => self.message_index(&header, records)?,
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => self.loose(&header, records)?,
+                op::ATTACHMENT => self.index.extras.0 += 1,
+                op::METADATA => self.index.extras.1 += 1,
                 _ => {}
+            }
+            if !in_summary {
+                self.index.data_end = header.end();
             }
         }
     }
@@ -241,8 +268,9 @@ impl Builder {
         kind: Kind,
         records: &mut Records,
     ) -> Result<(), WalkError> {
-        if let Some(compression) = records.compression(header)? {
-            self.index.compressions.insert(compression);
+        let stated = records.chunk_header(header)?;
+        if let Some(stated) = &stated {
+            self.index.compressions.insert(stated.compression.clone());
         }
         let end = header.end().min(self.index.size);
         let segment = Segment {
@@ -275,9 +303,42 @@ impl Builder {
             }
             Err(error) => return Err(error.into()),
         }
+        if let Some(stated) = stated.filter(|_| kind == Kind::Chunk) {
+            let (message_start_time, message_end_time) = times.unwrap_or_default();
+            self.index.chunks.push(ChunkIndex {
+                message_start_time,
+                message_end_time,
+                chunk_start_offset: header.position,
+                chunk_length: segment.length,
+                message_index_offsets: BTreeMap::new(),
+                message_index_length: 0,
+                compressed_size: header.length.saturating_sub(stated.records as u64),
+                uncompressed_size: stated.uncompressed,
+                compression: stated.compression,
+            });
+        }
         if let Some((first, last)) = times {
             self.index.segments.push(Segment { first, last, ..segment });
             self.count(counts, (first, last));
+        }
+        Ok(())
+    }
+
+    /// Notes where the chunk before it keeps the index of one of its channels.
+    fn message_index(
+        &mut self,
+        header: &RecordHeader,
+        records: &mut Records,
+    ) -> Result<(), WalkError> {
+        let Some(chunk) = self.index.chunks.last_mut() else { return Ok(()) };
+        let indexed = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length;
+        if header.position != indexed || header.length > SIZE_LIMIT {
+            return Ok(());
+        }
+        let body = records.read(header)?;
+        if let Ok(Record::MessageIndex(index)) = parse_record(header.opcode, &body) {
+            chunk.message_index_offsets.insert(index.channel_id, header.position);
+            chunk.message_index_length += header.end() - header.position;
         }
         Ok(())
     }
@@ -350,23 +411,34 @@ impl Builder {
     /// Notes a schema or a channel.
     fn declare(&mut self, record: &Record<'_>) -> Result<(), String> {
         match record {
-            Record::Schema { header: SchemaHeader { id, name, .. }, data } => {
-                let text = String::from_utf8_lossy(data).into_owned();
-                self.schemas.insert(*id, (name.clone(), text));
+            Record::Schema { header: SchemaHeader { id, name, encoding }, data } => {
+                let (name, encoding) = (name.clone(), encoding.clone());
+                let schema = Schema { name, encoding, data: data.to_vec() };
+                self.index.schemas.insert(*id, Arc::new(schema));
             }
-            Record::Channel(Channel { id, schema_id, topic, metadata, .. }) => {
-                let (type_name, schema) = match (schema_id, self.schemas.get(schema_id)) {
-                    (0, _) => (String::new(), String::new()),
-                    (_, Some(schema)) => schema.clone(),
+            Record::Channel(records::Channel {
+                id,
+                schema_id,
+                topic,
+                message_encoding,
+                metadata,
+            }) => {
+                let schema = match (schema_id, self.index.schemas.get(schema_id)) {
+                    (0, _) => None,
+                    (_, Some(schema)) => Some(Arc::clone(schema)),
                     (_, None) => {
                         return Err(format!(
                             "channel {id} of topic {topic} with schema {schema_id}, which is unknown"
                         ));
                     }
                 };
-                let hash = metadata.get("topic_type_hash").filter(|hash| !hash.is_empty()).cloned();
-                let channel = ChannelInfo { topic: topic.clone(), type_name, schema, hash };
-                self.index.channels.insert(*id, channel);
+                let channel = Channel {
+                    topic: topic.clone(),
+                    schema,
+                    encoding: message_encoding.clone(),
+                    metadata: metadata.clone(),
+                };
+                self.index.channels.insert(*id, Arc::new(channel));
             }
             _ => {}
         }

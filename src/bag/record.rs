@@ -101,13 +101,13 @@ impl Records {
         Ok(body)
     }
 
-    /// The name of a chunk's compression (empty for none), if so much of the chunk is there.
-    pub(super) fn compression(&mut self, chunk: &RecordHeader) -> io::Result<Option<String>> {
+    /// What a chunk states about itself, if so much of it is there.
+    pub(super) fn chunk_header(&mut self, chunk: &RecordHeader) -> io::Result<Option<ChunkHeader>> {
         let available = self.size.saturating_sub(chunk.body()).min(chunk.length);
         let mut start =
             vec![0; available.min((CHUNK_FIXED + COMPRESSION_NAME_LIMIT) as u64) as usize];
         self.read_at(chunk.body(), &mut start)?;
-        Ok(ChunkHeader::parse(&start).map(|header| header.compression))
+        Ok(ChunkHeader::parse(&start))
     }
 
     fn read_at(&mut self, position: u64, into: &mut [u8]) -> io::Result<()> {
@@ -120,8 +120,10 @@ impl Records {
     }
 }
 
-/// The part of a chunk's header that a cut chunk needs.
+/// What a chunk states about itself.
 pub(super) struct ChunkHeader {
+    /// Size of the records before compression (bytes).
+    pub(super) uncompressed: u64,
     /// Empty for none.
     pub(super) compression: String,
     /// CRC-32 of the records before compression; 0 if there is none.
@@ -134,6 +136,7 @@ impl ChunkHeader {
     /// The header at the start of a chunk's body, if it is there whole.
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
         let number = |at: usize| body.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
+        let uncompressed = body.get(16..24)?.try_into().ok().map(u64::from_le_bytes)?;
         let (crc, name_length) = (number(24)?, number(28)? as usize);
         if name_length > COMPRESSION_NAME_LIMIT {
             return None;
@@ -141,7 +144,7 @@ impl ChunkHeader {
         let name_end = CHUNK_FIXED + name_length;
         let compression = String::from_utf8(body.get(CHUNK_FIXED..name_end)?.to_vec()).ok()?;
         // The size after compression comes last.
-        Some(Self { compression, crc, records: name_end + 8 })
+        Some(Self { uncompressed, compression, crc, records: name_end + 8 })
     }
 }
 

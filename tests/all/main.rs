@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod bag;
+mod bag_edit;
 mod bench;
 mod eval;
 mod exchange;
