@@ -183,7 +183,7 @@ impl BagError {
     }
 
     /// For `map_err`: an [`BagError::Io`] of `action` on `path`.
-    pub(super) fn io(
+    pub(crate) fn io(
         path: impl Into<PathBuf>,
         action: &'static str,
     ) -> impl FnOnce(io::Error) -> Self {

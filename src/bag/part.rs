@@ -127,9 +127,9 @@ impl Part {
     ///
     /// # Errors
     /// The reason, and what is left of the file.
-    pub(super) fn finish(mut self) -> Result<WrittenFile, (BagError, Unclosed)> {
+    pub(super) fn finish(mut self) -> Result<WrittenFile, Box<(BagError, Unclosed)>> {
         if let Err(error) = self.mcap.finish() {
-            return Err((refused(&self.active, error), self.abandon()));
+            return Err(Box::new((refused(&self.active, error), self.abandon())));
         }
         let Self { mcap, file, active, messages, times, .. } = self;
         let stream = mcap.into_inner().into_inner().stream;
@@ -142,7 +142,7 @@ impl Part {
         let unclosed = Unclosed { file, active };
         match ended.and_then(|()| unclosed.name(messages, times)) {
             Ok(written) => Ok(written),
-            Err(error) => Err((error, unclosed)),
+            Err(error) => Err(Box::new((error, unclosed))),
         }
     }
 

@@ -332,7 +332,8 @@ impl BagWriter {
         let done = std::mem::replace(&mut self.part, next);
         match done.finish() {
             Ok(file) => self.finished.push(file),
-            Err((error, unclosed)) => {
+            Err(failed) => {
+                let (error, unclosed) = *failed;
                 self.full |= error.is_no_room();
                 if self.full {
                     self.finished.push(unclosed.close_in_the_room_there_is()?);
@@ -388,10 +389,13 @@ impl BagWriter {
         let Self { part, directory, mut finished, topics, custom_data, full, .. } = self;
         let last = match part.finish() {
             Ok(file) => file,
-            Err((error, unclosed)) if full || error.is_no_room() => {
+            Err(failed) => {
+                let (error, unclosed) = *failed;
+                if !full && !error.is_no_room() {
+                    return Err(error);
+                }
                 unclosed.close_in_the_room_there_is()?
             }
-            Err((error, _)) => return Err(error),
         };
         finished.push(last);
         let messages = finished.iter().map(|file| file.messages).sum();

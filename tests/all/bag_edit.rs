@@ -392,7 +392,7 @@ fn a_split_bag_without_its_metadata_is_reindexed_to_the_same_metadata() {
     let metadata = path.join("metadata.yaml");
     let before = fs::read_to_string(&metadata).unwrap();
     fs::remove_file(&metadata).unwrap();
-    assert_eq!(reindex(&path).unwrap().summarized, [PathBuf::new(); 0]);
+    assert!(reindex(&path).unwrap().summarized.is_empty());
     assert_eq!(fs::read_to_string(&metadata).unwrap(), before);
     fs::write(&metadata, "rubbish").unwrap();
     succeed(["bag", "reindex", path.to_str().unwrap()]);
@@ -409,7 +409,7 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
     let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
     write_foreign(&file, &times, bare);
     let (before, size) = (messages(&file), fs::metadata(&file).unwrap().len());
-    assert_eq!(reindex(&bag).unwrap().summarized, [file.clone()]);
+    assert_eq!(reindex(&bag).unwrap().summarized, std::slice::from_ref(&file));
     assert_eq!(messages(&bag), before);
     assert_eq!(findings(&bag), [""; 0]);
     assert!(fs::metadata(&file).unwrap().len() > size + 1_000);
@@ -418,6 +418,8 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
     assert_eq!(summary.stats.unwrap().message_count, 60);
     assert_eq!(summary.channels.len(), 4);
     assert!(summary.chunk_indexes.len() > 5);
-    assert!(summary.chunk_indexes.iter().all(|chunk| !chunk.message_index_offsets.is_empty()));
-    assert_eq!(reindex(&bag).unwrap().summarized, [PathBuf::new(); 0]);
+    let indexed =
+        summary.chunk_indexes.iter().filter(|chunk| !chunk.message_index_offsets.is_empty());
+    assert!(indexed.count() > 5);
+    assert!(reindex(&bag).unwrap().summarized.is_empty());
 }

@@ -14,6 +14,8 @@ mod mpm;
 mod physics;
 mod pipeline;
 mod pytorch;
+mod record;
+mod replay;
 mod scenes;
 mod support;
 mod train;

@@ -16,6 +16,11 @@ pub struct TopicChoice {
 }
 
 impl TopicChoice {
+    /// Whether no topic can be wanted.
+    pub fn is_empty(&self) -> bool {
+        !self.all && self.names.is_empty() && self.regex.is_empty()
+    }
+
     /// Whether a topic is wanted.
     pub fn wants(&self, topic: &str) -> bool {
         let asked_for = self.all
@@ -47,6 +52,6 @@ mod tests {
         }
         let all = TopicChoice { all: true, ..choice };
         assert!(all.wants("/ab") && !all.wants("/left/status"));
-        assert!(!TopicChoice::default().wants("/a"));
+        assert!(!TopicChoice::default().wants("/a") && TopicChoice::default().is_empty());
     }
 }
