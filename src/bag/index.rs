@@ -22,6 +22,9 @@ use super::{
     segment::{Kind, Segment, described, wanted_record},
 };
 
+/// No record has this opcode: bytes that were never written, most likely.
+const NO_RECORD: u8 = 0;
+
 /// A run of messages outside chunks ends at this size (bytes), so that reading stays bounded.
 const LOOSE_RUN: u64 = 1 << 20;
 
@@ -229,6 +232,9 @@ impl Builder {
         loop {
             let header = match records.step()? {
                 Step::Record(header) => header,
+                Step::CutBody(header) if !in_summary && self.reads_on(&header, records)? => {
+                    continue;
+                }
                 Step::CutBody(header) => {
                     if header.opcode == op::CHUNK {
                         self.chunk(&header, Kind::CutChunk, records)?;
@@ -242,6 +248,12 @@ impl Builder {
                 Step::End => return Ok(Some("the data end record and the footer".into())),
             };
             match header.opcode {
+                NO_RECORD if !in_summary => {
+                    if self.reads_on(&header, records)? {
+                        continue;
+                    }
+                    return Ok(Some(format!("a record from byte {}", header.position)));
+                }
                 op::FOOTER => {
                     let rest = self.index.size - header.end();
                     let expected = "the 8 bytes that end an MCAP file";
@@ -260,6 +272,21 @@ impl Builder {
                 self.index.data_end = header.end();
             }
         }
+    }
+
+    /// Looks for a chunk after a record that cannot be one, and goes on there.
+    fn reads_on(
+        &mut self,
+        header: &RecordHeader,
+        records: &mut Records,
+    ) -> Result<bool, WalkError> {
+        let found = records.go_to_chunk(header.position + 1)?;
+        if found {
+            let (found, expected) = (described(header), "a record within the file".into());
+            let damage = Damage::Corrupt { position: header.position, found, expected };
+            self.index.damage.get_or_insert(damage);
+        }
+        Ok(found)
     }
 
     fn chunk(

@@ -10,7 +10,8 @@
 //!
 //! Reading:
 //! 7. `record`: the records of a file, one after the other.
-//! 8. `index`: where messages lie in a file: from its summary, or by walking through the file.
+//! 8. `index`: where messages lie in a file: from its summary, or by walking through the file;
+//!    `resync` finds where to go on behind damage.
 //! 9. `segment`: one piece of a file, decompressed and checked.
 //! 10. `messages`: the pieces of all files, merged by time.
 //! 11. `reader`: topics, messages and frames of a bag.
@@ -35,6 +36,7 @@ mod part;
 mod qos;
 mod reader;
 mod record;
+mod resync;
 mod segment;
 mod summary;
 mod survey;

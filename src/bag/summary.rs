@@ -29,6 +29,11 @@ pub(super) fn end_file(path: &Path) -> Result<FileIndex, BagError> {
     let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
     let mut index = FileIndex::walk(path)?;
     let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
+    if index.data_end < index.size {
+        // What a cut chunk still has is not in the file any more then.
+        file.set_len(index.data_end).map_err(failed)?;
+        index = FileIndex::walk(path)?;
+    }
     loop {
         let end = ending(&index);
         file.set_len(index.data_end).map_err(failed)?;

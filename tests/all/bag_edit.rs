@@ -269,7 +269,7 @@ fn a_copy_that_is_stopped_or_runs_out_of_room_leaves_nothing() {
         .unwrap();
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("writing"), "{message}");
+    assert!(message.contains("File too large"), "{message}");
     assert_eq!(folder.names(), before);
 }
 
@@ -422,4 +422,34 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
         summary.chunk_indexes.iter().filter(|chunk| !chunk.message_index_offsets.is_empty());
     assert!(indexed.count() > 5);
     assert!(reindex(&bag).unwrap().summarized.is_empty());
+}
+
+#[test]
+fn damage_between_chunks_without_an_index_costs_what_it_hits() {
+    let folder = Folder::new();
+    let times: Vec<u64> = (0..60).map(|number| number * 1_000).collect();
+    let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
+    write_foreign(&folder.join("bare.mcap"), &times, bare);
+    let whole = messages(&folder.join("bare.mcap"));
+    let bytes = fs::read(folder.join("bare.mcap")).unwrap();
+    let middle = bytes.len() / 2;
+    for name in ["zeros", "ones", "a hole"] {
+        let mut bytes = bytes.clone();
+        match name {
+            "zeros" => bytes[middle..middle + 300].fill(0),
+            "ones" => bytes[middle..middle + 300].fill(0xff),
+            _ => drop(bytes.drain(middle..middle + 300)),
+        }
+        fs::write(folder.join("damaged.mcap"), &bytes).unwrap();
+        let saved = folder.join("saved");
+        let recovered =
+            recover(&folder.join("damaged.mcap"), &saved, copying(&mut || true)).unwrap();
+        assert_eq!(recovered.losses.len(), 1, "{name}: {:?}", recovered.losses);
+        let kept = messages(&saved);
+        assert!((50..60).contains(&kept.len()), "{name}: {}", kept.len());
+        assert!(kept.iter().all(|message| whole.contains(message)), "{name}");
+        assert_eq!(kept.last(), whole.last(), "{name}: what comes after the damage is kept");
+        assert_eq!(findings(&saved), [""; 0], "{name}");
+        fs::remove_dir_all(&saved).unwrap();
+    }
 }
