@@ -8,9 +8,9 @@ use mcap::records::Record;
 use super::{
     channel::Channel,
     error::BagError,
-    index::unknown_channel,
     reader::{ChannelOfFile, Contents},
     segment::Segment,
+    walk::unknown_channel,
 };
 use crate::frame::Stamp;
 

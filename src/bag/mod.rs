@@ -10,7 +10,7 @@
 //!
 //! Reading:
 //! 7. `record`: the records of a file, one after the other.
-//! 8. `index`: where messages lie in a file: from its summary, or by walking through the file;
+//! 8. `index`: where messages lie in a file: from its summary, or by a `walk` through the file;
 //!    `resync` finds where to go on behind damage.
 //! 9. `segment`: one piece of a file, decompressed and checked.
 //! 10. `messages`: the pieces of all files, merged by time.
@@ -40,6 +40,7 @@ mod resync;
 mod segment;
 mod summary;
 mod survey;
+mod walk;
 mod writer;
 
 pub use channel::{Channel, Schema};

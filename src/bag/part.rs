@@ -4,6 +4,7 @@
 //! of whole chunks, and at most the last one is cut.
 
 use std::{
+    collections::BTreeMap,
     fs::{self, File},
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
@@ -162,12 +163,14 @@ pub(super) struct Unclosed {
 
 impl Unclosed {
     /// Ends the file after the whole chunks that fit on the disk beside its summary, and gives it its
-    /// name: for when no room was left to write on.
-    pub(super) fn close_in_the_room_there_is(self) -> Result<WrittenFile, BagError> {
+    /// name: for when no room was left to write on. Gives also the messages it has, by channel.
+    pub(super) fn close_in_the_room_there_is(
+        self,
+    ) -> Result<(WrittenFile, BTreeMap<u16, u64>), BagError> {
         let index = summary::end_file(&self.active)?;
         let stamp = |time: u64| Stamp(i64::try_from(time).unwrap_or(i64::MAX));
         let times = index.times.map(|(start, end)| (stamp(start), stamp(end)));
-        self.name(index.messages(), times)
+        Ok((self.name(index.messages(), times)?, index.counts))
     }
 
     fn name(&self, messages: u64, times: Option<(Stamp, Stamp)>) -> Result<WrittenFile, BagError> {

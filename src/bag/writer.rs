@@ -109,7 +109,7 @@ pub struct BagSummary {
     pub start: Option<Stamp>,
     /// Largest log time, if there is a message.
     pub end: Option<Stamp>,
-    /// The topics, in the order in which they were added, with the messages they were given.
+    /// The topics, in the order in which they were added.
     pub topics: Vec<WrittenTopic>,
     /// What else `metadata.yaml` says (`custom_data`).
     pub custom_data: BTreeMap<String, String>,
@@ -127,8 +127,10 @@ pub struct BagWriter {
     name: String,
     finished: Vec<WrittenFile>,
     topics: Vec<WrittenTopic>,
-    /// MCAP's channel ids in the current file, by topic.
-    channels: Vec<u16>,
+    /// By topic: MCAP's channel id in the current file, and the messages it was given there.
+    channels: Vec<(u16, u64)>,
+    /// Messages that no room was left for.
+    lost: u64,
     custom_data: BTreeMap<String, String>,
     /// A file could not be written on, for want of room; the bag has ended before its time.
     full: bool,
@@ -163,6 +165,7 @@ impl BagWriter {
             finished: Vec::new(),
             topics: Vec::new(),
             channels: Vec::new(),
+            lost: 0,
             custom_data: BTreeMap::new(),
             full: false,
         })
@@ -252,7 +255,7 @@ impl BagWriter {
         }
         let id = self.part.declare(channel);
         let id = self.noted(id)?;
-        self.channels.push(id);
+        self.channels.push((id, 0));
         self.topics.push(WrittenTopic {
             name: channel.topic.clone(),
             type_name: channel.type_name().to_owned(),
@@ -306,11 +309,12 @@ impl BagWriter {
         if self.must_split(log_time, data.len() as u64) {
             self.split()?;
         }
-        let channel_id = self.channels[index];
+        let (channel_id, _) = self.channels[index];
         let (log, publish_time) = times;
         let header = MessageHeader { channel_id, sequence, log_time: log, publish_time };
         // Also what fails on its way to the disk was given to the bag.
         self.topics[index].messages += 1;
+        self.channels[index].1 += 1;
         let written = self.part.write(&header, log_time, data);
         self.noted(written)
     }
@@ -336,7 +340,9 @@ impl BagWriter {
                 let (error, unclosed) = *failed;
                 self.full |= error.is_no_room();
                 if self.full {
-                    self.finished.push(unclosed.close_in_the_room_there_is()?);
+                    let (file, kept) = unclosed.close_in_the_room_there_is()?;
+                    self.finished.push(file);
+                    self.lost += lost(&mut self.topics, &mut self.channels, &kept);
                 }
                 return Err(error);
             }
@@ -345,7 +351,7 @@ impl BagWriter {
         let channels: Vec<_> = topics.collect();
         for (index, channel) in channels.iter().enumerate() {
             let id = self.part.declare(channel);
-            self.channels[index] = self.noted(id)?;
+            self.channels[index] = (self.noted(id)?, 0);
         }
         Ok(())
     }
@@ -385,31 +391,47 @@ impl BagWriter {
     /// # Errors
     /// [`BagError::Io`] and [`BagError::Format`]. The file then keeps the name `*.active`.
     pub fn finish(self) -> Result<BagSummary, BagError> {
-        let given = self.messages();
-        let Self { part, directory, mut finished, topics, custom_data, full, .. } = self;
-        let last = match part.finish() {
+        let Self { part, directory, finished: mut files, mut topics, mut channels, .. } = self;
+        let mut lost_here = 0;
+        files.push(match part.finish() {
             Ok(file) => file,
             Err(failed) => {
                 let (error, unclosed) = *failed;
-                if !full && !error.is_no_room() {
+                if !self.full && !error.is_no_room() {
                     return Err(error);
                 }
-                unclosed.close_in_the_room_there_is()?
+                let (file, kept) = unclosed.close_in_the_room_there_is()?;
+                lost_here = lost(&mut topics, &mut channels, &kept);
+                file
             }
-        };
-        finished.push(last);
-        let messages = finished.iter().map(|file| file.messages).sum();
+        });
         let summary = BagSummary {
             directory,
-            messages,
-            lost: given.saturating_sub(messages),
-            start: finished.iter().filter_map(|file| file.start).min(),
-            end: finished.iter().filter_map(|file| file.end).max(),
-            files: finished,
+            messages: files.iter().map(|file| file.messages).sum(),
+            lost: self.lost + lost_here,
+            start: files.iter().filter_map(|file| file.start).min(),
+            end: files.iter().filter_map(|file| file.end).max(),
+            files,
             topics,
-            custom_data,
+            custom_data: self.custom_data,
         };
         metadata::write(&summary)?;
         Ok(summary)
     }
+}
+
+/// Takes from the counts of the topics what a file was given and could not keep; how much that is.
+fn lost(
+    topics: &mut [WrittenTopic],
+    channels: &mut [(u16, u64)],
+    kept: &BTreeMap<u16, u64>,
+) -> u64 {
+    let mut lost = 0;
+    for (topic, (channel, given)) in topics.iter_mut().zip(channels) {
+        let missing = given.saturating_sub(kept.get(channel).copied().unwrap_or_default());
+        topic.messages -= missing;
+        lost += missing;
+        *given = 0;
+    }
+    lost
 }

@@ -241,6 +241,13 @@ fn a_recorder_without_room_closes_a_readable_bag_and_says_so() {
     assert_eq!(findings(&world.bag()), [""; 0]);
     let bag = BagReader::open(&world.bag()).unwrap();
     assert!(!bag.is_unfinished());
+    let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+    let count = format!("  message_count: {}\n", bag.message_count());
+    assert_eq!(
+        metadata.matches(&count).count(),
+        3,
+        "of the bag, the topic and the file: {metadata}"
+    );
     // Three of the four mebibytes at least.
     assert!(bag.message_count() > 300, "{}", bag.message_count());
     for (number, message) in bag.messages().enumerate() {
