@@ -16,7 +16,7 @@ use crate::bag::{
 ///
 /// # Errors
 /// [`BagError::TopicType`] when a topic has two types, or one type with two definitions by its type
-/// hash; otherwise as [`extract`](super::extract).
+/// hash; otherwise as [`extract`](fn@super::extract).
 pub fn merge(
     bags: &[BagReader],
     output: &Path,

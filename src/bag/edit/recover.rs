@@ -22,7 +22,7 @@ pub struct Recovered {
 /// that was never closed but ends after a whole record counts as whole.
 ///
 /// # Errors
-/// [`BagError::Nothing`] when there is no message to keep, otherwise as [`extract`](super::extract).
+/// [`BagError::Nothing`] when there is no message to keep, otherwise as [`extract`](fn@super::extract).
 pub fn recover(
     path: &Path,
     output: &Path,

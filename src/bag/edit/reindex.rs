@@ -31,7 +31,7 @@ pub struct Reindexed {
 /// `metadata.yaml`. Each file is replaced as a whole; the records in it stay as they are.
 ///
 /// # Errors
-/// [`BagError::Unfinished`] and damage of a file, which [`recover`](super::recover) is for: nothing is
+/// [`BagError::Unfinished`] and damage of a file, which [`recover`](fn@super::recover) is for: nothing is
 /// changed then. [`BagError::Io`] when writing failed: each file is then the old or the new one.
 pub fn reindex(path: &Path) -> Result<Reindexed, BagError> {
     let files = layout::mcap_files(path)?;
