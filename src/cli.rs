@@ -6,16 +6,23 @@ mod bench;
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use regex::Regex;
 
 use crate::commands::simulate;
 use eddy::{
+    bag::Compression,
     model::{Architecture, Core, DeviceKind},
     mpm::Law,
     transport::{Link, Reliability, TransportKind},
 };
 
-pub use bag::{BagArgs, BagCommand, Color, ExportArgs, ImportArgs, RenderArgs};
-pub use bench::{BenchArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs};
+pub use bag::{
+    BagArgs, BagCommand, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs, NewBagArgs,
+    RecoverArgs, RenderArgs,
+};
+pub use bench::{
+    BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs,
+};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -58,7 +65,7 @@ pub enum Command {
     Eval(EvalArgs),
     /// Runs several of these commands from one file, and restarts what fails.
     Launch(LaunchArgs),
-    /// Looks into bags.
+    /// Looks into bags, and makes bags of bags.
     Bag(BagArgs),
     /// Measures what this machine carries.
     Bench(BenchArgs),
@@ -153,17 +160,39 @@ pub struct SimulateArgs {
 #[derive(Debug, Args)]
 pub struct RecordArgs {
     /// The links to record, for example zenoh:/particles zenoh:/prediction.
-    #[arg(required = true)]
+    #[arg(required_unless_present_any = ["all", "regex"])]
     pub links: Vec<Link>,
+    /// Record every topic that is published, also those that appear later.
+    #[arg(long, short)]
+    pub all: bool,
+    /// Record every topic in whose name this is found, also those that appear later.
+    #[arg(long, short = 'e')]
+    pub regex: Vec<Regex>,
+    /// Of those, leave out the topics in whose name this is found.
+    #[arg(long, short = 'x')]
+    pub exclude: Vec<Regex>,
+    /// Where --all and --regex look for topics; a topic on several is recorded once.
+    #[arg(long, value_delimiter = ',', default_values = ["zenoh", "shm"])]
+    pub from: Vec<TransportKind>,
     /// The bag: a directory that does not exist yet.
     #[arg(long, short)]
     pub output: PathBuf,
+    /// Begin a new file before one is larger than this (bytes, without its index).
+    #[arg(long, short = 'b', visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_bag_size: Option<u64>,
+    /// Begin a new file when one is so long (seconds).
+    #[arg(long, short = 'd')]
+    pub max_bag_duration: Option<f64>,
     /// End after so many seconds; at SIGINT or SIGTERM if not given.
     #[arg(long)]
-    pub max_duration: Option<f64>,
+    pub stop_after: Option<f64>,
     /// End after so many messages.
     #[arg(long)]
     pub max_messages: Option<u64>,
+    /// Memory for messages that wait to be written (bytes). When it is full, publishers that block wait
+    /// up to 5 s; then, and from those that drop, messages are lost and counted.
+    #[arg(long, default_value_t = 100 << 20)]
+    pub max_cache_size: usize,
     /// How chunks are compressed.
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     pub compression: CompressionArg,
@@ -174,6 +203,16 @@ pub enum CompressionArg {
     None,
     Lz4,
     Zstd,
+}
+
+impl From<CompressionArg> for Compression {
+    fn from(arg: CompressionArg) -> Self {
+        match arg {
+            CompressionArg::None => Self::None,
+            CompressionArg::Lz4 => Self::Lz4,
+            CompressionArg::Zstd => Self::Zstd,
+        }
+    }
 }
 
 /// `eddy replay`
@@ -199,6 +238,12 @@ pub struct ReplayArgs {
     /// Only these topics; all if not given.
     #[arg(long, num_args = 1..)]
     pub topics: Vec<String>,
+    /// Publish the recorded time on /clock, so often a second [without a number: 40].
+    #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "40")]
+    pub clock: Option<f64>,
+    /// Wait for the space bar (on a terminal) before the first message.
+    #[arg(long, short = 'p')]
+    pub start_paused: bool,
     /// Publish a topic under another name: /particles:=/truth.
     #[arg(long, value_name = "FROM:=TO")]
     pub remap: Vec<String>,

@@ -20,7 +20,7 @@ const FAILED: u8 = 1;
 
 fn main() -> ExitCode {
     match run(Cli::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             #[expect(
                 clippy::print_stderr,
@@ -34,7 +34,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(cli: Cli) -> anyhow::Result<()> {
+fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let filter = EnvFilter::try_new(&cli.log_level)?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).init();
     let interrupt = Interrupt::install()?;
@@ -50,6 +50,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
         Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
-        Command::Bag(args) => commands::bag::run(args, quiet, &interrupt),
+        Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
     }
+    .map(|()| ExitCode::SUCCESS)
 }

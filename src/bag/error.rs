@@ -143,6 +143,24 @@ pub enum BagError {
         /// The time (ns).
         found: i64,
     },
+    /// There is no message that a new bag could have.
+    #[error("{path}: found no message to write into it, expected at least 1", path = .path.display())]
+    Nothing {
+        /// The bag that was not written.
+        path: PathBuf,
+    },
+    /// The user wanted no more.
+    #[error("{path}: interrupted before it was whole, nothing was kept", path = .path.display())]
+    Interrupted {
+        /// The bag that was not written.
+        path: PathBuf,
+    },
+    /// A file is still being written, or was left so.
+    #[error("{path}: found a file that was never closed, expected finished files", path = .path.display())]
+    Unfinished {
+        /// The file.
+        path: PathBuf,
+    },
     /// The topic's message type is not one of ours.
     #[error("topic {topic}: {reason}")]
     Type {
@@ -154,8 +172,18 @@ pub enum BagError {
 }
 
 impl BagError {
+    /// Whether it happened because the disk is full, or because the file or its owner reached a limit.
+    pub fn is_no_room(&self) -> bool {
+        matches!(self, Self::Io { reason, .. } if Self::is_out_of_room(reason))
+    }
+
+    pub(super) fn is_out_of_room(error: &io::Error) -> bool {
+        use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+        matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    }
+
     /// For `map_err`: an [`BagError::Io`] of `action` on `path`.
-    pub(super) fn io(
+    pub(crate) fn io(
         path: impl Into<PathBuf>,
         action: &'static str,
     ) -> impl FnOnce(io::Error) -> Self {

@@ -13,12 +13,21 @@ pub(super) const METADATA: &str = "metadata.yaml";
 /// Added to the name of a file while it is being written.
 pub(super) const ACTIVE: &str = ".active";
 
-/// Name of the first file of the bag in `directory`: `run7` has `run7_0.mcap`.
+/// The name of the bag in `directory`: its last part.
 ///
-/// `None` when the path has no last part (`/`, `..`).
-pub(super) fn first_file(directory: &Path) -> Option<PathBuf> {
-    let name = directory.file_name()?.to_str()?;
-    Some(directory.join(format!("{name}_0.mcap")))
+/// # Errors
+/// [`BagError::NotABag`] when the path has none (`/`, `..`).
+pub(super) fn name_of(directory: &Path) -> Result<String, BagError> {
+    let name = directory.file_name().and_then(|name| name.to_str());
+    name.map(str::to_owned).ok_or_else(|| BagError::NotABag {
+        path: directory.into(),
+        found: "a path without a last part in UTF-8".into(),
+    })
+}
+
+/// File `number`, from 0, of the bag called `name`: `run7` has `run7_0.mcap`.
+pub(super) fn numbered(directory: &Path, name: &str, number: usize) -> PathBuf {
+    directory.join(format!("{name}_{number}.mcap"))
 }
 
 /// Whether the name is that of an MCAP file, being written or finished.
@@ -55,6 +64,20 @@ pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     Ok(files)
 }
 
+/// The MCAP files at `path`, whatever `metadata.yaml` says: those in a directory, or the file itself.
+pub(super) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
+    if !kind.is_dir() {
+        return Ok(vec![path.into()]);
+    }
+    let (files, _) = children(path)?;
+    if files.is_empty() {
+        let found = "a directory without .mcap files".into();
+        return Err(BagError::NotABag { path: path.into(), found });
+    }
+    Ok(files)
+}
+
 /// The bags at and beneath `paths`, each once, in the order of `paths` and then of their names.
 ///
 /// A path may be a bag directory, an MCAP file, or a directory that holds bags at any depth
@@ -84,8 +107,10 @@ pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
 
 fn collect(directory: &Path, bags: &mut Vec<PathBuf>) -> Result<(), BagError> {
     let active = |file: &Path| PathBuf::from(format!("{}{ACTIVE}", file.display()));
-    let named_after_it =
-        first_file(directory).is_some_and(|file| file.exists() || active(&file).exists());
+    let named_after_it = name_of(directory).is_ok_and(|name| {
+        let file = numbered(directory, &name, 0);
+        file.exists() || active(&file).exists()
+    });
     if named_after_it || directory.join(METADATA).exists() {
         bags.push(directory.into());
         return Ok(());

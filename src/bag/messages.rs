@@ -5,7 +5,13 @@ use std::{collections::VecDeque, path::PathBuf, sync::Arc};
 
 use mcap::records::Record;
 
-use super::{error::BagError, index::unknown_channel, reader::Contents, segment::Segment};
+use super::{
+    channel::Channel,
+    error::BagError,
+    reader::{ChannelOfFile, Contents},
+    segment::Segment,
+    walk::unknown_channel,
+};
 use crate::frame::Stamp;
 
 /// A message of a bag.
@@ -23,6 +29,8 @@ pub struct BagMessage {
     pub publish_time: Stamp,
     /// CDR with its 4-byte header, unchecked.
     pub data: Vec<u8>,
+    /// The topic as the writer described it.
+    pub channel: Arc<Channel>,
 }
 
 /// Which messages of a bag are wanted.
@@ -100,12 +108,12 @@ impl Messages {
         let sorted_until_now = ready.len();
         let outcome = segment.read(path, |record| {
             let Record::Message { header, data } = record else { return Ok(()) };
-            let &topic =
+            let ChannelOfFile { topic, channel } =
                 topics.get(&header.channel_id).ok_or_else(|| unknown_channel(header.channel_id))?;
-            if !self.wanted[topic] || header.log_time < self.from || header.log_time > self.until {
+            if !self.wanted[*topic] || header.log_time < self.from || header.log_time > self.until {
                 return Ok(());
             }
-            let topic = &contents.names[topic];
+            let topic = &contents.names[*topic];
             ready.push_back(BagMessage {
                 topic: topic.name.clone(),
                 type_name: topic.type_name.clone(),
@@ -113,6 +121,7 @@ impl Messages {
                 log_time: stamp("log_time", header.log_time)?,
                 publish_time: stamp("publish_time", header.publish_time)?,
                 data: data.into_owned(),
+                channel: Arc::clone(channel),
             });
             Ok(())
         });

@@ -1,56 +1,27 @@
 //! `metadata.yaml`, version 9: written as rosbag2 writes it, read as far as eddy needs it.
 
 use std::{
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{error::BagError, layout::METADATA, writer::BagSummary};
+use super::{
+    error::BagError,
+    layout::METADATA,
+    qos::{self, QosProfile},
+    writer::BagSummary,
+};
+use crate::frame::Stamp;
 
 /// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
 const VERSION: u32 = 9;
 
-/// `rmw_time_t` of a duration without end: 2^63 - 1 nanoseconds.
-const INFINITE: QosTime = QosTime { sec: 9_223_372_036, nsec: 854_775_807 };
-
-/// One offered quality of service, in the words of version 9.
-#[derive(Serialize)]
-struct QosProfile {
-    history: &'static str,
-    depth: u32,
-    reliability: &'static str,
-    durability: &'static str,
-    deadline: QosTime,
-    lifespan: QosTime,
-    liveliness: &'static str,
-    liveliness_lease_duration: QosTime,
-    avoid_ros_namespace_conventions: bool,
-}
-
-#[derive(Clone, Copy, Serialize)]
-struct QosTime {
-    sec: u64,
-    nsec: u64,
-}
-
-/// ROS 2's default profile, which a player then offers: nothing is lost when a bag is replayed.
-const DEFAULT_PROFILE: QosProfile = QosProfile {
-    history: "keep_last",
-    depth: 10,
-    reliability: "reliable",
-    durability: "volatile",
-    deadline: INFINITE,
-    lifespan: INFINITE,
-    liveliness: "automatic",
-    liveliness_lease_duration: INFINITE,
-    avoid_ros_namespace_conventions: false,
-};
-
-/// The value of a channel's `offered_qos_profiles`: the list of `metadata.yaml` as a text.
+/// The value of a channel's `offered_qos_profiles` where eddy writes it: a list as a text.
 pub(super) fn offered_qos_profiles() -> String {
-    to_yaml(&[DEFAULT_PROFILE])
+    to_yaml(&[QosProfile::default()])
 }
 
 fn to_yaml<T: Serialize>(value: &T) -> String {
@@ -73,9 +44,9 @@ struct Information<'a> {
     topics_with_message_count: Vec<TopicWithCount<'a>>,
     compression_format: &'static str,
     compression_mode: &'static str,
-    relative_file_paths: [&'a str; 1],
-    files: [FileInformation<'a>; 1],
-    custom_data: Option<()>,
+    relative_file_paths: Vec<&'a str>,
+    files: Vec<FileInformation<'a>>,
+    custom_data: Option<&'a BTreeMap<String, String>>,
     ros_distro: &'static str,
 }
 
@@ -99,8 +70,8 @@ struct TopicWithCount<'a> {
 struct TopicMetadata<'a> {
     name: &'a str,
     r#type: &'a str,
-    serialization_format: &'static str,
-    offered_qos_profiles: [QosProfile; 1],
+    serialization_format: &'a str,
+    offered_qos_profiles: Vec<QosProfile>,
     type_description_hash: &'a str,
 }
 
@@ -122,44 +93,73 @@ pub(super) fn write(bag: &BagSummary) -> Result<(), BagError> {
 }
 
 fn text(bag: &BagSummary) -> String {
-    let file = bag.file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    let starting_time =
-        SinceEpoch { nanoseconds_since_epoch: bag.start.map_or(0, |start| start.0) };
-    let duration = Nanoseconds {
-        nanoseconds: bag.start.zip(bag.end).map_or(0, |(start, end)| end.0 - start.0),
-    };
-    let message_count = bag.messages;
-    let topics_with_message_count = bag
-        .topics
+    let files: Vec<FileInformation> = bag
+        .files
         .iter()
-        .map(|topic| TopicWithCount {
-            topic_metadata: TopicMetadata {
-                name: &topic.name,
-                r#type: &topic.type_name,
-                serialization_format: "cdr",
-                offered_qos_profiles: [DEFAULT_PROFILE],
-                type_description_hash: &topic.hash,
-            },
-            message_count: topic.messages,
+        .map(|file| FileInformation {
+            path: file.path.file_name().and_then(|name| name.to_str()).unwrap_or_default(),
+            starting_time: starting_time(file.start),
+            duration: duration(file.start, file.end),
+            message_count: file.messages,
         })
         .collect();
     to_yaml(&Document {
         rosbag2_bagfile_information: Information {
             version: VERSION,
             storage_identifier: "mcap",
-            duration,
-            starting_time,
-            message_count,
-            topics_with_message_count,
+            duration: duration(bag.start, bag.end),
+            starting_time: starting_time(bag.start),
+            message_count: bag.messages,
+            topics_with_message_count: topics(bag),
             // Compression is that of MCAP's chunks; these two are for whole files and messages.
             compression_format: "",
             compression_mode: "",
-            relative_file_paths: [file],
-            files: [FileInformation { path: file, starting_time, duration, message_count }],
-            custom_data: None,
+            relative_file_paths: files.iter().map(|file| file.path).collect(),
+            files,
+            custom_data: (!bag.custom_data.is_empty()).then_some(&bag.custom_data),
             ros_distro: "eddy",
         },
     })
+}
+
+fn starting_time(start: Option<Stamp>) -> SinceEpoch {
+    SinceEpoch { nanoseconds_since_epoch: start.map_or(0, |start| start.0) }
+}
+
+fn duration(start: Option<Stamp>, end: Option<Stamp>) -> Nanoseconds {
+    Nanoseconds { nanoseconds: start.zip(end).map_or(0, |(start, end)| end.0 - start.0) }
+}
+
+/// Each topic and type once, whatever else its writers said about it.
+fn topics(bag: &BagSummary) -> Vec<TopicWithCount<'_>> {
+    let mut topics: Vec<TopicWithCount> = Vec::new();
+    for topic in &bag.topics {
+        let offered = qos::parse(topic.channel.offered_qos());
+        let known = topics.iter_mut().find(|known| {
+            known.topic_metadata.name == topic.name
+                && known.topic_metadata.r#type == topic.type_name
+        });
+        if let Some(known) = known {
+            known.message_count += topic.messages;
+            for profile in offered {
+                if !known.topic_metadata.offered_qos_profiles.contains(&profile) {
+                    known.topic_metadata.offered_qos_profiles.push(profile);
+                }
+            }
+            continue;
+        }
+        topics.push(TopicWithCount {
+            topic_metadata: TopicMetadata {
+                name: &topic.name,
+                r#type: &topic.type_name,
+                serialization_format: &topic.channel.encoding,
+                offered_qos_profiles: offered,
+                type_description_hash: &topic.hash,
+            },
+            message_count: topic.messages,
+        });
+    }
+    topics
 }
 
 #[derive(Deserialize)]
@@ -175,6 +175,8 @@ struct ReadInformation {
     message_count: u64,
     #[serde(default)]
     compression_mode: String,
+    #[serde(default)]
+    custom_data: Option<BTreeMap<String, String>>,
 }
 
 fn read(path: &Path) -> Result<ReadInformation, BagError> {
@@ -230,27 +232,61 @@ pub(super) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
     Ok(Some(read(&path)?.message_count))
 }
 
+/// `custom_data` of the metadata of the bag at `bag`, if it can be read.
+pub(super) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
+    read(&bag.join(METADATA)).ok()?.custom_data
+}
+
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
-    use crate::{bag::WrittenTopic, frame::Stamp};
+    use crate::bag::{Channel, WrittenTopic, channel::OFFERED_QOS, writer::WrittenFile};
 
     fn bag() -> BagSummary {
+        let channel = Channel {
+            topic: "/particles".into(),
+            schema: None,
+            encoding: "cdr".into(),
+            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), offered_qos_profiles())]),
+        };
         let topic = WrittenTopic {
             name: "/particles".into(),
             type_name: "eddy_msgs/msg/ParticleFrame".into(),
             hash: "RIHS01_00".into(),
             messages: 3,
+            channel: Arc::new(channel),
         };
-        BagSummary {
-            directory: "run".into(),
-            file: "run/run_0.mcap".into(),
+        let file = WrittenFile {
+            path: "run/run_0.mcap".into(),
             messages: 3,
             start: Some(Stamp(1_000)),
             end: Some(Stamp(33_000)),
             size: 0,
+        };
+        BagSummary {
+            directory: "run".into(),
+            files: vec![file],
+            messages: 3,
+            lost: 0,
+            start: Some(Stamp(1_000)),
+            end: Some(Stamp(33_000)),
             topics: vec![topic],
+            custom_data: BTreeMap::new(),
         }
+    }
+
+    #[test]
+    fn every_file_of_a_split_bag_is_listed_with_what_the_recorder_had_to_say() {
+        let mut bag = bag();
+        let second = WrittenFile { path: "run/run_1.mcap".into(), ..bag.files[0].clone() };
+        bag.files.push(second);
+        bag.custom_data.insert("not_kept".into(), "7".into());
+        let text = text(&bag);
+        assert!(text.contains("relative_file_paths:\n  - run_0.mcap\n  - run_1.mcap\n"), "{text}");
+        assert!(text.contains("  - path: run_1.mcap\n"), "{text}");
+        assert!(text.contains("custom_data:\n    not_kept: \"7\"\n"), "{text}");
     }
 
     #[test]

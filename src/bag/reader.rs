@@ -1,12 +1,13 @@
 //! A bag to read: its topics, its messages, its frames.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     path::{Path, PathBuf},
     sync::Arc,
 };
 
 use super::{
+    channel::Channel,
     error::BagError,
     index::FileIndex,
     layout,
@@ -39,6 +40,13 @@ pub(super) struct TopicNames {
     pub(super) type_name: Arc<str>,
 }
 
+/// A channel of a file: the topic it belongs to, by number, and its description.
+#[derive(Debug)]
+pub(super) struct ChannelOfFile {
+    pub(super) topic: usize,
+    pub(super) channel: Arc<Channel>,
+}
+
 /// What opening a bag found out.
 #[derive(Debug)]
 pub(super) struct Contents {
@@ -48,8 +56,10 @@ pub(super) struct Contents {
     pub(super) topics: Vec<TopicInfo>,
     /// For each topic.
     pub(super) names: Vec<TopicNames>,
-    /// For each file: number of the topic, by MCAP's channel id.
-    pub(super) channels: Vec<BTreeMap<u16, usize>>,
+    /// For each file, by MCAP's channel id. Equal channels of several files are the same.
+    pub(super) channels: Vec<BTreeMap<u16, ChannelOfFile>>,
+    /// Each channel once, in the order of the files and of their ids.
+    distinct: Vec<Arc<Channel>>,
 }
 
 impl Contents {
@@ -76,7 +86,12 @@ impl BagReader {
     /// that is damaged further inside opens; [`BagReader::damage`] tells, and reading it ends with
     /// the error.
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        let files = layout::files_of(path)?
+        Self::open_files(path, &layout::files_of(path)?)
+    }
+
+    /// Opens these files as one bag that is called `path`.
+    pub(super) fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
+        let files = files
             .iter()
             .enumerate()
             .map(|(number, file)| FileIndex::open(file, number))
@@ -84,30 +99,33 @@ impl BagReader {
         let mut topics = BTreeMap::new();
         for file in &files {
             for (id, channel) in &file.channels {
-                let key = (channel.topic.clone(), channel.type_name.clone());
+                let key = (channel.topic.as_str(), channel.type_name());
                 let topic = topics.entry(key).or_insert_with(|| TopicInfo {
                     name: channel.topic.clone(),
-                    type_name: channel.type_name.clone(),
-                    schema: channel.schema.clone(),
-                    hash: channel.hash.clone(),
+                    type_name: channel.type_name().to_owned(),
+                    schema: channel.definition(),
+                    hash: channel.type_hash().map(str::to_owned),
                     message_count: 0,
                 });
                 topic.message_count += file.counts.get(id).copied().unwrap_or_default();
             }
         }
         let topics: Vec<TopicInfo> = topics.into_values().collect();
+        let mut distinct = IndexedChannels::default();
         let channels = files
             .iter()
             .map(|file| {
-                let topic_of = |id: &u16| {
-                    let channel = &file.channels[id];
-                    topics.iter().position(|topic| {
-                        topic.name == channel.topic && topic.type_name == channel.type_name
-                    })
+                let of_file = |(id, channel): (&u16, &Arc<Channel>)| {
+                    let is_its = |topic: &TopicInfo| {
+                        topic.name == channel.topic && topic.type_name == channel.type_name()
+                    };
+                    let topic = topics.iter().position(is_its)?;
+                    Some((*id, ChannelOfFile { topic, channel: distinct.share(channel) }))
                 };
-                file.channels.keys().filter_map(|id| Some((*id, topic_of(id)?))).collect()
+                file.channels.iter().filter_map(of_file).collect()
             })
             .collect();
+        let distinct = distinct.in_order;
         let names = topics
             .iter()
             .map(|topic| TopicNames {
@@ -115,7 +133,8 @@ impl BagReader {
                 type_name: topic.type_name.as_str().into(),
             })
             .collect();
-        let contents = Contents { path: path.into(), files, topics, names, channels };
+        let path = path.into();
+        let contents = Contents { path, files, topics, names, channels, distinct };
         Ok(Self { contents: Arc::new(contents) })
     }
 
@@ -153,6 +172,12 @@ impl BagReader {
     /// Its topics, sorted by name. A topic with messages of two types is there twice.
     pub fn topics(&self) -> &[TopicInfo] {
         &self.contents.topics
+    }
+
+    /// Its topics as their writers described them, in the order of the files and of their ids. A topic
+    /// that several writers described differently is there several times.
+    pub fn channels(&self) -> &[Arc<Channel>] {
+        &self.contents.distinct
     }
 
     /// How many messages it has.
@@ -263,6 +288,25 @@ impl BagReader {
         }
         let words = |topic: &TopicInfo| format!("{} ({})", topic.name, topic.type_name);
         self.topics().iter().map(words).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// Channels, each once.
+#[derive(Default)]
+struct IndexedChannels {
+    known: HashSet<Arc<Channel>>,
+    in_order: Vec<Arc<Channel>>,
+}
+
+impl IndexedChannels {
+    /// The one that equals `channel`.
+    fn share(&mut self, channel: &Arc<Channel>) -> Arc<Channel> {
+        if let Some(known) = self.known.get(channel) {
+            return Arc::clone(known);
+        }
+        self.known.insert(Arc::clone(channel));
+        self.in_order.push(Arc::clone(channel));
+        Arc::clone(channel)
     }
 }
 

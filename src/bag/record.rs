@@ -63,8 +63,9 @@ pub(super) enum Step {
 /// Walks through the records of a file.
 pub(super) struct Records {
     file: BufReader<File>,
-    size: u64,
-    position: u64,
+    pub(super) size: u64,
+    /// Where the next record starts.
+    pub(super) position: u64,
 }
 
 impl Records {
@@ -101,16 +102,16 @@ impl Records {
         Ok(body)
     }
 
-    /// The name of a chunk's compression (empty for none), if so much of the chunk is there.
-    pub(super) fn compression(&mut self, chunk: &RecordHeader) -> io::Result<Option<String>> {
+    /// What a chunk states about itself, if so much of it is there.
+    pub(super) fn chunk_header(&mut self, chunk: &RecordHeader) -> io::Result<Option<ChunkHeader>> {
         let available = self.size.saturating_sub(chunk.body()).min(chunk.length);
         let mut start =
             vec![0; available.min((CHUNK_FIXED + COMPRESSION_NAME_LIMIT) as u64) as usize];
         self.read_at(chunk.body(), &mut start)?;
-        Ok(ChunkHeader::parse(&start).map(|header| header.compression))
+        Ok(ChunkHeader::parse(&start))
     }
 
-    fn read_at(&mut self, position: u64, into: &mut [u8]) -> io::Result<()> {
+    pub(super) fn read_at(&mut self, position: u64, into: &mut [u8]) -> io::Result<()> {
         let here = self.file.stream_position()?;
         match i64::try_from(i128::from(position) - i128::from(here)) {
             Ok(offset) => self.file.seek_relative(offset)?,
@@ -120,28 +121,34 @@ impl Records {
     }
 }
 
-/// The part of a chunk's header that a cut chunk needs.
+/// What a chunk states about itself.
 pub(super) struct ChunkHeader {
+    /// Size of the records before compression (bytes).
+    pub(super) uncompressed: u64,
     /// Empty for none.
     pub(super) compression: String,
     /// CRC-32 of the records before compression; 0 if there is none.
     pub(super) crc: u32,
     /// Where the records start in the body.
     pub(super) records: usize,
+    /// Their size after compression (bytes).
+    pub(super) compressed: u64,
 }
 
 impl ChunkHeader {
     /// The header at the start of a chunk's body, if it is there whole.
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
         let number = |at: usize| body.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
+        let long = |at: usize| body.get(at..at + 8)?.try_into().ok().map(u64::from_le_bytes);
+        let uncompressed = long(16)?;
         let (crc, name_length) = (number(24)?, number(28)? as usize);
         if name_length > COMPRESSION_NAME_LIMIT {
             return None;
         }
         let name_end = CHUNK_FIXED + name_length;
         let compression = String::from_utf8(body.get(CHUNK_FIXED..name_end)?.to_vec()).ok()?;
-        // The size after compression comes last.
-        Some(Self { compression, crc, records: name_end + 8 })
+        let (compressed, records) = (long(name_end)?, name_end + 8);
+        Some(Self { uncompressed, compression, crc, records, compressed })
     }
 }
 

@@ -1,21 +1,22 @@
-//! Messages into an MCAP file, as rosbag2 writes it.
-//!
-//! Chunks are gathered in memory and appended whole: what a killed process leaves behind is a file
-//! of whole chunks, and at most the last one is cut.
+//! Messages into a bag as rosbag2 lays it out: a directory of MCAP files, split by size and time.
 
 use std::{
     collections::BTreeMap,
-    fs::{self, File},
-    io::BufWriter,
+    fs,
     path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
 };
 
-use mcap::{McapError, records::MessageHeader, write::NoSeek};
+use mcap::records::MessageHeader;
 
 use super::{
+    channel::{Channel, OFFERED_QOS, Schema, TYPE_HASH},
     error::BagError,
-    layout::{self, ACTIVE},
+    layout,
+    messages::BagMessage,
     metadata,
+    part::Part,
 };
 use crate::{frame::Stamp, msg::type_support};
 
@@ -38,11 +39,24 @@ pub struct WriterOptions {
     pub compression: Compression,
     /// Size at which a chunk ends (bytes before compression); 1 MiB by default.
     pub chunk_size: u64,
+    /// When a file ends and the next one begins; never by default.
+    pub split: Split,
+}
+
+/// When a file of a bag ends and the next one begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Split {
+    /// Before its messages would take more than this (bytes; its summary comes on top). A longer
+    /// message gets a file of its own.
+    pub size: Option<u64>,
+    /// Before a message logged so long after its first one.
+    pub duration: Option<Duration>,
 }
 
 impl Default for WriterOptions {
     fn default() -> Self {
-        Self { compression: Compression::default(), chunk_size: 1 << 20 }
+        let (compression, split) = (Compression::default(), Split::default());
+        Self { compression, chunk_size: 1 << 20, split }
     }
 }
 
@@ -61,6 +75,23 @@ pub struct WrittenTopic {
     pub hash: String,
     /// How many messages it has.
     pub messages: u64,
+    /// Everything that the files say about it.
+    pub channel: Arc<Channel>,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WrittenFile {
+    /// The file.
+    pub path: PathBuf,
+    /// How many messages it has.
+    pub messages: u64,
+    /// Smallest log time, if there is a message.
+    pub start: Option<Stamp>,
+    /// Largest log time, if there is a message.
+    pub end: Option<Stamp>,
+    /// Its size (bytes).
+    pub size: u64,
 }
 
 /// What was written.
@@ -68,34 +99,41 @@ pub struct WrittenTopic {
 pub struct BagSummary {
     /// The bag's directory.
     pub directory: PathBuf,
-    /// The MCAP file in it.
-    pub file: PathBuf,
+    /// The MCAP files in it, in the order of their messages.
+    pub files: Vec<WrittenFile>,
     /// How many messages it has.
     pub messages: u64,
+    /// How many it was given and could not keep, because no room was left.
+    pub lost: u64,
     /// Smallest log time, if there is a message.
     pub start: Option<Stamp>,
     /// Largest log time, if there is a message.
     pub end: Option<Stamp>,
-    /// Size of the file (bytes).
-    pub size: u64,
     /// The topics, in the order in which they were added.
     pub topics: Vec<WrittenTopic>,
+    /// What else `metadata.yaml` says (`custom_data`).
+    pub custom_data: BTreeMap<String, String>,
 }
 
-/// Writes one bag: a directory with one MCAP file.
+/// Writes one bag.
 ///
-/// The file is called `*.mcap.active` until [`BagWriter::finish`]. Dropped without it, the file
+/// Its last file is called `*.mcap.active` until [`BagWriter::finish`]. Dropped without it, the file
 /// stays under that name, complete and readable. The same calls give the same bytes.
 pub struct BagWriter {
-    mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
+    part: Part,
+    options: WriterOptions,
     directory: PathBuf,
-    file: PathBuf,
-    active: PathBuf,
+    /// The files are called after it.
+    name: String,
+    finished: Vec<WrittenFile>,
     topics: Vec<WrittenTopic>,
-    /// MCAP's channel ids, by topic.
-    channels: Vec<u16>,
-    /// Smallest and largest log time.
-    times: Option<(Stamp, Stamp)>,
+    /// By topic: MCAP's channel id in the current file, and the messages it was given there.
+    channels: Vec<(u16, u64)>,
+    /// Messages that no room was left for.
+    lost: u64,
+    custom_data: BTreeMap<String, String>,
+    /// A file could not be written on, for want of room; the bag has ended before its time.
+    full: bool,
 }
 
 impl BagWriter {
@@ -105,39 +143,37 @@ impl BagWriter {
     /// [`BagError::Exists`] when there is something at `path`, [`BagError::NotABag`] when `path` has
     /// no last part to name the file after, [`BagError::Io`] when the system refuses.
     pub fn create(path: &Path, options: WriterOptions) -> Result<Self, BagError> {
-        let file = layout::first_file(path).ok_or_else(|| BagError::NotABag {
-            path: path.into(),
-            found: "a path without a last part in UTF-8".into(),
-        })?;
-        if fs::symlink_metadata(path).is_ok() {
-            return Err(BagError::Exists { path: path.into() });
+        let name = layout::name_of(path)?;
+        Self::create_in(path, &name, options)
+    }
+
+    /// Creates the bag called `name` in a directory of any name.
+    pub(super) fn create_in(
+        directory: &Path,
+        name: &str,
+        options: WriterOptions,
+    ) -> Result<Self, BagError> {
+        if fs::symlink_metadata(directory).is_ok() {
+            return Err(BagError::Exists { path: directory.into() });
         }
-        fs::create_dir_all(path).map_err(BagError::io(path, "creating the bag"))?;
-        let active = PathBuf::from(format!("{}{ACTIVE}", file.display()));
-        let stream =
-            File::create_new(&active).map_err(BagError::io(&active, "creating the file"))?;
-        let mut mcap = mcap::WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("eddy ", env!("CARGO_PKG_VERSION")))
-            .compression(match options.compression {
-                Compression::None => None,
-                Compression::Lz4 => Some(mcap::Compression::Lz4),
-                Compression::Zstd => Some(mcap::Compression::Zstd),
-            })
-            // Workers of its own would cost a writer one thread for each core.
-            .compression_threads(0)
-            .chunk_size(Some(options.chunk_size))
-            .disable_seeking(true)
-            .create(NoSeek::new(BufWriter::new(stream)))
-            .map_err(|error| refused(&active, error))?;
-        mcap.flush().map_err(|error| refused(&active, error))?;
-        let (topics, channels) = (Vec::new(), Vec::new());
-        Ok(Self { mcap, directory: path.into(), file, active, topics, channels, times: None })
+        fs::create_dir_all(directory).map_err(BagError::io(directory, "creating the bag"))?;
+        Ok(Self {
+            part: Part::create(layout::numbered(directory, name, 0), &options)?,
+            options,
+            directory: directory.into(),
+            name: name.to_owned(),
+            finished: Vec::new(),
+            topics: Vec::new(),
+            channels: Vec::new(),
+            lost: 0,
+            custom_data: BTreeMap::new(),
+            full: false,
+        })
     }
 
     /// The file that is being written.
     pub fn active_file(&self) -> &Path {
-        &self.active
+        self.part.active()
     }
 
     /// How many messages were written.
@@ -148,6 +184,11 @@ impl BagWriter {
     /// The topics so far, in the order in which they were added.
     pub fn topics(&self) -> &[WrittenTopic] {
         &self.topics
+    }
+
+    /// Has `metadata.yaml` say one more thing.
+    pub fn note(&mut self, key: &str, value: String) {
+        self.custom_data.insert(key.to_owned(), value);
     }
 
     /// Adds a topic with one of our message types, or gives the id it already has.
@@ -161,8 +202,8 @@ impl BagWriter {
         self.topic_with_schema(name, type_name, &support.schema, &support.hash)
     }
 
-    /// Adds a topic of any type: `schema` is its `.msg` text with that of every dependency, `hash`
-    /// its RIHS01 type hash (empty if unknown).
+    /// Adds a topic of any type: `schema` is its `.msg` text with that of every dependency (empty if
+    /// unknown), `hash` its RIHS01 type hash (empty if unknown).
     ///
     /// # Errors
     /// As [`BagWriter::topic`].
@@ -184,21 +225,43 @@ impl BagWriter {
             }
             return Ok(TopicId(known));
         }
-        let about = BTreeMap::from([
-            ("offered_qos_profiles".to_owned(), metadata::offered_qos_profiles()),
-            ("topic_type_hash".to_owned(), hash.to_owned()),
-        ]);
-        let channel = self
-            .mcap
-            .add_schema(type_name, "ros2msg", schema.as_bytes())
-            .and_then(|schema| self.mcap.add_channel(schema, name, "cdr", &about))
-            .map_err(|error| refused(&self.active, error))?;
-        self.channels.push(channel);
+        self.channel(&Arc::new(Channel {
+            topic: name.to_owned(),
+            schema: Some(Arc::new(Schema {
+                name: type_name.to_owned(),
+                encoding: "ros2msg".to_owned(),
+                data: schema.as_bytes().to_vec(),
+            })),
+            encoding: "cdr".to_owned(),
+            metadata: BTreeMap::from([
+                (OFFERED_QOS.to_owned(), metadata::offered_qos_profiles()),
+                (TYPE_HASH.to_owned(), hash.to_owned()),
+            ]),
+        }))
+    }
+
+    /// Adds a topic as another writer described it, or gives the id it already has. Equal topics with
+    /// other descriptions are other topics here, as they are in MCAP.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn channel(&mut self, channel: &Arc<Channel>) -> Result<TopicId, BagError> {
+        let known = self
+            .topics
+            .iter()
+            .position(|topic| Arc::ptr_eq(&topic.channel, channel) || topic.channel == *channel);
+        if let Some(known) = known {
+            return Ok(TopicId(known));
+        }
+        let id = self.part.declare(channel);
+        let id = self.noted(id)?;
+        self.channels.push((id, 0));
         self.topics.push(WrittenTopic {
-            name: name.into(),
-            type_name: type_name.into(),
-            hash: hash.into(),
+            name: channel.topic.clone(),
+            type_name: channel.type_name().to_owned(),
+            hash: channel.type_hash().unwrap_or_default().to_owned(),
             messages: 0,
+            channel: Arc::clone(channel),
         });
         Ok(TopicId(self.topics.len() - 1))
     }
@@ -217,20 +280,88 @@ impl BagWriter {
         publish_time: Stamp,
         cdr: &[u8],
     ) -> Result<(), BagError> {
+        let sequence = (self.topics[topic.0].messages + 1) as u32;
+        self.append(topic, sequence, log_time, publish_time, cdr)
+    }
+
+    /// Appends a message of another bag with its number and its times.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn copy(&mut self, topic: TopicId, message: &BagMessage) -> Result<(), BagError> {
+        let BagMessage { sequence, log_time, publish_time, data, .. } = message;
+        self.append(topic, *sequence, *log_time, *publish_time, data)
+    }
+
+    fn append(
+        &mut self,
+        topic: TopicId,
+        sequence: u32,
+        log_time: Stamp,
+        publish_time: Stamp,
+        data: &[u8],
+    ) -> Result<(), BagError> {
         let TopicId(index) = topic;
-        let header = MessageHeader {
-            channel_id: self.channels[index],
-            sequence: (self.topics[index].messages + 1) as u32,
-            log_time: self.nanoseconds(index, "log_time", log_time)?,
-            publish_time: self.nanoseconds(index, "publish_time", publish_time)?,
-        };
-        self.mcap
-            .write_to_known_channel(&header, cdr)
-            .map_err(|error| refused(&self.active, error))?;
+        let times = (
+            self.nanoseconds(index, "log_time", log_time)?,
+            self.nanoseconds(index, "publish_time", publish_time)?,
+        );
+        if self.must_split(log_time, data.len() as u64) {
+            self.split()?;
+        }
+        let (channel_id, _) = self.channels[index];
+        let (log, publish_time) = times;
+        let header = MessageHeader { channel_id, sequence, log_time: log, publish_time };
+        // Also what fails on its way to the disk was given to the bag.
         self.topics[index].messages += 1;
-        let (start, end) = self.times.unwrap_or((log_time, log_time));
-        self.times = Some((start.min(log_time), end.max(log_time)));
+        self.channels[index].1 += 1;
+        let written = self.part.write(&header, log_time, data);
+        self.noted(written)
+    }
+
+    fn must_split(&self, log_time: Stamp, length: u64) -> bool {
+        let Some(start) = self.part.start() else { return false };
+        let Split { size, duration } = self.options.split;
+        let elapsed = u128::try_from(log_time.0 - start.0).unwrap_or_default();
+        size.is_some_and(|most| self.part.size_with(length) > most)
+            || duration.is_some_and(|most| elapsed >= most.as_nanos())
+    }
+
+    /// Ends the file and begins the next one, which knows the same topics.
+    fn split(&mut self) -> Result<(), BagError> {
+        let number = self.finished.len() + 1;
+        let path = layout::numbered(&self.directory, &self.name, number);
+        let next = Part::create(path, &self.options);
+        let next = self.noted(next)?;
+        let done = std::mem::replace(&mut self.part, next);
+        match done.finish() {
+            Ok(file) => self.finished.push(file),
+            Err(failed) => {
+                let (error, unclosed) = *failed;
+                self.full |= error.is_no_room();
+                if self.full {
+                    let (file, kept) = unclosed.close_in_the_room_there_is()?;
+                    self.finished.push(file);
+                    self.lost += lost(&mut self.topics, &mut self.channels, &kept);
+                }
+                return Err(error);
+            }
+        }
+        let topics = self.topics.iter().map(|topic| Arc::clone(&topic.channel));
+        let channels: Vec<_> = topics.collect();
+        for (index, channel) in channels.iter().enumerate() {
+            let id = self.part.declare(channel);
+            self.channels[index] = (self.noted(id)?, 0);
+        }
         Ok(())
+    }
+
+    /// Remembers whether it failed for want of room.
+    fn noted<T>(&mut self, outcome: Result<T, BagError>) -> Result<T, BagError> {
+        if let Err(error) = &outcome {
+            self.full |= error.is_no_room();
+        }
+        outcome
     }
 
     fn nanoseconds(&self, topic: usize, field: &'static str, time: Stamp) -> Result<u64, BagError> {
@@ -248,40 +379,59 @@ impl BagWriter {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn flush(&mut self) -> Result<(), BagError> {
-        self.mcap.flush().map_err(|error| refused(&self.active, error))
+        let flushed = self.part.flush();
+        self.noted(flushed)
     }
 
     /// Ends the file, gives it its name and writes `metadata.yaml`.
     ///
+    /// When no room is left on the disk, now or when a message was written, the last file ends after
+    /// the chunks that fit; [`BagSummary::lost`] says what that costs.
+    ///
     /// # Errors
     /// [`BagError::Io`] and [`BagError::Format`]. The file then keeps the name `*.active`.
-    pub fn finish(mut self) -> Result<BagSummary, BagError> {
-        let Self { directory, file, active, .. } = &self;
-        let (directory, file, active) = (directory.clone(), file.clone(), active.clone());
-        self.mcap.finish().map_err(|error| refused(&active, error))?;
-        let stream = self.mcap.into_inner().into_inner().into_inner();
-        let stream =
-            stream.map_err(|error| BagError::io(&active, "writing")(error.into_error()))?;
-        stream.sync_all().map_err(BagError::io(&active, "bringing the file to the disk"))?;
-        let size = stream.metadata().map_err(BagError::io(&active, "measuring the file"))?.len();
-        fs::rename(&active, &file).map_err(BagError::io(&active, "naming the finished file"))?;
+    pub fn finish(self) -> Result<BagSummary, BagError> {
+        let Self { part, directory, finished: mut files, mut topics, mut channels, .. } = self;
+        let mut lost_here = 0;
+        files.push(match part.finish() {
+            Ok(file) => file,
+            Err(failed) => {
+                let (error, unclosed) = *failed;
+                if !self.full && !error.is_no_room() {
+                    return Err(error);
+                }
+                let (file, kept) = unclosed.close_in_the_room_there_is()?;
+                lost_here = lost(&mut topics, &mut channels, &kept);
+                file
+            }
+        });
         let summary = BagSummary {
             directory,
-            file,
-            messages: self.topics.iter().map(|topic| topic.messages).sum(),
-            start: self.times.map(|(start, _)| start),
-            end: self.times.map(|(_, end)| end),
-            size,
-            topics: self.topics,
+            messages: files.iter().map(|file| file.messages).sum(),
+            lost: self.lost + lost_here,
+            start: files.iter().filter_map(|file| file.start).min(),
+            end: files.iter().filter_map(|file| file.end).max(),
+            files,
+            topics,
+            custom_data: self.custom_data,
         };
         metadata::write(&summary)?;
         Ok(summary)
     }
 }
 
-fn refused(path: &Path, error: McapError) -> BagError {
-    match error {
-        McapError::Io(error) => BagError::io(path, "writing")(error),
-        other => BagError::Format { path: path.into(), reason: other.to_string() },
+/// Takes from the counts of the topics what a file was given and could not keep; how much that is.
+fn lost(
+    topics: &mut [WrittenTopic],
+    channels: &mut [(u16, u64)],
+    kept: &BTreeMap<u16, u64>,
+) -> u64 {
+    let mut lost = 0;
+    for (topic, (channel, given)) in topics.iter_mut().zip(channels) {
+        let missing = given.saturating_sub(kept.get(channel).copied().unwrap_or_default());
+        topic.messages -= missing;
+        lost += missing;
+        *given = 0;
     }
+    lost
 }

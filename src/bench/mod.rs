@@ -3,8 +3,10 @@
 //! 1. [`solver`]: time of a substep by particles and threads.
 //! 2. [`training`]: time of a training step by core and length of the window.
 //! 3. [`inference`]: time of a predicted frame by core, on the engine and in burn.
-//! 4. [`limit`]: what the processor and its memory would allow.
+//! 4. [`bag`]: rates of bags that are written and read, losses of a live recording.
+//! 5. [`limit`]: what the processor and its memory would allow.
 
+pub mod bag;
 pub mod inference;
 pub mod limit;
 pub mod solver;

@@ -3,8 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use regex::Regex;
 
+use super::CompressionArg;
 use eddy::{
+    bag::Moment,
     dataset::TRUTH_TOPIC,
     exchange::{ExportFormat, ImportFormat},
     frame::Material,
@@ -29,12 +32,93 @@ pub enum BagCommand {
         /// The bag: a directory with metadata.yaml, or an MCAP file.
         bag: PathBuf,
     },
+    /// Copies what can be read of a damaged or unfinished bag into a new one; exit code 3 if something
+    /// is missing, 1 if nothing is left.
+    Recover(RecoverArgs),
+    /// Copies a part of the time of a bag into a new one.
+    Cut(CutArgs),
+    /// Copies several bags into one, in the order of time.
+    Merge(MergeArgs),
+    /// Copies some topics of a bag into a new one.
+    Filter(FilterArgs),
+    /// Writes metadata.yaml anew, and the summaries that files lack, from the messages that are there.
+    Reindex {
+        /// The bag: a directory with MCAP files, or one of them.
+        bag: PathBuf,
+    },
     /// Writes the frames of bags as files of other programs.
     Export(ExportArgs),
     /// Writes the trajectories of other programs' files as bags, one a stream.
     Import(ImportArgs),
     /// Draws a stream: a strip of frames (PNG), an animation (GIF or animated PNG).
     Render(RenderArgs),
+}
+
+/// The bag that a command writes.
+#[derive(Debug, Args)]
+pub struct NewBagArgs {
+    /// The new bag: a directory that does not exist yet.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// How chunks are compressed [default: as in the bag that is read; zstd if it is mixed].
+    #[arg(long, value_enum)]
+    pub compression: Option<CompressionArg>,
+}
+
+/// `eddy bag recover`
+#[derive(Debug, Args)]
+pub struct RecoverArgs {
+    /// The bag: a directory, an .mcap file or an .mcap.active file. It is not touched.
+    pub bag: PathBuf,
+    #[command(flatten)]
+    pub new: NewBagArgs,
+}
+
+/// `eddy bag cut`
+#[derive(Debug, Args)]
+pub struct CutArgs {
+    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    pub bag: PathBuf,
+    /// The first moment to keep: recorded seconds from the start, such as 2.5, or a log time, such as
+    /// 1700000000000000000ns [default: the start].
+    #[arg(long)]
+    pub start: Option<Moment>,
+    /// The first moment not to keep any more, in the same words [default: none].
+    #[arg(long, conflicts_with = "duration")]
+    pub end: Option<Moment>,
+    /// Keep so many recorded seconds from the first moment on.
+    #[arg(long)]
+    pub duration: Option<f64>,
+    #[command(flatten)]
+    pub new: NewBagArgs,
+}
+
+/// `eddy bag merge`
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// The bags. Of messages of the same time, those of the first bag come first.
+    #[arg(required = true, num_args = 2..)]
+    pub bags: Vec<PathBuf>,
+    #[command(flatten)]
+    pub new: NewBagArgs,
+}
+
+/// `eddy bag filter`
+#[derive(Debug, Args)]
+pub struct FilterArgs {
+    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    pub bag: PathBuf,
+    /// Keep these topics; without this and --regex, all that are not excluded.
+    #[arg(long, num_args = 1..)]
+    pub topics: Vec<String>,
+    /// Keep topics in whose name this is found.
+    #[arg(long, short = 'e')]
+    pub regex: Vec<Regex>,
+    /// Leave out topics in whose name this is found.
+    #[arg(long, short = 'x')]
+    pub exclude: Vec<Regex>,
+    #[command(flatten)]
+    pub new: NewBagArgs,
 }
 
 /// `eddy bag export`

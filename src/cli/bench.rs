@@ -26,6 +26,28 @@ pub enum BenchCommand {
     Inference(BenchInferenceArgs),
     /// Times training steps of the paper's network by core and length of the window (its Table 4).
     Training(BenchTrainingArgs),
+    /// Times the writing and reading of bags, and counts what a live recording loses.
+    Bag(BenchBagArgs),
+}
+
+/// `eddy bench bag`
+#[derive(Debug, Args)]
+pub struct BenchBagArgs {
+    /// Particles of a frame.
+    #[arg(long, default_value_t = 100_000)]
+    pub particles: usize,
+    /// Frames a second, live.
+    #[arg(long, default_value_t = 100.0)]
+    pub hertz: f64,
+    /// About how long each is measured (s).
+    #[arg(long, default_value_t = 5.0)]
+    pub seconds: f64,
+    /// A directory on the disk that is measured; what is written there is removed.
+    #[arg(long, default_value = ".")]
+    pub directory: PathBuf,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `eddy bench solver`

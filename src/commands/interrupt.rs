@@ -8,7 +8,7 @@ use std::{
     },
 };
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 
 /// Whether the user, or the system, has asked this process to end.
 #[derive(Clone, Debug, Default)]
@@ -23,6 +23,9 @@ impl Interrupt {
             signal_hook::flag::register_conditional_shutdown(signal, 130, interrupt.0.clone())?;
             signal_hook::flag::register(signal, interrupt.0.clone())?;
         }
+        // A file that reaches the limit on its size is an error of the write, not the end of the
+        // process.
+        signal_hook::flag::register(SIGXFSZ, Arc::default())?;
         Ok(interrupt)
     }
 

@@ -24,6 +24,22 @@ pub struct TypeSupport {
     pub description: TypeDescriptionMsg,
 }
 
+impl TypeSupport {
+    /// A type whose definition is not known here: only its name and its type hash (empty if unknown).
+    pub fn foreign(name: &str, hash: &str) -> Self {
+        let type_description = TypeDescription { type_name: name.to_owned(), fields: Vec::new() };
+        Self {
+            name: name.to_owned(),
+            schema: String::new(),
+            hash: hash.to_owned(),
+            description: TypeDescriptionMsg {
+                type_description,
+                referenced_type_descriptions: Vec::new(),
+            },
+        }
+    }
+}
+
 /// The type is none of those that eddy speaks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("message type: found {found}, expected one of {}", known_types().join(", "))]

@@ -6,24 +6,35 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. `recorder`: what arrives into a bag.
-//! 8. `player`: a bag as it was recorded: which message is due when.
+//! 7. `cache`: what waits to be recorded, bounded in bytes.
+//! 8. `recorder`: what arrives into a bag.
+//! 9. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
+//!    `timeline` knows rates and pauses, `control` what the user wants.
+//! 10. `playback`: plays, until told to end.
 
+mod cache;
+mod control;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod playback;
 mod player;
 mod queue;
+mod read_ahead;
 mod recorder;
 mod settings;
 mod surrogate;
+mod timeline;
 mod track;
 
 #[cfg(test)]
 mod tests;
 
+pub use cache::{Cache, Producer, Taken};
+pub use control::Control;
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, drive};
+pub use playback::{Stage, play};
 pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;
 pub use recorder::Recorder;

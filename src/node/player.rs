@@ -2,13 +2,18 @@
 
 use std::time::Duration;
 
+use super::{control::Control, read_ahead::ReadAhead, timeline::Timeline};
 use crate::{
-    bag::{BagError, BagMessage, BagReader, Messages, Selection},
+    bag::{BagError, BagMessage, BagReader, Selection},
     frame::Stamp,
 };
 
 /// The pause before a bag of one instant starts again (ns).
 const LONE_INSTANT: f64 = 1e9;
+/// What one wish for more speed multiplies the rate by (rosbag2's player).
+const FASTER: f64 = 1.1;
+/// While paused, the player looks again so often.
+const PAUSED: Duration = Duration::from_millis(20);
 
 /// How a bag is played.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,11 +28,23 @@ pub struct PlayerOptions {
     pub looped: bool,
     /// Only these topics; all if `None`.
     pub topics: Option<Vec<String>>,
+    /// How often the time of the recording is told (per second that passes); never if `None`.
+    pub clock: Option<f64>,
+    /// Wait for the user to begin.
+    pub paused: bool,
 }
 
 impl Default for PlayerOptions {
     fn default() -> Self {
-        Self { rate: 1.0, start_offset: 0.0, duration: None, looped: false, topics: None }
+        Self {
+            rate: 1.0,
+            start_offset: 0.0,
+            duration: None,
+            looped: false,
+            topics: None,
+            clock: None,
+            paused: false,
+        }
     }
 }
 
@@ -50,6 +67,9 @@ pub enum PlayerError {
         /// The bag.
         bag: String,
     },
+    /// The system gave no thread to read the bag.
+    #[error("reading ahead: {0}")]
+    Thread(std::io::Error),
     /// The bag is damaged before its first message.
     #[error(transparent)]
     Bag(#[from] BagError),
@@ -73,17 +93,20 @@ pub struct Player {
     selection: Selection,
     /// The recorded time at which playing starts (ns).
     begin: i64,
-    messages: Messages,
+    messages: ReadAhead,
     next: Option<BagMessage>,
-    /// Damage met while reading ahead.
+    /// Damage met while looking for the next message.
     fault: Option<BagError>,
+    timeline: Timeline,
     round: Round,
+    /// When the time is to be told next (ns).
+    next_tick: f64,
 }
 
 /// One pass through the bag.
 #[derive(Clone, Copy, Debug, Default)]
 struct Round {
-    /// When it started (ns of playing time).
+    /// When it started (ns of what is played).
     origin: f64,
     messages: u64,
     /// Recorded time of the first and of the last message so far (ns after `begin`).
@@ -121,10 +144,73 @@ impl Player {
             from: Some(Stamp(begin)),
             until: end.map(Stamp),
         };
-        let mut messages = bag.select(&selection);
+        let mut messages = ReadAhead::start(bag.select(&selection)).map_err(PlayerError::Thread)?;
         let next = Some(messages.next().ok_or_else(nothing)??);
-        let (bag, round) = (bag.clone(), Round::default());
-        Ok(Self { bag, options, selection, begin, messages, next, fault: None, round })
+        let mut timeline = Timeline::new(options.rate);
+        timeline.set_paused(options.paused, Duration::ZERO);
+        Ok(Self {
+            bag: bag.clone(),
+            options,
+            selection,
+            begin,
+            messages,
+            next,
+            fault: None,
+            timeline,
+            round: Round::default(),
+            next_tick: 0.0,
+        })
+    }
+
+    /// How much faster than recorded it plays now.
+    pub fn rate(&self) -> f64 {
+        self.timeline.rate()
+    }
+
+    /// Whether it pauses.
+    pub fn is_paused(&self) -> bool {
+        self.timeline.is_paused()
+    }
+
+    /// Does what the user wants. Gives the message that is then due at once, if any.
+    ///
+    /// # Errors
+    /// As [`Player::poll`].
+    pub fn control(
+        &mut self,
+        control: Control,
+        now: Duration,
+    ) -> Result<Option<BagMessage>, BagError> {
+        let rate = self.timeline.rate();
+        match control {
+            Control::Pause => self.timeline.set_paused(!self.timeline.is_paused(), now),
+            Control::Faster => self.timeline.set_rate(rate * FASTER, now),
+            Control::Slower => self.timeline.set_rate(rate / FASTER, now),
+            Control::Next => {
+                let Some(due) = self.next_due() else { return Ok(None) };
+                self.timeline.jump(due.max(self.timeline.position(now)), now);
+                return Ok(self.advance());
+            }
+        }
+        Ok(None)
+    }
+
+    /// The recorded time, if it is to be told `now`; late calls are not made up for.
+    pub fn tick(&mut self, now: Duration) -> Option<Stamp> {
+        let interval = 1e9 / self.options.clock?;
+        let now_ns = now.as_nanos() as f64;
+        if now_ns < self.next_tick {
+            return None;
+        }
+        self.next_tick = (self.next_tick + interval).max(now_ns);
+        let played = self.timeline.position(now) - self.round.origin;
+        Some(Stamp(self.begin.saturating_add(played.max(0.0) as i64)))
+    }
+
+    /// When the next message is due (ns of what is played).
+    fn next_due(&self) -> Option<f64> {
+        let message = self.next.as_ref()?;
+        Some(self.round.origin + (message.log_time.0 - self.begin) as f64)
     }
 
     /// What is due `now` (since the start of playing). A late caller gets every message at once
@@ -133,15 +219,22 @@ impl Player {
     /// # Errors
     /// [`BagError`] when the bag is damaged, after all messages that are whole.
     pub fn poll(&mut self, now: Duration) -> Result<Due, BagError> {
-        let Some(message) = &self.next else {
+        let Some(due) = self.next_due() else {
             return self.fault.take().map_or(Ok(Due::Never), Err);
         };
-        let recorded = (message.log_time.0 - self.begin) as f64;
-        let due = self.round.origin + recorded / self.options.rate;
-        let early = due - now.as_nanos() as f64;
+        let until_tick = self.options.clock.map(|_| self.next_tick - now.as_nanos() as f64);
+        let early = self.timeline.until(due, now).unwrap_or(PAUSED.as_nanos() as f64);
         if early > 0.0 {
-            return Ok(Due::In(Duration::from_nanos(early.ceil() as u64)));
+            let wait = until_tick.map_or(early, |tick| early.min(tick.max(0.0)));
+            return Ok(Due::In(Duration::from_nanos(wait.ceil() as u64)));
         }
+        Ok(self.advance().map_or(Due::Never, Due::Now))
+    }
+
+    /// Takes the next message and looks for the one after it.
+    fn advance(&mut self) -> Option<BagMessage> {
+        let recorded =
+            self.next.as_ref().map(|message| (message.log_time.0 - self.begin) as f64)?;
         if self.round.messages == 0 {
             self.round.first = recorded;
         }
@@ -151,8 +244,7 @@ impl Player {
             self.fault = Some(error);
             None
         });
-        let due = std::mem::replace(&mut self.next, following);
-        Ok(due.map_or(Due::Never, Due::Now))
+        std::mem::replace(&mut self.next, following)
     }
 
     /// The message after the next one; starts the next round if there is one.
@@ -167,17 +259,16 @@ impl Player {
         let Round { origin, messages, first, last } = self.round;
         let interval =
             if last > first { (last - first) / (messages - 1) as f64 } else { LONE_INSTANT };
-        self.round = Round {
-            origin: origin + (last + interval - first) / self.options.rate,
-            ..Round::default()
-        };
-        self.messages = self.bag.select(&self.selection);
+        self.round = Round { origin: origin + last + interval - first, ..Round::default() };
+        let selected = self.bag.select(&self.selection);
+        self.messages = ReadAhead::start(selected)
+            .map_err(BagError::io(self.bag.path(), "starting to read again"))?;
         self.messages.next().transpose()
     }
 }
 
 fn check(options: &PlayerOptions) -> Result<(), PlayerError> {
-    let PlayerOptions { rate, start_offset, duration, .. } = options;
+    let PlayerOptions { rate, start_offset, duration, clock, .. } = options;
     let wrong = |field, found: &f64, expected| {
         Err(PlayerError::Option { field, found: found.to_string(), expected })
     };
@@ -186,6 +277,9 @@ fn check(options: &PlayerOptions) -> Result<(), PlayerError> {
     }
     if !(start_offset.is_finite() && *start_offset >= 0.0) {
         return wrong("start-offset", start_offset, "seconds, 0 or more");
+    }
+    if let Some(clock) = clock.filter(|clock| !(clock.is_finite() && *clock > 0.0)) {
+        return wrong("clock", &clock, "a positive number of times a second");
     }
     match duration {
         Some(seconds) if !(seconds.is_finite() && *seconds > 0.0) => {
@@ -283,6 +377,43 @@ mod tests {
     }
 
     #[test]
+    fn a_paused_player_gives_one_message_a_wish_and_goes_on_from_there() {
+        let directory = tempfile::tempdir().unwrap();
+        let bag = bag(directory.path(), &[0, 100, 200, 300]);
+        let options = PlayerOptions { paused: true, ..PlayerOptions::default() };
+        let mut player = Player::new(&bag, options).unwrap();
+        let at = Duration::from_millis;
+        let time = |message: Option<BagMessage>| message.unwrap().log_time.0 / MILLISECOND;
+        assert_eq!(player.poll(at(50)).unwrap(), Due::In(PAUSED));
+        assert_eq!(time(player.control(Control::Next, at(50)).unwrap()), 0);
+        assert_eq!(time(player.control(Control::Next, at(60)).unwrap()), 100);
+        assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(PAUSED));
+        assert_eq!(player.control(Control::Pause, at(5_000)).unwrap(), None);
+        assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(at(100)));
+        assert!(matches!(player.poll(at(5_100)).unwrap(), Due::Now(_)));
+        player.control(Control::Faster, at(5_100)).unwrap();
+        assert!((player.rate() - 1.1).abs() < 1e-12);
+        let Due::In(wait) = player.poll(at(5_100)).unwrap() else { panic!("too early") };
+        assert!((wait.as_secs_f64() - 0.1 / 1.1).abs() < 1e-6, "{wait:?}");
+    }
+
+    #[test]
+    fn the_clock_tells_the_recorded_time_at_its_own_rate() {
+        let directory = tempfile::tempdir().unwrap();
+        let bag = bag(directory.path(), &[1_000, 1_500]);
+        let options = PlayerOptions { rate: 2.0, clock: Some(10.0), ..PlayerOptions::default() };
+        let mut player = Player::new(&bag, options).unwrap();
+        let at = Duration::from_millis;
+        let tick = |player: &mut Player, now| player.tick(now).map(|stamp| stamp.0 / MILLISECOND);
+        assert_eq!(tick(&mut player, at(0)), Some(1_000));
+        assert!(matches!(player.poll(at(0)).unwrap(), Due::Now(_)));
+        assert_eq!(tick(&mut player, at(99)), None);
+        assert_eq!(player.poll(at(99)).unwrap(), Due::In(at(1)));
+        assert_eq!(tick(&mut player, at(100)), Some(1_200));
+        assert_eq!(tick(&mut player, at(200)), Some(1_400));
+    }
+
+    #[test]
     fn options_that_make_no_sense_are_refused() {
         let directory = tempfile::tempdir().unwrap();
         let bag = bag(directory.path(), &[0]);
@@ -300,6 +431,7 @@ mod tests {
                 PlayerOptions { topics: Some(vec!["/b".into()]), ..Default::default() },
                 "topics: found /b, expected a topic of the bag",
             ),
+            (PlayerOptions { clock: Some(0.0), ..Default::default() }, "clock: found 0, expected"),
             (PlayerOptions { start_offset: 9.0, ..Default::default() }, "found no message"),
         ];
         for (options, expected) in cases {

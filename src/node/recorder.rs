@@ -3,13 +3,15 @@
 use crate::{
     bag::{BagError, BagSummary, BagWriter, TopicId},
     frame::Stamp,
+    msg::TypeSupport,
     transport::Payload,
 };
 
-/// A killed recorder loses at most the messages of this time (ns of wall time).
-const FLUSH_INTERVAL: i64 = 1_000_000_000;
+/// A killed recorder loses at most the messages of this time (ns of wall time), and of the time that
+/// its caller takes to come round again: together less than a second.
+const FLUSH_INTERVAL: i64 = 800_000_000;
 
-/// Writes messages into a bag as they arrive, and ends a chunk once a second.
+/// Writes messages into a bag as they arrive, and ends a chunk before it is a second old.
 pub struct Recorder {
     bag: BagWriter,
     flushed: Stamp,
@@ -31,6 +33,19 @@ impl Recorder {
         self.bag.topic(name, type_name)
     }
 
+    /// Adds a topic of any type, or gives the id it already has.
+    ///
+    /// # Errors
+    /// As [`BagWriter::topic_with_schema`].
+    pub fn topic_of(&mut self, name: &str, of: &TypeSupport) -> Result<TopicId, BagError> {
+        self.bag.topic_with_schema(name, &of.name, &of.schema, &of.hash)
+    }
+
+    /// Has `metadata.yaml` say one more thing.
+    pub fn note(&mut self, key: &str, value: String) {
+        self.bag.note(key, value);
+    }
+
     /// Writes a message that arrived at `now`, which becomes both its times.
     ///
     /// # Errors
@@ -46,13 +61,13 @@ impl Recorder {
         self.on_tick(now)
     }
 
-    /// Hands the messages to the system if the last time was a second ago. To be called at least
-    /// once a second, also while nothing arrives.
+    /// Hands the messages to the system if the last time was 0.8 s ago. To be called every 0.1 s, also
+    /// while nothing arrives.
     ///
     /// # Errors
     /// As [`BagWriter::flush`].
     pub fn on_tick(&mut self, now: Stamp) -> Result<(), BagError> {
-        // The wall clock may be set back: any second apart counts.
+        // The wall clock may be set back: the distance counts.
         if now.0.abs_diff(self.flushed.0) < FLUSH_INTERVAL.unsigned_abs() {
             return Ok(());
         }

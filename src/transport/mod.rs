@@ -3,10 +3,11 @@
 //! 1. `link`: a transport and a topic, written `zenoh:/particles`.
 //! 2. [`Publisher`], [`Subscriber`]: what every transport offers.
 //! 3. `opener`: [`Transports`] opens them; one session for each middleware and process.
-//! 4. `queue`: the bounded queue between a transport's thread and a subscriber.
-//! 5. `memory`: within this process.
-//! 6. `shm`: shared memory, by iceoryx2.
-//! 7. `zenoh`: the wire of ROS 2's rmw_zenoh.
+//! 4. `seen`: which topics there are.
+//! 5. `queue`: the bounded queue between a transport's thread and a subscriber.
+//! 6. `memory`: within this process.
+//! 7. `shm`: shared memory, by iceoryx2.
+//! 8. `zenoh`: the wire of ROS 2's rmw_zenoh.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so both sides of
@@ -16,6 +17,7 @@ mod link;
 mod memory;
 mod opener;
 mod queue;
+mod seen;
 mod shm;
 mod zenoh;
 
@@ -23,6 +25,7 @@ pub(crate) use queue::Queue;
 
 pub use link::{InvalidLink, Link, TransportKind};
 pub use opener::{TransportOptions, Transports, ZenohOptions};
+pub use seen::SeenTopic;
 
 use std::time::Duration;
 
@@ -51,6 +54,14 @@ impl Payload {
         match self {
             Self::Frame(frame) => Ok(frame),
             Self::Cdr(bytes) => Frame::from_cdr(&bytes),
+        }
+    }
+
+    /// The memory it takes (bytes).
+    pub fn size(&self) -> usize {
+        match self {
+            Self::Frame(frame) => size_of_val(&*frame.position) * 2 + frame.len(),
+            Self::Cdr(bytes) => bytes.len(),
         }
     }
 

@@ -9,10 +9,10 @@ use std::{
 
 use super::zenoh::ZenohNode;
 use super::{
-    Link, Publisher, Reliability, Subscriber, TransportError, TransportKind, memory::Broker,
-    shm::ShmNode,
+    Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportKind,
+    memory::Broker, shm::ShmNode,
 };
-use crate::msg::{Message, ParticleFrame, type_support};
+use crate::msg::{Message, ParticleFrame, TypeSupport, type_support};
 
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
 const MAX_DOMAIN: u16 = 232;
@@ -131,7 +131,20 @@ impl Transports {
         type_name: &str,
         reliability: Reliability,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        let support = type_support(type_name)?;
+        self.publisher_of(link, type_support(type_name)?, reliability)
+    }
+
+    /// A publisher of messages of any type, given as CDR bytes unless they are frames.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn publisher_of(
+        &self,
+        link: &Link,
+        support: &TypeSupport,
+        reliability: Reliability,
+    ) -> Result<Box<dyn Publisher>, TransportError> {
+        let type_name = support.name.as_str();
         let patience = self.shared.options.patience;
         Ok(match link.transport {
             TransportKind::Memory => {
@@ -156,12 +169,42 @@ impl Transports {
         link: &Link,
         type_name: &str,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        let support = type_support(type_name)?;
+        self.subscriber_of(link, type_support(type_name)?)
+    }
+
+    /// A subscriber to messages of any type, which come as CDR bytes unless they are frames.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn subscriber_of(
+        &self,
+        link: &Link,
+        support: &TypeSupport,
+    ) -> Result<Box<dyn Subscriber>, TransportError> {
+        let type_name = support.name.as_str();
         Ok(match link.transport {
             TransportKind::Memory => Box::new(self.shared.broker.subscriber(link, type_name)?),
             TransportKind::Shm => self.shm(link)?.subscriber(link, type_name)?,
             TransportKind::Zenoh => Box::new(self.zenoh(link)?.subscriber(link, support)?),
         })
+    }
+
+    /// The topics that are published on a transport now, as far as it knows, in order. Within the
+    /// process nobody lists them.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the middleware cannot be opened or asked.
+    pub fn topics(&self, transport: TransportKind) -> Result<Vec<SeenTopic>, TransportError> {
+        // Errors need a link to name.
+        let link = Link { transport, topic: "/".to_owned() };
+        let mut topics = match transport {
+            TransportKind::Memory => Vec::new(),
+            TransportKind::Shm => self.shm(&link)?.topics(&link)?,
+            TransportKind::Zenoh => self.zenoh(&link)?.topics(&link)?,
+        };
+        topics.sort();
+        topics.dedup();
+        Ok(topics)
     }
 
     fn shm(&self, link: &Link) -> Result<Arc<ShmNode>, TransportError> {

@@ -36,7 +36,7 @@ fn text(words: &str) -> Vec<u8> {
 
 /// A bag of so many frames on `/particles`, with small chunks.
 fn write_frames(path: &Path, frames: u64, compression: Compression) {
-    let options = WriterOptions { compression, chunk_size: 4096 };
+    let options = WriterOptions { compression, chunk_size: 4096, ..WriterOptions::default() };
     let mut bag = BagWriter::create(path, options).unwrap();
     let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
     for frame in (0..frames).map(frame) {
@@ -75,7 +75,8 @@ proptest! {
     ) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("bag");
-        let mut bag = BagWriter::create(&path, WriterOptions { compression, chunk_size }).unwrap();
+        let options = WriterOptions { compression, chunk_size, ..WriterOptions::default() };
+        let mut bag = BagWriter::create(&path, options).unwrap();
         for (index, (topic, log, publish, data)) in messages.iter().enumerate() {
             let id = bag.topic(&format!("/topic{topic}"), RosString::TYPE).unwrap();
             bag.write(id, Stamp(*log), Stamp(*publish), data).unwrap();

@@ -31,6 +31,40 @@ fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
 }
 
 #[test]
+fn bags_are_timed_and_what_was_written_is_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let directory = folder.path().to_str().unwrap();
+    let json = succeed([
+        "bench",
+        "bag",
+        "--particles",
+        "500",
+        "--hertz",
+        "50",
+        "--seconds",
+        "0.2",
+        "--json",
+        "--directory",
+        directory,
+    ]);
+    let report: Value = serde_json::from_str(&json).unwrap();
+    assert!(report["disk"].as_f64().unwrap() > 0.0);
+    let timings = report["timings"].as_array().unwrap();
+    let names: Vec<_> =
+        timings.iter().map(|timing| timing["compression"].as_str().unwrap()).collect();
+    assert_eq!(names, ["none", "lz4", "zstd"]);
+    for timing in timings {
+        assert!(timing["write"].as_f64().unwrap() > 0.0 && timing["read"].as_f64().unwrap() > 0.0);
+        assert_eq!(
+            (&timing["published"], &timing["recorded"]),
+            (&10.into(), &10.into()),
+            "{timing}"
+        );
+    }
+    assert_eq!(std::fs::read_dir(directory).unwrap().count(), 0);
+}
+
+#[test]
 fn a_benchmark_without_threads_or_time_is_wrong_usage() {
     let message = fail(2, ["bench", "inference", "--threads", "0"]);
     assert!(message.contains("--threads"), "{message}");

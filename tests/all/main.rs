@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod bag;
+mod bag_edit;
 mod bench;
 mod eval;
 mod exchange;
@@ -14,6 +15,8 @@ mod mpm;
 mod physics;
 mod pipeline;
 mod pytorch;
+mod record;
+mod replay;
 mod scenes;
 mod support;
 mod train;

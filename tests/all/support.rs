@@ -67,19 +67,30 @@ impl Process {
     /// Starts it and waits until it has printed a line that begins so.
     pub fn start_until(command: &mut Command, beginning: &str) -> Self {
         let mut process = Self::start(command);
+        process.line(beginning);
+        process
+    }
+
+    /// Waits until it has printed a line that begins so.
+    pub fn line(&mut self, beginning: &str) -> String {
         let mut line = String::new();
         while !line.starts_with(beginning) {
             line.clear();
-            let read = process.printed.read_line(&mut line).unwrap();
+            let read = self.printed.read_line(&mut line).unwrap();
             assert!(read > 0, "the process ended before it printed `{beginning}`");
         }
-        process
+        line
     }
 
     /// Asks it to end, as Ctrl-C does.
     pub fn interrupt(&self) {
         let id = self.child.id().to_string();
         assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    }
+
+    /// Its number.
+    pub fn id(&self) -> u32 {
+        self.child.id()
     }
 
     /// Ends it without notice (SIGKILL).

@@ -6,10 +6,12 @@ EDDY is the program, BAG a bag directory that it wrote. Checked are:
 1. The .msg files in msgs/eddy_msgs are what rosbags takes for message definitions.
 2. Both decoders read every message of BAG, and agree on every field.
 3. The type hashes in BAG, and its schemas, are those that rosbags computes from the .msg files.
-4. The other way round: `eddy bag check` accepts bags that rosbags and mcap write.
+4. The other way round: `eddy bag check` accepts bags that rosbags and mcap write, and `eddy replay`
+   plays them.
 Exits with 1 and a sentence when something does not hold.
 """
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -152,6 +154,12 @@ def check_accepted(eddy, path):
     expect(outcome.returncode == 0, f"eddy bag check refuses {path.name}: {said}")
     expect(f"{FRAMES} messages" in said, f"eddy bag check: {said}, expected {FRAMES} messages")
     print(said.strip())
+    topic = f"/check_bag_{os.getpid()}"
+    command = [eddy, "replay", path, "--to", "shm", "--remap", f"/particles:={topic}", "--rate", "100"]
+    outcome = subprocess.run(command, capture_output=True, text=True)
+    said = outcome.stdout + outcome.stderr
+    expect(outcome.returncode == 0, f"eddy replay refuses {path.name}: {said}")
+    expect(f"{FRAMES} messages" in said, f"eddy replay: {said}, expected {FRAMES} messages")
 
 
 def check_write(eddy, store):

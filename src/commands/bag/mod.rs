@@ -1,19 +1,22 @@
-//! `eddy bag`: looks into bags, and takes frames out of them and into them.
+//! `eddy bag`: looks into bags, makes bags of bags, takes frames out of them and into them.
 
 mod check;
+mod edit;
 mod export;
 mod import;
 mod info;
+mod recover;
+mod reindex;
 mod render;
 
-use std::path::PathBuf;
+use std::{collections::BTreeSet, path::PathBuf, process::ExitCode};
 
 use indicatif::ProgressBar;
 
 use super::{Interrupt, progress_bar};
-use crate::cli::{BagArgs, BagCommand};
+use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy::{
-    bag::{BagError, BagReader, Survey, find_bags},
+    bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags},
     exchange::{Choice, ExchangeError, Streams},
 };
 
@@ -21,14 +24,42 @@ use eddy::{
 const PROGRESS_STEP: u64 = 64;
 
 /// Runs one of the subcommands.
-pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {
     match args.command {
+        BagCommand::Recover(args) => return recover::run(&args, quiet, interrupt),
+        BagCommand::Cut(args) => edit::cut(&args, quiet, interrupt),
+        BagCommand::Merge(args) => edit::merge(&args, quiet, interrupt),
+        BagCommand::Filter(args) => edit::filter(args, quiet, interrupt),
+        BagCommand::Reindex { bag } => reindex::run(&bag),
         BagCommand::Info { bag } => info::run(&bag, quiet),
         BagCommand::Check { bag } => check::run(&bag, quiet),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),
         BagCommand::Import(args) => import::run(args, quiet, interrupt),
         BagCommand::Render(args) => render::run(args, quiet, interrupt),
     }
+    .map(|()| ExitCode::SUCCESS)
+}
+
+/// How a bag made of `bags` is written.
+fn writer_options(new: &NewBagArgs, bags: &[BagReader]) -> WriterOptions {
+    let found: BTreeSet<&str> = bags.iter().flat_map(BagReader::compressions).collect();
+    let as_before = match found.into_iter().collect::<Vec<_>>()[..] {
+        ["none"] => Compression::None,
+        ["lz4"] => Compression::Lz4,
+        _ => Compression::Zstd,
+    };
+    let compression = new.compression.map_or(as_before, Compression::from);
+    WriterOptions { compression, ..WriterOptions::default() }
+}
+
+/// Says what was written.
+fn report(bag: &BagSummary) {
+    println!(
+        "{}: {} messages on {} topics",
+        bag.directory.display(),
+        bag.messages,
+        bag.topics.len()
+    );
 }
 
 fn survey(bag: &BagReader, quiet: bool) -> Survey {

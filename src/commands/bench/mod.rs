@@ -1,5 +1,6 @@
 //! `eddy bench`: tables for this machine.
 
+mod bag;
 mod inference;
 mod solver;
 mod training;
@@ -15,6 +16,7 @@ pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         BenchCommand::Solver(args) => solver::run(args, quiet, interrupt),
         BenchCommand::Inference(args) => inference::run(args, quiet, interrupt),
         BenchCommand::Training(args) => training::run(args, quiet, interrupt),
+        BenchCommand::Bag(args) => bag::run(args, quiet, interrupt),
     }
 }
 

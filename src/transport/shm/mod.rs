@@ -26,7 +26,8 @@ mod subscriber;
 use std::time::Duration;
 
 use super::{
-    Link, Publisher, Reliability, Subscriber, TransportError, TransportOptions, opener::is_frames,
+    Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
+    opener::is_frames,
 };
 use layout::{FrameHeader, Particle};
 use publisher::{BytesPublisher, FramePublisher, Outlet};
@@ -41,6 +42,10 @@ pub(super) struct ShmNode {
 impl ShmNode {
     pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         Ok(Self { services: Services::open(link, &options.node_name)? })
+    }
+
+    pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        self.services.topics(link)
     }
 
     pub(super) fn publisher(

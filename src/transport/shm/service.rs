@@ -14,13 +14,18 @@ use iceoryx2::{
         builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
         port_factory::{event, publish_subscribe},
         static_config::{
+            StaticConfig,
             message_type_details::{TypeDetail, TypeVariant},
             messaging_pattern,
         },
     },
 };
 
-use crate::transport::{Link, TransportError};
+use super::layout::Particle;
+use crate::{
+    msg::{Message, ParticleFrame, topic_type},
+    transport::{Link, SeenTopic, TransportError, TransportKind},
+};
 
 /// The flavour of iceoryx2 whose ports may move between threads.
 pub(super) type Ipc = ipc_threadsafe::Service;
@@ -121,6 +126,19 @@ impl Services {
         Err(middleware(link, "open the service", &last))
     }
 
+    /// The topics that have a service. Those whose type nobody tells are taken for what their memory
+    /// layout and their name say.
+    pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut topics = Vec::new();
+        Ipc::list(node.config(), |service| {
+            topics.extend(seen(&service.static_details));
+            CallbackProgression::Continue
+        })
+        .map_err(|error| middleware(link, "list the services", &format!("{error:?}")))?;
+        Ok(topics)
+    }
+
     /// The service that wakes the readers of a topic.
     pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
         let name = service_name(link)?;
@@ -135,6 +153,29 @@ impl Services {
         }
         Err(middleware(link, "open the event service", &last))
     }
+}
+
+/// The topic that a service carries, if it is one of those that are called as ours are.
+fn seen(service: &StaticConfig) -> Option<SeenTopic> {
+    let messaging_pattern::MessagingPattern::PublishSubscribe(details) =
+        service.messaging_pattern()
+    else {
+        return None;
+    };
+    let topic =
+        service.name().as_str().strip_prefix("eddy").filter(|name| name.starts_with('/'))?;
+    let link = format!("{}:{topic}", TransportKind::Shm).parse().ok()?;
+    let stated = TYPE_ATTRIBUTE
+        .try_into()
+        .ok()
+        .and_then(|key| service.attributes().key_value(&key, 0).map(ToString::to_string));
+    let of_frames = details.message_type_details().payload.type_name()
+        == TypeDetail::new::<Particle>(TypeVariant::Dynamic).type_name();
+    let type_name = stated.or_else(|| {
+        let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
+        (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
+    })?;
+    Some(SeenTopic { link, type_name, hash: None })
 }
 
 /// Errors of a service that is not there, or that another process is creating or removing right now.

@@ -7,7 +7,8 @@ use std::{
 
 use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
-use super::keys::{Endpoint, type_in};
+use super::keys::{Endpoint, publishers, topic_in, type_in};
+use crate::transport::{SeenTopic, TransportKind};
 
 /// The endpoints on the other side of our topic: counted, and told from those of another type.
 pub(super) struct Graph {
@@ -53,6 +54,18 @@ impl Graph {
     pub(super) fn matching(&self) -> usize {
         lock(&self.matching).len()
     }
+}
+
+/// The topics that have a publisher somewhere.
+pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<SeenTopic>> {
+    let replies = session.liveliness().get(publishers(domain_id)).wait()?;
+    let seen = |token: &str| {
+        let (topic, (type_name, hash)) = (topic_in(token)?, type_in(token)?);
+        let link = format!("{}:{topic}", TransportKind::Zenoh).parse().ok()?;
+        Some(SeenTopic { link, type_name, hash: Some(hash.to_owned()) })
+    };
+    let tokens = replies.iter().filter_map(|reply| reply.into_result().ok());
+    Ok(tokens.filter_map(|token| seen(token.key_expr().as_str())).collect())
 }
 
 /// Shows a node or an endpoint to the others until it is dropped.

@@ -116,6 +116,16 @@ pub(super) fn type_in(token: &str) -> Option<(String, &str)> {
     Some((ros_name.trim_end_matches('_').to_owned(), hash))
 }
 
+/// The topic in the token of an endpoint.
+pub(super) fn topic_in(token: &str) -> Option<String> {
+    Some(token.split('/').nth(9)?.replace('%', "/"))
+}
+
+/// The tokens of all publishers of a domain.
+pub(super) fn publishers(domain_id: u16) -> String {
+    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Publisher.code())
+}
+
 /// What a publisher promises: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each
 /// empty where it equals rmw_zenoh's default of reliable, volatile, keep last.
 pub(super) fn publisher_qos(reliability: Reliability) -> String {
@@ -198,6 +208,7 @@ mod tests {
             let endpoint = endpoint("zenoh:/a/b", name, Side::Publisher, "::,:,:,:,,");
             let hash = type_support(name).unwrap().hash.as_str();
             assert_eq!(type_in(&endpoint.token), Some((name.to_owned(), hash)));
+            assert_eq!(topic_in(&endpoint.token), Some("/a/b".to_owned()));
         }
         assert_eq!(type_in(&node().token()), None);
     }

@@ -32,7 +32,7 @@ use std::{
 
 use zenoh::{Session, liveliness::LivelinessToken};
 
-use super::{Link, Reliability, TransportError, TransportOptions};
+use super::{Link, Reliability, SeenTopic, TransportError, TransportOptions};
 use crate::msg::TypeSupport;
 use keys::{Endpoint, Node, Side};
 use publisher::ZenohPublisher;
@@ -57,6 +57,11 @@ impl ZenohNode {
             .map_err(|error| middleware(link, "declare the node", &error))?;
         let next_id = AtomicUsize::new(1);
         Ok(Self { session, node, patience: options.patience, next_id, _token: token })
+    }
+
+    pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        graph::topics(&self.session, self.node.domain_id)
+            .map_err(|error| middleware(link, "list the topics", &error))
     }
 
     pub(super) fn publisher(

@@ -159,7 +159,11 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 pub fn write_bag(path: &Path, streams: &[Stream]) {
     let mut bag = BagWriter::create(
         path,
-        WriterOptions { compression: Compression::None, chunk_size: 1 << 14 },
+        WriterOptions {
+            compression: Compression::None,
+            chunk_size: 1 << 14,
+            ..WriterOptions::default()
+        },
     )
     .unwrap();
     let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();

@@ -6,8 +6,8 @@ use std::{
 };
 
 use eddy::{
-    msg::{DiagnosticArray, Message, ParticleFrame, RosString, cdr},
-    transport::{Payload, Reliability, TransportError, Transports},
+    msg::{DiagnosticArray, Message, ParticleFrame, RosString, cdr, type_support},
+    transport::{Link, Payload, Reliability, TransportError, Transports},
 };
 
 use super::{
@@ -266,6 +266,29 @@ fn a_topic_of_another_type_is_refused_with_both_types() {
         let expected =
             "found message type std_msgs/msg/String, expected diagnostic_msgs/msg/DiagnosticArray";
         assert_eq!(error.to_string(), format!("{link}: {expected}"));
+    }
+}
+
+#[test]
+fn what_is_published_is_listed_with_its_type() {
+    for transport in ["shm", "zenoh"] {
+        let [here, there] = ends(transport, options());
+        let (frames, words) = (link(transport), link(transport));
+        let _frames = frames_publisher(&here, &frames, Reliability::Drop);
+        let publisher = here.publisher(&words, RosString::TYPE, Reliability::Drop).unwrap();
+        let listed = |link: &Link| {
+            let topics = there.topics(link.transport).unwrap();
+            topics.into_iter().find(|topic| topic.link == *link)
+        };
+        eventually("both are seen", || listed(&frames).is_some() && listed(&words).is_some());
+        for (link, type_name) in [(&frames, ParticleFrame::TYPE), (&words, RosString::TYPE)] {
+            let topic = listed(link).unwrap();
+            assert_eq!(topic.type_name, type_name);
+            assert_eq!(topic.type_support().hash, type_support(type_name).unwrap().hash);
+            assert_eq!(topic.hash.is_some(), transport == "zenoh");
+        }
+        drop(publisher);
+        eventually("one is gone", || listed(&words).is_none() && listed(&frames).is_some());
     }
 }
 

@@ -1,0 +1,128 @@
+//! Offered quality of service: a list in YAML, in a channel's metadata and in `metadata.yaml`.
+//!
+//! Up to version 8 of the metadata the policies are numbers (`rmw/types.h`), from version 9 on words
+//! (`rosbag2_storage/src/rosbag2_storage/qos.cpp`). Both are read, words are written.
+
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// `rmw_qos_history_policy_e`, by its numbers.
+const HISTORY: &[&str] = &["system_default", "keep_last", "keep_all", "unknown"];
+/// `rmw_qos_reliability_policy_e`.
+const RELIABILITY: &[&str] =
+    &["system_default", "reliable", "best_effort", "unknown", "best_available"];
+/// `rmw_qos_durability_policy_e`.
+const DURABILITY: &[&str] =
+    &["system_default", "transient_local", "volatile", "unknown", "best_available"];
+/// `rmw_qos_liveliness_policy_e`.
+const LIVELINESS: &[&str] = &[
+    "system_default",
+    "automatic",
+    "manual_by_node",
+    "manual_by_topic",
+    "unknown",
+    "best_available",
+];
+
+/// `rmw_time_t` of a duration without end: 2^63 - 1 nanoseconds.
+const INFINITE: QosTime = QosTime { sec: 9_223_372_036, nsec: 854_775_807 };
+
+/// One offered quality of service, in the words of version 9.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct QosProfile {
+    #[serde(deserialize_with = "history")]
+    history: String,
+    depth: u64,
+    #[serde(deserialize_with = "reliability")]
+    reliability: String,
+    #[serde(deserialize_with = "durability")]
+    durability: String,
+    deadline: QosTime,
+    lifespan: QosTime,
+    #[serde(deserialize_with = "liveliness")]
+    liveliness: String,
+    liveliness_lease_duration: QosTime,
+    avoid_ros_namespace_conventions: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct QosTime {
+    sec: u64,
+    nsec: u64,
+}
+
+impl Default for QosProfile {
+    /// ROS 2's default profile, which a player then offers: nothing is lost when a bag is replayed.
+    fn default() -> Self {
+        Self {
+            history: "keep_last".to_owned(),
+            depth: 10,
+            reliability: "reliable".to_owned(),
+            durability: "volatile".to_owned(),
+            deadline: INFINITE,
+            lifespan: INFINITE,
+            liveliness: "automatic".to_owned(),
+            liveliness_lease_duration: INFINITE,
+            avoid_ros_namespace_conventions: false,
+        }
+    }
+}
+
+/// The profiles in a channel's metadata; none if the text is empty or says something else.
+pub(super) fn parse(text: &str) -> Vec<QosProfile> {
+    serde_saphyr::from_str(text).unwrap_or_default()
+}
+
+/// A policy as a number or as a word.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Policy {
+    Number(usize),
+    Word(String),
+}
+
+fn policy<'de, D: Deserializer<'de>>(from: D, words: &[&str]) -> Result<String, D::Error> {
+    Ok(match Policy::deserialize(from)? {
+        Policy::Word(word) => word,
+        Policy::Number(number) => words.get(number).copied().unwrap_or("unknown").to_owned(),
+    })
+}
+
+fn history<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    policy(from, HISTORY)
+}
+
+fn reliability<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    policy(from, RELIABILITY)
+}
+
+fn durability<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    policy(from, DURABILITY)
+}
+
+fn liveliness<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    policy(from, LIVELINESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn policies_are_read_as_numbers_and_as_words() {
+        let numbers = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: \
+            9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
+            liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
+            avoid_ros_namespace_conventions: false\n";
+        let expected = QosProfile { history: "unknown".into(), depth: 0, ..QosProfile::default() };
+        assert_eq!(parse(numbers), [expected]);
+        let words = serde_saphyr::to_string(&[QosProfile::default()]).unwrap();
+        assert_eq!(parse(&words), [QosProfile::default()]);
+    }
+
+    #[test]
+    fn other_texts_are_no_profiles() {
+        for text in ["", "[]", "nothing", "- history: 1\n", "{"] {
+            assert_eq!(parse(text), [], "{text}");
+        }
+    }
+}

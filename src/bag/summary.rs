@@ -1,0 +1,155 @@
+//! Writes the end of a file whose writer could not: data end, summary, footer.
+//!
+//! The chunks stay where they are; the summary is made from what a walk through the file found.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{Cursor, Seek, SeekFrom, Write},
+    path::Path,
+};
+
+use binrw::BinWrite;
+use byteorder::{LittleEndian, WriteBytesExt as _};
+use mcap::{
+    MAGIC,
+    records::{self, DataEnd, Footer, SchemaHeader, Statistics, op},
+};
+
+use super::{channel::Schema, error::BagError, index::FileIndex, record::HEADER_SIZE};
+
+/// Room that `metadata.yaml` and the directory may need beside the summary (bytes).
+const ELBOW_ROOM: usize = 64 << 10;
+
+/// Ends the file after its last whole record. When the disk has no room for the summary, the last
+/// chunks make some. Gives what the file then holds.
+///
+/// # Errors
+/// [`BagError::Io`]; what was whole before is whole after it.
+pub(super) fn end_file(path: &Path) -> Result<FileIndex, BagError> {
+    let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
+    let mut index = FileIndex::walk(path)?;
+    let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
+    if index.data_end < index.size {
+        // What a cut chunk still has is not in the file any more then.
+        file.set_len(index.data_end).map_err(failed)?;
+        index = FileIndex::walk(path)?;
+    }
+    loop {
+        let end = ending(&index);
+        file.set_len(index.data_end).map_err(failed)?;
+        match append(&mut file, index.data_end, &end) {
+            Ok(()) => return Ok(index),
+            Err(error) if BagError::is_out_of_room(&error) && !index.chunks.is_empty() => {
+                give_up_chunks(&mut index, path, (end.len() + ELBOW_ROOM) as u64)?;
+            }
+            Err(error) => return Err(failed(error)),
+        }
+    }
+}
+
+/// Takes chunks from the end until so many bytes are free.
+fn give_up_chunks(index: &mut FileIndex, path: &Path, bytes: u64) -> Result<(), BagError> {
+    let old_end = index.data_end;
+    while old_end - index.data_end < bytes {
+        let Some(chunk) = index.chunks.pop() else { break };
+        index.data_end = chunk.chunk_start_offset;
+    }
+    let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
+    OpenOptions::new()
+        .write(true)
+        .open(path)
+        .and_then(|file| file.set_len(index.data_end))
+        .map_err(failed)?;
+    *index = FileIndex::walk(path)?;
+    Ok(())
+}
+
+/// Writes `bytes` there, if there is also some room for what is written after it.
+fn append(file: &mut File, at: u64, bytes: &[u8]) -> std::io::Result<()> {
+    file.seek(SeekFrom::Start(at))?;
+    file.write_all(bytes)?;
+    file.write_all(&[0; ELBOW_ROOM])?;
+    file.set_len(at + bytes.len() as u64)?;
+    file.sync_all()
+}
+
+/// Data end, summary, footer and magic of a file with this index.
+fn ending(index: &FileIndex) -> Vec<u8> {
+    let mut end = Vec::new();
+    // No checksum over the data section, which is read again nowhere here; each chunk has its own.
+    record(&mut end, op::DATA_END, &DataEnd { data_section_crc: 0 });
+    let summary_start = index.data_end + end.len() as u64;
+    for (&id, schema) in &index.schemas {
+        schema_record(&mut end, id, schema);
+    }
+    for (&id, channel) in &index.channels {
+        let known = |(_, schema): &(_, &std::sync::Arc<Schema>)| {
+            channel.schema.as_ref().is_some_and(|wanted| wanted == *schema)
+        };
+        let record_of_channel = records::Channel {
+            id,
+            schema_id: index.schemas.iter().find(known).map_or(0, |(&id, _)| id),
+            topic: channel.topic.clone(),
+            message_encoding: channel.encoding.clone(),
+            metadata: channel.metadata.clone(),
+        };
+        record(&mut end, op::CHANNEL, &record_of_channel);
+    }
+    let (message_start_time, message_end_time) = index.times.unwrap_or_default();
+    let statistics = Statistics {
+        message_count: index.messages(),
+        schema_count: index.schemas.len() as u16,
+        channel_count: index.channels.len() as u32,
+        attachment_count: index.extras.0,
+        metadata_count: index.extras.1,
+        chunk_count: index.chunks.len() as u32,
+        message_start_time,
+        message_end_time,
+        channel_message_counts: index.counts.clone(),
+    };
+    record(&mut end, op::STATISTICS, &statistics);
+    for chunk in &index.chunks {
+        record(&mut end, op::CHUNK_INDEX, chunk);
+    }
+    record(&mut end, op::FOOTER, &Footer { summary_start, ..Footer::default() });
+    end.extend_from_slice(MAGIC);
+    end
+}
+
+fn record<R>(into: &mut Vec<u8>, opcode: u8, body: &R)
+where
+    R: for<'a> BinWrite<Args<'a> = ()>,
+{
+    let start = into.len();
+    header(into, opcode);
+    let mut cursor = Cursor::new(&mut *into);
+    cursor.set_position((start + HEADER_SIZE as usize) as u64);
+    body.write_le(&mut cursor).expect("a vector takes whatever is written");
+    close(into, start);
+}
+
+fn schema_record(into: &mut Vec<u8>, id: u16, schema: &Schema) {
+    let start = into.len();
+    header(into, op::SCHEMA);
+    let mut cursor = Cursor::new(&mut *into);
+    cursor.set_position((start + HEADER_SIZE as usize) as u64);
+    let (name, encoding) = (schema.name.clone(), schema.encoding.clone());
+    SchemaHeader { id, name, encoding }
+        .write_le(&mut cursor)
+        .and_then(|()| Ok(into.write_u32::<LittleEndian>(schema.data.len() as u32)?))
+        .expect("a vector takes whatever is written");
+    into.extend_from_slice(&schema.data);
+    close(into, start);
+}
+
+fn header(into: &mut Vec<u8>, opcode: u8) {
+    into.push(opcode);
+    into.extend_from_slice(&[0; 8]);
+}
+
+/// Fills in the length of the record that starts there and ends here.
+fn close(bytes: &mut [u8], start: usize) {
+    let body = start + HEADER_SIZE as usize;
+    let length = (bytes.len() - body) as u64;
+    bytes[start + 1..body].copy_from_slice(&length.to_le_bytes());
+}

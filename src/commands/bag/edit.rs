@@ -1,0 +1,91 @@
+//! `eddy bag cut`, `merge` and `filter`.
+
+use std::path::Path;
+
+use anyhow::{Context, ensure};
+
+use super::{report, watch, writer_options};
+use crate::{
+    cli::{CutArgs, FilterArgs, MergeArgs, NewBagArgs},
+    commands::{Interrupt, progress_bar},
+};
+use eddy::{
+    bag::{
+        BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, extract,
+        merge as merged,
+    },
+    frame::Stamp,
+};
+
+/// Copies a part of the time of a bag.
+pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(
+        args.duration.is_none_or(|seconds| seconds.is_finite() && seconds > 0.0),
+        "--duration: found {}, expected a positive number of seconds",
+        args.duration.unwrap_or_default()
+    );
+    let bag = open(&args.bag)?;
+    let start = bag.start().unwrap_or_default();
+    let from = args.start.map(|moment| moment.in_bag(start));
+    let end = match args.duration {
+        Some(seconds) => Some(Moment::After(seconds).in_bag(from.unwrap_or(start))),
+        None => args.end.map(|moment| moment.in_bag(start)),
+    };
+    if let (Some(from), Some(end)) = (from, end) {
+        let (found, least) = (end.0, from.0);
+        ensure!(end > from, "--end: found {found} ns, expected more than --start, {least} ns");
+    }
+    let until = end.map(|Stamp(end)| Stamp(end.saturating_sub(1)));
+    let selection = Selection { topics: None, from, until };
+    copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
+        extract(&bag, &selection, output, options)
+    })
+}
+
+/// Copies several bags into one.
+pub fn merge(args: &MergeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let bags = args.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<_>>>()?;
+    copy(&bags, &args.new, quiet, interrupt, |output, options| merged(&bags, output, options))
+}
+
+/// Copies some topics of a bag.
+pub fn filter(args: FilterArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let bag = open(&args.bag)?;
+    let known = |name: &str| bag.topics().iter().any(|topic| topic.name == name);
+    if let Some(unknown) = args.topics.iter().find(|name| !known(name)) {
+        let topics: Vec<_> = bag.topics().iter().map(|topic| topic.name.as_str()).collect();
+        anyhow::bail!("--topics: found {unknown}, expected one of {}", topics.join(", "));
+    }
+    let all = args.topics.is_empty() && args.regex.is_empty();
+    let choice = TopicChoice { names: args.topics, regex: args.regex, exclude: args.exclude, all };
+    let wanted = bag.topics().iter().map(|topic| &topic.name).filter(|name| choice.wants(name));
+    let selection = Selection { topics: Some(wanted.cloned().collect()), ..Selection::default() };
+    copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
+        extract(&bag, &selection, output, options)
+    })
+}
+
+/// Opens a bag that must be whole.
+fn open(path: &Path) -> anyhow::Result<BagReader> {
+    let bag = BagReader::open(path)?;
+    match bag.damage() {
+        Some(damage) => Err(damage).context("eddy bag recover saves what can be read"),
+        None => Ok(bag),
+    }
+}
+
+fn copy(
+    bags: &[BagReader],
+    new: &NewBagArgs,
+    quiet: bool,
+    interrupt: &Interrupt,
+    work: impl FnOnce(&Path, CopyOptions<'_>) -> Result<BagSummary, BagError>,
+) -> anyhow::Result<()> {
+    let messages = bags.iter().map(BagReader::message_count).sum();
+    let bar = progress_bar(messages, "messages", quiet);
+    let writer = writer_options(new, bags);
+    let outcome = work(&new.output, CopyOptions { writer, go_on: &mut watch(&bar, interrupt) });
+    bar.finish_and_clear();
+    report(&outcome?);
+    Ok(())
+}

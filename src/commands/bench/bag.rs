@@ -1,0 +1,92 @@
+//! `eddy bench bag`: how fast bags are written and read.
+
+use std::fs;
+
+use anyhow::{Context, ensure};
+use serde::Serialize;
+
+use super::table;
+use crate::{
+    cli::BenchBagArgs,
+    commands::{Interrupt, progress_bar},
+};
+use eddy::{
+    bag::Compression,
+    bench::bag::{Plan, Timing, disk, time},
+};
+
+/// What the disk is measured with (bytes).
+const PLAIN: u64 = 1 << 29;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    particles: usize,
+    hertz: f64,
+    /// A plain file, written and brought to the disk (bytes/s).
+    disk: f64,
+    timings: Vec<Timing>,
+}
+
+/// Measures every compression.
+pub fn run(args: BenchBagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure!(
+        args.hertz.is_finite() && args.hertz > 0.0,
+        "hertz: found {}, expected more than 0",
+        args.hertz
+    );
+    let directory = args.directory.join(format!("eddy_bench_{}", std::process::id()));
+    fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;
+    let outcome = measure(&args, &directory, quiet, interrupt);
+    fs::remove_dir_all(&directory).with_context(|| directory.display().to_string())?;
+    let report = outcome?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    let header = ["compression", "write (MB/s)", "read (MB/s)", "size", "published", "recorded"];
+    let rows = report.timings.iter().map(|timing| {
+        vec![
+            timing.compression.to_owned(),
+            format!("{:.0}", timing.write / 1e6),
+            format!("{:.0}", timing.read / 1e6),
+            format!("{:.2}", timing.size),
+            timing.published.to_string(),
+            timing.recorded.to_string(),
+        ]
+    });
+    println!("{}", table(header, rows.collect()).trim_fmt());
+    println!(
+        "\nframes of {} particles; published at {} Hz; the disk alone: {:.0} MB/s",
+        report.particles,
+        report.hertz,
+        report.disk / 1e6
+    );
+    Ok(())
+}
+
+fn measure(
+    args: &BenchBagArgs,
+    directory: &std::path::Path,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<Report> {
+    let compressions = [Compression::None, Compression::Lz4, Compression::Zstd];
+    let plan = Plan {
+        particles: args.particles,
+        hertz: args.hertz,
+        seconds: args.seconds,
+        directory: directory.into(),
+    };
+    let bar = progress_bar(compressions.len() as u64, "compressions", quiet);
+    let disk = disk(directory, PLAIN)?;
+    let mut timings = Vec::new();
+    for compression in compressions {
+        ensure!(!interrupt.requested(), "interrupted");
+        timings.push(time(&plan, compression)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(Report { particles: args.particles, hertz: args.hertz, disk, timings })
+}

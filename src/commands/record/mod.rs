@@ -1,0 +1,254 @@
+//! `eddy record`: topics into a bag.
+//!
+//! 1. [`discover`]: which topics there are, now and later.
+//! 2. [`intake`]: what arrives, into a queue of bounded size; what had to be given up is counted.
+//! 3. Here: out of the queue into the bag.
+
+mod discover;
+mod intake;
+
+use std::{
+    collections::HashSet,
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use anyhow::{Context, bail, ensure};
+use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use super::{Interrupt, leaves_the_process};
+use crate::cli::RecordArgs;
+use discover::Search;
+use eddy::{
+    bag::{BagError, BagSummary, BagWriter, Split, TopicChoice, WriterOptions},
+    clock::{self, Clock},
+    msg::topic_type,
+    node::{Cache, Recorder, Taken},
+    transport::{SeenTopic, Subscriber, TransportError, TransportOptions, Transports},
+};
+use intake::{Losses, Received, receive};
+
+/// How long a wait may last before the end of the recording is looked for.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Key in `custom_data` of `metadata.yaml`: messages that arrived and are not in the bag.
+const NOT_RECORDED: &str = "eddy_messages_not_recorded";
+
+/// Records until a limit, a failure or a signal; closes the bag in each case.
+pub fn run(args: RecordArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    check(&args)?;
+    let transports = Transports::new(TransportOptions::from_env("eddy_record")?);
+    let search = Search {
+        transports: transports.clone(),
+        from: args.from.clone(),
+        choice: TopicChoice {
+            names: Vec::new(),
+            regex: args.regex.clone(),
+            exclude: args.exclude.clone(),
+            all: args.all,
+        },
+    };
+    let mut inputs = Vec::new();
+    for link in &args.links {
+        let type_name = topic_type(&link.topic).to_owned();
+        let topic = SeenTopic { link: link.clone(), type_name, hash: None };
+        let subscriber = transports.subscriber_of(link, &topic.type_support())?;
+        inputs.push(Received::Opened(topic, subscriber));
+    }
+    let split = Split {
+        size: args.max_bag_size,
+        duration: args.max_bag_duration.map(Duration::from_secs_f64),
+    };
+    let compression = args.compression.into();
+    let options = WriterOptions { compression, split, ..WriterOptions::default() };
+    let mut recorder = Recorder::new(BagWriter::create(&args.output, options)?, clock::wall());
+    let clock = Clock::start();
+    let terms = Terms { args: &args, clock: &clock, quiet, interrupt };
+    let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
+    if losses.total() > 0 {
+        recorder.note(NOT_RECORDED, losses.total().to_string());
+    }
+    end(recorder, outcome, &losses, clock.now().as_secs_f64())
+}
+
+fn check(args: &RecordArgs) -> anyhow::Result<()> {
+    let mut topics = HashSet::new();
+    if let Some(twice) = args.links.iter().find(|link| !topics.insert(&link.topic)) {
+        bail!("{twice}: found topic {} twice, expected each topic once in a bag", twice.topic);
+    }
+    args.links.iter().try_for_each(leaves_the_process)?;
+    for (option, seconds) in
+        [("--stop-after", args.stop_after), ("--max-bag-duration", args.max_bag_duration)]
+    {
+        ensure!(
+            seconds.is_none_or(|seconds| Duration::try_from_secs_f64(seconds).is_ok() && seconds > 0.0),
+            "{option}: found {}, expected a positive number of seconds",
+            seconds.unwrap_or_default()
+        );
+    }
+    Ok(())
+}
+
+/// Why a recording ended that should have gone on.
+enum Failure {
+    Bag(BagError),
+    Transport(TransportError),
+}
+
+/// Closes the bag and says what is in it.
+fn end(
+    recorder: Recorder,
+    outcome: Result<(), Failure>,
+    losses: &Losses,
+    seconds: f64,
+) -> anyhow::Result<()> {
+    let unfinished = recorder.bag().active_file().to_owned();
+    let kept = || format!("what was written stays in {}", unfinished.display());
+    let failure = match outcome {
+        // Nothing can follow a failed write; what came before it is in the file.
+        Err(Failure::Bag(error)) if !error.is_no_room() => return Err(error).with_context(kept),
+        Err(Failure::Bag(error)) => Some(error.into()),
+        Err(Failure::Transport(error)) => {
+            Some(anyhow::Error::from(error).context("the recording ended early"))
+        }
+        Ok(()) => None,
+    };
+    let bag = recorder.finish().with_context(kept)?;
+    report(&bag, losses, seconds);
+    match failure {
+        None if bag.lost > 0 => bail!(no_room(&bag)),
+        Some(failure) if bag.lost > 0 => Err(failure).context(no_room(&bag)),
+        Some(failure) => Err(failure),
+        None => Ok(()),
+    }
+}
+
+fn no_room(bag: &BagSummary) -> String {
+    format!(
+        "no room was left: the bag is closed with {} messages, {} more were lost",
+        bag.messages, bag.lost
+    )
+}
+
+fn report(bag: &BagSummary, losses: &Losses, seconds: f64) {
+    for topic in &bag.topics {
+        println!("{}: {} messages", topic.name, topic.messages);
+    }
+    if losses.refused > 0 {
+        println!("not recorded: {} messages that the transport gave up", losses.refused);
+    }
+    if losses.no_room > 0 {
+        println!("not recorded: {} messages that found no room in the queue", losses.no_room);
+    }
+    let files = match bag.files.len() {
+        1 => String::new(),
+        files => format!(" in {files} files"),
+    };
+    println!("{}: {} messages{files} in {seconds:.1} s", bag.directory.display(), bag.messages);
+}
+
+/// Writes what the subscribers receive. Gives the outcome, and what is not in the bag.
+fn record(
+    recorder: &mut Recorder,
+    inputs: Vec<Received>,
+    search: &Search,
+    terms: &Terms<'_>,
+) -> (Result<(), Failure>, Losses) {
+    let args = terms.args;
+    let stop = AtomicBool::new(false);
+    let cache = Cache::new(args.max_cache_size);
+    thread::scope(|scope| {
+        let (stop, mut receivers) = (&stop, Vec::new());
+        let mut open = |recorder: &mut Recorder, topic: SeenTopic, subscriber| {
+            let id = recorder.topic_of(&topic.link.topic, &topic.type_support())?;
+            let (link, output) = (&topic.link, args.output.display());
+            println!("recording {link} ({}) into {output}", topic.type_name);
+            let producer = cache.producer();
+            receivers.push(scope.spawn(move || receive(id, subscriber, &producer, stop)));
+            Ok(())
+        };
+        let mut begun = Ok(());
+        for input in inputs {
+            if let (Received::Opened(topic, subscriber), true) = (input, begun.is_ok()) {
+                begun = open(recorder, topic, subscriber);
+            }
+        }
+        if !search.choice.is_empty() {
+            let known = args.links.iter().map(|link| link.topic.clone()).collect();
+            let producer = cache.producer();
+            scope.spawn(move || search.run(known, &producer, stop));
+        }
+        let outcome = begun.and_then(|()| write(recorder, &cache, &mut open, terms, stop));
+        stop.store(true, Ordering::Relaxed);
+        cache.close();
+        let losses = receivers.into_iter().map(|receiver| match receiver.join() {
+            Ok(losses) => losses,
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        (outcome, losses.sum())
+    })
+}
+
+/// When a recording ends, and who looks on.
+struct Terms<'a> {
+    args: &'a RecordArgs,
+    clock: &'a Clock,
+    quiet: bool,
+    interrupt: &'a Interrupt,
+}
+
+/// Begins to record a topic.
+type Open<'a> =
+    dyn FnMut(&mut Recorder, SeenTopic, Box<dyn Subscriber>) -> Result<(), Failure> + 'a;
+
+/// The writing loop. Raises `stop` when the recording is to end, then writes what has arrived.
+fn write(
+    recorder: &mut Recorder,
+    cache: &Cache<Received>,
+    open: &mut Open<'_>,
+    terms: &Terms<'_>,
+    stop: &AtomicBool,
+) -> Result<(), Failure> {
+    let Terms { args, clock, quiet, interrupt } = *terms;
+    let line = live_line(quiet);
+    let limit = args.max_messages.unwrap_or(u64::MAX);
+    let mut failure = None;
+    loop {
+        let timed_out = args.stop_after.is_some_and(|s| clock.now().as_secs_f64() >= s);
+        if timed_out || interrupt.requested() || failure.is_some() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        match cache.take(PATIENCE) {
+            Taken::Item(Received::Message(topic, payload, arrived)) => {
+                recorder.on_message(topic, payload, arrived).map_err(Failure::Bag)?;
+            }
+            Taken::Item(Received::Opened(topic, subscriber)) => open(recorder, topic, subscriber)?,
+            Taken::Item(Received::Failed(error)) => failure = Some(Failure::Transport(error)),
+            Taken::Nothing => {}
+            Taken::Ended => break,
+        }
+        recorder.on_tick(clock::wall()).map_err(Failure::Bag)?;
+        let messages = recorder.bag().messages();
+        line.set_message(format!("{messages} messages, {:.0} s", clock.now().as_secs_f64()));
+        if messages >= limit {
+            break;
+        }
+    }
+    line.finish_and_clear();
+    failure.map_or(Ok(()), Err)
+}
+
+fn live_line(quiet: bool) -> ProgressBar {
+    let line = ProgressBar::new_spinner();
+    if quiet {
+        line.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    line
+}
+
+impl From<BagError> for Failure {
+    fn from(error: BagError) -> Self {
+        Self::Bag(error)
+    }
+}

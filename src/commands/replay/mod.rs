@@ -1,0 +1,106 @@
+//! `eddy replay`: a bag onto topics, at its recorded pace.
+//!
+//! 1. [`outputs`]: a publisher for every topic, and one for the clock.
+//! 2. [`keyboard`]: what the user wants, where standard input is a terminal.
+
+mod keyboard;
+mod outputs;
+
+use anyhow::{bail, ensure};
+use indicatif::HumanCount;
+
+use super::Interrupt;
+use crate::cli::ReplayArgs;
+use eddy::{
+    bag::BagReader,
+    clock::Clock,
+    node::{Player, PlayerOptions, Stage, play},
+    transport::{TransportOptions, Transports},
+};
+use keyboard::Keyboard;
+use outputs::Outputs;
+
+/// Publishes the bag's messages until its end or a signal.
+pub fn run(args: ReplayArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let bag = BagReader::open(&args.bag)?;
+    let topics = outputs::playable(&bag, &args)?;
+    let mut player = Player::new(
+        &bag,
+        PlayerOptions {
+            rate: args.rate,
+            start_offset: args.start_offset,
+            duration: args.duration,
+            looped: args.looped,
+            topics: Some(topics.clone()),
+            clock: args.clock,
+            paused: args.start_paused,
+        },
+    )?;
+    // Sessions end with it: it stays until the last message is out.
+    let transports = Transports::new(TransportOptions::from_env("eddy_replay")?);
+    let mut outputs = Outputs::open(&transports, &args, &bag, &topics)?;
+    if !outputs.wait_for(args.wait_for, interrupt)? {
+        return Ok(());
+    }
+    let keyboard = Keyboard::open();
+    ensure!(
+        keyboard.is_some() || !args.start_paused,
+        "--start-paused: found no terminal on standard input, expected one to go on from"
+    );
+    if keyboard.is_some() && !quiet {
+        println!(
+            "space: pause or go on, right arrow or n: next message, up and down: faster and slower"
+        );
+    }
+    let clock = Clock::start();
+    let mut theatre = Theatre { outputs: &mut outputs, keyboard, interrupt };
+    play(&mut player, &clock, &mut theatre)?;
+    drop(theatre);
+    if !quiet {
+        let seconds = clock.now().as_secs_f64();
+        println!(
+            "{}: {} messages in {seconds:.1} s",
+            bag.path().display(),
+            HumanCount(outputs.sent)
+        );
+    }
+    if outputs.refused > 0 {
+        bail!(
+            "{}: {} messages that are no frames were left out",
+            bag.path().display(),
+            outputs.refused
+        );
+    }
+    Ok(())
+}
+
+/// Plays to the outputs, as the keyboard and the signals say.
+struct Theatre<'a> {
+    outputs: &'a mut Outputs,
+    keyboard: Option<Keyboard>,
+    interrupt: &'a Interrupt,
+}
+
+impl Stage for Theatre<'_> {
+    type Error = anyhow::Error;
+
+    fn message(
+        &mut self,
+        message: eddy::bag::BagMessage,
+        _: std::time::Duration,
+    ) -> anyhow::Result<()> {
+        self.outputs.publish(&message)
+    }
+
+    fn clock(&mut self, recorded: eddy::frame::Stamp) -> anyhow::Result<()> {
+        self.outputs.tell(recorded)
+    }
+
+    fn controls(&mut self) -> Vec<eddy::node::Control> {
+        self.keyboard.as_mut().map(Keyboard::controls).unwrap_or_default()
+    }
+
+    fn is_over(&self) -> bool {
+        self.interrupt.requested()
+    }
+}

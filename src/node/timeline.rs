@@ -1,0 +1,78 @@
+//! How playing time runs: at a rate, not at all while paused.
+
+use std::time::Duration;
+
+/// Maps the time that passes to the time that is played, both from the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Timeline {
+    /// How much faster than recorded.
+    rate: f64,
+    paused: bool,
+    /// A moment (ns that have passed), and what was played by then (recorded ns).
+    anchor: (f64, f64),
+}
+
+impl Timeline {
+    pub(super) fn new(rate: f64) -> Self {
+        Self { rate, paused: false, anchor: (0.0, 0.0) }
+    }
+
+    pub(super) fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    pub(super) fn is_paused(&self) -> bool {
+        self.paused
+    }
+
+    /// What has been played by `now` (recorded ns).
+    pub(super) fn position(&self, now: Duration) -> f64 {
+        let (moment, position) = self.anchor;
+        let passed = if self.paused { 0.0 } else { now.as_nanos() as f64 - moment };
+        position + passed * self.rate
+    }
+
+    /// How long it takes from `now` until so much is played (ns); never positive for what is due.
+    /// `None` while paused.
+    pub(super) fn until(&self, position: f64, now: Duration) -> Option<f64> {
+        let (moment, played) = self.anchor;
+        (!self.paused).then(|| moment + (position - played) / self.rate - now.as_nanos() as f64)
+    }
+
+    pub(super) fn set_paused(&mut self, paused: bool, now: Duration) {
+        self.anchor = (now.as_nanos() as f64, self.position(now));
+        self.paused = paused;
+    }
+
+    pub(super) fn set_rate(&mut self, rate: f64, now: Duration) {
+        self.anchor = (now.as_nanos() as f64, self.position(now));
+        self.rate = rate;
+    }
+
+    /// Goes on from there.
+    pub(super) fn jump(&mut self, position: f64, now: Duration) {
+        self.anchor = (now.as_nanos() as f64, position);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: f64 = 1e9;
+
+    #[test]
+    fn pauses_and_rates_bend_the_line_without_breaking_it() {
+        let at = Duration::from_secs;
+        let mut line = Timeline::new(2.0);
+        assert_eq!(line.position(at(3)), 6.0 * SECOND);
+        line.set_paused(true, at(3));
+        assert_eq!((line.position(at(10)), line.until(7.0, at(10))), (6.0 * SECOND, None));
+        line.set_paused(false, at(10));
+        line.set_rate(0.5, at(11));
+        assert_eq!(line.position(at(11)), 8.0 * SECOND);
+        assert_eq!(line.until(9.0 * SECOND, at(11)), Some(2.0 * SECOND));
+        line.jump(0.0, at(20));
+        assert_eq!(line.position(at(22)), SECOND);
+    }
+}

@@ -1,0 +1,279 @@
+//! `eddy record` as its users run it: which topics it finds, how it splits, what it loses.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+    thread,
+    time::{Duration, Instant},
+};
+
+use eddy::{
+    bag::{BagReader, Survey},
+    clock,
+    msg::{Message, RosString, TypeSupport, cdr, type_support},
+    transport::{Link, Publisher, Reliability, TransportOptions, Transports},
+};
+use tempfile::TempDir;
+
+use crate::support::{
+    DEADLINE, Process, eddy, fail, free_port, succeed, talking_eddy, unique, wait_for,
+};
+
+/// The recorder's bag, and topics of its own.
+struct World {
+    folder: TempDir,
+    prefix: String,
+    transports: Transports,
+    /// The recorder's part of the same Zenoh network.
+    overrides: String,
+}
+
+impl World {
+    fn new() -> Self {
+        let ports = [free_port(), free_port()];
+        let overrides = |listen: usize| {
+            let [mine, other] = [ports[listen], ports[1 - listen]];
+            format!(
+                r#"listen/endpoints=["tcp/127.0.0.1:{mine}"];connect/endpoints=["tcp/127.0.0.1:{other}"]"#
+            )
+        };
+        let mut options = TransportOptions::new("eddy_test");
+        options.zenoh.overrides = overrides(0);
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            prefix: format!("/{}", unique("record")),
+            transports: Transports::new(options),
+            overrides: overrides(1),
+        }
+    }
+
+    fn link(&self, transport: &str, name: &str) -> Link {
+        format!("{transport}:{}/{name}", self.prefix).parse().unwrap()
+    }
+
+    fn words(&self, transport: &str, name: &str) -> Box<dyn Publisher> {
+        let link = self.link(transport, name);
+        self.transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap()
+    }
+
+    fn bag(&self) -> PathBuf {
+        self.folder.path().join("bag")
+    }
+
+    fn record(&self, arguments: &[&str]) -> Command {
+        let mut command = talking_eddy();
+        command.env("ZENOH_CONFIG_OVERRIDE", &self.overrides);
+        command.args(["--quiet", "record", "--output", self.bag().to_str().unwrap()]);
+        command.args(arguments);
+        command
+    }
+
+    /// Records the words on one topic of shared memory; not an explicit link, since that is for the
+    /// types that the names of topics tell.
+    fn record_words(&self, arguments: &[&str]) -> Command {
+        let regex = format!("^{}/words$", self.prefix);
+        self.record(&[&["--regex", &regex, "--from", "shm"], arguments].concat())
+    }
+}
+
+fn word(words: &str) -> Vec<u8> {
+    cdr::encode(&RosString { data: words.into() })
+}
+
+fn wait_for_a_subscriber(publisher: &dyn Publisher) {
+    wait_for("the recorder listens", || (publisher.subscribers() > 0).then_some(()));
+}
+
+fn terminate(process: &Process) {
+    let id = process.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+}
+
+fn findings(path: &Path) -> Vec<String> {
+    let bag = BagReader::open(path).unwrap();
+    let mut survey = Survey::of(&bag, |_| ());
+    survey.check_files(&bag);
+    survey.findings
+}
+
+#[test]
+fn everything_that_is_published_is_found_also_later_and_of_types_nobody_knows_here() {
+    let world = World::new();
+    let mut early = world.words("zenoh", "early");
+    let arguments = ["--all", "--exclude", "secret", "--from", "zenoh", "--max-messages", "2"];
+    let mut recorder = Process::start(&mut world.record(&arguments));
+    wait_for_a_subscriber(&*early);
+    early.publish_cdr(&word("early")).unwrap();
+
+    let hash = format!("RIHS01_{}", "5".repeat(64));
+    let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", &hash);
+    let link = world.link("zenoh", "imu");
+    let mut later = world.transports.publisher_of(&link, &foreign, Reliability::Block).unwrap();
+    let secret = world.words("zenoh", "secret");
+    wait_for_a_subscriber(&*later);
+    later.publish_cdr(&[0, 1, 0, 0, 42]).unwrap();
+    assert_eq!(secret.subscribers(), 0);
+    assert!(recorder.wait().success());
+
+    let bag = BagReader::open(&world.bag()).unwrap();
+    let topics: Vec<_> = bag
+        .topics()
+        .iter()
+        .map(|topic| (topic.name.strip_prefix(&world.prefix).unwrap(), topic.type_name.as_str()))
+        .collect();
+    assert_eq!(topics, [("/early", RosString::TYPE), ("/imu", "acme_msgs/msg/Imu")]);
+    assert_eq!(bag.topics()[0].hash, Some(type_support(RosString::TYPE).unwrap().hash.clone()));
+    assert_eq!(bag.topics()[1].hash, Some(hash));
+    let data: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
+    assert_eq!(data, [word("early"), vec![0, 1, 0, 0, 42]]);
+    assert_eq!(findings(&world.bag()), [""; 0]);
+}
+
+#[test]
+fn several_transports_are_recorded_at_once_by_pattern() {
+    let world = World::new();
+    let pattern = format!("^{}/", world.prefix);
+    let mut publishers = [world.words("zenoh", "a"), world.words("shm", "b")];
+    let mut recorder = Process::start(&mut world.record(&["-e", &pattern, "--max-messages", "20"]));
+    publishers.iter().for_each(|publisher| wait_for_a_subscriber(&**publisher));
+    for number in 0..10 {
+        for publisher in &mut publishers {
+            publisher.publish_cdr(&word(&number.to_string())).unwrap();
+        }
+    }
+    assert!(recorder.wait().success());
+    let bag = BagReader::open(&world.bag()).unwrap();
+    let counts: Vec<_> = bag.topics().iter().map(|topic| topic.message_count).collect();
+    assert_eq!(counts, [10, 10]);
+}
+
+#[test]
+fn a_long_recording_is_split_and_its_files_are_one_bag() {
+    let world = World::new();
+    let mut publisher = world.words("shm", "words");
+    let arguments = ["--max-bag-size", "20000", "--compression", "none", "--max-messages", "100"];
+    let mut recorder = Process::start(&mut world.record_words(&arguments));
+    wait_for_a_subscriber(&*publisher);
+    for number in 0..100 {
+        publisher.publish_cdr(&word(&format!("{number:01000}"))).unwrap();
+    }
+    assert!(recorder.wait().success());
+    let bag = BagReader::open(&world.bag()).unwrap();
+    assert_eq!((bag.files().count(), bag.message_count()), (6, 100));
+    assert!(bag.files().all(|file| fs::metadata(file).unwrap().len() < 25_000));
+    assert_eq!(findings(&world.bag()), [""; 0]);
+}
+
+#[test]
+fn a_recorder_that_is_asked_to_end_has_everything() {
+    let world = World::new();
+    let mut publisher = world.words("shm", "words");
+    let mut recorder = Process::start(&mut world.record_words(&[]));
+    wait_for_a_subscriber(&*publisher);
+    for number in 0..300 {
+        publisher.publish_cdr(&word(&number.to_string())).unwrap();
+    }
+    terminate(&recorder);
+    assert!(recorder.wait().success());
+    assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), 300);
+    assert!(fs::read_to_string(world.bag().join("metadata.yaml")).unwrap().contains("version: 9"));
+}
+
+#[test]
+fn a_killed_recorder_loses_at_most_a_second_and_recover_saves_the_rest() {
+    let world = World::new();
+    let mut publisher = world.words("shm", "words");
+    let recorder = Process::start(&mut world.record_words(&[]));
+    wait_for_a_subscriber(&*publisher);
+    let start = Instant::now();
+    let mut published = Vec::new();
+    while start.elapsed() < Duration::from_secs(3) {
+        publisher.publish_cdr(&word(&published.len().to_string())).unwrap();
+        published.push(clock::wall());
+        thread::sleep(Duration::from_millis(5));
+    }
+    let killed = clock::wall();
+    recorder.kill();
+
+    let saved = world.folder.path().join("saved");
+    let output = eddy()
+        .args(["bag", "recover", world.bag().to_str().unwrap(), "-o", saved.to_str().unwrap()])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    // Lossy only if the kill cut a chunk.
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{said}");
+    assert_eq!(findings(&saved), [""; 0]);
+    let bag = BagReader::open(&saved).unwrap();
+    for (number, message) in bag.messages().enumerate() {
+        assert_eq!(message.unwrap().data, word(&number.to_string()));
+    }
+    let first_lost = published.get(bag.message_count() as usize).copied().unwrap_or(killed);
+    let lost = (killed.0 - first_lost.0) as f64 / 1e9;
+    assert!(lost <= 1.0, "{lost} s were lost");
+}
+
+/// The limit on the size of a file stands for a full disk: both refuse a write in its middle.
+#[test]
+fn a_recorder_without_room_closes_a_readable_bag_and_says_so() {
+    let world = World::new();
+    let mut publisher = world.words("shm", "words");
+    let inner = world.record_words(&["--compression", "none"]);
+    let mut command = Command::new("sh");
+    // At most 8 MiB, or half of that, as the shell counts.
+    command.args(["-c", "ulimit -f 8192; exec \"$@\" 2>&1", "sh"]).arg(inner.get_program());
+    command.args(inner.get_args());
+    let mut recorder = Process::start(&mut command);
+    wait_for_a_subscriber(&*publisher);
+    let start = Instant::now();
+    let mut published = 0;
+    // Until nobody takes it any more.
+    while recorder.is_running() && start.elapsed() < DEADLINE {
+        publisher.publish_cdr(&word(&format!("{published:010000}"))).unwrap();
+        published += 1;
+        thread::sleep(Duration::from_millis(2));
+    }
+    assert_eq!(recorder.wait().code(), Some(1));
+    let said = recorder.rest();
+    assert!(said.contains("no room was left: the bag is closed with"), "{said}");
+
+    assert_eq!(findings(&world.bag()), [""; 0]);
+    let bag = BagReader::open(&world.bag()).unwrap();
+    assert!(!bag.is_unfinished());
+    let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+    let count = format!("  message_count: {}\n", bag.message_count());
+    assert_eq!(
+        metadata.matches(&count).count(),
+        3,
+        "of the bag, the topic and the file: {metadata}"
+    );
+    // Three of the four mebibytes at least.
+    assert!(bag.message_count() > 300, "{}", bag.message_count());
+    for (number, message) in bag.messages().enumerate() {
+        assert_eq!(message.unwrap().data, word(&format!("{number:010000}")));
+    }
+    succeed(["bag", "check", world.bag().to_str().unwrap()]);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag").to_str().unwrap().to_owned();
+    let record = |code: i32, arguments: &[&str]| {
+        fail(code, [&["record", "--output", &bag], arguments].concat())
+    };
+    for (code, arguments, expected) in [
+        (2, vec![], "LINK"),
+        (2, vec!["--regex", "(", "--from", "shm"], "regex parse error"),
+        (2, vec!["shm:/a", "--max-bag-size", "0"], "--max-bag-size"),
+        (2, vec!["shm:/a", "--max-duration", "5"], "--max-duration"),
+        (1, vec!["shm:/a", "--max-bag-duration", "0"], "--max-bag-duration: found 0, expected"),
+        (1, vec!["shm:/a", "--stop-after", "nan"], "--stop-after: found NaN, expected"),
+        (1, vec!["shm:/a", "zenoh:/a"], "found topic /a twice"),
+    ] {
+        let message = record(code, &arguments);
+        assert!(message.contains(expected), "{message}");
+        assert!(!Path::new(&bag).exists());
+    }
+}
