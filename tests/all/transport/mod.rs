@@ -1,16 +1,17 @@
 //! The transports, end to end: one suite for all, then what is particular to each.
 //!
-//! Every test has topics and ports of its own, so that tests run side by side, and beside other
+//! Every test has topics, ports and a DDS domain of its own, so that tests run side by side, and beside other
 //! users of this machine.
 
 mod child;
+mod dds;
 mod shm;
 mod suite;
 mod zenoh;
 
 use std::{
     ops::RangeInclusive,
-    sync::atomic::{AtomicU16, Ordering},
+    sync::atomic::{AtomicU16, AtomicU32, Ordering},
     time::{Duration, Instant},
 };
 
@@ -40,6 +41,15 @@ fn ports() -> RangeInclusive<u16> {
     start..=start + BLOCK - 1
 }
 
+/// A DDS domain that no other test uses now. Participants on loopback find the first twelve of a
+/// domain only.
+fn domain() -> u16 {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    const DOMAINS: u32 = 100;
+    let next = std::process::id().wrapping_mul(13) + NEXT.fetch_add(1, Ordering::Relaxed);
+    1 + (next % DOMAINS) as u16
+}
+
 /// Options that leave everybody else's router and ports alone.
 fn options() -> TransportOptions {
     let mut options = TransportOptions::new("eddy_test");
@@ -48,8 +58,11 @@ fn options() -> TransportOptions {
     options
 }
 
-/// The two ends of a transport: for shared memory and Zenoh, as two processes would have them.
-fn ends(transport: &str, options: TransportOptions) -> [Transports; 2] {
+/// The two ends of a transport: but for memory, as two processes would have them.
+fn ends(transport: &str, mut options: TransportOptions) -> [Transports; 2] {
+    if transport == "dds" {
+        options.domain_id = domain();
+    }
     let first = Transports::new(options.clone());
     let second = if transport == "memory" { first.clone() } else { Transports::new(options) };
     [first, second]

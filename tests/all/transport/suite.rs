@@ -79,7 +79,7 @@ macro_rules! every_transport {
     )*};
 }
 
-every_transport! { memory shm zenoh }
+every_transport! { memory shm zenoh dds }
 
 fn frames_arrive_bit_by_bit_and_in_order(transport: &str) {
     let ([here, there], link) = (ends(transport, options()), link(transport));
@@ -256,7 +256,8 @@ fn an_unknown_type_is_named(transport: &str) {
     assert!(error.to_string().contains("found std_msgs/msg/Nothing"), "{error}");
 }
 
-/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys.
+/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys,
+/// DDS by what discovery tells.
 #[test]
 fn a_topic_of_another_type_is_refused_with_both_types() {
     for transport in ["memory", "shm"] {
