@@ -244,3 +244,48 @@ impl Gaps {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shared() -> Shared {
+        Shared {
+            link: "dds:/test".parse().unwrap(),
+            queue: Queue::new(DEPTH),
+            waiting: AtomicUsize::new(0),
+            lost: AtomicU64::new(0),
+            stop: AtomicBool::new(false),
+        }
+    }
+
+    #[test]
+    fn the_oldest_of_too_many_messages_is_given_up_and_counted() {
+        let shared = shared();
+        for number in 0..DEPTH + 3 {
+            shared.put(number.to_le_bytes().to_vec());
+        }
+        assert_eq!(shared.queue.pop(Duration::ZERO), Some(3usize.to_le_bytes().to_vec()));
+        assert_eq!(shared.lost.load(Ordering::Relaxed), 3);
+        assert_eq!(shared.waiting.load(Ordering::Relaxed), DEPTH * size_of::<usize>());
+    }
+
+    #[test]
+    fn too_many_bytes_count_as_too_many_messages() {
+        let shared = shared();
+        for number in 0..6 {
+            shared.put(vec![number; MOST_BYTES / 4]);
+        }
+        assert_eq!(shared.queue.pop(Duration::ZERO).unwrap()[0], 2);
+        assert_eq!(shared.lost.load(Ordering::Relaxed), 2);
+    }
+
+    #[test]
+    fn gaps_are_counted_for_each_writer_from_its_first_message() {
+        let [one, two] = [GUID::new_participant_guid(), GUID::new_participant_guid()];
+        let mut gaps = Gaps::default();
+        let counts = [(one, 5), (one, 6), (two, 1), (one, 9), (two, 2), (one, 9), (one, 1)]
+            .map(|(writer, number)| gaps.count(writer, number));
+        assert_eq!(counts, [0, 0, 0, 2, 0, 0, 0]);
+    }
+}

@@ -157,7 +157,7 @@ fn frames_go_to_another_process_and_come_back() {
     for transport in ["shm", "zenoh", "dds"] {
         let (mut options, link) = (options(), super::link(transport));
         if transport == "dds" {
-            options.domain_id = super::domain();
+            options.domain_id = crate::support::domain();
         }
         let transports = Transports::new(options.clone());
         let back = link.with_topic(&format!("{}/back", link.topic));

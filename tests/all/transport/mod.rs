@@ -11,7 +11,7 @@ mod zenoh;
 
 use std::{
     ops::RangeInclusive,
-    sync::atomic::{AtomicU16, AtomicU32, Ordering},
+    sync::atomic::{AtomicU16, Ordering},
     time::{Duration, Instant},
 };
 
@@ -21,7 +21,7 @@ use eddy::{
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
-use crate::support::unique;
+use crate::support::{domain, unique};
 
 /// How long anything may take here before the test fails.
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -39,15 +39,6 @@ fn ports() -> RangeInclusive<u16> {
     let first = 10_000 + (std::process::id() % 100) as u16 * 200;
     let start = first + NEXT.fetch_add(1, Ordering::Relaxed) * BLOCK;
     start..=start + BLOCK - 1
-}
-
-/// A DDS domain that no other test uses now. Participants on loopback find the first twelve of a
-/// domain only.
-fn domain() -> u16 {
-    static NEXT: AtomicU32 = AtomicU32::new(0);
-    const DOMAINS: u32 = 100;
-    let next = std::process::id().wrapping_mul(13) + NEXT.fetch_add(1, Ordering::Relaxed);
-    1 + (next % DOMAINS) as u16
 }
 
 /// Options that leave everybody else's router and ports alone.
