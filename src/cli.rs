@@ -29,7 +29,8 @@ pub struct Cli {
     #[arg(
         long,
         global = true,
-        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error",
+        // RustDDS logs the usual as errors, participants that come and go above all.
+        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
         env = "EDDY_LOG"
     )]
     pub log_level: String,

@@ -55,6 +55,8 @@ pub(super) struct DdsNode {
     subscriber: Subscriber,
     graph: Graph,
     patience: Duration,
+    /// Bytes.
+    largest_message: usize,
 }
 
 impl DdsNode {
@@ -65,8 +67,9 @@ impl DdsNode {
         let publisher = participant.create_publisher(&none).map_err(failed)?;
         let subscriber = participant.create_subscriber(&none).map_err(failed)?;
         let graph = Graph::open(link, &participant, &publisher, &options.node_name)?;
-        let patience = options.patience;
-        Ok(Self { participant, publisher, subscriber, graph, patience })
+        let (patience, largest_message) = (options.patience, qos::largest_message());
+        tracing::info!("DDS carries messages of up to {largest_message} bytes here");
+        Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
     }
 
     pub(super) fn publisher(

@@ -46,12 +46,9 @@ impl DdsPublisher {
 
     fn publish(&mut self, message: Vec<u8>) -> Result<(), TransportError> {
         let size = message.len();
-        if size > qos::MAX_MESSAGE {
-            return Err(TransportError::TooLarge {
-                link: self.link.clone(),
-                found: size,
-                limit: qos::MAX_MESSAGE,
-            });
+        let (link, limit) = (&self.link, self.node.largest_message);
+        if size > limit {
+            return Err(TransportError::TooLarge { link: link.clone(), found: size, limit });
         }
         let body = Body::of(message).ok_or_else(|| {
             middleware(&self.link, "publish", &"expected plain little-endian CDR (00 01 00 00)")

@@ -58,7 +58,7 @@ fn subscribers_take_from_publishers_that_block_and_from_publishers_that_drop() {
 fn a_message_too_large_is_refused_with_its_size_the_limit_and_the_way_out() {
     let (transports, link) = (Transports::new(options()), link("dds"));
     let mut publisher = transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
-    let bytes = cdr::encode(&RosString { data: "e".repeat(2 << 20) });
+    let bytes = cdr::encode(&RosString { data: "e".repeat(9 << 20) });
     let error = publisher.publish_cdr(&bytes).unwrap_err();
     assert!(matches!(error, TransportError::TooLarge { .. }));
     let found = bytes.len();
@@ -132,7 +132,7 @@ fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restart
 #[ignore = "a measurement: where RustDDS stops being sound"]
 fn the_size_of_messages_that_dds_carries() {
     println!("| bytes | as fast as they go, arrived | MB/s | 62.5 Hz, may be lost: arrived |");
-    for size in [43_000, 100_000, 200_000, 500_000, 1_000_000, 2_000_000, 4_000_000, 8_000_000] {
+    for size in [43_000, 100_000, 200_000, 500_000, 1_000_000, 2_000_000, 4_000_000] {
         let row = [Reliability::Block, Reliability::Drop].map(|mode| carried(size, mode));
         let [(blocked, seconds), (dropped, _)] = row;
         let rate = f64::from(blocked) * size as f64 / seconds / 1e6;
@@ -152,7 +152,9 @@ fn carried(size: usize, mode: Reliability) -> (u32, f64) {
     let start = Instant::now();
     let publishing = thread::spawn(move || {
         for number in 0..MESSAGES {
-            publisher.publish_cdr(&message).unwrap();
+            if publisher.publish_cdr(&message).is_err() {
+                break;
+            }
             if mode == Reliability::Drop {
                 let due = Duration::from_millis(16) * (number + 1);
                 thread::sleep(due.saturating_sub(start.elapsed()));
