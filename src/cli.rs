@@ -36,7 +36,8 @@ pub struct Cli {
     #[arg(
         long,
         global = true,
-        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error",
+        // RustDDS logs the usual as errors, participants that come and go above all.
+        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
         env = "EDDY_LOG"
     )]
     pub log_level: String,
@@ -137,8 +138,8 @@ pub struct SimulateArgs {
     /// Where the bags go: one directory a scene.
     #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
     pub output: Option<PathBuf>,
-    /// Publish the frames at the pace of real time, for example on zenoh:/particles; the clock goes
-    /// to /clock of the same transport.
+    /// Publish the frames at the pace of real time, for example on zenoh:/particles, shm:/particles or
+    /// dds:/particles; the clock goes to /clock of the same transport.
     #[arg(long, value_name = "LINK")]
     pub publish: Option<Link>,
     /// How much faster than real time they are published.
@@ -159,7 +160,8 @@ pub struct SimulateArgs {
 /// `eddy record`
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// The links to record, for example zenoh:/particles zenoh:/prediction.
+    /// The links to record, for example zenoh:/particles zenoh:/prediction; the transports are shm,
+    /// zenoh and dds.
     #[arg(required_unless_present_any = ["all", "regex"])]
     pub links: Vec<Link>,
     /// Record every topic that is published, also those that appear later.
@@ -220,7 +222,7 @@ impl From<CompressionArg> for Compression {
 pub struct ReplayArgs {
     /// The bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// The transport to publish on.
+    /// The transport to publish on: zenoh, shm or dds.
     #[arg(long, default_value = "zenoh")]
     pub to: TransportKind,
     /// How much faster than recorded.
@@ -304,10 +306,10 @@ pub struct NodeArgs {
     /// Settings from a TOML file; what is given here on the command line goes first.
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// Where frames come from [default: zenoh:/particles].
+    /// Where frames come from, by shm, zenoh or dds [default: zenoh:/particles].
     #[arg(long)]
     pub input: Option<Link>,
-    /// Where predictions go; several may be given [default: zenoh:/prediction].
+    /// Where predictions go, by shm, zenoh or dds; several may be given [default: zenoh:/prediction].
     #[arg(long)]
     pub output: Vec<Link>,
     /// Frames predicted ahead of each observed frame [default: 1].

@@ -2,7 +2,7 @@
 //!
 //! A surrogate node subscribes to particle-state frames, keeps the hidden state of a minimal
 //! recurrent network (minGRU, minLSTM) for every stream, and publishes the predicted next frames
-//! over shared memory or Zenoh. Ground truth comes from a Material-Point-Method solver, is recorded
+//! over shared memory, Zenoh or DDS. Ground truth comes from a Material-Point-Method solver, is recorded
 //! as MCAP bags, and bags are what networks are trained and judged on.
 //!
 //! Layers, each using only lower ones (`tests/all/layers.rs` holds this table):

@@ -23,7 +23,7 @@ use eddy::{
     model::Ballistic,
     mpm::{self, Preset, Scene, Simulation},
     msg::{Message, ParticleFrame, PredictionStatus, cdr},
-    node::{FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode, drive},
+    node::{Control, FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode, drive},
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
@@ -67,7 +67,8 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         let queue = FrameQueue::new(16, Reliability::Block);
         let outputs = std::slice::from_mut(&mut wires.outputs);
         let (node, input, stop) = (&mut node, wires.input.as_mut(), &stop);
-        let predictor = scope.spawn(move || drive(node, NAME, input, outputs, &queue, stop));
+        let predictor = scope
+            .spawn(move || drive(node, NAME, input, outputs, &queue, &Control::default(), stop));
 
         let watched = wires.watch.run(
             Live::start(ballistic, Duration::ZERO),

@@ -33,7 +33,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
     ensure!(
         link.transport != TransportKind::Memory,
-        "{link}: found memory, expected shm or zenoh: memory links stay within one process"
+        "{link}: found memory, expected shm, zenoh or dds: memory links stay within one process"
     );
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! `eddy node`: predicts the frames of live streams.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, sync::Arc};
 
 use anyhow::Context;
 use serde::Deserialize;
@@ -10,8 +10,11 @@ use crate::cli::NodeArgs;
 use eddy::{
     config,
     msg::{DiagnosticArray, Message, ParticleFrame, PredictionStatus},
-    node::{Counters, FrameQueue, NodeSettings, Outputs, SurrogateNode, drive},
-    transport::{Link, Reliability, TransportError, TransportOptions, Transports},
+    node::{
+        Control, Counters, FrameQueue, NodeSettings, Outputs, Service, SurrogateNode, drive,
+        services,
+    },
+    transport::{Link, Reliability, Served, TransportError, TransportOptions, Transports},
 };
 
 /// The node's name in the ROS 2 graph.
@@ -71,13 +74,18 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         publishers.push(open(&transports, link, reliability, first).context("cannot publish")?);
     }
 
+    let control = Arc::new(Control::default());
+    let _services =
+        serve(&transports, &input, &outputs, &control).context("cannot offer services")?;
+
     if !quiet {
         let digest = &node.surrogate().digest()[..12];
         let outputs: Vec<_> = outputs.iter().map(ToString::to_string).collect();
         println!("predicting {input} -> {} with model {digest}", outputs.join(", "));
     }
+    let input = subscriber.as_mut();
     let outcome =
-        drive(&mut node, NAME, subscriber.as_mut(), &mut publishers, &queue, interrupt.flag());
+        drive(&mut node, NAME, input, &mut publishers, &queue, &control, interrupt.flag());
     if !quiet {
         println!("{}", summary(node.counters()));
     }
@@ -99,6 +107,26 @@ fn open(
         status: transports.publisher(&status, PredictionStatus::TYPE, reliability)?,
         diagnostics: diagnostics.transpose()?,
     })
+}
+
+/// Offers the node's services on every transport of its links that has them.
+fn serve(
+    transports: &Transports,
+    input: &Link,
+    outputs: &[Link],
+    control: &Arc<Control>,
+) -> Result<Vec<Box<dyn Served>>, TransportError> {
+    let links: Vec<_> = [input].into_iter().chain(outputs).collect();
+    let mut served = Vec::new();
+    for (index, link) in links.iter().enumerate() {
+        if links[..index].iter().any(|other| other.transport == link.transport) {
+            continue;
+        }
+        for Service { name, type_name, handler } in services(NAME, control) {
+            served.extend(transports.serve(&link.with_topic(&name), type_name, handler)?);
+        }
+    }
+    Ok(served)
 }
 
 /// What was used and what was not, in one line; zeros are left out.

@@ -4,7 +4,8 @@
 //! 2. [`cdr`]: struct to bytes and back (CDR, XCDR1, little-endian header `00 01 00 00`).
 //! 3. [`schema`]: the `.msg` text with its dependencies, as MCAP files carry it, and the type
 //!    description parsed from it.
-//! 4. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
+//! 4. [`services`]: requests and responses, likewise one struct each.
+//! 5. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
 //!
 //! The `.msg` files in `msgs/` are the source of truth: schema text and type hash come from them,
 //! and a test holds the twins against them.
@@ -12,6 +13,7 @@
 pub mod cdr;
 mod convert;
 pub mod schema;
+pub mod services;
 mod twins;
 
 pub use convert::BadFrame;

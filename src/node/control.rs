@@ -1,59 +1,102 @@
-//! What a user may ask of a player, by the keys of rosbag2's player.
+//! What may be asked of a running node, whoever brings the question.
+//!
+//! The node knows no middleware: services put requests into this queue, on threads of their own, and wait;
+//! the [driver](super::drive) answers between two frames.
 
-/// A wish.
+use std::{
+    sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel},
+    time::Duration,
+};
+
+use super::{InvalidSettings, SurrogateNode};
+use crate::transport::Queue;
+
+/// Requests that may wait.
+const DEPTH: usize = 16;
+
+/// A request to a running node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Control {
-    /// Pause, or go on.
-    Pause,
-    /// The next message now, whether paused or not.
-    Next,
-    /// A tenth faster.
-    Faster,
-    /// A tenth slower.
-    Slower,
+pub enum Request {
+    /// Frames predicted ahead of each observed frame.
+    Horizon,
+    /// Predict so many frames ahead from now on; only look whether that is possible if `dry`.
+    SetHorizon {
+        /// Frames.
+        frames: u32,
+        /// Change nothing.
+        dry: bool,
+    },
+    /// Forget every stream.
+    Reset,
 }
 
-impl Control {
-    /// The wishes in what a terminal sent: space, right arrow or `n`, up, down. Other keys mean nothing.
-    pub fn parse(keys: &[u8]) -> Vec<Self> {
-        let mut wishes = Vec::new();
-        let mut rest = keys;
-        while let [key, after @ ..] = rest {
-            let (wish, after) = match rest {
-                // An arrow is ESC [ A to D, or ESC O A to D from a terminal in application mode.
-                [0x1b, b'[' | b'O', arrow, after @ ..] => {
-                    let wish = match arrow {
-                        b'A' => Some(Self::Faster),
-                        b'B' => Some(Self::Slower),
-                        b'C' => Some(Self::Next),
-                        _ => None,
-                    };
-                    (wish, after)
-                }
-                _ => match key {
-                    b' ' => (Some(Self::Pause), after),
-                    b'n' => (Some(Self::Next), after),
-                    _ => (None, after),
-                },
-            };
-            wishes.extend(wish);
-            rest = after;
-        }
-        wishes
+/// What the node says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// Frames predicted ahead, now.
+    Horizon(u32),
+    /// Streams that were forgotten.
+    Forgot(usize),
+}
+
+/// Why a request was not fulfilled.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unanswered {
+    /// The value is out of its range.
+    #[error(transparent)]
+    Refused(#[from] InvalidSettings),
+    /// The node is busy or has ended.
+    #[error("node: found no answer within {} s, expected one", patience.as_secs_f64())]
+    Silent {
+        /// How long was waited.
+        patience: Duration,
+    },
+}
+
+type Asked = (Request, SyncSender<Result<Answer, Unanswered>>);
+
+/// The way to a running node.
+#[derive(Debug)]
+pub struct Control {
+    requests: Queue<Asked>,
+}
+
+impl Default for Control {
+    fn default() -> Self {
+        Self { requests: Queue::new(DEPTH) }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+impl Control {
+    /// Asks the node, and waits `patience` at most.
+    ///
+    /// # Errors
+    /// [`Unanswered`] with the node's reason, or when none came.
+    pub fn ask(&self, request: Request, patience: Duration) -> Result<Answer, Unanswered> {
+        let (sender, receiver) = sync_channel(1);
+        let silent = Unanswered::Silent { patience };
+        self.requests
+            .push_or_wait((request, sender), Duration::ZERO)
+            .map_err(|_| silent.clone())?;
+        match receiver.recv_timeout(patience) {
+            Ok(answer) => answer,
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Err(silent),
+        }
+    }
 
-    #[test]
-    fn keys_are_read_as_rosbag2_reads_them_and_others_are_passed_over() {
-        use Control::{Faster, Next, Pause, Slower};
-        assert_eq!(
-            Control::parse(b" n\x1b[Cq\x1b[A\x1bOB\x1b[D"),
-            [Pause, Next, Next, Faster, Slower]
-        );
-        assert_eq!(Control::parse(b"\x1b["), []);
+    /// Answers everything that was asked by now.
+    pub fn serve(&self, node: &mut SurrogateNode) {
+        while let Some((request, asker)) = self.requests.pop(Duration::ZERO) {
+            let answer = match request {
+                Request::Horizon => Ok(Answer::Horizon(node.horizon())),
+                Request::SetHorizon { frames, dry } => node
+                    .set_horizon(frames, dry)
+                    .map(|()| Answer::Horizon(node.horizon()))
+                    .map_err(Unanswered::from),
+                Request::Reset => Ok(Answer::Forgot(node.reset())),
+            };
+            // Nobody to tell it to: the asker's patience has ended.
+            let _ = asker.send(answer);
+        }
     }
 }

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use super::{FrameQueue, Prediction, Refusal, SurrogateNode, diagnostics::Monitor};
+use super::{Control, FrameQueue, Prediction, Refusal, SurrogateNode, diagnostics::Monitor};
 use crate::{
     clock::{self, Clock},
     msg::cdr,
@@ -31,7 +31,7 @@ pub struct Outputs {
 }
 
 /// Receives, predicts and publishes until `stop` is raised, then for at most two seconds what had
-/// arrived by then.
+/// arrived by then. Answers what is asked through `control`, within a tenth of a second.
 ///
 /// # Errors
 /// [`TransportError`] when the input fails. An output that fails is logged, and the node goes on.
@@ -41,6 +41,7 @@ pub fn drive(
     input: &mut dyn Subscriber,
     outputs: &mut [Outputs],
     queue: &FrameQueue,
+    control: &Control,
     stop: &AtomicBool,
 ) -> Result<(), TransportError> {
     let clock = Clock::start();
@@ -54,6 +55,7 @@ pub fn drive(
         let mut reported = clock.now();
         while !receiver.is_finished() {
             work.step();
+            control.serve(work.node);
             if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
                 reported = clock.now();
                 work.report();

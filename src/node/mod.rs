@@ -6,11 +6,12 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. `cache`: what waits to be recorded, bounded in bytes.
-//! 8. `recorder`: what arrives into a bag.
-//! 9. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
-//!    `timeline` knows rates and pauses, `control` what the user wants.
-//! 10. `playback`: plays, until told to end.
+//! 7. [`control`]: what may be asked of a running node; [`services`]: how ROS asks it.
+//! 8. `cache`: what waits to be recorded, bounded in bytes.
+//! 9. `recorder`: what arrives into a bag.
+//! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
+//!     `timeline` knows rates and pauses, `wish` what the user wants.
+//! 11. `playback`: plays, until told to end.
 
 mod cache;
 mod control;
@@ -22,21 +23,25 @@ mod player;
 mod queue;
 mod read_ahead;
 mod recorder;
+mod services;
 mod settings;
 mod surrogate;
 mod timeline;
 mod track;
+mod wish;
 
 #[cfg(test)]
 mod tests;
 
 pub use cache::{Cache, Producer, Taken};
-pub use control::Control;
+pub use control::{Answer, Control, Request, Unanswered};
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, drive};
 pub use playback::{Stage, play};
 pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;
 pub use recorder::Recorder;
-pub use settings::{InvalidSettings, NodeSettings, Publish};
+pub use services::{Service, services};
+pub use settings::{HORIZON, InvalidSettings, NodeSettings, Publish};
 pub use surrogate::{Prediction, SurrogateNode};
+pub use wish::Wish;

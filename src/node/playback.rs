@@ -2,7 +2,7 @@
 
 use std::{thread, time::Duration};
 
-use super::{Control, Due, Player};
+use super::{Due, Player, Wish};
 use crate::{
     bag::{BagError, BagMessage},
     clock::Clock,
@@ -30,7 +30,7 @@ pub trait Stage {
     fn clock(&mut self, recorded: Stamp) -> Result<(), Self::Error>;
 
     /// What the user wants, since the last look.
-    fn controls(&mut self) -> Vec<Control>;
+    fn wishes(&mut self) -> Vec<Wish>;
 
     /// Whether the user wants no more.
     fn is_over(&self) -> bool;
@@ -42,8 +42,8 @@ pub trait Stage {
 /// Damage of the bag, and what the stage gives.
 pub fn play<S: Stage>(player: &mut Player, clock: &Clock, stage: &mut S) -> Result<(), S::Error> {
     while !stage.is_over() {
-        for control in stage.controls() {
-            if let Some(message) = player.control(control, clock.now())? {
+        for wish in stage.wishes() {
+            if let Some(message) = player.wish(wish, clock.now())? {
                 stage.message(message, clock.now())?;
             }
         }

@@ -15,11 +15,14 @@ pub enum Publish {
     All,
 }
 
+/// Frames that can be predicted ahead of an observed frame.
+pub const HORIZON: RangeInclusive<u32> = 1..=10_000;
+
 /// Settings of a [`SurrogateNode`](super::SurrogateNode).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NodeSettings {
-    /// Frames predicted ahead of each observed frame; 1 to 10,000.
+    /// Frames predicted ahead of each observed frame, in [`HORIZON`].
     pub horizon: u32,
     /// Which of them are published.
     pub publish: Publish,
@@ -66,8 +69,9 @@ impl NodeSettings {
     /// # Errors
     /// [`InvalidSettings`] with the first setting that is out of its range.
     pub fn check(&self) -> Result<(), InvalidSettings> {
+        let horizons = u64::from(*HORIZON.start())..=u64::from(*HORIZON.end());
         let ranges = [
-            ("horizon", u64::from(self.horizon), 1..=10_000),
+            ("horizon", u64::from(self.horizon), horizons),
             ("free_run", self.free_run.unwrap_or(1), 1..=u64::MAX),
             ("max_gap", self.max_gap, 0..=1_000),
             ("max_streams", self.max_streams as u64, 1..=65_536),

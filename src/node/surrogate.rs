@@ -85,6 +85,32 @@ impl SurrogateNode {
         self.streams.len()
     }
 
+    /// Frames predicted ahead of each observed frame.
+    pub fn horizon(&self) -> u32 {
+        self.settings.horizon
+    }
+
+    /// Predicts so many frames ahead from now on. Changes nothing if `dry`.
+    ///
+    /// # Errors
+    /// [`InvalidSettings`] when they are out of [`HORIZON`](super::HORIZON); then nothing changes.
+    pub fn set_horizon(&mut self, frames: u32, dry: bool) -> Result<(), InvalidSettings> {
+        let settings = NodeSettings { horizon: frames, ..self.settings.clone() };
+        settings.check()?;
+        if !dry {
+            self.settings = settings;
+        }
+        Ok(())
+    }
+
+    /// Forgets every stream: each warms up again. Returns how many there were.
+    pub fn reset(&mut self) -> usize {
+        let streams = self.streams.len();
+        self.counters.resets += streams as u64;
+        self.streams.clear();
+        streams
+    }
+
     /// Observes one frame and returns what is to be published, in the order of the predicted instants.
     ///
     /// # Errors

@@ -1,14 +1,26 @@
 //! The rules of the surrogate node, one test a rule.
 
-use std::time::Duration;
+use std::{sync::Arc, thread, time::Duration};
 
-use super::{Counters, NodeSettings, Publish, Refusal, SurrogateNode};
+use serde::{Serialize, de::DeserializeOwned};
+
+use super::{
+    Control, Counters, NodeSettings, Publish, Refusal, Request, Service, SurrogateNode, Unanswered,
+    services,
+};
 use crate::{
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes},
     engine::{Memory, Surrogate},
     frame::{Domain, Frame, Material, Stamp},
     model::layers::initial,
-    msg::{BadFrame, StreamState},
+    msg::{
+        BadFrame, StreamState, cdr,
+        services::{
+            DescribeParametersResponse, Empty, GetParametersResponse, Parameter, ParameterNames,
+            ParameterValue, SetParametersAtomicallyResponse, SetParametersRequest,
+            SetParametersResponse, SetParametersResult, TriggerResponse,
+        },
+    },
 };
 
 const DT: f32 = 0.016;
@@ -273,4 +285,118 @@ fn settings_out_of_range_are_named() {
     let settings = NodeSettings { horizon: 0, ..NodeSettings::default() };
     let error = SurrogateNode::new(surrogate(), settings).err().unwrap();
     assert_eq!(error.to_string(), "horizon: found 0, expected 1 to 10000");
+}
+
+#[test]
+fn a_new_horizon_counts_from_the_next_frame_and_one_out_of_range_changes_nothing() {
+    let mut node = node(NodeSettings::default());
+    let sequences = |frames: Vec<Frame>| frames.iter().map(|f| f.sequence).collect::<Vec<_>>();
+    assert_eq!(sequences(feed_all(&mut node, (0..3).map(|n| frame(1, n)))), [3]);
+    node.set_horizon(5, false).unwrap();
+    assert_eq!(sequences(feed(&mut node, frame(1, 3))), [8]);
+    for frames in [0, 10_001] {
+        let refused = node.set_horizon(frames, false).unwrap_err().to_string();
+        assert_eq!(refused, format!("horizon: found {frames}, expected 1 to 10000"));
+    }
+    node.set_horizon(7, true).unwrap();
+    assert_eq!(node.horizon(), 5);
+    assert_eq!(sequences(feed(&mut node, frame(1, 4))), [9]);
+}
+
+#[test]
+fn a_reset_forgets_every_stream_and_each_warms_up_again() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..3).flat_map(|n| [frame(1, n), frame(2, n)]));
+    assert_eq!(node.reset(), 2);
+    assert_eq!((node.streams(), node.counters().resets), (0, 2));
+    let again = feed_all(&mut node, (3..6).map(|n| frame(1, n)));
+    assert_eq!(again.len(), 1, "after the warm-up");
+    let (_, _, fresh) = directly((3..6).map(|n| frame(1, n)));
+    assert_eq!(again[0], fresh);
+}
+
+/// Serves until the asker is done, as the driver does between two frames.
+fn asked(ask: impl FnOnce(Vec<Service>) + Send) -> SurrogateNode {
+    let mut node = node(NodeSettings::default());
+    let control = Arc::new(Control::default());
+    let offered = services("eddy_node", &control);
+    thread::scope(|scope| {
+        let asker = scope.spawn(move || ask(offered));
+        while !asker.is_finished() {
+            control.serve(&mut node);
+            thread::yield_now();
+        }
+    });
+    node
+}
+
+/// What the service `name` answers.
+fn call<B: DeserializeOwned>(services: &mut [Service], name: &str, request: &impl Serialize) -> B {
+    let name = format!("/eddy_node/{name}");
+    let service = services.iter_mut().find(|service| service.name == name).unwrap();
+    cdr::decode(&(service.handler)(&cdr::encode(request)).unwrap()).unwrap()
+}
+
+fn horizon(value: ParameterValue) -> SetParametersRequest {
+    SetParametersRequest { parameters: vec![Parameter { name: "horizon".into(), value }] }
+}
+
+#[test]
+fn the_horizon_is_a_parameter_with_a_range_and_refusals_say_why() {
+    let node = asked(|mut services| {
+        let mut set = |value| -> SetParametersResult {
+            let mut answer: SetParametersResponse =
+                call(&mut services, "set_parameters", &horizon(value));
+            answer.results.remove(0)
+        };
+        assert!(set(ParameterValue::integer(20)).successful);
+        for (found, reason) in [
+            (0, "horizon: found 0, expected 1 to 10000"),
+            (-3, "horizon: found -3, expected 1 to 10000"),
+            (10_001, "horizon: found 10001, expected 1 to 10000"),
+        ] {
+            let result = set(ParameterValue::integer(found));
+            assert_eq!((result.successful, result.reason.as_str()), (false, reason));
+        }
+        let text = ParameterValue { kind: 4, string_value: "9".into(), ..Default::default() };
+        assert!(set(text).reason.contains("found a value of type 4, expected an integer"));
+        let names = ParameterNames { names: vec!["horizon".into(), "depth".into()] };
+        let got: GetParametersResponse = call(&mut services, "get_parameters", &names);
+        assert_eq!(got.values, [ParameterValue::integer(20), ParameterValue::default()]);
+        let described: DescribeParametersResponse =
+            call(&mut services, "describe_parameters", &names);
+        let range = described.descriptors[0].integer_range[0];
+        assert_eq!((range.from_value, range.to_value), (1, 10_000));
+    });
+    assert_eq!(node.horizon(), 20);
+}
+
+#[test]
+fn parameters_set_atomically_are_all_set_or_none() {
+    let node = asked(|mut services| {
+        let mut request = horizon(ParameterValue::integer(9));
+        request.parameters.push(Parameter { name: "depth".into(), ..Default::default() });
+        let answer: SetParametersAtomicallyResponse =
+            call(&mut services, "set_parameters_atomically", &request);
+        assert_eq!(answer.result.reason, "parameter: found depth, expected horizon");
+    });
+    assert_eq!(node.horizon(), 1);
+}
+
+#[test]
+fn a_reset_can_be_asked_for_and_bytes_that_ask_nothing_get_no_answer() {
+    asked(|mut services| {
+        let answer: TriggerResponse = call(&mut services, "reset", &Empty::default());
+        assert_eq!((answer.success, answer.message.as_str()), (true, "0 streams were forgotten"));
+        for service in &mut services {
+            assert_eq!((service.handler)(&[0, 1, 0]), None, "{}", service.name);
+        }
+    });
+}
+
+#[test]
+fn a_node_that_does_not_answer_is_not_waited_for_for_ever() {
+    let patience = Duration::from_millis(10);
+    let silent = Control::default().ask(Request::Reset, patience);
+    assert_eq!(silent, Err(Unanswered::Silent { patience }));
 }

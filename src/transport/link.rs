@@ -13,10 +13,12 @@ pub enum TransportKind {
     Shm,
     /// Zenoh, in the form of ROS 2's rmw_zenoh.
     Zenoh,
+    /// DDS, as ROS 2 speaks it unless told otherwise.
+    Dds,
 }
 
 impl TransportKind {
-    const ALL: [Self; 3] = [Self::Memory, Self::Shm, Self::Zenoh];
+    const ALL: [Self; 4] = [Self::Memory, Self::Shm, Self::Zenoh, Self::Dds];
 
     /// The word before the colon.
     pub fn name(self) -> &'static str {
@@ -24,6 +26,7 @@ impl TransportKind {
             Self::Memory => "memory",
             Self::Shm => "shm",
             Self::Zenoh => "zenoh",
+            Self::Dds => "dds",
         }
     }
 }
@@ -65,7 +68,7 @@ pub enum InvalidLink {
         found: String,
     },
     /// The transport is unknown.
-    #[error("link transport: found `{found}`, expected memory, shm or zenoh")]
+    #[error("link transport: found `{found}`, expected memory, shm, zenoh or dds")]
     Transport {
         /// The word before the colon.
         found: String,
@@ -139,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_link_is_read_as_it_is_written() {
-        for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1"] {
+        for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1", "dds:/a"] {
             assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
         }
     }

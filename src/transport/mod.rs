@@ -8,11 +8,13 @@
 //! 6. `memory`: within this process.
 //! 7. `shm`: shared memory, by iceoryx2.
 //! 8. `zenoh`: the wire of ROS 2's rmw_zenoh.
+//! 9. `dds`: the wire of ROS 2's DDS middlewares.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so both sides of
 //! [`Payload`] must be expected from any topic of frames.
 
+mod dds;
 mod link;
 mod memory;
 mod opener;
@@ -24,7 +26,7 @@ mod zenoh;
 pub(crate) use queue::Queue;
 
 pub use link::{InvalidLink, Link, TransportKind};
-pub use opener::{TransportOptions, Transports, ZenohOptions};
+pub use opener::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 pub use seen::SeenTopic;
 
 use std::time::Duration;
@@ -117,6 +119,12 @@ pub trait Subscriber: Send {
     fn refused(&self) -> u64;
 }
 
+/// Turns the CDR of a request into the CDR of its response; `None` where none can be given.
+pub type Handler = Box<dyn FnMut(&[u8]) -> Option<Vec<u8>> + Send>;
+
+/// A service that is answered as long as this lives.
+pub trait Served: Send {}
+
 /// Why a transport failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TransportError {
@@ -160,6 +168,18 @@ pub enum TransportError {
         link: Link,
         /// How long the publisher waited (s).
         seconds: f64,
+    },
+    /// The transport cannot carry so large a message soundly.
+    #[error(
+        "{link}: found a message of {found} bytes, expected at most {limit} (use shm or zenoh for larger ones)"
+    )]
+    TooLarge {
+        /// The topic's link.
+        link: Link,
+        /// Its size (bytes).
+        found: usize,
+        /// The largest it carries (bytes).
+        limit: usize,
     },
     /// The middleware refused.
     #[error("{link}: {action}: {reason}")]

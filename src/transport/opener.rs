@@ -7,10 +7,11 @@ use std::{
     time::Duration,
 };
 
+use super::dds::DdsNode;
 use super::zenoh::ZenohNode;
 use super::{
-    Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportKind,
-    memory::Broker, shm::ShmNode,
+    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
+    TransportKind, memory::Broker, shm::ShmNode,
 };
 use crate::msg::{Message, ParticleFrame, TypeSupport, type_support};
 
@@ -22,12 +23,32 @@ const MAX_DOMAIN: u16 = 232;
 pub struct TransportOptions {
     /// Name of this process in the ROS graph: letters, digits and `_`.
     pub node_name: String,
-    /// ROS domain, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Zenoh topics of other domains are not seen.
+    /// ROS domain, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Topics of other domains are not seen on Zenoh and DDS.
     pub domain_id: u16,
     /// How long a blocking publisher waits for a subscriber that takes nothing [default: 30 s].
     pub patience: Duration,
     /// How zenoh finds its peers.
     pub zenoh: ZenohOptions,
+    /// How DDS finds its peers.
+    pub dds: DdsOptions,
+}
+
+/// How DDS finds its peers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DdsOptions {
+    /// How far away they may be [default: this machine, `ROS_AUTOMATIC_DISCOVERY_RANGE`].
+    pub range: DiscoveryRange,
+}
+
+/// How far away peers may be that nobody named
+/// (docs.ros.org, "Improved dynamic discovery"; `OFF` is not supported).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DiscoveryRange {
+    /// On this machine (`LOCALHOST`).
+    #[default]
+    Localhost,
+    /// On the networks that this machine is part of (`SUBNET`).
+    Subnet,
 }
 
 /// How zenoh finds its peers.
@@ -64,13 +85,15 @@ impl TransportOptions {
             domain_id: 0,
             patience: Duration::from_secs(30),
             zenoh: ZenohOptions::default(),
+            dds: DdsOptions::default(),
         }
     }
 
-    /// Defaults, with what `ROS_DOMAIN_ID`, `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE` say.
+    /// Defaults, with what `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`,
+    /// `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE` say.
     ///
     /// # Errors
-    /// [`TransportError::Environment`] when `ROS_DOMAIN_ID` is no domain. The zenoh variables are
+    /// [`TransportError::Environment`] when one of the first two makes no sense. The zenoh variables are
     /// read when the first zenoh link is opened.
     pub fn from_env(node_name: &str) -> Result<Self, TransportError> {
         Self::from_variables(node_name, |name| {
@@ -93,6 +116,17 @@ impl TransportOptions {
                 expected: format!("a whole number from 0 to {MAX_DOMAIN}"),
             })?;
         }
+        options.dds.range = match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+            None | Some("LOCALHOST" | "SYSTEM_DEFAULT") => DiscoveryRange::Localhost,
+            Some("SUBNET") => DiscoveryRange::Subnet,
+            Some(found) => {
+                return Err(TransportError::Environment {
+                    variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                    found: found.to_owned(),
+                    expected: "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned(),
+                });
+            }
+        };
         options.zenoh.config_file = variable("ZENOH_SESSION_CONFIG_URI").map(PathBuf::from);
         options.zenoh.overrides = variable("ZENOH_CONFIG_OVERRIDE").unwrap_or_default();
         Ok(options)
@@ -110,14 +144,15 @@ struct Shared {
     broker: Broker,
     shm: Mutex<Option<Arc<ShmNode>>>,
     zenoh: Mutex<Option<Arc<ZenohNode>>>,
+    dds: Mutex<Option<Arc<DdsNode>>>,
 }
 
 impl Transports {
     /// Opens nothing yet: a middleware starts with the first link that needs it.
     pub fn new(options: TransportOptions) -> Self {
         let broker = Broker::default();
-        let (shm, zenoh) = (Mutex::default(), Mutex::default());
-        Self { shared: Arc::new(Shared { options, broker, shm, zenoh }) }
+        let (shm, zenoh, dds) = Default::default();
+        Self { shared: Arc::new(Shared { options, broker, shm, zenoh, dds }) }
     }
 
     /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
@@ -156,6 +191,9 @@ impl Transports {
             TransportKind::Zenoh => {
                 Box::new(self.zenoh(link)?.publisher(link, support, reliability)?)
             }
+            TransportKind::Dds => {
+                Box::new(self.dds(link)?.publisher(link, support, reliability)?)
+            }
         })
     }
 
@@ -186,11 +224,31 @@ impl Transports {
             TransportKind::Memory => Box::new(self.shared.broker.subscriber(link, type_name)?),
             TransportKind::Shm => self.shm(link)?.subscriber(link, type_name)?,
             TransportKind::Zenoh => Box::new(self.zenoh(link)?.subscriber(link, support)?),
+            TransportKind::Dds => Box::new(self.dds(link)?.subscriber(link, support)?),
         })
     }
 
-    /// The topics that are published on a transport now, as far as it knows, in order. Within the
-    /// process nobody lists them.
+    /// Offers a service of type `type_name`, such as `std_srvs/srv/Trigger`, whose requests `handler`
+    /// answers on a thread of its own. `None` on a transport without services: only DDS has them.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the middleware refuses.
+    pub fn serve(
+        &self,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<Option<Box<dyn Served>>, TransportError> {
+        Ok(match link.transport {
+            TransportKind::Memory | TransportKind::Shm | TransportKind::Zenoh => None,
+            TransportKind::Dds => {
+                Some(Box::new(self.dds(link)?.service(link, type_name, handler)?))
+            }
+        })
+    }
+
+    /// The topics that are published on a transport now (on DDS also those that are read), as far as it
+    /// knows, in order. Within the process nobody lists them.
     ///
     /// # Errors
     /// [`TransportError`] when the middleware cannot be opened or asked.
@@ -201,6 +259,7 @@ impl Transports {
             TransportKind::Memory => Vec::new(),
             TransportKind::Shm => self.shm(&link)?.topics(&link)?,
             TransportKind::Zenoh => self.zenoh(&link)?.topics(&link)?,
+            TransportKind::Dds => self.dds(&link)?.topics(),
         };
         topics.sort();
         topics.dedup();
@@ -213,6 +272,10 @@ impl Transports {
 
     fn zenoh(&self, link: &Link) -> Result<Arc<ZenohNode>, TransportError> {
         open_once(&self.shared.zenoh, || ZenohNode::open(link, &self.shared.options))
+    }
+
+    fn dds(&self, link: &Link) -> Result<Arc<DdsNode>, TransportError> {
+        open_once(&self.shared.dds, || DdsNode::open(link, &self.shared.options))
     }
 }
 

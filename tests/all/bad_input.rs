@@ -172,13 +172,16 @@ fn a_link_that_no_other_process_can_meet_is_refused() {
     let folder = Folder::new();
     let record =
         ["record", "memory:/particles", "--output", &folder.path("out")].map(str::to_owned);
-    says(&fail(1, record), &["memory:/particles", "expected shm or zenoh"]);
+    says(&fail(1, record), &["memory:/particles", "expected shm, zenoh or dds"]);
     says(&fail(1, ["node", "--input", "memory:/particles"]), &["memory:/particles"]);
 }
 
 #[test]
 fn wrong_usage_is_exit_code_2() {
-    says(&fail(2, ["node", "--input", "tcp:/particles"]), &["found `tcp`", "memory, shm or zenoh"]);
+    says(
+        &fail(2, ["node", "--input", "tcp:/particles"]),
+        &["found `tcp`", "memory, shm, zenoh or dds"],
+    );
     says(&fail(2, ["simulate"]), &["--output"]);
 }
 

@@ -1,11 +1,18 @@
 //! Three processes, as a user starts them: `eddy replay` -> `eddy node` -> `eddy record`.
 
-use std::{collections::BTreeMap, path::Path, process::Command};
+use std::{collections::BTreeMap, path::Path, process::Command, time::Duration};
 
-use eddy::{bag::BagReader, frame::Frame, transport::TransportKind};
+use eddy::{
+    bag::BagReader,
+    frame::Frame,
+    msg::{Message, ParticleFrame},
+    transport::{Reliability, TransportKind, TransportOptions, Transports},
+};
 use tempfile::TempDir;
 
-use crate::support::{Process, free_port, simulate, succeed, talking_eddy, unique, wait_for};
+use crate::support::{
+    Process, domain, free_port, simulate, succeed, talking_eddy, unique, wait_for,
+};
 
 /// One scene, what `eddy predict` says of it, and a place in the world of its own.
 struct World {
@@ -13,6 +20,7 @@ struct World {
     transport: TransportKind,
     prefix: String,
     ports: [u16; 3],
+    domain: u16,
 }
 
 /// Who listens on which of the world's Zenoh ports.
@@ -30,6 +38,7 @@ impl World {
             transport,
             prefix: format!("/{}", unique("graph")),
             ports: [0; 3],
+            domain: domain(),
         };
         simulate(&world.folder.path().join("truth"), 1, 1.0);
         let (truth, expected) = (world.path("truth/scene_0000"), world.path("expected"));
@@ -47,13 +56,14 @@ impl World {
         format!("{}:{}{topic}", self.transport, self.prefix)
     }
 
-    /// The program, on Zenoh ports of this world's own.
+    /// The program, on Zenoh ports and in a domain of this world's own.
     fn eddy(&self, role: Role) -> Command {
         let endpoint = |port: &u16| format!("\"tcp/127.0.0.1:{port}\"");
         let listen = endpoint(&self.ports[role as usize]);
         let others = self.ports.iter().filter(|&&port| port != self.ports[role as usize]);
         let connect = others.map(endpoint).collect::<Vec<_>>().join(",");
         let mut command = talking_eddy();
+        command.env("ROS_DOMAIN_ID", self.domain.to_string());
         command.env(
             "ZENOH_CONFIG_OVERRIDE",
             format!("listen/endpoints=[{listen}];connect/endpoints=[{connect}]"),
@@ -135,6 +145,38 @@ fn on_zenoh_every_frame_has_its_prediction_and_it_equals_the_offline_one() {
 #[test]
 fn on_shared_memory_every_frame_has_its_prediction_and_it_equals_the_offline_one() {
     every_frame_has_its_prediction_and_it_equals_the_offline_one(TransportKind::Shm);
+}
+
+#[test]
+fn on_dds_every_frame_has_its_prediction_and_it_equals_the_offline_one() {
+    every_frame_has_its_prediction_and_it_equals_the_offline_one(TransportKind::Dds);
+}
+
+#[test]
+fn on_dds_bytes_that_are_no_frame_are_counted_and_the_node_goes_on() {
+    let world = World::new(TransportKind::Dds);
+    let mut node = world.node();
+    let mut options = TransportOptions::new("eddy_test");
+    options.domain_id = world.domain;
+    let transports = Transports::new(options);
+    let [input, output] = ["/particles", "/prediction"].map(|t| world.link(t).parse().unwrap());
+    let mut predictions = transports.subscriber(&output, ParticleFrame::TYPE).unwrap();
+    let mut publisher =
+        transports.publisher(&input, ParticleFrame::TYPE, Reliability::Block).unwrap();
+    wait_for("the node listens", || (publisher.subscribers() == 1).then_some(()));
+    let endless = [&[0, 1, 0, 0], [0xff; 5_000].as_slice()].concat();
+    for hostile in [&[0, 1, 0, 0], endless.as_slice(), &endless[..7]] {
+        publisher.publish_cdr(hostile).unwrap();
+    }
+    for frame in world.frames("truth/scene_0000", "/particles").iter().take(20) {
+        publisher.publish_frame(frame).unwrap();
+    }
+    let prediction = wait_for("a prediction", || predictions.receive(Duration::ZERO).unwrap());
+    assert!(prediction.into_frame().is_ok());
+    node.interrupt();
+    let said = node.rest();
+    assert!(node.wait().success());
+    assert!(said.contains("3 undecodable"), "{said}");
 }
 
 fn a_killed_process_leaves_the_others_running_and_works_again(transport: TransportKind) {

@@ -7,11 +7,13 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 11] = [
+const CONFINED: [(&str, &[&str]); 13] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
     ("iceoryx2", &["transport/shm"]),
+    ("ros2_client", &["transport/dds"]),
+    ("rustdds", &["transport/dds"]),
     ("comfy_table", &["eval", "commands"]),
     ("npyz", &["exchange"]),
     ("zip", &["exchange"]),

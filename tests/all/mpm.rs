@@ -210,7 +210,7 @@ fn an_interrupt_ends_a_live_source_cleanly() {
 #[test]
 fn a_live_source_that_cannot_be_is_refused() {
     let refused = |more: &[&str], code: i32| fail(code, [&["simulate"], more].concat());
-    assert!(refused(&["--publish", "memory:/x"], 1).contains("expected shm or zenoh"));
+    assert!(refused(&["--publish", "memory:/x"], 1).contains("expected shm, zenoh or dds"));
     let said = refused(&["--publish", "shm:/x", "--rate", "0"], 1);
     assert!(said.contains("rate: found 0, expected a positive number"), "{said}");
     assert!(refused(&["--rate", "2", "--output", "x"], 2).contains("--publish"));

@@ -140,6 +140,15 @@ pub fn unique(word: &str) -> String {
     format!("{word}_{}_{}", std::process::id(), NUMBER.fetch_add(1, Ordering::Relaxed))
 }
 
+/// A DDS domain that no other test uses now. Participants on loopback find the first twelve of a
+/// domain only.
+pub fn domain() -> u16 {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    const DOMAINS: u32 = 100;
+    let next = std::process::id().wrapping_mul(13) + NEXT.fetch_add(1, Ordering::Relaxed);
+    1 + (next % DOMAINS) as u16
+}
+
 /// A port of the loopback interface that was free just now.
 pub fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()

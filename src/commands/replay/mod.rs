@@ -96,8 +96,8 @@ impl Stage for Theatre<'_> {
         self.outputs.tell(recorded)
     }
 
-    fn controls(&mut self) -> Vec<eddy::node::Control> {
-        self.keyboard.as_mut().map(Keyboard::controls).unwrap_or_default()
+    fn wishes(&mut self) -> Vec<eddy::node::Wish> {
+        self.keyboard.as_mut().map(Keyboard::wishes).unwrap_or_default()
     }
 
     fn is_over(&self) -> bool {

@@ -25,11 +25,16 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// Starts `role` on `link`, with the same ports as `options`.
+    /// Starts `role` on `link`, with the same ports and the same domain as `options`.
     pub(super) fn start(role: &str, link: &Link, options: &TransportOptions) -> Self {
         let ports = &options.zenoh.ports;
-        let task =
-            format!("{role} {link} {} {} {}", ports.start(), ports.end(), options.zenoh.router);
+        let task = format!(
+            "{role} {link} {} {} {} {}",
+            ports.start(),
+            ports.end(),
+            options.zenoh.router,
+            options.domain_id
+        );
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--ignored", "--exact", "transport::child::main", "--nocapture"])
             .env(VARIABLE, task)
@@ -85,11 +90,12 @@ fn read_lines(stdout: ChildStdout) -> mpsc::Receiver<String> {
 fn main() {
     let Ok(task) = std::env::var(VARIABLE) else { return };
     let words: Vec<&str> = task.split(' ').collect();
-    let [role, link, start, end, router] = words[..] else { panic!("{VARIABLE}={task}") };
+    let [role, link, start, end, router, domain] = words[..] else { panic!("{VARIABLE}={task}") };
     let link: Link = link.parse().unwrap();
     let mut options = options();
     options.zenoh.ports = start.parse().unwrap()..=end.parse().unwrap();
     options.zenoh.router = router.to_owned();
+    options.domain_id = domain.parse().unwrap();
     tracing_subscriber::fmt().with_max_level(tracing::Level::WARN).with_ansi(false).init();
     let transports = Transports::new(options);
     match role {
@@ -148,8 +154,11 @@ fn echo(transports: &Transports, link: &Link) {
 #[test]
 fn frames_go_to_another_process_and_come_back() {
     const ROUNDS: u64 = 200;
-    for transport in ["shm", "zenoh"] {
-        let (options, link) = (options(), super::link(transport));
+    for transport in ["shm", "zenoh", "dds"] {
+        let (mut options, link) = (options(), super::link(transport));
+        if transport == "dds" {
+            options.domain_id = crate::support::domain();
+        }
         let transports = Transports::new(options.clone());
         let back = link.with_topic(&format!("{}/back", link.topic));
         let mut subscriber = frames_subscriber(&transports, &back);

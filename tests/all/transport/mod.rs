@@ -1,9 +1,10 @@
 //! The transports, end to end: one suite for all, then what is particular to each.
 //!
-//! Every test has topics and ports of its own, so that tests run side by side, and beside other
+//! Every test has topics, ports and a DDS domain of its own, so that tests run side by side, and beside other
 //! users of this machine.
 
 mod child;
+mod dds;
 mod shm;
 mod suite;
 mod zenoh;
@@ -20,7 +21,7 @@ use eddy::{
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
-use crate::support::unique;
+use crate::support::{domain, unique};
 
 /// How long anything may take here before the test fails.
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -48,8 +49,11 @@ fn options() -> TransportOptions {
     options
 }
 
-/// The two ends of a transport: for shared memory and Zenoh, as two processes would have them.
-fn ends(transport: &str, options: TransportOptions) -> [Transports; 2] {
+/// The two ends of a transport: but for memory, as two processes would have them.
+fn ends(transport: &str, mut options: TransportOptions) -> [Transports; 2] {
+    if transport == "dds" {
+        options.domain_id = domain();
+    }
     let first = Transports::new(options.clone());
     let second = if transport == "memory" { first.clone() } else { Transports::new(options) };
     [first, second]

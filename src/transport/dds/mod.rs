@@ -1,0 +1,169 @@
+//! DDS, in the form of ROS 2's DDS middlewares: a plain ROS 2 sees the node, its topics and parameters.
+//!
+//! 1. [`participant`]: the process on the network; which networks it speaks on.
+//! 2. [`graph`]: the node and its endpoints as ROS sees them; who is matched with whom.
+//! 3. [`cdr`]: bytes pass as they are, nothing is encoded twice.
+//! 4. [`qos`]: what an endpoint promises; what a message may weigh.
+//! 5. [`publisher`], [`subscriber`]: messages.
+//! 6. [`service`]: requests and responses.
+//!
+//! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
+//! (<https://design.ros2.org/articles/topic_and_service_names.html>).
+//!
+//! Names and graph messages are those of ros2-client, the endpoints those of RustDDS underneath it.
+//! ros2-client 0.12.1's own `Node` and `Publisher` do not fit: a publisher cannot be asked whether its
+//! messages have arrived (`DataWriter::wait_for_acknowledgments`), so that the last frames of a replay
+//! would be lost with the process; it encodes every message itself, where we have the bytes already;
+//! endpoints stay in the graph after they are gone; and its spinner subscribes to `/clock` with a type that
+//! is not ROS's, beside our own.
+//!
+//! Loopback: RustDDS 0.15 takes a list of networks that it announces itself on, sends to and joins groups on
+//! (`DomainParticipantBuilder::with_only_networks`), which is `127.0.0.1` here unless
+//! [`DdsOptions`](super::DdsOptions) say otherwise. Its unicast sockets are bound to all addresses
+//! nevertheless, and there is no setting for that: who sends to such a port from outside is answered
+//! nowhere but read. Where that matters a firewall must close UDP ports 7400 and up. Loopback has no
+//! multicast: participants announce themselves to the ports of the first twelve of a domain there.
+//!
+//! What RustDDS cannot do: a reader takes everything it is sent, so that a publisher that blocks waits for
+//! the subscriber's process to have a message, not for it to be read. A subscriber keeps 1,024 messages
+//! (64 MiB) it has not read, then gives up the oldest and counts it. And a subscriber that is killed is only missed
+//! after its lease of 50 s.
+
+mod cdr;
+mod graph;
+mod participant;
+mod publisher;
+mod qos;
+mod service;
+mod subscriber;
+
+use std::{fmt::Display, sync::Arc, time::Duration};
+
+use ros2_client::dds::rustdds::{
+    DomainParticipant, Publisher, Subscriber, Topic, TopicKind, discovery::DiscoveredTopicData,
+};
+
+use super::{
+    Handler, Link, Reliability, SeenTopic, TransportError, TransportKind, TransportOptions,
+};
+use crate::msg::TypeSupport;
+use graph::Graph;
+use publisher::DdsPublisher;
+use service::DdsService;
+use subscriber::DdsSubscriber;
+
+/// This process in the ROS graph.
+pub(super) struct DdsNode {
+    participant: DomainParticipant,
+    publisher: Publisher,
+    subscriber: Subscriber,
+    graph: Graph,
+    patience: Duration,
+    /// Bytes.
+    largest_message: usize,
+}
+
+impl DdsNode {
+    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
+        let participant = participant::open(link, options)?;
+        let failed = |error| middleware(link, "open the DDS participant", &error);
+        let none = qos::unsaid();
+        let publisher = participant.create_publisher(&none).map_err(failed)?;
+        let subscriber = participant.create_subscriber(&none).map_err(failed)?;
+        let graph = Graph::open(link, &participant, &publisher, &options.node_name)?;
+        let (patience, largest_message) = (options.patience, qos::largest_message());
+        tracing::info!("DDS carries messages of up to {largest_message} bytes here");
+        Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
+    }
+
+    pub(super) fn publisher(
+        self: &Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+        reliability: Reliability,
+    ) -> Result<DdsPublisher, TransportError> {
+        DdsPublisher::open(self, link, support, reliability)
+    }
+
+    pub(super) fn subscriber(
+        self: &Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+    ) -> Result<DdsSubscriber, TransportError> {
+        DdsSubscriber::open(self, link, support)
+    }
+
+    pub(super) fn service(
+        self: &Arc<Self>,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<DdsService, TransportError> {
+        DdsService::open(self, link, type_name, handler)
+    }
+
+    /// The topics that have been announced by others, read or written.
+    pub(super) fn topics(&self) -> Vec<SeenTopic> {
+        let topics = self.participant.discovered_topics().into_iter();
+        let seen = |name: &str, type_name: &str| {
+            let topic = name.strip_prefix("rt")?;
+            let link = format!("{}:{topic}", TransportKind::Dds).parse().ok()?;
+            Some(SeenTopic { link, type_name: ros_type(type_name)?, hash: None })
+        };
+        let named =
+            |topic: DiscoveredTopicData| seen(&topic.topic_data.name, &topic.topic_data.type_name);
+        topics.filter_map(named).collect()
+    }
+
+    /// The DDS topic of a link.
+    fn topic(&self, link: &Link, type_name: &str) -> Result<Topic, TransportError> {
+        let (name, type_name) = (format!("rt{}", link.topic), dds_type(type_name));
+        self.participant
+            .create_topic(name, type_name, &qos::cache(), TopicKind::NoKey)
+            .map_err(|error| middleware(link, "create the topic", &error))
+    }
+}
+
+/// `eddy_msgs/msg/ParticleFrame` is `eddy_msgs::msg::dds_::ParticleFrame_` in DDS.
+fn dds_type(name: &str) -> String {
+    match name.rsplit_once('/') {
+        Some((path, last)) => format!("{}::dds_::{last}_", path.replace('/', "::")),
+        None => name.to_owned(),
+    }
+}
+
+/// The inverse; `None` for what is no type of ROS 2.
+fn ros_type(name: &str) -> Option<String> {
+    let (path, last) = name.strip_suffix('_')?.rsplit_once("::dds_::")?;
+    Some(format!("{}/{last}", path.replace("::", "/")))
+}
+
+/// `std_srvs/srv/Trigger` has the types `std_srvs::srv::dds_::Trigger_Request_` and `..._Response_`.
+fn service_types(name: &str) -> [String; 2] {
+    ["Request", "Response"].map(|part| dds_type(&format!("{name}_{part}")))
+}
+
+/// An error of DDS on `link`.
+fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> TransportError {
+    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::msg::{Message, ParticleFrame};
+
+    #[test]
+    fn types_are_named_as_ros_names_them_in_dds() {
+        assert_eq!(dds_type(ParticleFrame::TYPE), "eddy_msgs::msg::dds_::ParticleFrame_");
+        assert_eq!(dds_type("std_msgs/msg/String"), "std_msgs::msg::dds_::String_");
+        assert_eq!(
+            ros_type("std_msgs::msg::dds_::String_").as_deref(),
+            Some("std_msgs/msg/String")
+        );
+        assert_eq!(ros_type("HelloWorldData::Msg"), None);
+        let [request, response] = service_types("std_srvs/srv/Trigger");
+        assert_eq!(request, "std_srvs::srv::dds_::Trigger_Request_");
+        assert_eq!(response, "std_srvs::srv::dds_::Trigger_Response_");
+    }
+}
