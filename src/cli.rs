@@ -2,6 +2,7 @@
 
 mod bag;
 mod bench;
+mod topic;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
@@ -23,6 +24,7 @@ pub use bag::{
 pub use bench::{
     BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs,
 };
+pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
@@ -68,6 +70,8 @@ pub enum Command {
     Launch(LaunchArgs),
     /// Looks into bags, and makes bags of bags.
     Bag(BagArgs),
+    /// Looks at topics, without ROS.
+    Topic(TopicArgs),
     /// Measures what this machine carries.
     Bench(BenchArgs),
 }
@@ -396,4 +400,10 @@ pub enum Rival {
     Mpm,
     /// The truth itself from positions that are off by up to 1e-4: how well anyone could predict.
     Chaos,
+}
+
+/// A time that may be waited for.
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    if (0.0..=1e9).contains(&seconds) { Ok(seconds) } else { Err("expected 0 to 1e9 s".to_owned()) }
 }

@@ -51,6 +51,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
         Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
+        Command::Topic(args) => commands::topic::run(args, &interrupt),
     }
     .map(|()| ExitCode::SUCCESS)
 }

@@ -12,6 +12,7 @@
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
 //!     `timeline` knows rates and pauses, `wish` what the user wants.
 //! 11. `playback`: plays, until told to end.
+//! 12. `rate`: how regularly messages arrive.
 
 mod cache;
 mod control;
@@ -21,6 +22,7 @@ mod driver;
 mod playback;
 mod player;
 mod queue;
+mod rate;
 mod read_ahead;
 mod recorder;
 mod services;
@@ -40,6 +42,7 @@ pub use driver::{Outputs, drive};
 pub use playback::{Stage, play};
 pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;
+pub use rate::{Figures, Rate};
 pub use recorder::Recorder;
 pub use services::{Service, services};
 pub use settings::{HORIZON, InvalidSettings, NodeSettings, Publish};

@@ -19,5 +19,6 @@ mod record;
 mod replay;
 mod scenes;
 mod support;
+mod topic;
 mod train;
 mod transport;

@@ -1,0 +1,42 @@
+//! `eddy topic hz`
+
+use std::time::Duration;
+
+use anyhow::Context;
+
+use super::{PATIENCE, find};
+use crate::{cli::TopicHzArgs, commands::Interrupt};
+use eddy::{clock::Clock, node::Rate, transport::Transports};
+
+/// Between two lines.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+pub(super) fn run(
+    args: &TopicHzArgs,
+    transports: &Transports,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    let Some(topic) = find(&args.link, transports, interrupt)? else { return Ok(()) };
+    let mut subscriber = transports
+        .subscriber_of(&topic.link, &topic.type_support())
+        .with_context(|| format!("cannot subscribe to {}", topic.link))?;
+    let clock = Clock::start();
+    let end = args.duration.map(Duration::from_secs_f64);
+    let (mut rate, mut told) = (Rate::new(args.window), Duration::ZERO);
+    loop {
+        if subscriber.receive(PATIENCE)?.is_some() {
+            rate.arrived(clock.now());
+        }
+        let ends = interrupt.requested() || end.is_some_and(|end| clock.now() >= end);
+        if ends || clock.now() - told >= INTERVAL {
+            told = clock.now();
+            match rate.figures() {
+                Some(figures) => println!("{figures}"),
+                None => println!("no new messages"),
+            }
+        }
+        if ends {
+            return Ok(());
+        }
+    }
+}
