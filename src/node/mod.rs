@@ -6,7 +6,7 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`control`]: what may be asked of a running node; [`services`]: how ROS asks it.
+//! 7. [`control`]: what may be asked of a running node; `services`: how ROS asks it.
 //! 8. `recorder`: what arrives into a bag.
 //! 9. `player`: a bag as it was recorded: which message is due when.
 
