@@ -6,7 +6,7 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`control`]: what may be asked of a running node; [`services`]: how ROS asks it.
+//! 7. [`control`]: what may be asked of a running node; `services`: how ROS asks it.
 //! 8. `cache`: what waits to be recorded, bounded in bytes.
 //! 9. `recorder`: what arrives into a bag.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,

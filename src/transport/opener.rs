@@ -338,6 +338,22 @@ mod tests {
     }
 
     #[test]
+    fn the_discovery_range_is_this_machine_unless_told_otherwise() {
+        let range = |found| options(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", found)]);
+        for (found, expected) in [
+            ("", DiscoveryRange::Localhost),
+            ("LOCALHOST", DiscoveryRange::Localhost),
+            ("SYSTEM_DEFAULT", DiscoveryRange::Localhost),
+            ("SUBNET", DiscoveryRange::Subnet),
+        ] {
+            assert_eq!(range(found).unwrap().dds.range, expected, "{found}");
+        }
+        let message = range("OFF").unwrap_err().to_string();
+        let expected = "found `OFF`, expected LOCALHOST, SUBNET or SYSTEM_DEFAULT";
+        assert_eq!(message, format!("ROS_AUTOMATIC_DISCOVERY_RANGE: {expected}"));
+    }
+
+    #[test]
     fn the_port_of_a_router_is_never_ours() {
         assert!(!ZenohOptions::default().ports.contains(&7447));
     }

@@ -28,6 +28,10 @@ use ros2_client::{
 use super::middleware;
 use crate::transport::{Link, TransportError};
 
+/// Writers that are remembered for each reader because they do not fit it. They are kept when they go: what
+/// they sent last may still have to be taken.
+const MAX_MISMATCHED: usize = 1_024;
+
 pub(super) struct Graph {
     shared: Arc<Shared>,
     announcer: Mutex<Announcer>,
@@ -219,7 +223,11 @@ impl Shared {
             }
             Event::RemoteWriterQosIncompatible { local_reader, remote_writer, .. } => {
                 let mut state = lock(&self.state);
-                state.mismatched.entry(local_reader).or_default().insert(remote_writer);
+                let writers = state.mismatched.entry(local_reader).or_default();
+                writers.insert(remote_writer);
+                if writers.len() > MAX_MISMATCHED {
+                    writers.pop_first();
+                }
                 if let Some(Err(error)) = state.wakers.get(&local_reader).map(|w| w.wake()) {
                     tracing::warn!("a DDS subscriber cannot be woken: {error}");
                 }

@@ -20,9 +20,9 @@
 //! Loopback: RustDDS 0.15 takes a list of networks that it announces itself on, sends to and joins groups on
 //! (`DomainParticipantBuilder::with_only_networks`), which is `127.0.0.1` here unless
 //! [`DdsOptions`](super::DdsOptions) say otherwise. Its unicast sockets are bound to all addresses
-//! nevertheless, and there is no setting for that: who sends to such a port from outside is answered
-//! nowhere but read. Where that matters a firewall must close UDP ports 7400 and up. Loopback has no
-//! multicast: participants announce themselves to the ports of the first twelve of a domain there.
+//! nevertheless, and there is no setting for that: who knows the port can send to it from outside. Where
+//! that matters a firewall must close the UDP ports from 7400. Loopback has no multicast: participants
+//! announce themselves to the ports of the first twelve of a domain there.
 //!
 //! What RustDDS cannot do: a reader takes everything it is sent, so that a publisher that blocks waits for
 //! the subscriber's process to have a message, not for it to be read. A subscriber keeps 1,024 messages

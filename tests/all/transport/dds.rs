@@ -1,6 +1,7 @@
 //! DDS: what RustDDS carries, whom it meets, and what it does not carry.
 
 use std::{
+    net::{IpAddr, Ipv4Addr},
     thread,
     time::{Duration, Instant},
 };
@@ -9,13 +10,15 @@ use eddy::{
     msg::{Message, ParticleFrame, RosString, cdr},
     transport::{Payload, Reliability, TransportError, TransportOptions, Transports},
 };
-
-use crate::support::domain;
+use ros2_client::dds::rustdds::{
+    DomainParticipantBuilder, QosPolicyBuilder, TopicKind, WriteOptions, policy::History,
+};
 
 use super::{
     DEADLINE, child::Process, ends, eventually, expect_frame, frame, frames_publisher,
     frames_subscriber, link, next_frame,
 };
+use crate::support::domain;
 
 /// Options in a domain of this test's own.
 fn options() -> TransportOptions {
@@ -108,6 +111,56 @@ fn big_endian_cdr_is_not_sent_under_a_little_endian_name() {
     let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
     let message = publisher.publish_cdr(&[0, 0, 0, 0, 7]).unwrap_err().to_string();
     assert!(message.contains("expected plain little-endian CDR"), "{message}");
+}
+
+/// The client is RustDDS alone, with the names and the identities that a ROS client uses.
+#[test]
+fn a_service_answers_each_request_under_its_identity() {
+    let (options, link) = (options(), link("dds"));
+    let transports = Transports::new(options.clone());
+    let double = |request: &[u8]| Some([&request[..4], &[2 * request[4]]].concat());
+    let service = transports.serve(&link, "std_srvs/srv/Trigger", Box::new(double)).unwrap();
+    assert!(service.is_some());
+
+    let participant = DomainParticipantBuilder::new(options.domain_id)
+        .with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)])
+        .build()
+        .unwrap();
+    let qos = QosPolicyBuilder::new()
+        .reliable(Duration::from_secs(1).into())
+        .history(History::KeepLast { depth: 10 })
+        .build();
+    let topic = |name: String, part: &str| {
+        let kind = format!("std_srvs::srv::dds_::Trigger_{part}_");
+        participant.create_topic(name, kind, &qos, TopicKind::NoKey).unwrap()
+    };
+    let responses = topic(format!("rr{}Reply", link.topic), "Response");
+    let subscriber = participant.create_subscriber(&qos).unwrap();
+    let mut responses = subscriber.create_datareader_no_key_cdr::<u8>(&responses, None).unwrap();
+    let requests = topic(format!("rq{}Request", link.topic), "Request");
+    let publisher = participant.create_publisher(&qos).unwrap();
+    let requests = publisher.create_datawriter_no_key_cdr::<u8>(&requests, None).unwrap();
+
+    let mut asked = Vec::new();
+    eventually("a response", || {
+        let identity = requests.write_with_options(21, WriteOptions::default()).unwrap();
+        asked.push(identity);
+        responses.take_next_sample().unwrap().is_some_and(|response| {
+            assert_eq!(*response.value(), 42);
+            let answered = response.sample_info().related_sample_identity().unwrap();
+            asked.contains(&answered)
+        })
+    });
+}
+
+#[test]
+fn other_transports_have_no_services() {
+    let transports = Transports::new(super::options());
+    for transport in ["memory", "shm", "zenoh"] {
+        let handler = Box::new(|_: &[u8]| None);
+        let served = transports.serve(&link(transport), "std_srvs/srv/Trigger", handler);
+        assert!(served.unwrap().is_none(), "{transport}");
+    }
 }
 
 #[test]

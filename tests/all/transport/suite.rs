@@ -263,8 +263,8 @@ fn an_unknown_type_is_named(transport: &str) {
     assert!(error.to_string().contains("found std_msgs/msg/Nothing"), "{error}");
 }
 
-/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys,
-/// DDS by what discovery tells.
+/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys;
+/// RustDDS goes by the topic's name and leaves the type to the receiver.
 #[test]
 fn a_topic_of_another_type_is_refused_with_both_types() {
     for transport in ["memory", "shm"] {
