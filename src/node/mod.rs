@@ -9,14 +9,14 @@
 //! 7. `cache`: what waits to be recorded, bounded in bytes.
 //! 8. `recorder`: what arrives into a bag.
 //! 9. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
-//!    `timeline` knows rates and pauses, `control` what the user wants.
+//!    `timeline` knows rates and pauses, `keys` what the user wants.
 //! 10. `playback`: plays, until told to end.
 
 mod cache;
-mod control;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod keys;
 mod playback;
 mod player;
 mod queue;
@@ -31,9 +31,9 @@ mod track;
 mod tests;
 
 pub use cache::{Cache, Producer, Taken};
-pub use control::Control;
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, drive};
+pub use keys::Wish;
 pub use playback::{Stage, play};
 pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;

@@ -2,7 +2,7 @@
 
 use std::{thread, time::Duration};
 
-use super::{Control, Due, Player};
+use super::{Due, Player, Wish};
 use crate::{
     bag::{BagError, BagMessage},
     clock::Clock,
@@ -30,7 +30,7 @@ pub trait Stage {
     fn clock(&mut self, recorded: Stamp) -> Result<(), Self::Error>;
 
     /// What the user wants, since the last look.
-    fn controls(&mut self) -> Vec<Control>;
+    fn controls(&mut self) -> Vec<Wish>;
 
     /// Whether the user wants no more.
     fn is_over(&self) -> bool;

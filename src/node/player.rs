@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{control::Control, read_ahead::ReadAhead, timeline::Timeline};
+use super::{keys::Wish, read_ahead::ReadAhead, timeline::Timeline};
 use crate::{
     bag::{BagError, BagMessage, BagReader, Selection},
     frame::Stamp,
@@ -178,15 +178,15 @@ impl Player {
     /// As [`Player::poll`].
     pub fn control(
         &mut self,
-        control: Control,
+        control: Wish,
         now: Duration,
     ) -> Result<Option<BagMessage>, BagError> {
         let rate = self.timeline.rate();
         match control {
-            Control::Pause => self.timeline.set_paused(!self.timeline.is_paused(), now),
-            Control::Faster => self.timeline.set_rate(rate * FASTER, now),
-            Control::Slower => self.timeline.set_rate(rate / FASTER, now),
-            Control::Next => {
+            Wish::Pause => self.timeline.set_paused(!self.timeline.is_paused(), now),
+            Wish::Faster => self.timeline.set_rate(rate * FASTER, now),
+            Wish::Slower => self.timeline.set_rate(rate / FASTER, now),
+            Wish::Next => {
                 let Some(due) = self.next_due() else { return Ok(None) };
                 self.timeline.jump(due.max(self.timeline.position(now)), now);
                 return Ok(self.advance());
@@ -385,13 +385,13 @@ mod tests {
         let at = Duration::from_millis;
         let time = |message: Option<BagMessage>| message.unwrap().log_time.0 / MILLISECOND;
         assert_eq!(player.poll(at(50)).unwrap(), Due::In(PAUSED));
-        assert_eq!(time(player.control(Control::Next, at(50)).unwrap()), 0);
-        assert_eq!(time(player.control(Control::Next, at(60)).unwrap()), 100);
+        assert_eq!(time(player.control(Wish::Next, at(50)).unwrap()), 0);
+        assert_eq!(time(player.control(Wish::Next, at(60)).unwrap()), 100);
         assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(PAUSED));
-        assert_eq!(player.control(Control::Pause, at(5_000)).unwrap(), None);
+        assert_eq!(player.control(Wish::Pause, at(5_000)).unwrap(), None);
         assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(at(100)));
         assert!(matches!(player.poll(at(5_100)).unwrap(), Due::Now(_)));
-        player.control(Control::Faster, at(5_100)).unwrap();
+        player.control(Wish::Faster, at(5_100)).unwrap();
         assert!((player.rate() - 1.1).abs() < 1e-12);
         let Due::In(wait) = player.poll(at(5_100)).unwrap() else { panic!("too early") };
         assert!((wait.as_secs_f64() - 0.1 / 1.1).abs() < 1e-6, "{wait:?}");

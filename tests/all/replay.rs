@@ -15,7 +15,7 @@ use eddy::{
     clock,
     frame::Stamp,
     msg::{Clock, Message, RosString, TypeSupport, cdr},
-    node::{Control, Player, PlayerOptions, Stage, play},
+    node::{Player, PlayerOptions, Stage, Wish, play},
     transport::{Link, Subscriber, TransportOptions, Transports},
 };
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -232,7 +232,7 @@ impl Stage for Watch {
         Ok(())
     }
 
-    fn controls(&mut self) -> Vec<Control> {
+    fn controls(&mut self) -> Vec<Wish> {
         Vec::new()
     }
 

@@ -9,7 +9,7 @@ use rustix::{
     },
 };
 
-use eddy::node::Control;
+use eddy::node::Wish;
 
 /// A terminal that hands over each key at once and shows none; as before when dropped. Ctrl-C stays
 /// what it is.
@@ -36,7 +36,7 @@ impl Keyboard {
     }
 
     /// What was asked for since the last look.
-    pub(super) fn controls(&mut self) -> Vec<Control> {
+    pub(super) fn controls(&mut self) -> Vec<Wish> {
         // A process in the background that reads is stopped.
         if !in_foreground(&self.terminal) {
             return Vec::new();
@@ -44,7 +44,7 @@ impl Keyboard {
         let mut keys = [0; 64];
         // Not through the buffer of `Stdin`, which takes an empty read for the end.
         let read = rustix::io::read(&self.terminal, &mut keys).unwrap_or_default();
-        Control::parse(&keys[..read])
+        Wish::parse(&keys[..read])
     }
 }
 

@@ -96,7 +96,7 @@ impl Stage for Theatre<'_> {
         self.outputs.tell(recorded)
     }
 
-    fn controls(&mut self) -> Vec<eddy::node::Control> {
+    fn controls(&mut self) -> Vec<eddy::node::Wish> {
         self.keyboard.as_mut().map(Keyboard::controls).unwrap_or_default()
     }
 

@@ -2,7 +2,7 @@
 
 /// A wish.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Control {
+pub enum Wish {
     /// Pause, or go on.
     Pause,
     /// The next message now, whether paused or not.
@@ -13,7 +13,7 @@ pub enum Control {
     Slower,
 }
 
-impl Control {
+impl Wish {
     /// The wishes in what a terminal sent: space, right arrow or `n`, up, down. Other keys mean nothing.
     pub fn parse(keys: &[u8]) -> Vec<Self> {
         let mut wishes = Vec::new();
@@ -49,11 +49,11 @@ mod tests {
 
     #[test]
     fn keys_are_read_as_rosbag2_reads_them_and_others_are_passed_over() {
-        use Control::{Faster, Next, Pause, Slower};
+        use Wish::{Faster, Next, Pause, Slower};
         assert_eq!(
-            Control::parse(b" n\x1b[Cq\x1b[A\x1bOB\x1b[D"),
+            Wish::parse(b" n\x1b[Cq\x1b[A\x1bOB\x1b[D"),
             [Pause, Next, Next, Faster, Slower]
         );
-        assert_eq!(Control::parse(b"\x1b["), []);
+        assert_eq!(Wish::parse(b"\x1b["), []);
     }
 }
