@@ -167,7 +167,7 @@ impl Unclosed {
     pub(super) fn close_in_the_room_there_is(
         self,
     ) -> Result<(WrittenFile, BTreeMap<u16, u64>), BagError> {
-        let index = summary::end_file(&self.active)?;
+        let index = summary::end_file(&self.active, summary::Chunks::MakeRoom)?;
         let stamp = |time: u64| Stamp(i64::try_from(time).unwrap_or(i64::MAX));
         let times = index.times.map(|(start, end)| (stamp(start), stamp(end)));
         Ok((self.name(index.messages(), times)?, index.counts))

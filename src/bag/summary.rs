@@ -20,12 +20,19 @@ use super::{channel::Schema, error::BagError, index::FileIndex, record::HEADER_S
 /// Room that `metadata.yaml` and the directory may need beside the summary (bytes).
 const ELBOW_ROOM: usize = 64 << 10;
 
+/// Whether the last chunks of a file may go to make room for its summary.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Chunks {
+    Stay,
+    MakeRoom,
+}
+
 /// Ends the file after its last whole record. When the disk has no room for the summary, the last
-/// chunks make some. Gives what the file then holds.
+/// chunks make some, if they may. Gives what the file then holds.
 ///
 /// # Errors
 /// [`BagError::Io`]; what was whole before is whole after it.
-pub(super) fn end_file(path: &Path) -> Result<FileIndex, BagError> {
+pub(super) fn end_file(path: &Path, chunks: Chunks) -> Result<FileIndex, BagError> {
     let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
     let mut index = FileIndex::walk(path)?;
     let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
@@ -39,7 +46,11 @@ pub(super) fn end_file(path: &Path) -> Result<FileIndex, BagError> {
         file.set_len(index.data_end).map_err(failed)?;
         match append(&mut file, index.data_end, &end) {
             Ok(()) => return Ok(index),
-            Err(error) if BagError::is_out_of_room(&error) && !index.chunks.is_empty() => {
+            Err(error)
+                if chunks == Chunks::MakeRoom
+                    && BagError::is_out_of_room(&error)
+                    && !index.chunks.is_empty() =>
+            {
                 give_up_chunks(&mut index, path, (end.len() + ELBOW_ROOM) as u64)?;
             }
             Err(error) => return Err(failed(error)),

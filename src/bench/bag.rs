@@ -240,9 +240,10 @@ fn write_live(
     loop {
         match cache.take(PATIENCE) {
             Taken::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
-            Taken::Nothing => recorder.on_tick(clock::wall())?,
+            Taken::Nothing => {}
             Taken::Ended => return Ok(()),
         }
+        recorder.on_tick(clock::wall())?;
     }
 }
 

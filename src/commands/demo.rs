@@ -126,6 +126,7 @@ impl Recorded {
         let payload = self.subscriber.receive(timeout)?;
         if let Some(payload) = &payload {
             recorder.on_message(self.topic, payload.clone(), clock::wall())?;
+            recorder.on_tick(clock::wall())?;
         }
         Ok(payload)
     }

@@ -85,6 +85,9 @@ impl<T> Cache<T> {
     }
 }
 
+/// What an item takes at least, beside its own bytes: its place here and what it is kept in.
+const LEAST: usize = 256;
+
 /// Brings items.
 pub struct Producer<T> {
     cache: Arc<Cache<T>>,
@@ -95,6 +98,7 @@ impl<T> Producer<T> {
     /// when there never was: the item is given up.
     pub fn bring(&self, item: T, bytes: usize, patience: Duration) -> bool {
         let Cache { arrived, freed, capacity, .. } = &*self.cache;
+        let bytes = bytes + LEAST;
         let full = |state: &mut State<T>| {
             !state.closed && !state.items.is_empty() && state.bytes + bytes > *capacity
         };
@@ -137,10 +141,10 @@ mod tests {
 
     #[test]
     fn items_come_out_in_order_and_the_queue_ends_with_its_producers() {
-        let cache = Cache::new(100);
+        let cache = Cache::new(10_000);
         let (first, second) = (cache.producer(), cache.producer());
-        assert!(first.bring('a', 40, LONG) && second.bring('b', 40, LONG));
-        assert_eq!(cache.bytes(), 80);
+        assert!(first.bring('a', 4_000, LONG) && second.bring('b', 4_000, LONG));
+        assert_eq!(cache.bytes(), 8_000 + 2 * LEAST);
         drop(first);
         assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('b')]);
         assert_eq!(cache.take(Duration::ZERO), Taken::Nothing);
@@ -151,19 +155,19 @@ mod tests {
 
     #[test]
     fn what_finds_no_room_in_time_is_given_up_and_said_so() {
-        let cache = Cache::new(100);
+        let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert!(producer.bring('a', 70, LONG));
-        assert!(!producer.bring('b', 40, Duration::from_millis(1)));
-        assert!(producer.bring('c', 30, Duration::ZERO));
+        assert!(producer.bring('a', 7_000, LONG));
+        assert!(!producer.bring('b', 4_000, Duration::from_millis(1)));
+        assert!(producer.bring('c', 2_000, Duration::ZERO));
         assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('c')]);
     }
 
     #[test]
     fn a_longer_item_than_the_queue_has_it_for_itself() {
-        let cache = Cache::new(100);
+        let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert!(producer.bring('a', 1_000, Duration::ZERO));
+        assert!(producer.bring('a', 100_000, Duration::ZERO));
         assert!(!producer.bring('b', 1, Duration::ZERO));
         assert_eq!(cache.take(LONG), Taken::Item('a'));
         assert!(producer.bring('b', 1, Duration::ZERO));

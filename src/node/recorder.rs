@@ -58,11 +58,11 @@ impl Recorder {
     ) -> Result<(), BagError> {
         self.bag.write(topic, now, now, &payload.into_cdr())?;
         self.dirty = true;
-        self.on_tick(now)
+        Ok(())
     }
 
-    /// Hands the messages to the system if the last time was 0.8 s ago. To be called every 0.1 s, also
-    /// while nothing arrives.
+    /// Hands the messages to the system if the last time was 0.8 s ago. To be called every 0.1 s, whether
+    /// messages come or not, with the time that it is: that of a message that has waited is another.
     ///
     /// # Errors
     /// As [`BagWriter::flush`].
@@ -142,17 +142,23 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
         let bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
-        let mut recorder = Recorder::new(bag, Stamp(0));
+        let mut recorder = Recorder::new(bag, Stamp(10_000_000_000));
         let topic = recorder.topic("/particles", ParticleFrame::TYPE).unwrap();
         let on_disk = || BagReader::open(&path).unwrap().message_count();
-        let second = 1_000_000_000;
+        let after = |seconds: f64| Stamp(10_000_000_000 + (seconds * 1e9) as i64);
 
-        recorder.on_message(topic, Payload::Frame(frame(0)), Stamp(second / 2)).unwrap();
+        recorder.on_message(topic, Payload::Frame(frame(0)), after(0.5)).unwrap();
         assert_eq!(on_disk(), 0);
-        recorder.on_tick(Stamp(second)).unwrap();
+        recorder.on_tick(after(1.0)).unwrap();
         assert_eq!(on_disk(), 1);
-        recorder.on_message(topic, Payload::Frame(frame(1)), Stamp(second + 1)).unwrap();
-        recorder.on_message(topic, Payload::Frame(frame(2)), Stamp(2 * second)).unwrap();
+        // Messages that have waited for seconds end no chunk each.
+        for (arrived, number) in [(-3.0, 1), (-2.0, 2)] {
+            let payload = Payload::Frame(frame(number));
+            recorder.on_message(topic, payload, after(arrived)).unwrap();
+            recorder.on_tick(after(1.1)).unwrap();
+        }
+        assert_eq!(on_disk(), 1);
+        recorder.on_tick(after(2.0)).unwrap();
         assert_eq!(on_disk(), 3);
     }
 }

@@ -72,7 +72,7 @@ fn summarize(file: &Path) -> Result<(), BagError> {
     let copy = file.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
     let replaced = fs::copy(file, &copy)
         .map_err(BagError::io(&copy, "copying the file"))
-        .and_then(|_| summary::end_file(&copy))
+        .and_then(|_| summary::end_file(&copy, summary::Chunks::Stay))
         .and_then(|_| fs::rename(&copy, file).map_err(BagError::io(file, "replacing the file")));
     if replaced.is_err() {
         // The first error counts.
