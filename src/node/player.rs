@@ -199,7 +199,9 @@ impl Player {
             return None;
         }
         self.next_tick = (self.next_tick + interval).max(now_ns);
-        let played = self.timeline.position(now) - self.round.origin;
+        // Never past a message that has yet to be sent.
+        let next = self.next_due().unwrap_or(f64::INFINITY);
+        let played = self.timeline.position(now).min(next) - self.round.origin;
         Some(Stamp(self.begin.saturating_add(played.max(0.0) as i64)))
     }
 
