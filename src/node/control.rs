@@ -84,6 +84,11 @@ impl Control {
         }
     }
 
+    /// No more questions: who has one that is not answered is told so.
+    pub fn close(&self) {
+        self.requests.close();
+    }
+
     /// Answers everything that was asked by now.
     pub fn serve(&self, node: &mut SurrogateNode) {
         while let Some((request, asker)) = self.requests.pop(Duration::ZERO) {

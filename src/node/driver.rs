@@ -49,7 +49,7 @@ pub fn drive(
     thread::scope(|scope| {
         let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
         // Whatever ends the loop, a panic included, the receiver must not wait for room for ever.
-        let _closing = Closing(queue);
+        let _closing = Closing(queue, control);
         let monitor = Monitor::start(clock.now());
         let mut work = Work { node, name, outputs, queue, lost: &lost, clock, monitor };
         let mut reported = clock.now();
@@ -71,12 +71,13 @@ pub fn drive(
     })
 }
 
-/// Closes the queue when it goes.
-struct Closing<'a>(&'a FrameQueue);
+/// Closes both queues when it goes: who waits for an answer is told at once that there will be none.
+struct Closing<'a>(&'a FrameQueue, &'a Control);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
         self.0.close();
+        self.1.close();
     }
 }
 

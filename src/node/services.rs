@@ -92,11 +92,13 @@ fn reset(control: &Control, _: Empty) -> TriggerResponse {
 }
 
 fn get(control: &Control, request: ParameterNames) -> GetParametersResponse {
-    let value = |name: &String| match name.as_str() {
-        PARAMETER => match control.ask(Request::Horizon, PATIENCE) {
-            Ok(Answer::Horizon(frames)) => ParameterValue::integer(frames.into()),
-            _ => ParameterValue::default(),
-        },
+    // Asked once, however often it is named.
+    let asked = request.names.iter().any(|name| name == PARAMETER);
+    let horizon = asked.then(|| control.ask(Request::Horizon, PATIENCE));
+    let value = |name: &String| match horizon {
+        Some(Ok(Answer::Horizon(frames))) if name == PARAMETER => {
+            ParameterValue::integer(frames.into())
+        }
         _ => ParameterValue::default(),
     };
     GetParametersResponse { values: request.names.iter().map(value).collect() }

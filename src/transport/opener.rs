@@ -41,7 +41,7 @@ pub struct DdsOptions {
 }
 
 /// How far away peers may be that nobody named
-/// (docs.ros.org, "Improved dynamic discovery"; `OFF` is not supported).
+/// (docs.ros.org, "Improved dynamic discovery").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DiscoveryRange {
     /// On this machine (`LOCALHOST`).
@@ -49,6 +49,8 @@ pub enum DiscoveryRange {
     Localhost,
     /// On the networks that this machine is part of (`SUBNET`).
     Subnet,
+    /// Nowhere (`OFF`): DDS links are refused, as static peers cannot be named here.
+    Off,
 }
 
 /// How zenoh finds its peers.
@@ -119,11 +121,12 @@ impl TransportOptions {
         options.dds.range = match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
             None | Some("LOCALHOST" | "SYSTEM_DEFAULT") => DiscoveryRange::Localhost,
             Some("SUBNET") => DiscoveryRange::Subnet,
+            Some("OFF") => DiscoveryRange::Off,
             Some(found) => {
                 return Err(TransportError::Environment {
                     variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
                     found: found.to_owned(),
-                    expected: "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned(),
+                    expected: "LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT".to_owned(),
                 });
             }
         };
@@ -345,11 +348,12 @@ mod tests {
             ("LOCALHOST", DiscoveryRange::Localhost),
             ("SYSTEM_DEFAULT", DiscoveryRange::Localhost),
             ("SUBNET", DiscoveryRange::Subnet),
+            ("OFF", DiscoveryRange::Off),
         ] {
             assert_eq!(range(found).unwrap().dds.range, expected, "{found}");
         }
-        let message = range("OFF").unwrap_err().to_string();
-        let expected = "found `OFF`, expected LOCALHOST, SUBNET or SYSTEM_DEFAULT";
+        let message = range("FAR").unwrap_err().to_string();
+        let expected = "found `FAR`, expected LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT";
         assert_eq!(message, format!("ROS_AUTOMATIC_DISCOVERY_RANGE: {expected}"));
     }
 

@@ -16,6 +16,13 @@ pub(super) fn open(
     let builder = match options.dds.range {
         DiscoveryRange::Localhost => builder.with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)]),
         DiscoveryRange::Subnet => builder,
+        DiscoveryRange::Off => {
+            return Err(TransportError::Environment {
+                variable: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                found: "OFF".to_owned(),
+                expected: format!("LOCALHOST, SUBNET or SYSTEM_DEFAULT for {link}"),
+            });
+        }
     };
     builder.build().map_err(|error| middleware(link, "open the DDS participant", &error))
 }

@@ -1,6 +1,6 @@
 //! Publishes one topic.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use ros2_client::dds::rustdds::{RTPSEntity, Timestamp, dds::WriteError, no_key::DataWriter};
 
@@ -15,6 +15,9 @@ use crate::{
     msg::TypeSupport,
     transport::{Link, Publisher, Reliability, TransportError, opener},
 };
+
+/// How long the last messages are waited for when a publisher goes: a subscriber that was killed never has them.
+const LAST_PATIENCE: Duration = Duration::from_secs(3);
 
 pub(in crate::transport) struct DdsPublisher {
     link: Link,
@@ -54,7 +57,7 @@ impl DdsPublisher {
             middleware(&self.link, "publish", &"expected plain little-endian CDR (00 01 00 00)")
         })?;
         if self.promise == Promise::Waits && self.on_their_way + size > qos::MAX_ON_THEIR_WAY {
-            self.wait_until_arrived()?;
+            self.wait_until_arrived(self.node.patience)?;
         }
         match self.writer.write(body, Some(Timestamp::now())) {
             Ok(()) => self.on_their_way += size,
@@ -68,8 +71,8 @@ impl DdsPublisher {
         Ok(())
     }
 
-    fn wait_until_arrived(&mut self) -> Result<(), TransportError> {
-        match self.writer.wait_for_acknowledgments(self.node.patience) {
+    fn wait_until_arrived(&mut self, patience: Duration) -> Result<(), TransportError> {
+        match self.writer.wait_for_acknowledgments(patience) {
             Ok(true) => {
                 self.on_their_way = 0;
                 Ok(())
@@ -105,7 +108,7 @@ impl Drop for DdsPublisher {
     fn drop(&mut self) {
         if self.promise == Promise::Waits
             && self.on_their_way > 0
-            && let Err(error) = self.wait_until_arrived()
+            && let Err(error) = self.wait_until_arrived(self.node.patience.min(LAST_PATIENCE))
         {
             tracing::warn!("{error}");
         }

@@ -12,6 +12,10 @@ use crate::transport::{Reliability, opener::is_frames};
 /// Messages that RustDDS holds for a topic, read or not, and messages of a writer that may be on their way.
 const HELD: i32 = 256;
 
+/// The same of a writer that repairs but waits for nobody: a reader that was killed is known only 50 s later, and until
+/// then holds back as many small messages.
+const HELD_FOR_REPAIR: i32 = 1 << 14;
+
 /// Depth of a publisher that drops, as rmw_zenoh's default.
 const DEPTH: i32 = 10;
 
@@ -68,7 +72,7 @@ impl Promise {
             }
             Self::Tries => basis.best_effort().history(History::KeepLast { depth: DEPTH }),
         }
-        .resource_limits(limits())
+        .resource_limits(limits(if self == Self::Repairs { HELD_FOR_REPAIR } else { HELD }))
         .build()
     }
 }
@@ -77,26 +81,26 @@ impl Promise {
 pub(super) fn reliable_reader() -> QosPolicies {
     let basis = QosPolicyBuilder::new().durability(Durability::Volatile);
     let basis = basis.reliable(Duration::ZERO.into()).history(History::KeepAll);
-    basis.resource_limits(limits()).build()
+    basis.resource_limits(limits(HELD)).build()
 }
 
 /// A subscriber of writers that do not.
 pub(super) fn best_effort_reader() -> QosPolicies {
     let basis = QosPolicyBuilder::new().durability(Durability::Volatile);
-    basis.best_effort().history(History::KeepAll).resource_limits(limits()).build()
+    basis.best_effort().history(History::KeepAll).resource_limits(limits(HELD)).build()
 }
 
 /// What a topic holds; promises are the endpoints' own.
 pub(super) fn cache() -> QosPolicies {
-    QosPolicyBuilder::new().history(History::KeepAll).resource_limits(limits()).build()
+    QosPolicyBuilder::new().history(History::KeepAll).resource_limits(limits(HELD)).build()
 }
 
 pub(super) fn unsaid() -> QosPolicies {
     QosPolicyBuilder::new().build()
 }
 
-const fn limits() -> ResourceLimits {
-    ResourceLimits { max_samples: HELD, max_instances: 1, max_samples_per_instance: HELD }
+const fn limits(held: i32) -> ResourceLimits {
+    ResourceLimits { max_samples: held, max_instances: 1, max_samples_per_instance: held }
 }
 
 #[cfg(test)]
