@@ -16,6 +16,7 @@ mod supervise;
 use std::io;
 
 pub use plan::{InvalidPlan, OnExit, Plan, ProcessPlan, RestartPlan};
+pub use process::Said;
 pub use supervise::{Outcome, supervise};
 
 /// Why a plan came to a bad end.
@@ -36,6 +37,14 @@ pub enum LaunchError {
     Usage {
         /// Its name.
         name: String,
+    },
+    /// A process did not end well, and is not started again.
+    #[error("{name}: found {found}, expected it to end well")]
+    Ended {
+        /// Its name.
+        name: String,
+        /// How it ended.
+        found: String,
     },
     /// A process has failed too often.
     #[error("{name}: found {found}, expected no more than {limit} restarts in a row")]

@@ -30,10 +30,11 @@ pub struct ProcessPlan {
     pub name: String,
     /// An eddy command and its arguments.
     pub run: Vec<String>,
-    /// Whether it is started again when it fails [default: true]. What ends well is never started again.
+    /// Whether it is started again when it fails [default: true]; otherwise its failure ends all others. What
+    /// ends well is never started again.
     #[serde(default = "yes")]
     pub restart: bool,
-    /// What happens once it has ended for good [default: nothing].
+    /// What happens once it has ended well [default: nothing].
     #[serde(default)]
     pub on_exit: OnExit,
     /// Its own environment variables.
@@ -41,7 +42,7 @@ pub struct ProcessPlan {
     pub environment: BTreeMap<String, String>,
 }
 
-/// What happens to the others when a process has ended for good.
+/// What happens to the others when a process has ended well.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnExit {
@@ -116,7 +117,8 @@ impl Plan {
             if process.run.is_empty() {
                 return wrong(&format!("{name}.run"), "[]".to_owned(), "an eddy command");
             }
-            if process.run[0] == "launch" {
+            // It would start itself again and again.
+            if process.run.iter().any(|argument| argument == "launch") {
                 return wrong(&format!("{name}.run"), "launch".to_owned(), "another eddy command");
             }
         }

@@ -5,16 +5,32 @@ use std::{
     os::unix::process::CommandExt as _,
     path::Path,
     process::{Child, Command, ExitStatus, Stdio},
-    sync::mpsc::Sender,
+    sync::mpsc::SyncSender,
     thread,
+    time::Duration,
 };
 
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{LaunchError, Plan, ProcessPlan};
+use crate::clock::Clock;
 
 /// Bytes of a line after which it is cut, so that a process without line ends fills no memory.
 const LONGEST_LINE: u64 = 1 << 16;
+
+/// How long a process that is dropped has to end after it was asked to.
+const LAST_PATIENCE: Duration = Duration::from_secs(2);
+/// Between two looks whether it has.
+const NAP: Duration = Duration::from_millis(20);
+
+/// A line, with the name of its process before it, and where it was said.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Said {
+    /// On standard output, or by the supervision.
+    Output(String),
+    /// On standard error.
+    Error(String),
+}
 
 /// A process under way.
 pub(super) struct Process {
@@ -29,7 +45,7 @@ impl Process {
         program: &Path,
         plan: &Plan,
         process: &ProcessPlan,
-        lines: &Sender<String>,
+        lines: &SyncSender<Said>,
     ) -> Result<Self, LaunchError> {
         let mut command = Command::new(program);
         command
@@ -54,10 +70,10 @@ impl Process {
             reason,
         })?;
         if let Some(output) = child.stdout.take() {
-            forward(&name, output, lines.clone());
+            forward(&name, output, Said::Output, lines.clone());
         }
         if let Some(errors) = child.stderr.take() {
-            forward(&name, errors, lines.clone());
+            forward(&name, errors, Said::Error, lines.clone());
         }
         Ok(Self { name, child })
     }
@@ -89,14 +105,24 @@ impl Process {
 impl Drop for Process {
     /// Nothing outlives the supervision, whatever ends it.
     fn drop(&mut self) {
-        // Both fail where it has ended before.
+        // All of these fail where it has ended before.
+        let clock = Clock::start();
+        let _ = self.interrupt();
+        while clock.now() < LAST_PATIENCE && matches!(self.child.try_wait(), Ok(None)) {
+            thread::sleep(NAP);
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 /// Hands on lines until the process closes its end or nobody listens.
-fn forward(name: &str, from: impl Read + Send + 'static, lines: Sender<String>) {
+fn forward(
+    name: &str,
+    from: impl Read + Send + 'static,
+    said: fn(String) -> Said,
+    lines: SyncSender<Said>,
+) {
     let prefix = format!("[{name}] ");
     thread::spawn(move || {
         let mut from = BufReader::new(from);
@@ -107,7 +133,7 @@ fn forward(name: &str, from: impl Read + Send + 'static, lines: Sender<String>) 
                 Ok(0) | Err(_) => return,
                 Ok(_) => {
                     let text = String::from_utf8_lossy(&line);
-                    if lines.send(format!("{prefix}{}", text.trim_end())).is_err() {
+                    if lines.send(said(format!("{prefix}{}", text.trim_end()))).is_err() {
                         return;
                     }
                 }

@@ -1,24 +1,28 @@
 //! All processes of a plan, from their start to their end.
 
 use std::{
+    os::unix::process::ExitStatusExt as _,
     path::Path,
     process::ExitStatus,
     sync::{
         atomic::{AtomicBool, Ordering},
-        mpsc::{self, Receiver, RecvTimeoutError, Sender},
+        mpsc::{self, Receiver, RecvTimeoutError, SyncSender},
     },
     time::Duration,
 };
 
-use super::{LaunchError, OnExit, Plan, ProcessPlan, backoff::Backoff, process::Process};
+use super::{LaunchError, OnExit, Plan, ProcessPlan, Said, backoff::Backoff, process::Process};
 use crate::clock::Clock;
 
 /// How often processes and the stop flag are looked at.
 const INTERVAL: Duration = Duration::from_millis(20);
 /// How long the last lines of processes that have ended are waited for.
 const LAST_LINES: Duration = Duration::from_secs(1);
-/// Exit code of wrong usage.
+/// Lines that wait to be handed on, and that are handed on before processes are looked after again.
+const LINES: usize = 1024;
+/// Exit code of wrong usage, and of a process that a signal ended.
 const USAGE: i32 = 2;
+const INTERRUPTED: i32 = 130;
 
 /// How a plan ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,9 +45,9 @@ pub fn supervise(
     plan: &Plan,
     program: &Path,
     stop: &AtomicBool,
-    say: impl FnMut(&str),
+    say: impl FnMut(Said),
 ) -> Result<Outcome, LaunchError> {
-    let (sender, lines) = mpsc::channel();
+    let (sender, lines) = mpsc::sync_channel(LINES);
     let clock = Clock::start();
     let lives = plan.process.iter().map(|process| Life {
         plan: process,
@@ -93,12 +97,12 @@ struct Work<'a, F> {
     clock: Clock,
     lives: Vec<Life<'a>>,
     outcome: Outcome,
-    sender: Sender<String>,
-    lines: Receiver<String>,
+    sender: SyncSender<Said>,
+    lines: Receiver<Said>,
     say: F,
 }
 
-impl<F: FnMut(&str)> Work<'_, F> {
+impl<F: FnMut(Said)> Work<'_, F> {
     /// Starts what is due, and looks after what has ended.
     fn turn(&mut self) -> Result<Turn, LaunchError> {
         let now = self.clock.now();
@@ -115,10 +119,11 @@ impl<F: FnMut(&str)> Work<'_, F> {
                     life.state = State::Ended;
                     if let Some(delay) = life.again(status, running)? {
                         let (name, seconds) = (&life.plan.name, delay.as_secs_f64());
-                        (self.say)(&format!("[{name}] {status}, starts again in {seconds:.1} s"));
+                        let text = format!("[{name}] {status}, starts again in {seconds:.1} s");
+                        (self.say)(Said::Output(text));
                         life.state = State::Waiting { until: now + delay };
                     } else {
-                        (self.say)(&format!("[{}] has ended", life.plan.name));
+                        (self.say)(Said::Output(format!("[{}] has ended", life.plan.name)));
                         if life.plan.on_exit == OnExit::Shutdown {
                             return Ok(Turn::End);
                         }
@@ -131,56 +136,74 @@ impl<F: FnMut(&str)> Work<'_, F> {
         Ok(if all { Turn::End } else { Turn::GoOn })
     }
 
-    /// Asks one process after the other to end, and kills what does not.
+    /// Asks one process after the other to end, and kills what does not. The first that did not end well is
+    /// the error.
     fn shut_down(&mut self) -> Result<(), LaunchError> {
+        let mut outcome = Ok(());
         for number in 0..self.lives.len() {
             let life = &mut self.lives[number];
-            let name = &life.plan.name;
+            let name = life.plan.name.clone();
             let State::Running { mut process, .. } =
                 std::mem::replace(&mut life.state, State::Ended)
             else {
                 continue;
             };
-            process.interrupt()?;
-            let end = self.clock.now() + self.plan.grace();
-            let mut status = process.ended()?;
-            while status.is_none() && self.clock.now() < end {
-                self.listen(INTERVAL);
-                status = process.ended()?;
-            }
-            match status {
-                Some(status) if status.success() => {}
-                Some(status) => (self.say)(&format!("[{name}] {status}")),
-                None => {
-                    process.kill()?;
+            let ended = self.end(&mut process);
+            outcome = outcome.and(match ended {
+                Ok(Some(status)) if ended_well(status) => Ok(()),
+                Ok(Some(status)) => Err(LaunchError::Ended { name, found: status.to_string() }),
+                Ok(None) => {
                     self.outcome.killed += 1;
-                    (self.say)(&format!("[{name}] did not end in time and was killed"));
+                    let found = format!("no end within {} s", self.plan.grace);
+                    process.kill().and(Err(LaunchError::Ended { name, found }))
                 }
-            }
+                Err(error) => Err(error),
+            });
         }
-        Ok(())
+        outcome
+    }
+
+    /// Asks a process to end. `None` when it does not within the grace time.
+    fn end(&mut self, process: &mut Process) -> Result<Option<ExitStatus>, LaunchError> {
+        process.interrupt()?;
+        let end = self.clock.now() + self.plan.grace();
+        loop {
+            let status = process.ended()?;
+            if status.is_some() || self.clock.now() >= end {
+                return Ok(status);
+            }
+            self.listen(INTERVAL);
+        }
     }
 
     /// Hands on the lines that are there, or the first to come within some time. `false` when no more can come.
     fn listen(&mut self, patience: Duration) -> bool {
         let mut patience = patience;
-        loop {
+        // Not for ever: who talks all the time is looked after as well.
+        for _ in 0..LINES {
             match self.lines.recv_timeout(patience) {
-                Ok(line) => (self.say)(&line),
+                Ok(line) => (self.say)(line),
                 Err(RecvTimeoutError::Timeout) => return true,
                 Err(RecvTimeoutError::Disconnected) => return false,
             }
             patience = Duration::ZERO;
         }
+        true
     }
 
     /// Hands on what is still under way when all have ended.
     fn last_lines(mut self) {
         let end = self.clock.now() + LAST_LINES;
         // Without this sender the channel ends with the last process's last line.
-        self.sender = mpsc::channel().0;
+        self.sender = mpsc::sync_channel(0).0;
         while self.clock.now() < end && self.listen(INTERVAL) {}
     }
+}
+
+/// Whether a process that was asked to end has done so, in whatever way.
+fn ended_well(status: ExitStatus) -> bool {
+    let by_signal = status.signal() == Some(rustix::process::Signal::INT.as_raw());
+    status.success() || by_signal || status.code() == Some(INTERRUPTED)
 }
 
 impl Life<'_> {
@@ -199,7 +222,7 @@ impl Life<'_> {
         }
         let failed = |limit| LaunchError::Failed { name: name(), found: status.to_string(), limit };
         if !self.plan.restart {
-            return Err(failed(0));
+            return Err(LaunchError::Ended { name: name(), found: status.to_string() });
         }
         let limit = self.backoff.limit();
         self.backoff.failed(running).map(Some).ok_or_else(|| failed(limit))

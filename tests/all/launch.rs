@@ -106,3 +106,50 @@ fn a_plan_that_makes_no_sense_is_refused_by_file_and_field() {
         assert!(message.contains(expected), "{message}");
     }
 }
+
+#[test]
+fn who_does_not_end_well_is_the_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("badly");
+    let text = format!("grace = 0.0\n{}", node(&prefix));
+    let mut launch = Process::start_until(
+        talking_eddy().args(["launch", &plan(folder.path(), &text)]),
+        "[node] predicting",
+    );
+    launch.interrupt();
+    assert_eq!(launch.wait().code(), Some(1));
+    assert!(running(&prefix).is_empty());
+}
+
+#[test]
+fn a_signal_to_all_at_once_ends_them_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("all");
+    let file = plan(folder.path(), &node(&prefix));
+    let mut launch =
+        Process::start_until(talking_eddy().args(["launch", &file]), "[node] predicting");
+    // As a service manager does: who was started first, then who started it.
+    for id in running(&prefix).iter().chain([&launch.id().to_string()]) {
+        assert!(Command::new("kill").args(["-TERM", id]).status().unwrap().success());
+    }
+    assert!(launch.wait().success());
+    assert!(launch.rest().contains("[node] 0 received"), "the node's own last line");
+}
+
+#[test]
+fn a_launch_that_nobody_listens_to_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = unique("deaf");
+    let file = plan(folder.path(), &format!("restart.delay = 0.0\n{}", node(&prefix)));
+    let command = format!("exec '{}' launch '{file}' | head -n 1", env!("CARGO_BIN_EXE_eddy"));
+    let mut shell =
+        Process::start_until(Command::new("sh").args(["-c", &command]), "[node] predicting");
+    let first = wait_for("the node runs", || running(&prefix).pop());
+    assert!(Command::new("kill").args(["-KILL", &first]).status().unwrap().success());
+    // What is said of this reaches nobody.
+    wait_for("the node runs again", || running(&prefix).into_iter().find(|id| *id != first));
+    let launch = running(&file).pop().unwrap();
+    assert!(Command::new("kill").args(["-INT", &launch]).status().unwrap().success());
+    wait_for("all have ended", || running(&prefix).is_empty().then_some(()));
+    assert!(shell.wait().success());
+}
