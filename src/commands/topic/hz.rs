@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 
-use super::{PATIENCE, find};
+use super::{PATIENCE, find, print};
 use crate::{cli::TopicHzArgs, commands::Interrupt};
 use eddy::{clock::Clock, node::Rate, transport::Transports};
 
@@ -22,21 +22,20 @@ pub(super) fn run(
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
     let clock = Clock::start();
     let end = args.duration.map(Duration::from_secs_f64);
-    let (mut rate, mut told) = (Rate::new(args.window), Duration::ZERO);
+    let (mut rate, mut told, mut news) = (Rate::new(args.window), Duration::ZERO, false);
     loop {
         if subscriber.receive(PATIENCE)?.is_some() {
             rate.arrived(clock.now());
+            news = true;
         }
         let ends = interrupt.requested() || end.is_some_and(|end| clock.now() >= end);
         if ends || clock.now() - told >= INTERVAL {
             told = clock.now();
-            match rate.figures() {
-                Some(figures) => println!("{figures}"),
-                None => println!("no new messages"),
+            let figures = rate.figures().filter(|_| std::mem::take(&mut news));
+            let line = figures.map_or("no new messages".to_owned(), |figures| figures.to_string());
+            if !print(&line)? || ends {
+                return Ok(());
             }
-        }
-        if ends {
-            return Ok(());
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeSet, thread, time::Duration};
 
-use super::NAP;
+use super::{NAP, print};
 use crate::{
     cli::TopicListArgs,
     commands::{Interrupt, leaves_the_process},
@@ -20,12 +20,18 @@ pub(super) fn run(
     for &transport in &args.from {
         leaves_the_process(&Link { transport, topic: "/".to_owned() })?;
     }
-    let clock = Clock::start();
     let mut topics = BTreeSet::new();
-    loop {
+    let mut look = || -> anyhow::Result<()> {
         for &transport in &args.from {
             topics.extend(transports.topics(transport)?);
         }
+        Ok(())
+    };
+    // What opening takes is not the others' time to answer.
+    look()?;
+    let clock = Clock::start();
+    loop {
+        look()?;
         if clock.now() >= Duration::from_secs_f64(args.wait) || interrupt.requested() {
             break;
         }
@@ -33,7 +39,9 @@ pub(super) fn run(
     }
     let width = topics.iter().map(|topic| topic.link.to_string().len()).max().unwrap_or(0);
     for topic in topics {
-        println!("{:width$}  {}", topic.link.to_string(), topic.type_name);
+        if !print(&format!("{:width$}  {}", topic.link.to_string(), topic.type_name))? {
+            break;
+        }
     }
     Ok(())
 }

@@ -4,7 +4,11 @@ mod echo;
 mod hz;
 mod list;
 
-use std::{thread, time::Duration};
+use std::{
+    io::{self, ErrorKind, Write as _},
+    thread,
+    time::Duration,
+};
 
 use anyhow::bail;
 
@@ -32,12 +36,21 @@ pub fn run(args: TopicArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
         TopicCommand::Echo(args) => echo::run(&args, &transports, interrupt),
         TopicCommand::Hz(args) => hz::run(&args, &transports, interrupt),
         TopicCommand::Info { link } => {
-            if let Some(topic) = find(&link, &transports, interrupt)? {
-                println!("Type: {}", topic.type_name);
-                println!("Type hash: {}", topic.hash.as_deref().unwrap_or("not told"));
+            if let Some(SeenTopic { type_name, hash, .. }) = find(&link, &transports, interrupt)? {
+                let hash = hash.as_deref().unwrap_or("not told");
+                print(&format!("Type: {type_name}\nType hash: {hash}"))?;
             }
             Ok(())
         }
+    }
+}
+
+/// Prints a line, or several. `false` when nobody reads any more, as behind `| head`.
+fn print(text: &str) -> io::Result<bool> {
+    match writeln!(io::stdout(), "{text}") {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(error),
     }
 }
 
