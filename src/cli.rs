@@ -187,7 +187,7 @@ pub struct RecordArgs {
     #[arg(long, short = 'b', visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_bag_size: Option<u64>,
     /// Begin a new file when one is so long (seconds).
-    #[arg(long, short = 'd')]
+    #[arg(long, short = 'd', visible_alias = "max-duration")]
     pub max_bag_duration: Option<f64>,
     /// End after so many seconds; at SIGINT or SIGTERM if not given.
     #[arg(long)]

@@ -267,7 +267,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
         (2, vec![], "LINK"),
         (2, vec!["--regex", "(", "--from", "shm"], "regex parse error"),
         (2, vec!["shm:/a", "--max-bag-size", "0"], "--max-bag-size"),
-        (2, vec!["shm:/a", "--max-duration", "5"], "--max-duration"),
+        (1, vec!["shm:/a", "--max-duration", "0"], "--max-bag-duration: found 0, expected"),
         (1, vec!["shm:/a", "--max-bag-duration", "0"], "--max-bag-duration: found 0, expected"),
         (1, vec!["shm:/a", "--stop-after", "nan"], "--stop-after: found NaN, expected"),
         (1, vec!["shm:/a", "zenoh:/a"], "found topic /a twice"),
