@@ -128,12 +128,14 @@ impl FromStr for Link {
 }
 
 /// ROS 2 topic names, https://design.ros2.org/articles/topic_and_service_names.html.
-fn is_absolute_name(topic: &str) -> bool {
-    let token = |token: &str| {
-        token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-            && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-    };
-    topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(token))
+pub(crate) fn is_absolute_name(topic: &str) -> bool {
+    topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_name_token))
+}
+
+/// A word of such a name; the name of a node is one.
+pub(crate) fn is_name_token(token: &str) -> bool {
+    token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@ mod seen;
 mod shm;
 mod zenoh;
 
+pub(crate) use link::{is_absolute_name, is_name_token};
 pub(crate) use queue::Queue;
 
 pub use link::{InvalidLink, Link, TransportKind};

@@ -23,6 +23,8 @@ const MAX_DOMAIN: u16 = 232;
 pub struct TransportOptions {
     /// Name of this process in the ROS graph: letters, digits and `_`.
     pub node_name: String,
+    /// Its namespace there [default: `/`], such as `/robot1`.
+    pub namespace: String,
     /// ROS domain, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Topics of other domains are not seen on Zenoh and DDS.
     pub domain_id: u16,
     /// How long a blocking publisher waits for a subscriber that takes nothing [default: 30 s].
@@ -84,6 +86,7 @@ impl TransportOptions {
     pub fn new(node_name: &str) -> Self {
         Self {
             node_name: node_name.to_owned(),
+            namespace: "/".to_owned(),
             domain_id: 0,
             patience: Duration::from_secs(30),
             zenoh: ZenohOptions::default(),

@@ -26,7 +26,7 @@ use ros2_client::{
 };
 
 use super::middleware;
-use crate::transport::{Link, TransportError};
+use crate::transport::{Link, TransportError, TransportOptions};
 
 /// Writers that are remembered for each reader because they do not fit it. They are kept when they go: what
 /// they sent last may still have to be taken.
@@ -69,9 +69,9 @@ impl Graph {
         link: &Link,
         participant: &DomainParticipant,
         publisher: &rustdds::Publisher,
-        node_name: &str,
+        options: &TransportOptions,
     ) -> Result<Self, TransportError> {
-        let announcer = Announcer::open(link, participant, publisher, node_name)?;
+        let announcer = Announcer::open(link, participant, publisher, options)?;
         let shared = Arc::<Shared>::default();
         let failed = |error| middleware(link, "watch the graph", &error);
         let (waker, thread) =
@@ -150,10 +150,10 @@ impl Announcer {
         link: &Link,
         participant: &DomainParticipant,
         publisher: &rustdds::Publisher,
-        node_name: &str,
+        options: &TransportOptions,
     ) -> Result<Self, TransportError> {
         use builtin_topics::ros_discovery::{QOS_PUB, TOPIC_NAME, TYPE_NAME};
-        let name = NodeName::new("/", node_name)
+        let name = NodeName::new(&options.namespace, &options.node_name)
             .map_err(|error| middleware(link, "name the node", &error))?;
         let failed = |error| middleware(link, "declare the node", &error);
         let topic = participant

@@ -70,7 +70,7 @@ impl DdsNode {
         let none = qos::unsaid();
         let publisher = participant.create_publisher(&none).map_err(failed)?;
         let subscriber = participant.create_subscriber(&none).map_err(failed)?;
-        let graph = Graph::open(link, &participant, &publisher, &options.node_name)?;
+        let graph = Graph::open(link, &participant, &publisher, options)?;
         let (patience, largest_message) = (options.patience, qos::largest_message());
         tracing::info!("DDS carries messages of up to {largest_message} bytes here");
         Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })

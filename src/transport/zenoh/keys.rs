@@ -43,14 +43,22 @@ impl Side {
 pub(super) struct Node {
     pub(super) domain_id: u16,
     pub(super) zid: ZenohId,
+    /// As ROS writes it, such as `/robot1`.
+    pub(super) namespace: String,
     pub(super) name: String,
 }
 
 impl Node {
     /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`; the node's number is 0.
     pub(super) fn token(&self) -> String {
-        let Self { domain_id, zid, name } = self;
-        format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{EMPTY}/{EMPTY}/{name}")
+        let Self { domain_id, zid, name, .. } = self;
+        let namespace = self.mangled_namespace();
+        format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{EMPTY}/{namespace}/{name}")
+    }
+
+    /// `/` is `%`, `/robot1` is `%robot1`.
+    fn mangled_namespace(&self) -> String {
+        self.namespace.replace('/', EMPTY)
     }
 }
 
@@ -77,7 +85,8 @@ impl Endpoint {
         support: &TypeSupport,
         qos: &str,
     ) -> Self {
-        let Node { domain_id, zid, name } = node;
+        let Node { domain_id, zid, name, .. } = node;
+        let namespace = node.mangled_namespace();
         let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
         let (dds_name, hash) = (dds_name(&support.name), &support.hash);
         let (code, other) = (side.code(), side.other().code());
@@ -86,7 +95,7 @@ impl Endpoint {
             type_name: support.name.clone(),
             key: format!("{domain_id}/{topic}/{dds_name}/{hash}"),
             token: format!(
-                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{EMPTY}/{name}/{mangled}/{dds_name}/{hash}/{qos}"
+                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{namespace}/{name}/{mangled}/{dds_name}/{hash}/{qos}"
             ),
             others: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
         }
@@ -152,7 +161,8 @@ mod tests {
     const ZID: &str = "1234567890abcdef1234567890abcdef";
 
     fn node() -> Node {
-        Node { domain_id: 7, zid: ZID.parse().unwrap(), name: "eddy_node".to_owned() }
+        let (namespace, name) = ("/".to_owned(), "eddy_node".to_owned());
+        Node { domain_id: 7, zid: ZID.parse().unwrap(), namespace, name }
     }
 
     fn endpoint(link: &str, type_name: &str, side: Side, qos: &str) -> Endpoint {
@@ -200,6 +210,17 @@ mod tests {
     #[test]
     fn the_node_has_a_token_of_its_own() {
         assert_eq!(node().token(), format!("@ros2_lv/7/{ZID}/0/0/NN/%/%/eddy_node"));
+    }
+
+    #[test]
+    fn a_namespace_is_mangled_in_tokens_and_absent_from_keys() {
+        let node = Node { namespace: "/robot1/left".to_owned(), ..node() };
+        assert_eq!(node.token(), format!("@ros2_lv/7/{ZID}/0/0/NN/%/%robot1%left/eddy_node"));
+        let support = type_support(RosString::TYPE).unwrap();
+        let link = "zenoh:/a".parse().unwrap();
+        let endpoint = Endpoint::new(&node, 1, Side::Publisher, &link, support, "");
+        assert!(endpoint.token.contains("/MP/%/%robot1%left/eddy_node/%a/"), "{}", endpoint.token);
+        assert!(endpoint.key.starts_with("7/a/"), "{}", endpoint.key);
     }
 
     #[test]

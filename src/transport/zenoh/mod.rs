@@ -51,8 +51,8 @@ pub(super) struct ZenohNode {
 impl ZenohNode {
     pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         let session = config::open(link, options)?;
-        let (domain_id, name) = (options.domain_id, options.node_name.clone());
-        let node = Node { domain_id, zid: session.zid(), name };
+        let (namespace, name) = (options.namespace.clone(), options.node_name.clone());
+        let node = Node { domain_id: options.domain_id, zid: session.zid(), namespace, name };
         let token = graph::declare(&session, &node.token())
             .map_err(|error| middleware(link, "declare the node", &error))?;
         let next_id = AtomicUsize::new(1);
