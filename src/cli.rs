@@ -76,6 +76,42 @@ pub enum Command {
     Bench(BenchArgs),
 }
 
+/// What ROS 2 gives to its nodes on the command line.
+#[derive(Debug, Args)]
+pub struct RosArgs {
+    /// Arguments of ROS 2, up to `--` or the end: -r FROM:=TO (names of topics and services, __node, __ns),
+    /// -p NAME:=VALUE, --params-file FILE, --log-level LEVEL.
+    #[arg(
+        long,
+        num_args = 0..,
+        allow_hyphen_values = true,
+        value_terminator = "--",
+        value_name = "ARGUMENTS"
+    )]
+    pub ros_args: Vec<String>,
+}
+
+impl Command {
+    /// The arguments of ROS 2, for the node that this command is in the ROS graph.
+    pub fn ros_args(&self) -> &[String] {
+        match self {
+            Self::Node(NodeArgs { ros, .. })
+            | Self::Record(RecordArgs { ros, .. })
+            | Self::Replay(ReplayArgs { ros, .. }) => &ros.ros_args,
+            _ => &[],
+        }
+    }
+
+    /// What the command is called in the ROS graph unless it is told otherwise.
+    pub fn node_name(&self) -> &'static str {
+        match self {
+            Self::Record(_) => "eddy_record",
+            Self::Replay(_) => "eddy_replay",
+            _ => "eddy_node",
+        }
+    }
+}
+
 /// `eddy launch`
 #[derive(Debug, Args)]
 pub struct LaunchArgs {
@@ -202,6 +238,8 @@ pub struct RecordArgs {
     /// How chunks are compressed.
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     pub compression: CompressionArg,
+    #[command(flatten)]
+    pub ros: RosArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -259,6 +297,8 @@ pub struct ReplayArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block)]
     pub reliability: Reliability,
+    #[command(flatten)]
+    pub ros: RosArgs,
 }
 
 /// `eddy train`
@@ -310,10 +350,12 @@ pub struct NodeArgs {
     /// Settings from a TOML file; what is given here on the command line goes first.
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// Where frames come from, by shm, zenoh or dds [default: zenoh:/particles].
+    /// Where frames come from, by shm, zenoh or dds [default: zenoh:/particles, in the namespace that
+    /// --ros-args gives].
     #[arg(long)]
     pub input: Option<Link>,
-    /// Where predictions go, by shm, zenoh or dds; several may be given [default: zenoh:/prediction].
+    /// Where predictions go, by shm, zenoh or dds; several may be given
+    /// [default: zenoh:/prediction, likewise].
     #[arg(long)]
     pub output: Vec<Link>,
     /// Frames predicted ahead of each observed frame [default: 1].
@@ -325,12 +367,18 @@ pub struct NodeArgs {
     /// Observe so many frames of a stream, then simulate it alone.
     #[arg(long)]
     pub free_run: Option<u64>,
+    /// Publish observed and predicted frames also as sensor_msgs/PointCloud2 on INPUT/cloud and
+    /// OUTPUT/cloud, for RViz, Foxglove and Rerun.
+    #[arg(long)]
+    pub cloud: bool,
     /// What happens when a subscriber cannot keep up [default: drop].
     #[arg(long, value_enum)]
     pub reliability: Option<Reliability>,
     /// Threads that predict; as many as there are cores if not given.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    pub ros: RosArgs,
 }
 
 /// `eddy predict`

@@ -13,7 +13,7 @@
 //! | L6 | `bench`, `config`, `launch` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
-//! | L3 | `dataset`, `engine` |
+//! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `transport`, `model` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
@@ -35,5 +35,6 @@ pub mod mpm;
 pub mod msg;
 pub mod node;
 pub mod picture;
+pub mod ros;
 pub mod train;
 pub mod transport;

@@ -5,7 +5,8 @@ mod commands;
 
 use std::{io, process::ExitCode};
 
-use clap::Parser;
+use clap::{CommandFactory, Parser, error::ErrorKind};
+use eddy::ros::{RosArguments, RosNode};
 use tracing_subscriber::EnvFilter;
 
 use cli::{Cli, Command};
@@ -34,18 +35,26 @@ fn main() -> ExitCode {
     }
 }
 
+/// Who the command is to ROS; ends with wrong usage when its arguments cannot be used.
+fn ros_node(command: &Command) -> RosNode {
+    let arguments = RosArguments::parse(command.ros_args());
+    let usage = |error| Cli::command().error(ErrorKind::ValueValidation, error).exit();
+    arguments.unwrap_or_else(usage).node(command.node_name())
+}
+
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
-    let filter = EnvFilter::try_new(&cli.log_level)?;
+    let ros = ros_node(&cli.command);
+    let filter = EnvFilter::try_new(ros.log_filter(&cli.log_level))?;
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).init();
     let interrupt = Interrupt::install()?;
     let quiet = cli.quiet;
     match cli.command {
         Command::Demo(args) => commands::demo::run(args, quiet, &interrupt),
         Command::Simulate(args) => commands::simulate::run(args, quiet, &interrupt),
-        Command::Record(args) => commands::record::run(args, quiet, &interrupt),
-        Command::Replay(args) => commands::replay::run(args, quiet, &interrupt),
+        Command::Record(args) => commands::record::run(args, &ros, quiet, &interrupt),
+        Command::Replay(args) => commands::replay::run(args, &ros, quiet, &interrupt),
         Command::Train(args) => commands::train::run(args, quiet, &interrupt),
-        Command::Node(args) => commands::node::run(args, quiet, &interrupt),
+        Command::Node(args) => commands::node::run(args, &ros, quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),

@@ -23,7 +23,10 @@ use eddy::{
     model::Ballistic,
     mpm::{self, Preset, Scene, Simulation},
     msg::{Message, ParticleFrame, PredictionStatus, cdr},
-    node::{Control, FrameQueue, NodeSettings, Outputs, Recorder, SurrogateNode, drive},
+    node::{
+        Control, FrameQueue, NodeSettings, Outputs, Presence, Recorder, RosTime, SurrogateNode,
+        drive,
+    },
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
@@ -67,8 +70,11 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         let queue = FrameQueue::new(16, Reliability::Block);
         let outputs = std::slice::from_mut(&mut wires.outputs);
         let (node, input, stop) = (&mut node, wires.input.as_mut(), &stop);
-        let predictor = scope
-            .spawn(move || drive(node, NAME, input, outputs, &queue, &Control::default(), stop));
+        let predictor = scope.spawn(move || {
+            let mut presence =
+                Presence { name: format!("/{NAME}"), time: RosTime::of_the_machine() };
+            drive(node, &mut presence, input, outputs, &queue, &Control::default(), stop)
+        });
 
         let watched = wires.watch.run(
             Live::start(ballistic, Duration::ZERO),
@@ -149,11 +155,10 @@ impl Wires {
             watch: Watch { recorder, truth, prediction, status },
             input: listen("/particles", ParticleFrame::TYPE)?,
             truth: publish("/particles", ParticleFrame::TYPE)?,
-            outputs: Outputs {
-                prediction: publish("/prediction", ParticleFrame::TYPE)?,
-                status: publish("/prediction/status", PredictionStatus::TYPE)?,
-                diagnostics: None,
-            },
+            outputs: Outputs::new(
+                publish("/prediction", ParticleFrame::TYPE)?,
+                publish("/prediction/status", PredictionStatus::TYPE)?,
+            ),
         })
     }
 }

@@ -26,7 +26,8 @@ use std::{thread, time::Duration};
 use anyhow::{bail, ensure};
 use eddy::{
     clock::Clock,
-    transport::{Link, Publisher, TransportKind},
+    ros::RosNode,
+    transport::{Link, Publisher, TransportError, TransportKind, TransportOptions},
 };
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -37,6 +38,24 @@ pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
         "{link}: found memory, expected shm, zenoh or dds: memory links stay within one process"
     );
     Ok(())
+}
+
+/// How this process appears on its transports.
+pub(crate) fn transport_options(ros: &RosNode) -> Result<TransportOptions, TransportError> {
+    let options = TransportOptions::from_env(ros.name())?;
+    Ok(TransportOptions { namespace: ros.namespace().to_owned(), ..options })
+}
+
+/// Refuses parameters that were given to this very command, which has none.
+pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
+    match ros.parameters().iter().find(|given| !given.for_all) {
+        Some(given) => bail!(
+            "{}: found {}, expected none: there are no parameters here",
+            given.argument,
+            given.parameter.name
+        ),
+        None => Ok(()),
+    }
 }
 
 /// How long subscribers are waited for.

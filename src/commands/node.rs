@@ -2,23 +2,24 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use super::{Interrupt, leaves_the_process, surrogate};
+use super::{Interrupt, leaves_the_process, surrogate, transport_options};
 use crate::cli::NodeArgs;
 use eddy::{
     config,
-    msg::{DiagnosticArray, Message, ParticleFrame, PredictionStatus},
-    node::{
-        Control, Counters, FrameQueue, NodeSettings, Outputs, Service, SurrogateNode, drive,
-        services,
+    msg::{
+        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
+        PredictionStatus,
     },
-    transport::{Link, Reliability, Served, TransportError, TransportOptions, Transports},
+    node::{
+        CloudTopic, Control, Counters, FrameQueue, InvalidSettings, NodeSettings, Outputs,
+        Presence, RosTime, Service, SurrogateNode, drive, services,
+    },
+    ros::RosNode,
+    transport::{Link, Reliability, Served, TransportError, TransportKind, Transports},
 };
-
-/// The node's name in the ROS 2 graph.
-const NAME: &str = "eddy_node";
 
 /// What a configuration file of `eddy node` may say; the command line goes first.
 #[derive(Debug, Default, Deserialize)]
@@ -37,21 +38,30 @@ struct NodeFile {
 }
 
 /// Runs the node until a signal comes.
-pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: NodeArgs,
+    ros: &RosNode,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     let file: NodeFile = match &args.config {
         Some(path) => config::load(path)?,
         None => NodeFile::default(),
     };
-    let settings = NodeSettings {
+    let mut settings = NodeSettings {
         horizon: args.horizon.unwrap_or(file.node.horizon),
         publish: args.publish.unwrap_or(file.node.publish),
         free_run: args.free_run.or(file.node.free_run),
+        cloud: args.cloud || file.node.cloud,
         ..file.node
     };
-    let input = args.input.or(file.input).unwrap_or(Link::zenoh("/particles"));
-    let outputs = [args.output, file.output, vec![Link::zenoh("/prediction")]];
-    let outputs = outputs.into_iter().find(|links| !links.is_empty()).unwrap_or_default();
-    outputs.iter().chain([&input]).try_for_each(leaves_the_process)?;
+    set_parameters(&mut settings, ros)?;
+    let links = Links::named(
+        args.input.or(file.input),
+        [args.output, file.output].into_iter().find(|links| !links.is_empty()),
+    );
+    let renamed = links.renamed(ros);
+    renamed.check()?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
@@ -59,71 +69,146 @@ pub fn run(args: NodeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let queue = FrameQueue::new(settings.queue, reliability);
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
-    let transports = Transports::new(TransportOptions::from_env(NAME)?);
+    let transports = Transports::new(transport_options(ros)?);
+    let input = &renamed.input;
     let mut subscriber = transports
-        .subscriber(&input, ParticleFrame::TYPE)
+        .subscriber(input, ParticleFrame::TYPE)
         .with_context(|| format!("cannot subscribe to {input}"))?;
-    let mut publishers = Vec::new();
-    for (index, link) in outputs.iter().enumerate() {
-        anyhow::ensure!(
-            !outputs[..index].contains(link),
-            "output: found {link} twice, expected once"
-        );
-        // One `/diagnostics` is enough for a transport.
-        let first = outputs[..index].iter().all(|other| other.transport != link.transport);
-        publishers.push(open(&transports, link, reliability, first).context("cannot publish")?);
-    }
-
+    let mut outputs = open(&transports, &links, ros, reliability, node.settings().cloud)
+        .context("cannot publish")?;
+    let mut presence = presence(&transports, input, ros);
     let control = Arc::new(Control::default());
-    let _services =
-        serve(&transports, &input, &outputs, &control).context("cannot offer services")?;
+    let _services = serve(&transports, &renamed, ros, &control).context("cannot offer services")?;
 
     if !quiet {
         let digest = &node.surrogate().digest()[..12];
-        let outputs: Vec<_> = outputs.iter().map(ToString::to_string).collect();
+        let outputs: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
         println!("predicting {input} -> {} with model {digest}", outputs.join(", "));
     }
-    let input = subscriber.as_mut();
-    let outcome =
-        drive(&mut node, NAME, input, &mut publishers, &queue, &control, interrupt.flag());
+    let outcome = drive(
+        &mut node,
+        &mut presence,
+        subscriber.as_mut(),
+        &mut outputs,
+        &queue,
+        &control,
+        interrupt.flag(),
+    );
     if !quiet {
         println!("{}", summary(node.counters()));
     }
     Ok(outcome?)
 }
 
+/// Parameters of `--ros-args` go last. What a file says to nodes of any name need not be for us.
+fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<()> {
+    for given in ros.parameters() {
+        match settings.set(&given.parameter) {
+            Ok(()) => {}
+            Err(InvalidSettings::Unknown { found }) if given.for_all => {
+                tracing::debug!("{}: {found} is no parameter of this node", given.argument);
+            }
+            Err(error) => return Err(error).context(given.argument.clone()),
+        }
+    }
+    Ok(())
+}
+
+/// Where frames come from and predictions go.
+struct Links {
+    input: Link,
+    outputs: Vec<Link>,
+}
+
+impl Links {
+    /// The links that were named. Those that were not have relative topics, which are in the namespace of the
+    /// node.
+    fn named(input: Option<Link>, outputs: Option<Vec<Link>>) -> Self {
+        Self {
+            input: input.unwrap_or(Link::zenoh("particles")),
+            outputs: outputs.unwrap_or(vec![Link::zenoh("prediction")]),
+        }
+    }
+
+    fn renamed(&self, ros: &RosNode) -> Self {
+        let outputs = self.outputs.iter().map(|link| ros.link(link));
+        Self { input: ros.link(&self.input), outputs: outputs.collect() }
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        self.outputs.iter().chain([&self.input]).try_for_each(leaves_the_process)?;
+        for (index, link) in self.outputs.iter().enumerate() {
+            if self.outputs[..index].contains(link) {
+                bail!("output: found {link} twice, expected once");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Opens the outputs. What says something about the whole node is once on a transport.
 fn open(
     transports: &Transports,
-    link: &Link,
+    links: &Links,
+    ros: &RosNode,
     reliability: Reliability,
-    with_diagnostics: bool,
-) -> Result<Outputs, TransportError> {
-    let diagnostics = link.with_topic("/diagnostics");
-    let diagnostics = with_diagnostics
-        .then(|| transports.publisher(&diagnostics, DiagnosticArray::TYPE, Reliability::Drop));
-    let status = link.with_topic(&format!("{}/status", link.topic));
-    Ok(Outputs {
-        prediction: transports.publisher(link, ParticleFrame::TYPE, reliability)?,
-        status: transports.publisher(&status, PredictionStatus::TYPE, reliability)?,
-        diagnostics: diagnostics.transpose()?,
-    })
+    clouds: bool,
+) -> Result<Vec<Outputs>, TransportError> {
+    let mut opened = Vec::new();
+    for (index, link) in links.outputs.iter().enumerate() {
+        let prediction = transports.publisher(&ros.link(link), ParticleFrame::TYPE, reliability)?;
+        let status = ros.beside(link, "status");
+        let status = transports.publisher(&status, PredictionStatus::TYPE, reliability)?;
+        let mut outputs = Outputs::new(prediction, status);
+        let publish = |link: &Link, type_name| {
+            transports.publisher(link, type_name, Reliability::Drop).map(Some)
+        };
+        let cloud = |link: &Link| {
+            let publisher = publish(&ros.beside(link, "cloud"), PointCloud2::TYPE);
+            publisher.map(|publisher| publisher.map(CloudTopic::new))
+        };
+        if clouds {
+            outputs.prediction_cloud = cloud(link)?;
+        }
+        if links.outputs[..index].iter().all(|other| other.transport != link.transport) {
+            let shared = |topic: &str| ros.link(&link.with_topic(topic));
+            outputs.diagnostics = publish(&shared("/diagnostics"), DiagnosticArray::TYPE)?;
+            if matches!(link.transport, TransportKind::Zenoh | TransportKind::Dds) {
+                let events = shared("/parameter_events");
+                outputs.parameter_events = publish(&events, ParameterEvent::TYPE)?;
+            }
+            if clouds {
+                outputs.input_cloud = cloud(&link.with_topic(&links.input.topic))?;
+            }
+        }
+        opened.push(outputs);
+    }
+    Ok(opened)
+}
+
+/// The node in the graph. Simulated time comes from where the frames come from.
+fn presence(transports: &Transports, input: &Link, ros: &RosNode) -> Presence {
+    let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
+    let open = move || transports.subscriber(&clock, Clock::TYPE);
+    Presence { name: ros.full_name(), time: RosTime::new(Box::new(open)) }
 }
 
 /// Offers the node's services on every transport of its links that has them.
 fn serve(
     transports: &Transports,
-    input: &Link,
-    outputs: &[Link],
+    links: &Links,
+    ros: &RosNode,
     control: &Arc<Control>,
 ) -> Result<Vec<Box<dyn Served>>, TransportError> {
-    let links: Vec<_> = [input].into_iter().chain(outputs).collect();
+    let links: Vec<_> = [&links.input].into_iter().chain(&links.outputs).collect();
     let mut served = Vec::new();
     for (index, link) in links.iter().enumerate() {
         if links[..index].iter().any(|other| other.transport == link.transport) {
             continue;
         }
-        for Service { name, type_name, handler } in services(NAME, control) {
-            served.extend(transports.serve(&link.with_topic(&name), type_name, handler)?);
+        for Service { name, type_name, handler } in services(&ros.full_name(), control) {
+            let link = link.with_topic(&ros.service(&name));
+            served.extend(transports.serve(&link, type_name, handler)?);
         }
     }
     Ok(served)

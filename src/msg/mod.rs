@@ -6,11 +6,13 @@
 //!    description parsed from it.
 //! 4. [`services`]: requests and responses, likewise one struct each.
 //! 5. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
+//! 6. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
 //!
 //! The `.msg` files in `msgs/` are the source of truth: schema text and type hash come from them,
 //! and a test holds the twins against them.
 
 pub mod cdr;
+pub mod cloud;
 mod convert;
 pub mod schema;
 pub mod services;
@@ -19,8 +21,8 @@ mod twins;
 pub use convert::BadFrame;
 pub use schema::{TypeSupport, UnknownType, type_support};
 pub use twins::{
-    Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParticleFrame, PredictionStatus,
-    RosString, StreamState, Time,
+    Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
+    PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
 };
 
 use serde::{Serialize, de::DeserializeOwned};
@@ -33,12 +35,15 @@ pub trait Message: Serialize + DeserializeOwned {
 
 /// The type of the messages on a topic of ours, by the name of the topic.
 ///
-/// Status, diagnostics and clock have their fixed names; every other topic carries frames.
+/// Status, cloud, diagnostics, clock and parameter events have their fixed names; every other topic carries
+/// frames.
 pub fn topic_type(topic: &str) -> &'static str {
     match topic.rsplit('/').next() {
         Some("status") => PredictionStatus::TYPE,
         Some("diagnostics") => DiagnosticArray::TYPE,
         Some("clock") => Clock::TYPE,
+        Some("cloud") => PointCloud2::TYPE,
+        Some("parameter_events") => ParameterEvent::TYPE,
         _ => ParticleFrame::TYPE,
     }
 }
@@ -55,6 +60,8 @@ mod tests {
             ("/prediction/status", PredictionStatus::TYPE),
             ("/diagnostics", DiagnosticArray::TYPE),
             ("/clock", Clock::TYPE),
+            ("/prediction/cloud", PointCloud2::TYPE),
+            ("/parameter_events", ParameterEvent::TYPE),
         ];
         for (topic, expected) in cases {
             assert_eq!(topic_type(topic), expected, "{topic}");

@@ -49,7 +49,7 @@ pub struct UnknownType {
 }
 
 /// The `.msg` files this program was built from: name, text.
-const FILES: [(&str, &str); 9] = [
+const FILES: [(&str, &str); 14] = [
     (
         "builtin_interfaces/msg/Time",
         include_str!("../../msgs/standard/builtin_interfaces/msg/Time.msg"),
@@ -71,7 +71,27 @@ const FILES: [(&str, &str); 9] = [
         "eddy_msgs/msg/PredictionStatus",
         include_str!("../../msgs/eddy_msgs/msg/PredictionStatus.msg"),
     ),
+    (
+        "rcl_interfaces/msg/Parameter",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/Parameter.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/ParameterEvent",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/ParameterEvent.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/ParameterValue",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/ParameterValue.msg"),
+    ),
     ("rosgraph_msgs/msg/Clock", include_str!("../../msgs/standard/rosgraph_msgs/msg/Clock.msg")),
+    (
+        "sensor_msgs/msg/PointCloud2",
+        include_str!("../../msgs/standard/sensor_msgs/msg/PointCloud2.msg"),
+    ),
+    (
+        "sensor_msgs/msg/PointField",
+        include_str!("../../msgs/standard/sensor_msgs/msg/PointField.msg"),
+    ),
     ("std_msgs/msg/Header", include_str!("../../msgs/standard/std_msgs/msg/Header.msg")),
     ("std_msgs/msg/String", include_str!("../../msgs/standard/std_msgs/msg/String.msg")),
 ];
@@ -157,12 +177,15 @@ fn field_type(package: &str, kind: &str) -> FieldTypeDescription {
         None => (kind, 0),
     };
     let primitive = match element {
+        "bool" => TypeId::BOOL,
         "byte" => TypeId::BYTE,
         "uint8" => TypeId::UINT8,
         "int32" => TypeId::INT32,
         "uint32" => TypeId::UINT32,
+        "int64" => TypeId::INT64,
         "uint64" => TypeId::UINT64,
         "float32" => TypeId::FLOAT32,
+        "float64" => TypeId::FLOAT64,
         "string" => TypeId::STRING,
         message => {
             let full = match message.split_once('/') {
@@ -183,15 +206,24 @@ mod tests {
     use serde_reflection::{ContainerFormat, Format, Registry, Samples, Tracer, TracerConfig};
 
     use super::*;
-    use crate::msg::{Clock, DiagnosticArray, Message, ParticleFrame, PredictionStatus, RosString};
+    use crate::msg::{
+        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
+        PredictionStatus, RosString,
+    };
 
     #[test]
     fn the_hash_of_a_standard_message_is_the_published_one() {
         // ros2 topic info --verbose, Jazzy.
-        assert_eq!(
-            type_support("std_msgs/msg/String").unwrap().hash,
-            "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-        );
+        for (name, hash) in [
+            (RosString::TYPE, "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+            (PointCloud2::TYPE, "9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"),
+            (
+                ParameterEvent::TYPE,
+                "043e627780fcad87a22d225bc2a037361dba713fca6a6b9f4b869a5aa0393204",
+            ),
+        ] {
+            assert_eq!(type_support(name).unwrap().hash, format!("RIHS01_{hash}"), "{name}");
+        }
     }
 
     #[test]
@@ -224,6 +256,8 @@ mod tests {
         agree::<PredictionStatus>();
         agree::<DiagnosticArray>();
         agree::<Clock>();
+        agree::<ParameterEvent>();
+        agree::<PointCloud2>();
         agree::<RosString>();
     }
 
@@ -267,10 +301,13 @@ mod tests {
                         Format::TypeName(twin_name(&kind.nested_type_name).into())
                     }
                     TypeId::BYTE | TypeId::UINT8 => Format::U8,
+                    TypeId::BOOL => Format::Bool,
                     TypeId::INT32 => Format::I32,
                     TypeId::UINT32 => Format::U32,
+                    TypeId::INT64 => Format::I64,
                     TypeId::UINT64 => Format::U64,
                     TypeId::FLOAT32 => Format::F32,
+                    TypeId::FLOAT64 => Format::F64,
                     TypeId::STRING => Format::Str,
                     other => panic!("{}: type id {other} has no twin", field.name),
                 };

@@ -19,13 +19,69 @@ pub struct TriggerResponse {
     pub message: String,
 }
 
-/// `type` of an integer [`ParameterValue`].
-pub const INTEGER: u8 = 2;
+/// What a [`ParameterValue`] holds (`rcl_interfaces/msg/ParameterType`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ParameterKind {
+    /// Nothing.
+    NotSet = 0,
+    /// A truth value.
+    Bool = 1,
+    /// A whole number.
+    Integer = 2,
+    /// A floating-point number.
+    Double = 3,
+    /// A text.
+    String = 4,
+    /// Bytes.
+    Bytes = 5,
+    /// Truth values.
+    Bools = 6,
+    /// Whole numbers.
+    Integers = 7,
+    /// Floating-point numbers.
+    Doubles = 8,
+    /// Texts.
+    Strings = 9,
+}
+
+impl ParameterKind {
+    /// Every kind, in the order of its number.
+    const ALL: [Self; 10] = [
+        Self::NotSet,
+        Self::Bool,
+        Self::Integer,
+        Self::Double,
+        Self::String,
+        Self::Bytes,
+        Self::Bools,
+        Self::Integers,
+        Self::Doubles,
+        Self::Strings,
+    ];
+
+    /// With its article, for sentences.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NotSet => "nothing",
+            Self::Bool => "a bool",
+            Self::Integer => "an integer",
+            Self::Double => "a double",
+            Self::String => "a string",
+            Self::Bytes => "a list of bytes",
+            Self::Bools => "a list of bools",
+            Self::Integers => "a list of integers",
+            Self::Doubles => "a list of doubles",
+            Self::Strings => "a list of strings",
+        }
+    }
+}
 
 /// `rcl_interfaces/msg/ParameterValue`: the field that `kind` names counts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterValue {
-    /// 0 if there is no value, [`INTEGER`] and others.
+    /// A [`ParameterKind`] as its number.
+    #[serde(rename = "type")]
     pub kind: u8,
     /// For 1.
     pub bool_value: bool,
@@ -48,9 +104,53 @@ pub struct ParameterValue {
 }
 
 impl ParameterValue {
+    /// A truth value.
+    pub fn bool(value: bool) -> Self {
+        Self { bool_value: value, ..Self::of(ParameterKind::Bool) }
+    }
+
     /// A whole number.
     pub fn integer(value: i64) -> Self {
-        Self { kind: INTEGER, integer_value: value, ..Self::default() }
+        Self { integer_value: value, ..Self::of(ParameterKind::Integer) }
+    }
+
+    /// A floating-point number.
+    pub fn double(value: f64) -> Self {
+        Self { double_value: value, ..Self::of(ParameterKind::Double) }
+    }
+
+    /// A text.
+    pub fn string(value: String) -> Self {
+        Self { string_value: value, ..Self::of(ParameterKind::String) }
+    }
+
+    /// Truth values.
+    pub fn bools(values: Vec<bool>) -> Self {
+        Self { bool_array_value: values, ..Self::of(ParameterKind::Bools) }
+    }
+
+    /// Whole numbers.
+    pub fn integers(values: Vec<i64>) -> Self {
+        Self { integer_array_value: values, ..Self::of(ParameterKind::Integers) }
+    }
+
+    /// Floating-point numbers.
+    pub fn doubles(values: Vec<f64>) -> Self {
+        Self { double_array_value: values, ..Self::of(ParameterKind::Doubles) }
+    }
+
+    /// Texts.
+    pub fn strings(values: Vec<String>) -> Self {
+        Self { string_array_value: values, ..Self::of(ParameterKind::Strings) }
+    }
+
+    fn of(kind: ParameterKind) -> Self {
+        Self { kind: kind as u8, ..Self::default() }
+    }
+
+    /// What it holds; the number itself if that means nothing.
+    pub fn kind(&self) -> Result<ParameterKind, u8> {
+        ParameterKind::ALL.get(usize::from(self.kind)).copied().ok_or(self.kind)
     }
 }
 
@@ -160,6 +260,7 @@ pub struct ParameterDescriptor {
     /// The parameter's name.
     pub name: String,
     /// The kind of its value.
+    #[serde(rename = "type")]
     pub kind: u8,
     /// What it does.
     pub description: String,

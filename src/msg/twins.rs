@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Message;
+use super::{Message, services::Parameter};
 use crate::frame::Stamp;
 
 /// Nanoseconds in a second.
@@ -170,4 +170,63 @@ pub struct DiagnosticArray {
 
 impl Message for DiagnosticArray {
     const TYPE: &'static str = "diagnostic_msgs/msg/DiagnosticArray";
+}
+
+/// `rcl_interfaces/msg/ParameterEvent`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ParameterEvent {
+    /// When it happened.
+    pub stamp: Time,
+    /// Full name of the node.
+    pub node: String,
+    /// Parameters it did not have before.
+    pub new_parameters: Vec<Parameter>,
+    /// Parameters that were set.
+    pub changed_parameters: Vec<Parameter>,
+    /// Parameters it has no more.
+    pub deleted_parameters: Vec<Parameter>,
+}
+
+impl Message for ParameterEvent {
+    const TYPE: &'static str = "rcl_interfaces/msg/ParameterEvent";
+}
+
+/// `sensor_msgs/msg/PointField`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PointField {
+    /// What it is, such as `x`.
+    pub name: String,
+    /// Where it begins in a point (bytes).
+    pub offset: u32,
+    /// 2 for `uint8`, 7 for `float32`.
+    pub datatype: u8,
+    /// How many there are.
+    pub count: u32,
+}
+
+/// `sensor_msgs/msg/PointCloud2`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    /// Stamp and coordinate frame.
+    pub header: Header,
+    /// Rows; 1 for points in no order.
+    pub height: u32,
+    /// Points of a row.
+    pub width: u32,
+    /// What a point holds.
+    pub fields: Vec<PointField>,
+    /// Whether the most significant byte comes first.
+    pub is_bigendian: bool,
+    /// Length of a point (bytes).
+    pub point_step: u32,
+    /// Length of a row (bytes).
+    pub row_step: u32,
+    /// The points, `[height * row_step]`.
+    pub data: Vec<u8>,
+    /// Whether every point is valid.
+    pub is_dense: bool,
+}
+
+impl Message for PointCloud2 {
+    const TYPE: &'static str = "sensor_msgs/msg/PointCloud2";
 }

@@ -8,33 +8,30 @@ use std::{
     time::Duration,
 };
 
-use super::{InvalidSettings, SurrogateNode};
-use crate::transport::Queue;
+use super::{InvalidSettings, NodeSettings, SurrogateNode};
+use crate::{msg::services::Parameter, transport::Queue};
 
 /// Requests that may wait.
 const DEPTH: usize = 16;
 
 /// A request to a running node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Request {
-    /// Frames predicted ahead of each observed frame.
-    Horizon,
-    /// Predict so many frames ahead from now on; only look whether that is possible if `dry`.
-    SetHorizon {
-        /// Frames.
-        frames: u32,
-        /// Change nothing.
-        dry: bool,
-    },
+    /// How it behaves.
+    Settings,
+    /// Set these parameters, all or none.
+    Set(Vec<Parameter>),
     /// Forget every stream.
     Reset,
 }
 
 /// What the node says.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// Frames predicted ahead, now.
-    Horizon(u32),
+    /// How it behaves now.
+    Settings(NodeSettings),
+    /// The parameters are set.
+    Set,
     /// Streams that were forgotten.
     Forgot(usize),
 }
@@ -42,7 +39,7 @@ pub enum Answer {
 /// Why a request was not fulfilled.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unanswered {
-    /// The value is out of its range.
+    /// A parameter cannot be set so.
     #[error(transparent)]
     Refused(#[from] InvalidSettings),
     /// The node is busy or has ended.
@@ -89,19 +86,24 @@ impl Control {
         self.requests.close();
     }
 
-    /// Answers everything that was asked by now.
-    pub fn serve(&self, node: &mut SurrogateNode) {
+    /// Answers everything that was asked by now. Returns the parameters that were set.
+    pub fn serve(&self, node: &mut SurrogateNode) -> Vec<Parameter> {
+        let mut changed = Vec::new();
         while let Some((request, asker)) = self.requests.pop(Duration::ZERO) {
             let answer = match request {
-                Request::Horizon => Ok(Answer::Horizon(node.horizon())),
-                Request::SetHorizon { frames, dry } => node
-                    .set_horizon(frames, dry)
-                    .map(|()| Answer::Horizon(node.horizon()))
-                    .map_err(Unanswered::from),
+                Request::Settings => Ok(Answer::Settings(node.settings().clone())),
+                Request::Set(parameters) => {
+                    let outcome = node.set(&parameters);
+                    if outcome.is_ok() {
+                        changed.extend(parameters);
+                    }
+                    outcome.map(|()| Answer::Set).map_err(Unanswered::from)
+                }
                 Request::Reset => Ok(Answer::Forgot(node.reset())),
             };
             // Nobody to tell it to: the asker's patience has ended.
             let _ = asker.send(answer);
         }
+        changed
     }
 }

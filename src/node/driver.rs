@@ -6,15 +6,20 @@ use std::{
     time::Duration,
 };
 
-use super::{Control, FrameQueue, Prediction, Refusal, SurrogateNode, diagnostics::Monitor};
+use super::{
+    CloudTopic, Control, FrameQueue, Prediction, Refusal, RosTime, SurrogateNode,
+    diagnostics::Monitor,
+};
 use crate::{
-    clock::{self, Clock},
-    msg::cdr,
+    clock::Clock,
+    msg::{ParameterEvent, cdr, services::Parameter},
     transport::{Publisher, Subscriber, TransportError},
 };
 
 /// How long a wait may last before the stop flag is looked at.
 const PATIENCE: Duration = Duration::from_millis(100);
+/// The same while a free run waits for simulated time, which may go on at any moment.
+const SIMULATED_PATIENCE: Duration = Duration::from_millis(2);
 /// How long messages that had arrived at the end are still taken, and predicted from.
 const LAST_ARRIVALS: Duration = Duration::from_secs(1);
 /// Time between two diagnostics.
@@ -28,16 +33,40 @@ pub struct Outputs {
     pub status: Box<dyn Publisher>,
     /// The state of the node, once a second. One of several outputs on the same transport has it.
     pub diagnostics: Option<Box<dyn Publisher>>,
+    /// Parameters that were set. Likewise one of several outputs has it.
+    pub parameter_events: Option<Box<dyn Publisher>>,
+    /// Predicted frames as points.
+    pub prediction_cloud: Option<CloudTopic>,
+    /// Observed frames as points. Likewise one of several outputs has it.
+    pub input_cloud: Option<CloudTopic>,
+}
+
+impl Outputs {
+    /// Predictions and their status, nothing else.
+    pub fn new(prediction: Box<dyn Publisher>, status: Box<dyn Publisher>) -> Self {
+        let (diagnostics, parameter_events) = (None, None);
+        let (prediction_cloud, input_cloud) = (None, None);
+        Self { prediction, status, diagnostics, parameter_events, prediction_cloud, input_cloud }
+    }
+}
+
+/// Who the node is to others, and what time it is for it.
+pub struct Presence {
+    /// Its full name, such as `/eddy_node`.
+    pub name: String,
+    /// Its time.
+    pub time: RosTime,
 }
 
 /// Receives, predicts and publishes until `stop` is raised, then for at most two seconds what had
 /// arrived by then. Answers what is asked through `control`, within a tenth of a second.
 ///
 /// # Errors
-/// [`TransportError`] when the input fails. An output that fails is logged, and the node goes on.
+/// [`TransportError`] when the input fails, or `/clock` cannot be read from the start. An output that fails is
+/// logged, and the node goes on.
 pub fn drive(
     node: &mut SurrogateNode,
-    name: &str,
+    presence: &mut Presence,
     input: &mut dyn Subscriber,
     outputs: &mut [Outputs],
     queue: &FrameQueue,
@@ -45,17 +74,23 @@ pub fn drive(
     stop: &AtomicBool,
 ) -> Result<(), TransportError> {
     let clock = Clock::start();
+    presence.time.follow(node.settings().use_sim_time)?;
     let lost = AtomicU64::new(0);
     thread::scope(|scope| {
         let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
         // Whatever ends the loop, a panic included, the receiver must not wait for room for ever.
         let _closing = Closing(queue, control);
         let monitor = Monitor::start(clock.now());
-        let mut work = Work { node, name, outputs, queue, lost: &lost, clock, monitor };
+        let time = presence.time.now(clock.now());
+        let mut work = Work { node, presence, time, outputs, queue, lost: &lost, clock, monitor };
         let mut reported = clock.now();
         while !receiver.is_finished() {
             work.step();
-            control.serve(work.node);
+            let changed = control.serve(work.node);
+            if !changed.is_empty() {
+                work.follow_settings();
+                work.tell(changed);
+            }
             if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
                 reported = clock.now();
                 work.report();
@@ -111,7 +146,9 @@ fn receive(
 /// Everything the predicting side works with.
 struct Work<'a> {
     node: &'a mut SurrogateNode,
-    name: &'a str,
+    presence: &'a mut Presence,
+    /// The node's time when it was last looked at.
+    time: Duration,
     outputs: &'a mut [Outputs],
     queue: &'a FrameQueue,
     lost: &'a AtomicU64,
@@ -122,12 +159,18 @@ struct Work<'a> {
 impl Work<'_> {
     /// Predicts from one message or one tick. Returns whether there was a message.
     fn step(&mut self) -> bool {
-        let now = self.clock.now();
-        let until_tick = self.node.next_tick().map(|due| due.saturating_sub(now));
-        let message = self.queue.pop(until_tick.unwrap_or(PATIENCE).min(PATIENCE));
+        let message = self.queue.pop(self.until_tick().min(PATIENCE));
         let had_message = message.is_some();
         if let Some((arrived, payload)) = message {
-            match self.node.on_frame(payload.into_frame(), arrived) {
+            let now = if self.presence.time.is_simulated() { self.now() } else { arrived };
+            let frame = payload.into_frame();
+            if let Ok(frame) = &frame {
+                self.outputs
+                    .iter_mut()
+                    .filter_map(|o| o.input_cloud.as_mut())
+                    .for_each(|c| c.show(frame));
+            }
+            match self.node.on_frame(frame, now) {
                 Ok(predictions) => self.publish(&predictions, arrived),
                 // A stream that runs free is meant to ignore its source.
                 Err(Refusal::FreeRunning { .. }) => {}
@@ -137,10 +180,53 @@ impl Work<'_> {
                 }
             }
         }
-        let now = self.clock.now();
+        let (now, started) = (self.now(), self.clock.now());
         let due = self.node.on_tick(now);
-        self.publish(&due, now);
+        self.publish(&due, started);
         had_message
+    }
+
+    /// How long nothing but a message is to be done.
+    fn until_tick(&mut self) -> Duration {
+        let now = self.now();
+        match self.node.next_tick() {
+            None => Duration::MAX,
+            Some(due) if due > now && self.presence.time.is_simulated() => SIMULATED_PATIENCE,
+            Some(due) => due.saturating_sub(now),
+        }
+    }
+
+    /// The node's time. When it jumps back, or is told for the first time, what was due moves along.
+    fn now(&mut self) -> Duration {
+        let now = self.presence.time.now(self.clock.now());
+        if now < self.time || self.time.is_zero() {
+            self.node.shift_time(self.time, now);
+        }
+        self.time = now;
+        now
+    }
+
+    /// The settings may ask for another time.
+    fn follow_settings(&mut self) {
+        let before = self.now();
+        match self.presence.time.follow(self.node.settings().use_sim_time) {
+            Ok(false) => {}
+            Ok(true) => {
+                self.time = self.presence.time.now(self.clock.now());
+                self.node.shift_time(before, self.time);
+            }
+            Err(error) => tracing::error!("use_sim_time: {error}"),
+        }
+    }
+
+    /// Says which parameters were set.
+    fn tell(&mut self, changed_parameters: Vec<Parameter>) {
+        let (stamp, node) = (self.presence.time.stamp().into(), self.presence.name.clone());
+        let event = ParameterEvent { stamp, node, changed_parameters, ..ParameterEvent::default() };
+        let bytes = cdr::encode(&event);
+        for events in self.outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
+            log_failure(events.publish_cdr(&bytes));
+        }
     }
 
     fn publish(&mut self, predictions: &[Prediction], arrived: Duration) {
@@ -166,6 +252,10 @@ impl Work<'_> {
         counters.published += published;
         counters.unpublished += unpublished;
         self.monitor.published(predictions.len() as u64, self.clock.now() - arrived);
+        // Who waits for a prediction does not wait for its picture.
+        for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
+            predictions.iter().for_each(|prediction| cloud.show(&prediction.frame));
+        }
     }
 
     fn report(&mut self) {
@@ -175,8 +265,9 @@ impl Work<'_> {
         let digest = self.node.surrogate().digest().to_owned();
         let report = self.monitor.report(
             self.clock.now(),
-            clock::wall(),
-            self.name,
+            self.presence.time.stamp(),
+            // Diagnostics are named without the slash.
+            self.presence.name.trim_start_matches('/'),
             &digest,
             self.node.counters(),
         );

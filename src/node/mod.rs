@@ -6,7 +6,8 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`control`]: what may be asked of a running node; `services`: how ROS asks it.
+//! 7. [`control`]: what may be asked of a running node; `parameters`: the table of its settings; `services`: how
+//!    ROS asks it; `ros_time`: what time it is for it; `cloud`: frames for those who look at them.
 //! 8. `cache`: what waits to be recorded, bounded in bytes.
 //! 9. `recorder`: what arrives into a bag.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
@@ -15,16 +16,19 @@
 //! 12. `rate`: how regularly messages arrive.
 
 mod cache;
+mod cloud;
 mod control;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod parameters;
 mod playback;
 mod player;
 mod queue;
 mod rate;
 mod read_ahead;
 mod recorder;
+mod ros_time;
 mod services;
 mod settings;
 mod surrogate;
@@ -36,15 +40,18 @@ mod wish;
 mod tests;
 
 pub use cache::{Cache, Producer, Taken};
+pub use cloud::CloudTopic;
 pub use control::{Answer, Control, Request, Unanswered};
 pub use counters::{Counters, Refusal};
-pub use driver::{Outputs, drive};
+pub use driver::{Outputs, Presence, drive};
+pub use parameters::{PARAMETERS, ParameterSpec, Values, parameter};
 pub use playback::{Stage, play};
 pub use player::{Due, Player, PlayerError, PlayerOptions};
 pub use queue::FrameQueue;
 pub use rate::{Figures, Rate};
 pub use recorder::Recorder;
+pub use ros_time::{OpenClock, RosTime};
 pub use services::{Service, services};
-pub use settings::{HORIZON, InvalidSettings, NodeSettings, Publish};
+pub use settings::{InvalidSettings, NodeSettings, Publish};
 pub use surrogate::{Prediction, SurrogateNode};
 pub use wish::Wish;

@@ -6,15 +6,15 @@ use std::{sync::Arc, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{Answer, Control, HORIZON, Request, Unanswered};
+use super::{Answer, Control, PARAMETERS, Request, parameter};
 use crate::{
     msg::{
         cdr,
         services::{
             DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
-            INTEGER, IntegerRange, ListParametersRequest, ListParametersResponse, Parameter,
-            ParameterDescriptor, ParameterNames, ParameterValue, SetParametersAtomicallyResponse,
-            SetParametersRequest, SetParametersResponse, SetParametersResult, TriggerResponse,
+            ListParametersRequest, ListParametersResponse, Parameter, ParameterDescriptor,
+            ParameterKind, ParameterNames, SetParametersAtomicallyResponse, SetParametersRequest,
+            SetParametersResponse, SetParametersResult, TriggerResponse,
         },
     },
     transport::Handler,
@@ -22,9 +22,6 @@ use crate::{
 
 /// How long a node may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-/// The one parameter: frames predicted ahead of each observed frame.
-const PARAMETER: &str = "horizon";
 
 /// A service of a node.
 pub struct Service {
@@ -36,10 +33,11 @@ pub struct Service {
     pub handler: Handler,
 }
 
-/// The services of the node called `node`, which is asked through `control`.
+/// The services of the node with the full name `node`, such as `/eddy_node`, which is asked through
+/// `control`.
 pub fn services(node: &str, control: &Arc<Control>) -> Vec<Service> {
     let service = |name: &str, type_name, handler| Service {
-        name: format!("/{node}/{name}"),
+        name: format!("{node}/{name}"),
         type_name,
         handler,
     };
@@ -92,94 +90,60 @@ fn reset(control: &Control, _: Empty) -> TriggerResponse {
 }
 
 fn get(control: &Control, request: ParameterNames) -> GetParametersResponse {
-    // Asked once, however often it is named.
-    let asked = request.names.iter().any(|name| name == PARAMETER);
-    let horizon = asked.then(|| control.ask(Request::Horizon, PATIENCE));
-    let value = |name: &String| match horizon {
-        Some(Ok(Answer::Horizon(frames))) if name == PARAMETER => {
-            ParameterValue::integer(frames.into())
-        }
-        _ => ParameterValue::default(),
+    let settings = match control.ask(Request::Settings, PATIENCE) {
+        Ok(Answer::Settings(settings)) => Some(settings),
+        _ => None,
     };
-    GetParametersResponse { values: request.names.iter().map(value).collect() }
+    let value = |name: &String| {
+        let (spec, settings) = (parameter(name)?, settings.as_ref()?);
+        Some(spec.get(settings))
+    };
+    let values = request.names.iter().map(|name| value(name).unwrap_or_default());
+    GetParametersResponse { values: values.collect() }
 }
 
 fn types(_: &Control, request: ParameterNames) -> GetParameterTypesResponse {
-    let kind = |name: &String| if name == PARAMETER { INTEGER } else { 0 };
+    let kind = |name: &String| match parameter(name) {
+        Some(spec) => spec.values.kind() as u8,
+        None => ParameterKind::NotSet as u8,
+    };
     GetParameterTypesResponse { types: request.names.iter().map(kind).collect() }
 }
 
 fn list(_: &Control, request: ListParametersRequest) -> ListParametersResponse {
-    let wanted = request.prefixes.is_empty() || request.prefixes.iter().any(|p| p == PARAMETER);
-    let names = if wanted { vec![PARAMETER.to_owned()] } else { Vec::new() };
-    ListParametersResponse { names, prefixes: Vec::new() }
+    // No name has a point in it: nothing is below a prefix but what is called like it.
+    let wanted = |name: &&str| {
+        request.prefixes.is_empty() || request.prefixes.iter().any(|prefix| prefix == name)
+    };
+    let names = PARAMETERS.iter().map(|spec| spec.name).filter(wanted).map(str::to_owned);
+    ListParametersResponse { names: names.collect(), prefixes: Vec::new() }
 }
 
 fn describe(_: &Control, request: ParameterNames) -> DescribeParametersResponse {
-    let descriptor = |name: String| match name.as_str() {
-        PARAMETER => ParameterDescriptor {
-            name,
-            kind: INTEGER,
-            description: "frames predicted ahead of each observed frame".to_owned(),
-            integer_range: vec![IntegerRange {
-                from_value: (*HORIZON.start()).into(),
-                to_value: (*HORIZON.end()).into(),
-                step: 1,
-            }],
-            ..ParameterDescriptor::default()
-        },
-        _ => ParameterDescriptor { name, ..ParameterDescriptor::default() },
+    let descriptor = |name: String| match parameter(&name) {
+        Some(spec) => spec.descriptor(),
+        None => ParameterDescriptor { name, ..ParameterDescriptor::default() },
     };
     DescribeParametersResponse { descriptors: request.names.into_iter().map(descriptor).collect() }
 }
 
+/// Each for itself.
 fn set(control: &Control, request: SetParametersRequest) -> SetParametersResponse {
-    let result = |parameter: &Parameter| set_one(control, parameter, false).into();
-    SetParametersResponse { results: request.parameters.iter().map(result).collect() }
+    let each = request.parameters.into_iter();
+    SetParametersResponse { results: each.map(|one| set_all(control, vec![one])).collect() }
 }
 
-/// All or none: each is tried before the first is set.
 fn set_atomically(
     control: &Control,
     request: SetParametersRequest,
 ) -> SetParametersAtomicallyResponse {
-    let try_all =
-        |dry| request.parameters.iter().try_for_each(|parameter| set_one(control, parameter, dry));
-    SetParametersAtomicallyResponse { result: try_all(true).and_then(|()| try_all(false)).into() }
+    SetParametersAtomicallyResponse { result: set_all(control, request.parameters) }
 }
 
-/// Why a parameter was not set.
-#[derive(Debug, thiserror::Error)]
-enum NotSet {
-    #[error("parameter: found {found}, expected {PARAMETER}")]
-    Unknown { found: String },
-    #[error("{PARAMETER}: found a value of type {found}, expected an integer (type {INTEGER})")]
-    Kind { found: u8 },
-    #[error("{PARAMETER}: found {found}, expected {} to {}", HORIZON.start(), HORIZON.end())]
-    Range { found: i64 },
-    #[error(transparent)]
-    Unanswered(#[from] Unanswered),
-}
-
-fn set_one(control: &Control, parameter: &Parameter, dry: bool) -> Result<(), NotSet> {
-    let Parameter { name, value } = parameter;
-    if name != PARAMETER {
-        return Err(NotSet::Unknown { found: name.clone() });
-    }
-    if value.kind != INTEGER {
-        return Err(NotSet::Kind { found: value.kind });
-    }
-    let found = value.integer_value;
-    let frames = u32::try_from(found).map_err(|_| NotSet::Range { found })?;
-    control.ask(Request::SetHorizon { frames, dry }, PATIENCE)?;
-    Ok(())
-}
-
-impl From<Result<(), NotSet>> for SetParametersResult {
-    fn from(outcome: Result<(), NotSet>) -> Self {
-        match outcome {
-            Ok(()) => Self { successful: true, reason: String::new() },
-            Err(reason) => Self { successful: false, reason: reason.to_string() },
-        }
+/// All or none.
+fn set_all(control: &Control, parameters: Vec<Parameter>) -> SetParametersResult {
+    match control.ask(Request::Set(parameters), PATIENCE) {
+        Ok(_) => SetParametersResult { successful: true, reason: String::new() },
+        Err(reason) => SetParametersResult { successful: false, reason: reason.to_string() },
     }
 }

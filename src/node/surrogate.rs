@@ -9,7 +9,7 @@ use super::{
 use crate::{
     engine::{Memory, Surrogate},
     frame::Frame,
-    msg::{BadFrame, Header, PredictionStatus, StreamState},
+    msg::{BadFrame, Header, PredictionStatus, StreamState, services::Parameter},
 };
 
 /// A predicted frame, with how it came to be.
@@ -85,22 +85,27 @@ impl SurrogateNode {
         self.streams.len()
     }
 
-    /// Frames predicted ahead of each observed frame.
-    pub fn horizon(&self) -> u32 {
-        self.settings.horizon
+    /// How it behaves.
+    pub fn settings(&self) -> &NodeSettings {
+        &self.settings
     }
 
-    /// Predicts so many frames ahead from now on. Changes nothing if `dry`.
+    /// Behaves otherwise from the next frame on.
     ///
     /// # Errors
-    /// [`InvalidSettings`] when they are out of [`HORIZON`](super::HORIZON); then nothing changes.
-    pub fn set_horizon(&mut self, frames: u32, dry: bool) -> Result<(), InvalidSettings> {
-        let settings = NodeSettings { horizon: frames, ..self.settings.clone() };
-        settings.check()?;
-        if !dry {
-            self.settings = settings;
-        }
+    /// [`InvalidSettings`] with the first parameter that cannot be set; then nothing changes.
+    pub fn set(&mut self, parameters: &[Parameter]) -> Result<(), InvalidSettings> {
+        let mut settings = self.settings.clone();
+        parameters.iter().try_for_each(|parameter| settings.set_running(parameter))?;
+        self.settings = settings;
         Ok(())
+    }
+
+    /// The time is another one now: what is due in so much time of the old one is due in as much of the new.
+    pub fn shift_time(&mut self, old: Duration, new: Duration) {
+        for track in self.streams.values_mut() {
+            track.free_run_due = track.free_run_due.map(|due| new + due.saturating_sub(old));
+        }
     }
 
     /// Forgets every stream: each warms up again. Returns how many there were.

@@ -17,6 +17,7 @@ mod pipeline;
 mod pytorch;
 mod record;
 mod replay;
+mod ros;
 mod scenes;
 mod support;
 mod topic;

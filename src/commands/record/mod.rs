@@ -17,7 +17,7 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::{Interrupt, leaves_the_process};
+use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
 use discover::Search;
 use eddy::{
@@ -25,7 +25,8 @@ use eddy::{
     clock::{self, Clock},
     msg::topic_type,
     node::{Cache, Recorder, Taken},
-    transport::{SeenTopic, Subscriber, TransportError, TransportOptions, Transports},
+    ros::RosNode,
+    transport::{SeenTopic, Subscriber, TransportError, Transports},
 };
 use intake::{Losses, Received, receive};
 
@@ -36,9 +37,18 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const NOT_RECORDED: &str = "eddy_messages_not_recorded";
 
 /// Records until a limit, a failure or a signal; closes the bag in each case.
-pub fn run(args: RecordArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    mut args: RecordArgs,
+    ros: &RosNode,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    has_no_parameters(ros)?;
+    // What a topic carries its own name says, not the one it is given.
+    let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
+    args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
-    let transports = Transports::new(TransportOptions::from_env("eddy_record")?);
+    let transports = Transports::new(transport_options(ros)?);
     let search = Search {
         transports: transports.clone(),
         from: args.from.clone(),
@@ -50,8 +60,7 @@ pub fn run(args: RecordArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         },
     };
     let mut inputs = Vec::new();
-    for link in &args.links {
-        let type_name = topic_type(&link.topic).to_owned();
+    for (link, type_name) in args.links.iter().zip(types) {
         let topic = SeenTopic { link: link.clone(), type_name, hash: None };
         let subscriber = transports.subscriber_of(link, &topic.type_support())?;
         inputs.push(Received::Opened(topic, subscriber));

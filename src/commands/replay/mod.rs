@@ -9,19 +9,26 @@ mod outputs;
 use anyhow::{bail, ensure};
 use indicatif::HumanCount;
 
-use super::Interrupt;
+use super::{Interrupt, has_no_parameters, transport_options};
 use crate::cli::ReplayArgs;
 use eddy::{
     bag::BagReader,
     clock::Clock,
     node::{Player, PlayerOptions, Stage, play},
-    transport::{TransportOptions, Transports},
+    ros::RosNode,
+    transport::Transports,
 };
 use keyboard::Keyboard;
 use outputs::Outputs;
 
 /// Publishes the bag's messages until its end or a signal.
-pub fn run(args: ReplayArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: ReplayArgs,
+    ros: &RosNode,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    has_no_parameters(ros)?;
     let bag = BagReader::open(&args.bag)?;
     let topics = outputs::playable(&bag, &args)?;
     let mut player = Player::new(
@@ -37,8 +44,8 @@ pub fn run(args: ReplayArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         },
     )?;
     // Sessions end with it: it stays until the last message is out.
-    let transports = Transports::new(TransportOptions::from_env("eddy_replay")?);
-    let mut outputs = Outputs::open(&transports, &args, &bag, &topics)?;
+    let transports = Transports::new(transport_options(ros)?);
+    let mut outputs = Outputs::open(&transports, ros, &args, &bag, &topics)?;
     if !outputs.wait_for(args.wait_for, interrupt)? {
         return Ok(());
     }

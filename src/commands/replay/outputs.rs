@@ -12,6 +12,7 @@ use eddy::{
     bag::{BagMessage, BagReader, TopicInfo},
     frame::Stamp,
     msg::{Clock, Message, TypeSupport, cdr, type_support},
+    ros::RosNode,
     transport::{Link, Publisher, Reliability, TransportError, TransportKind, Transports},
 };
 
@@ -83,6 +84,7 @@ pub(super) struct Outputs {
 impl Outputs {
     pub(super) fn open(
         transports: &Transports,
+        ros: &RosNode,
         args: &ReplayArgs,
         bag: &BagReader,
         topics: &[String],
@@ -90,7 +92,7 @@ impl Outputs {
         let renamed = renamed(args, bag, topics)?;
         let link_of = |topic: &str| -> anyhow::Result<Link> {
             let name = renamed.get(topic).copied().unwrap_or(topic);
-            let link = format!("{}:{name}", args.to).parse()?;
+            let link = ros.link(&format!("{}:{name}", args.to).parse()?);
             leaves_the_process(&link)?;
             Ok(link)
         };

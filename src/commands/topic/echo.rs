@@ -11,7 +11,10 @@ use anyhow::Context;
 use super::{PATIENCE, find, print};
 use crate::{cli::TopicEchoArgs, commands::Interrupt};
 use eddy::{
-    msg::{Clock, DiagnosticArray, Message, ParticleFrame, PredictionStatus, RosString, cdr},
+    msg::{
+        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
+        PredictionStatus, RosString, cdr,
+    },
     node::FrameQueue,
     transport::{Payload, Reliability, Subscriber, TransportError, Transports},
 };
@@ -74,6 +77,8 @@ fn text(type_name: &str, payload: Payload, truncate: usize) -> anyhow::Result<St
         PredictionStatus::TYPE => yaml::<PredictionStatus>(&bytes),
         DiagnosticArray::TYPE => yaml::<DiagnosticArray>(&bytes),
         Clock::TYPE => yaml::<Clock>(&bytes),
+        ParameterEvent::TYPE => yaml::<ParameterEvent>(&bytes),
+        PointCloud2::TYPE => yaml::<PointCloud2>(&bytes),
         RosString::TYPE => yaml::<RosString>(&bytes),
         _ => return Ok(format!("# {} bytes of {type_name}\n", bytes.len())),
     };

@@ -7,7 +7,10 @@ use ros2_client::dds::rustdds::{
     policy::{Durability, History, ResourceLimits},
 };
 
-use crate::transport::{Reliability, opener::is_frames};
+use crate::{
+    msg::{Message, PointCloud2},
+    transport::{Reliability, opener::is_frames},
+};
 
 /// Messages that RustDDS holds for a topic, read or not, and messages of a writer that may be on their way.
 const HELD: i32 = 256;
@@ -50,6 +53,8 @@ pub(super) enum Promise {
     /// Reliable, keep last: repairs what it still has, waits for nobody. For small messages that drop:
     /// whoever asks for reliable, as ROS does unless told otherwise, does not match best effort.
     Repairs,
+    /// The same for clouds, which are large: fewer are held.
+    Shows,
     /// Best effort, keep last: frames that drop.
     Tries,
 }
@@ -59,6 +64,7 @@ impl Promise {
         match reliability {
             Reliability::Block => Self::Waits,
             Reliability::Drop if is_frames(type_name) => Self::Tries,
+            Reliability::Drop if type_name == PointCloud2::TYPE => Self::Shows,
             Reliability::Drop => Self::Repairs,
         }
     }
@@ -67,7 +73,7 @@ impl Promise {
         let basis = QosPolicyBuilder::new().durability(Durability::Volatile);
         match self {
             Self::Waits => basis.reliable(patience.into()).history(History::KeepAll),
-            Self::Repairs => {
+            Self::Repairs | Self::Shows => {
                 basis.reliable(Duration::ZERO.into()).history(History::KeepLast { depth: DEPTH })
             }
             Self::Tries => basis.best_effort().history(History::KeepLast { depth: DEPTH }),
@@ -106,7 +112,7 @@ const fn limits(held: i32) -> ResourceLimits {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::msg::{DiagnosticArray, Message, ParticleFrame};
+    use crate::msg::{DiagnosticArray, ParticleFrame};
 
     #[test]
     fn only_frames_that_drop_are_best_effort() {
@@ -114,8 +120,9 @@ mod tests {
         assert_eq!(promise(Reliability::Block, ParticleFrame::TYPE), Promise::Waits);
         assert_eq!(promise(Reliability::Drop, ParticleFrame::TYPE), Promise::Tries);
         assert_eq!(promise(Reliability::Drop, DiagnosticArray::TYPE), Promise::Repairs);
+        assert_eq!(promise(Reliability::Drop, PointCloud2::TYPE), Promise::Shows);
         let reliable = |promise: Promise| promise.qos(Duration::from_secs(1)).is_reliable();
-        let promises = [Promise::Waits, Promise::Repairs, Promise::Tries];
-        assert_eq!(promises.map(reliable), [true, true, false]);
+        let promises = [Promise::Waits, Promise::Repairs, Promise::Shows, Promise::Tries];
+        assert_eq!(promises.map(reliable), [true, true, true, false]);
     }
 }

@@ -1,0 +1,29 @@
+//! Frames as point clouds, for whoever looks at them.
+
+use crate::{frame::Frame, msg::cloud, transport::Publisher};
+
+/// A topic of clouds. Nothing is encoded while nobody subscribes, as far as the transport can tell.
+pub struct CloudTopic {
+    publisher: Box<dyn Publisher>,
+    /// Whether the last one could not be sent: said once, not with every frame.
+    failed: bool,
+}
+
+impl CloudTopic {
+    /// Publishes through `publisher`.
+    pub fn new(publisher: Box<dyn Publisher>) -> Self {
+        Self { publisher, failed: false }
+    }
+
+    /// Publishes the frame if somebody wants it.
+    pub fn show(&mut self, frame: &Frame) {
+        if self.publisher.subscribers() == 0 {
+            return;
+        }
+        let outcome = self.publisher.publish_cdr(&cloud::to_cdr(frame));
+        if let (Err(error), false) = (&outcome, self.failed) {
+            tracing::warn!("cloud: {error}");
+        }
+        self.failed = outcome.is_err();
+    }
+}

@@ -1,0 +1,143 @@
+//! The words after `--ros-args`.
+
+use std::path::Path;
+
+use super::{
+    InvalidArgument, RosNode,
+    parameters::{self, Given},
+    remap::{Rule, quoted},
+};
+
+/// What is understood.
+const KNOWN: &str = "-r/--remap, -p/--param, --params-file or --log-level";
+
+/// Words that ask for what eddy does anyway: it logs to standard error, not to /rosout, and the libraries
+/// it uses log through it.
+const GRANTED: [&str; 3] =
+    ["--enable-stdout-logs", "--disable-rosout-logs", "--disable-external-lib-logs"];
+
+/// The levels of ROS and what they are called here; nothing here is as bad as `fatal`.
+const LEVELS: [(&str, &str); 5] =
+    [("debug", "debug"), ("info", "info"), ("warn", "warn"), ("error", "error"), ("fatal", "off")];
+
+/// What the arguments of ROS say, for whichever nodes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RosArguments {
+    pub(super) rules: Vec<Rule>,
+    pub(super) parameters: Vec<Given>,
+    /// Of the logger with this name, or of all, in the order of the arguments.
+    levels: Vec<(Option<String>, &'static str)>,
+}
+
+impl RosArguments {
+    /// Reads the words between `--ros-args` and `--`, and the files they name.
+    ///
+    /// # Errors
+    /// [`InvalidArgument`] with the first that cannot be used.
+    pub fn parse(words: &[String]) -> Result<Self, InvalidArgument> {
+        let mut arguments = Self::default();
+        let mut words = words.iter().map(String::as_str);
+        while let Some(word) = words.next() {
+            let mut value = |expected: &str| {
+                let missing = || InvalidArgument::new(word, "nothing after it", expected);
+                words.next().ok_or_else(missing)
+            };
+            match word {
+                "-r" | "--remap" => arguments.rules.push(value("FROM:=TO")?.parse()?),
+                "-p" | "--param" => {
+                    arguments.parameters.push(parameters::parse(value("NAME:=VALUE")?)?);
+                }
+                "--params-file" => {
+                    let file = Path::new(value("a file")?);
+                    arguments.parameters.extend(parameters::read(file)?);
+                }
+                "--log-level" => arguments.levels.push(level(value("a level")?)?),
+                // Once more where it holds already.
+                "--ros-args" => {}
+                word if GRANTED.contains(&word) => {}
+                word => return Err(InvalidArgument::new("--ros-args", quoted(word), KNOWN)),
+            }
+        }
+        Ok(arguments)
+    }
+
+    /// What counts for a node that is called `name` unless told otherwise.
+    pub fn node(&self, name: &str) -> RosNode {
+        RosNode::new(self, name)
+    }
+
+    /// The levels as directives of a filter, each after a comma. The loggers named like the node are eddy; a
+    /// name that no part of the program has changes nothing.
+    pub(super) fn directives(&self, node: &RosNode) -> String {
+        let target = |logger: &Option<String>| match logger {
+            None => "eddy".to_owned(),
+            Some(name) if node.is_logger(name) => "eddy".to_owned(),
+            Some(name) => name.replace('.', "::"),
+        };
+        self.levels.iter().map(|(logger, level)| format!(",{}={level}", target(logger))).collect()
+    }
+}
+
+/// `LEVEL` or `LOGGER:=LEVEL`.
+fn level(text: &str) -> Result<(Option<String>, &'static str), InvalidArgument> {
+    let invalid = |found: &str, expected: &str| {
+        InvalidArgument::new(&format!("--log-level {text}"), quoted(found), expected)
+    };
+    let (logger, word) = match text.split_once(":=") {
+        Some((logger, word)) => (Some(logger), word),
+        None => (None, text),
+    };
+    // A filter is built of it.
+    let is_name = |name: &str| {
+        !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "_.".contains(c))
+    };
+    if let Some(found) = logger.filter(|logger| !is_name(logger)) {
+        return Err(invalid(found, "the name of a logger: letters, digits, _ and ."));
+    }
+    let known = LEVELS.into_iter().find(|(ros, _)| word.eq_ignore_ascii_case(ros));
+    let (_, level) = known.ok_or_else(|| invalid(word, "debug, info, warn, error or fatal"))?;
+    Ok((logger.map(str::to_owned), level))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<RosArguments, String> {
+        let words: Vec<_> = text.split_whitespace().map(str::to_owned).collect();
+        RosArguments::parse(&words).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn every_argument_is_understood_by_both_its_names() {
+        let short = parse("-r /a:=/b -p horizon:=3 --log-level debug").unwrap();
+        let long =
+            parse("--remap /a:=/b --param horizon:=3 --log-level DEBUG --disable-rosout-logs");
+        // Only the argument's own words differ.
+        assert_eq!(short, long.unwrap());
+        assert_eq!(parse("").unwrap(), RosArguments::default());
+    }
+
+    #[test]
+    fn what_is_not_understood_is_named() {
+        for (text, expected) in [
+            ("-r", "-r: found nothing after it, expected FROM:=TO"),
+            ("-x", "--ros-args: found `-x`, expected -r/--remap, -p/--param, --params-file"),
+            ("--enclave /a", "--ros-args: found `--enclave`, expected"),
+            ("--log-level loud", "--log-level loud: found `loud`, expected debug, info, warn"),
+            ("--log-level a=b:=info", "--log-level a=b:=info: found `a=b`, expected the name"),
+            ("--params-file /no/file", "--params-file /no/file: found No such file"),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.starts_with(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn the_last_level_of_a_logger_goes_last() {
+        let arguments =
+            parse("--log-level info --log-level eddy_node:=debug --log-level a.b:=fatal");
+        let node = arguments.as_ref().unwrap().node("eddy_node");
+        assert_eq!(node.log_filter("warn"), "warn,eddy=info,eddy=debug,a::b=off");
+    }
+}
