@@ -18,8 +18,8 @@ use eddy::{
 };
 
 pub use bag::{
-    BagArgs, BagCommand, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs, NewBagArgs,
-    RecoverArgs, RenderArgs,
+    BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
+    NewBagArgs, RecoverArgs, RenderArgs,
 };
 pub use bench::{
     BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchSolverArgs, BenchTrainingArgs,

@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
+use super::metadata;
+
 /// Key of a channel's metadata: its RIHS01 type hash.
 pub(super) const TYPE_HASH: &str = "topic_type_hash";
 /// Key of a channel's metadata: the quality of service its publishers offered, a list in YAML.
@@ -32,6 +34,24 @@ pub struct Channel {
 }
 
 impl Channel {
+    /// A topic as rosbag2 describes it: `schema` is the type's `.msg` text with that of every dependency,
+    /// `hash` its RIHS01 type hash, each empty if unknown.
+    pub fn ros(topic: &str, type_name: &str, schema: &str, hash: &str) -> Self {
+        Self {
+            topic: topic.to_owned(),
+            schema: Some(Arc::new(Schema {
+                name: type_name.to_owned(),
+                encoding: "ros2msg".to_owned(),
+                data: schema.as_bytes().to_vec(),
+            })),
+            encoding: "cdr".to_owned(),
+            metadata: BTreeMap::from([
+                (OFFERED_QOS.to_owned(), metadata::offered_qos_profiles()),
+                (TYPE_HASH.to_owned(), hash.to_owned()),
+            ]),
+        }
+    }
+
     /// The type's name; empty if the file does not tell.
     pub fn type_name(&self) -> &str {
         self.schema.as_ref().map_or("", |schema| &schema.name)

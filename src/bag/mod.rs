@@ -19,7 +19,7 @@
 //!
 //! Bags from bags:
 //! 13. `draft`: a new bag that appears when it is whole.
-//! 14. `edit`: extract, merge, recover, reindex.
+//! 14. `edit`: extract, merge, recover, clouds, reindex.
 //!
 //! Sources: MCAP specification (<https://mcap.dev/spec>), rosbag2's MCAP storage plugin
 //! (`rosbag2_storage_mcap`) and its metadata (`rosbag2_storage/src/.../metadata_io.cpp`).
@@ -45,8 +45,8 @@ mod writer;
 
 pub use channel::{Channel, Schema};
 pub use edit::{
-    CopyOptions, InvalidMoment, Moment, Recovered, Reindexed, TopicChoice, extract, merge, recover,
-    reindex,
+    CopyOptions, InvalidMoment, Moment, Recovered, Reindexed, TopicChoice, clouds, extract, merge,
+    recover, reindex, without_cloud,
 };
 pub use error::BagError;
 pub use layout::find_bags;

@@ -11,12 +11,7 @@ use std::{
 use mcap::records::MessageHeader;
 
 use super::{
-    channel::{Channel, OFFERED_QOS, Schema, TYPE_HASH},
-    error::BagError,
-    layout,
-    messages::BagMessage,
-    metadata,
-    part::Part,
+    channel::Channel, error::BagError, layout, messages::BagMessage, metadata, part::Part,
 };
 use crate::{frame::Stamp, msg::type_support};
 
@@ -225,19 +220,7 @@ impl BagWriter {
             }
             return Ok(TopicId(known));
         }
-        self.channel(&Arc::new(Channel {
-            topic: name.to_owned(),
-            schema: Some(Arc::new(Schema {
-                name: type_name.to_owned(),
-                encoding: "ros2msg".to_owned(),
-                data: schema.as_bytes().to_vec(),
-            })),
-            encoding: "cdr".to_owned(),
-            metadata: BTreeMap::from([
-                (OFFERED_QOS.to_owned(), metadata::offered_qos_profiles()),
-                (TYPE_HASH.to_owned(), hash.to_owned()),
-            ]),
-        }))
+        self.channel(&Arc::new(Channel::ros(name, type_name, schema, hash)))
     }
 
     /// Adds a topic as another writer described it, or gives the id it already has. Equal topics with

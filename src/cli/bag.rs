@@ -41,6 +41,9 @@ pub enum BagCommand {
     Merge(MergeArgs),
     /// Copies some topics of a bag into a new one.
     Filter(FilterArgs),
+    /// Copies a bag with its frames also as sensor_msgs/PointCloud2, on TOPIC/cloud, which RViz and
+    /// Foxglove draw.
+    Cloud(CloudArgs),
     /// Writes metadata.yaml anew, and the summaries that files lack, from the messages that are there.
     Reindex {
         /// The bag: a directory with MCAP files, or one of them.
@@ -117,6 +120,15 @@ pub struct FilterArgs {
     /// Leave out topics in whose name this is found.
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
+    #[command(flatten)]
+    pub new: NewBagArgs,
+}
+
+/// `eddy bag cloud`
+#[derive(Debug, Args)]
+pub struct CloudArgs {
+    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    pub bag: PathBuf,
     #[command(flatten)]
     pub new: NewBagArgs,
 }

@@ -13,7 +13,7 @@ use eddy::{
         BagReader, BagWriter, Channel, Compression, CopyOptions, Selection, Split, Survey,
         WriterOptions, extract, merge, recover, reindex,
     },
-    frame::Stamp,
+    frame::{Frame, Stamp},
     msg::{Message, RosString, cdr},
 };
 use mcap::records::MessageHeader;
@@ -452,4 +452,26 @@ fn damage_between_chunks_without_an_index_costs_what_it_hits() {
         assert_eq!(findings(&saved), [""; 0], "{name}");
         fs::remove_dir_all(&saved).unwrap();
     }
+}
+
+#[test]
+fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("clouds");
+    let new = output.to_str().unwrap();
+    succeed(["bag", "cloud", "bags/sample", "--output", new]);
+    assert_eq!(findings(&output), Vec::<String>::new());
+    let (clouds, others): (Vec<_>, Vec<_>) =
+        messages(&output).into_iter().partition(|(topic, ..)| topic == "/particles/cloud");
+    assert_eq!(others, messages(Path::new("bags/sample")));
+    let frames: Vec<_> = others.iter().filter(|(topic, ..)| topic == "/particles").collect();
+    assert_eq!(clouds.len(), frames.len());
+    for (cloud, frame) in clouds.iter().zip(frames) {
+        let expected = eddy::msg::cloud::to_cdr(&Frame::from_cdr(&frame.4).unwrap());
+        assert_eq!((cloud.1, cloud.2, cloud.3), (frame.1, frame.2, frame.3), "number and times");
+        assert!(cloud.4 == expected, "frame {}", frame.1);
+    }
+    let again = folder.path().join("again");
+    let message = fail(1, ["bag", "cloud", new, "--output", again.to_str().unwrap()]);
+    assert!(message.contains("found no topic of eddy_msgs/msg/ParticleFrame"), "{message}");
 }

@@ -6,9 +6,11 @@
 //! 3. `extract`: some topics of a bag, some of its time.
 //! 4. `merge`: several bags as one, in the order of time.
 //! 5. `recover`: what can be read of a damaged bag.
-//! 6. `reindex`: summaries and `metadata.yaml` of the files that are there.
+//! 6. `clouds`: frames also as point clouds.
+//! 7. `reindex`: summaries and `metadata.yaml` of the files that are there.
 
 mod choice;
+mod clouds;
 mod extract;
 mod merge;
 mod moment;
@@ -16,6 +18,7 @@ mod recover;
 mod reindex;
 
 pub use choice::TopicChoice;
+pub use clouds::{clouds, without_cloud};
 pub use extract::extract;
 pub use merge::merge;
 pub use moment::{InvalidMoment, Moment};

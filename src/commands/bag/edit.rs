@@ -1,4 +1,4 @@
-//! `eddy bag cut`, `merge` and `filter`.
+//! `eddy bag cut`, `merge`, `filter` and `cloud`.
 
 use std::path::Path;
 
@@ -6,15 +6,16 @@ use anyhow::{Context, ensure};
 
 use super::{report, watch, writer_options};
 use crate::{
-    cli::{CutArgs, FilterArgs, MergeArgs, NewBagArgs},
+    cli::{CloudArgs, CutArgs, FilterArgs, MergeArgs, NewBagArgs},
     commands::{Interrupt, progress_bar},
 };
 use eddy::{
     bag::{
-        BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, extract,
-        merge as merged,
+        BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, clouds,
+        extract, merge as merged, without_cloud,
     },
     frame::Stamp,
+    msg::{Message, ParticleFrame},
 };
 
 /// Copies a part of the time of a bag.
@@ -62,6 +63,19 @@ pub fn filter(args: FilterArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::R
     let selection = Selection { topics: Some(wanted.cloned().collect()), ..Selection::default() };
     copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
         extract(&bag, &selection, output, options)
+    })
+}
+
+/// Copies a bag with its frames also as point clouds.
+pub fn cloud(args: &CloudArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let bag = open(&args.bag)?;
+    let (path, kind) = (args.bag.display(), ParticleFrame::TYPE);
+    ensure!(
+        !without_cloud(&bag).is_empty(),
+        "{path}: found no topic of {kind} without a cloud beside it, expected one"
+    );
+    copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
+        clouds(&bag, output, options)
     })
 }
 

@@ -30,6 +30,7 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         BagCommand::Cut(args) => edit::cut(&args, quiet, interrupt),
         BagCommand::Merge(args) => edit::merge(&args, quiet, interrupt),
         BagCommand::Filter(args) => edit::filter(args, quiet, interrupt),
+        BagCommand::Cloud(args) => edit::cloud(&args, quiet, interrupt),
         BagCommand::Reindex { bag } => reindex::run(&bag),
         BagCommand::Info { bag } => info::run(&bag, quiet),
         BagCommand::Check { bag } => check::run(&bag, quiet),
