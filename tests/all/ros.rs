@@ -125,6 +125,8 @@ robot1/predictor: {ros__parameters: {publish: all}}";
     // The last value of a parameter counts, and all frames up to it are published.
     let ahead = [(); 4].map(|()| receive::<PredictionStatus>(&mut *status).horizon);
     assert_eq!(ahead, [1, 2, 3, 1]);
+    // Or the node would wait for it to read the rest.
+    drop(status);
     node.interrupt();
     assert!(node.wait().success());
 }
@@ -190,7 +192,8 @@ fn arguments_of_ros_end_with_two_dashes_and_replay_and_record_take_them() {
 #[test]
 fn a_log_level_is_for_the_node_alone() {
     let world = World::new();
-    let mut command = world.node(&["--log-level", "eddy_node:=debug", "--log-level", "zenoh:=off"]);
+    let mut command =
+        world.node(&["--log-level", "eddy_node:=debug", "--log-level", "zenoh:=fatal"]);
     let log = tempfile::NamedTempFile::new().unwrap();
     command.stderr(Stdio::from(log.reopen().unwrap()));
     let mut truth = world.publisher("particles", ParticleFrame::TYPE);
