@@ -224,6 +224,10 @@ pub struct TrainingSummary {
     pub validation_loss: f64,
     /// Windows seen by then.
     pub samples: u64,
+    /// Fingerprints of the streams it was fitted to or chosen by (`Trajectory::fingerprint`), so that they are
+    /// not judged on; none where that is not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seen: Vec<String>,
 }
 
 /// What a network is: everything needed to run it but the weights.

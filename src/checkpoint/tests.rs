@@ -34,6 +34,7 @@ fn checkpoint() -> Checkpoint {
             training_loss: 0.75,
             validation_loss: 0.5,
             samples: 4096,
+            seen: vec!["0123456789abcdef".to_owned()],
         },
     };
     let mut next = 0.0;

@@ -142,6 +142,14 @@ impl Dataset {
         Ok(Self { train, validation, test, normalization, spacing, digest })
     }
 
+    /// Fingerprints of the streams that weights are fitted to and chosen by.
+    ///
+    /// # Errors
+    /// As [`Trajectory::visit`].
+    pub fn seen(&self) -> Result<Vec<String>, DatasetError> {
+        self.train.iter().chain(&self.validation).map(Trajectory::fingerprint).collect()
+    }
+
     /// Where the frames are, unless they are in memory.
     pub fn shelf(&self) -> Option<&Shelf> {
         self.train.first()?.shelf().map(AsRef::as_ref)

@@ -2,7 +2,11 @@
 
 use std::{ops::Range, path::PathBuf, sync::Arc};
 
-use super::{DatasetError, Shelf, State, Stream, statistics::Bounds};
+use sha2::{Digest, Sha256};
+
+use super::{
+    DatasetError, Shelf, State, Stream, add_to_digest, begin_digest, in_words, statistics::Bounds,
+};
 use crate::frame::{Domain, Material, Stamp};
 
 /// Consecutive frames of one simulated trajectory, in memory or on disk.
@@ -100,6 +104,20 @@ impl Trajectory {
             Place::Disk(shelf, number) => shelf.visit(*number, frames, &mut look)?,
         }
         Ok(())
+    }
+
+    /// What tells it from other streams, whatever its number and its bag: the beginning of the SHA-256 over its
+    /// materials and its first frame, 16 hexadecimal digits.
+    ///
+    /// # Errors
+    /// As [`Trajectory::visit`].
+    pub fn fingerprint(&self) -> Result<String, DatasetError> {
+        let mut hasher = Sha256::new();
+        begin_digest(&mut hasher, 0, self.dt, &self.material);
+        self.visit(0..self.frames.min(1), |state| add_to_digest(&mut hasher, state))?;
+        let mut digits = in_words(hasher);
+        digits.truncate(16);
+        Ok(digits)
     }
 
     /// Some of its frames as a stream of their own.

@@ -319,6 +319,7 @@ fn describe(
             command: command.to_owned(),
             seed: config.seed,
             validation_loss: f64::MAX,
+            seen: dataset.seen()?,
             ..TrainingSummary::default()
         },
     })

@@ -172,6 +172,27 @@ fn data_without_a_scene_that_the_checkpoint_has_not_seen_is_refused() {
 }
 
 #[test]
+fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
+    simulate(&folder.path().join("truth"), 2, 0.2);
+    let streams = dataset::load_trajectories(&[data.clone().into()], u64::MAX, &mut |_, _| ());
+    let known = streams.unwrap()[1].fingerprint().unwrap();
+    let seen = changed(&folder, "seen", |description| description.training.seen = vec![known]);
+    let judge = |data: &str| {
+        let arguments = ["eval", "--checkpoint", &seen, "--data", data, "--output", &output];
+        let arguments = arguments.into_iter().chain(["--horizon", "2", "--starts", "1"]);
+        arguments.map(str::to_owned).collect::<Vec<_>>()
+    };
+    let printed = succeed(judge(&data));
+    let words = "a checkpoint was trained on 1 of the 2 streams: they are left out";
+    assert!(printed.contains(words), "{printed}");
+    assert!(printed.contains("free rollouts over 1 streams"), "{printed}");
+    let message = fail(1, judge(&format!("{data}/scene_0001")));
+    assert!(message.contains("found 1 streams that a checkpoint was trained on"), "{message}");
+}
+
+#[test]
 fn data_that_a_checkpoint_was_not_made_for_is_refused_before_anything_is_predicted() {
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));

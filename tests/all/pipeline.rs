@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use eddy::checkpoint::Checkpoint;
+
 use crate::support::{simulate, succeed};
 
 #[test]
@@ -16,6 +18,9 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     let losses = training_losses(&fs::read_to_string(path("model/metrics.csv")).unwrap());
     assert_eq!(losses.len(), 3);
     assert!(losses[2] < losses[0], "the training loss rose: {losses:?}");
+
+    let seen = Checkpoint::load(path("model").as_ref()).unwrap().description.training.seen;
+    assert_eq!(seen.len(), 2, "fitted to one stream, chosen by another");
 
     let report = path("report");
     let judge = ["eval", "--checkpoint", &model, "--data", &data, "--output", &report];

@@ -1,5 +1,7 @@
 //! What there is to judge on.
 
+use std::collections::HashSet;
+
 use anyhow::ensure;
 
 use eddy::{
@@ -26,18 +28,28 @@ impl Survey {
         descriptions: &[&Description],
         mut streams: Vec<Trajectory>,
     ) -> anyhow::Result<Self> {
+        let all = streams.len();
         let mut digest = dataset::digest(&streams, |_| ())?;
         let mut walls = Bounds::default();
         streams.iter().for_each(|stream| walls.join(&stream.bounds));
         if descriptions.iter().any(|description| description.data == digest) {
-            let all = streams.len();
             streams = dataset::test_part(&streams);
-            ensure!(
-                !streams.is_empty(),
-                "--data: found {all} streams that a checkpoint was trained on, all in its training or \
-                 validation part, expected some that it has not seen"
-            );
             println!("this is what a checkpoint was trained on: only its test part is judged");
+        }
+        let of_this_set = streams.len();
+        streams = unseen(streams, descriptions)?;
+        ensure!(
+            !streams.is_empty(),
+            "--data: found {all} streams that a checkpoint was trained on, all in its training or validation part, \
+             expected some that it has not seen"
+        );
+        if streams.len() < of_this_set {
+            let known = of_this_set - streams.len();
+            println!(
+                "a checkpoint was trained on {known} of the {of_this_set} streams: they are left out"
+            );
+        }
+        if streams.len() < all {
             digest = dataset::digest(&streams, |_| ())?;
         }
         let mut spacings: Vec<f32> =
@@ -53,4 +65,19 @@ impl Survey {
         arena.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
         Ok(Self { streams, arena, digest })
     }
+}
+
+/// Those that no checkpoint was fitted to or chosen by, as far as these know.
+fn unseen(
+    streams: Vec<Trajectory>,
+    descriptions: &[&Description],
+) -> anyhow::Result<Vec<Trajectory>> {
+    let seen: HashSet<_> = descriptions.iter().flat_map(|d| &d.training.seen).collect();
+    let mut unseen = Vec::new();
+    for stream in streams {
+        if !seen.contains(&stream.fingerprint()?) {
+            unseen.push(stream);
+        }
+    }
+    Ok(unseen)
 }
