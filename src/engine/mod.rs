@@ -8,8 +8,8 @@
 //! 5. `frame_model`: the paper's network (Table 1) out of these.
 //! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
 //!    `particle_blocks` have what happens to particles, `pieces` what they write to the grid's nodes,
-//!    `surroundings` what happens to these, `volume` keeps the area of liquids, `free_flight`
-//!    the momentum and the spin of bodies that touch nothing.
+//!    `surroundings` what happens to these, `volume` keeps the area of liquids, `shape` that of jelly and
+//!    rope, `bodies` the momentum and the spin of those that touch nothing, and the rest of those at rest.
 //! 7. `memory`: what a network remembers of a stream, and in which `order`.
 //! 8. [`Remark`]: what is predicted although the network was not made for it.
 //! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
@@ -20,12 +20,12 @@
 //!
 //! Letters in shapes are those of `model`.
 
+mod bodies;
 mod core;
 mod crew;
 mod encoder;
 mod error;
 mod frame_model;
-mod free_flight;
 mod linear;
 mod memory;
 mod order;
@@ -35,6 +35,7 @@ mod particle_model;
 mod pieces;
 mod products;
 mod remark;
+mod shape;
 mod surrogate;
 mod surroundings;
 mod volume;

@@ -3,21 +3,22 @@
 //! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
 //! to stay in the nearest caches. Once a frame's particles are in the order of the stream's memory, the rest
 //! is one job: particles are encoded and write to the nodes, the nodes' layers follow each other, particles
-//! read and are decoded; at last liquids get their area back, and bodies in free flight their momentum.
+//! read and are decoded; at last liquids get their area back, solids their shape, and bodies their momentum or their rest.
 
 use std::collections::BTreeMap;
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
+    bodies::{Bodies, Sums},
     core::CoreLayer,
     crew::{Crew, Parts, Task},
-    free_flight::{Flights, Sums},
     linear::Linear,
     memory::{Memory, stride},
     order::put_in_order,
     particle_features::{FEATURES, Features, Known, STATES, State},
     pieces::Pieces,
+    shape::{self, Shape},
     surroundings::{self, Fields, Grid, Walls},
     volume::Volume,
 };
@@ -45,7 +46,8 @@ const SOME: usize = 512;
 
 /// Stages of a frame, those of the grid's layers between the third and the rest.
 const BEFORE: usize = 3;
-pub(super) const STAGES: usize = BEFORE + surroundings::STAGES + LAST.len();
+pub(super) const STAGES: usize =
+    BEFORE + surroundings::STAGES + MIDDLE.len() + shape::STEPS + LAST.len();
 
 /// The packed network.
 #[derive(Debug)]
@@ -66,7 +68,7 @@ pub(super) struct ParticleModel {
     pub(super) fastest: [f32; 2],
     /// Between particles at rest (domain lengths).
     spacing: f32,
-    /// Whether liquids keep their area, and bodies in free flight their momentum.
+    /// Whether liquids keep their area, solids their shape, and bodies their momentum and their rest.
     conserve: bool,
 }
 
@@ -84,7 +86,8 @@ pub(super) struct Room {
     /// The ballistic step of each slot.
     fallen: Vec<State>,
     volume: Volume,
-    flights: Flights,
+    shape: shape::Room,
+    bodies: Bodies,
     /// Of the predictions for each cell.
     motions: Vec<Sums>,
     /// For each thread.
@@ -159,7 +162,8 @@ impl ParticleModel {
             written: Vec::new(),
             fallen: Vec::new(),
             volume: Volume::new(self.spacing),
-            flights: Flights::default(),
+            shape: shape::Room::default(),
+            bodies: Bodies::default(),
             motions: Vec::new(),
             benches: (0..threads).map(|_| bench()).collect(),
         }
@@ -182,7 +186,7 @@ impl ParticleModel {
         room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
         self.make_room(room, frame.len());
 
-        let Room { grid, features, pieces, written, fallen, volume, flights, .. } = room;
+        let Room { grid, features, pieces, written, fallen, volume, shape, bodies, .. } = room;
         let Room { state: [position, velocity], motions, benches, .. } = room;
         let surroundings::Room { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
@@ -207,7 +211,8 @@ impl ParticleModel {
             frame,
             volume: Parts::new(std::slice::from_mut(volume)),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
-            flights: Parts::new(std::slice::from_mut(flights)),
+            shape: shape.shape(&memory.rest, &memory.order),
+            bodies: Parts::new(std::slice::from_mut(bodies)),
             motions: Parts::new(motions),
             benches: Parts::new(benches),
             hidden: Parts::new(&mut memory.hidden),
@@ -223,14 +228,14 @@ impl ParticleModel {
 
     /// Makes room for what is at particles, cells and nodes.
     fn make_room(&self, room: &mut Room, particles: usize) {
-        let Room { grid, features, pieces, written, fallen, flights, motions, .. } = room;
+        let Room { grid, features, pieces, written, fallen, bodies, motions, .. } = room;
         self.grid.make_room(grid);
         features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
         let [sums, most] = pieces.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written());
         written.reserve(most.saturating_sub(written.len()));
         written.resize(sums.max(written.len()), 0.0);
         fallen.resize(particles, State::default());
-        flights.make_room(&grid.nodes);
+        bodies.make_room(&grid.nodes);
         motions.clear();
         motions.reserve(particles);
         motions.resize(grid.nodes.cells().len(), Sums::default());
@@ -267,17 +272,20 @@ enum Stage {
     Press,
     /// Liquids give way to it; an item is some particles.
     Yield,
+    /// Jelly and rope get their shape back; an item is some particles.
+    Shape(shape::Step),
     /// Sums over the predictions; an item is a block of cells.
     Sum,
     /// The bodies' rigid motions; one item.
     Join,
-    /// What flying bodies have instead; an item is a block of cells.
+    /// What bodies that fly or rest have instead; an item is a block of cells.
     Correct,
 }
 
-/// Those after the layers.
-const LAST: [Stage; 6] =
-    [Stage::Decode, Stage::Press, Stage::Yield, Stage::Sum, Stage::Join, Stage::Correct];
+/// Those after the layers and before those of the shape.
+const MIDDLE: [Stage; 3] = [Stage::Decode, Stage::Press, Stage::Yield];
+/// Those after these.
+const LAST: [Stage; 3] = [Stage::Sum, Stage::Join, Stage::Correct];
 
 impl Stage {
     fn number(stage: usize) -> Self {
@@ -285,11 +293,24 @@ impl Stage {
             0 => Self::Encode,
             1 => Self::Find,
             2 => Self::Write,
-            _ => match stage - BEFORE {
-                layer if layer < surroundings::STAGES => Self::Layer(layer),
-                later => LAST[later - surroundings::STAGES],
-            },
+            _ => Self::later(stage - BEFORE),
         }
+    }
+
+    /// Those from the layers on.
+    fn later(stage: usize) -> Self {
+        if stage < surroundings::STAGES {
+            return Self::Layer(stage);
+        }
+        let stage = stage - surroundings::STAGES;
+        if stage < MIDDLE.len() {
+            return MIDDLE[stage];
+        }
+        let stage = stage - MIDDLE.len();
+        if stage < shape::STEPS {
+            return Self::Shape(shape::Step::number(stage));
+        }
+        LAST[stage - shape::STEPS]
     }
 }
 
@@ -313,7 +334,8 @@ pub(super) struct Pass<'a> {
     frame: &'a Frame,
     volume: Parts<'a, Volume>,
     pub(super) fields: Fields<'a>,
-    flights: Parts<'a, Flights>,
+    shape: Shape<'a>,
+    bodies: Parts<'a, Bodies>,
     motions: Parts<'a, Sums>,
     pub(super) benches: Parts<'a, Bench>,
     pub(super) hidden: Parts<'a, f32>,
@@ -331,6 +353,7 @@ impl Pass<'_> {
             Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
             Stage::Find | Stage::Press | Stage::Join => conserve,
             Stage::Yield => conserve * self.position.len().div_ceil(SOME),
+            Stage::Shape(_) => conserve * self.shape.items(),
             Stage::Write => self.nodes.rows().len(),
             Stage::Layer(layer) => self.model.grid.items(layer, self.nodes),
             Stage::Sum | Stage::Correct => conserve * self.nodes.cells().len().div_ceil(CELLS),
@@ -364,14 +387,14 @@ impl Pass<'_> {
         self.walls.ballistic.free(self.known.position[row], self.known.velocity[row])
     }
 
-    /// Sums over the predictions for the item's cells that fly.
+    /// Sums over the predictions for the item's cells.
     #[inline(always)]
     fn sum(&self, item: usize) {
         let (order, cells) = (self.nodes.order(), self.cells(item));
         // SAFETY: this stage only reads these lists, and these cells are those of this item alone.
-        let (flights, position, velocity, sums) = unsafe {
+        let (bodies, position, velocity, sums) = unsafe {
             (
-                &self.flights.read(0..1)[0],
+                &self.bodies.read(0..1)[0],
                 self.position.read(0..order.len()),
                 self.velocity.read(0..order.len()),
                 self.motions.part(cells.clone()),
@@ -379,37 +402,46 @@ impl Pass<'_> {
         };
         for (cell, sums) in self.nodes.cells()[cells].iter().zip(sums) {
             *sums = Sums::default();
-            if flights.flies(cell) {
-                for &row in &order[cell.slots()] {
-                    let particle = self.place[row as usize] as usize;
-                    sums.take(&self.free(row as usize), &(position[particle], velocity[particle]));
+            let flies = bodies.flies(cell);
+            for &row in &order[cell.slots()] {
+                let (row, particle) = (row as usize, self.place[row as usize] as usize);
+                if flies {
+                    sums.take(&self.free(row), &(position[particle], velocity[particle]));
+                } else {
+                    sums.weigh(self.known.velocity[row], velocity[particle]);
                 }
             }
         }
     }
 
-    /// Gives the item's cells that fly their momentum and their spin.
+    /// Gives the item's cells that fly their momentum and their spin, and lets those rest that hardly move.
     #[inline(always)]
     fn correct(&self, item: usize) {
         let order = self.nodes.order();
         // SAFETY: this stage only reads them.
-        let flights = unsafe { &self.flights.read(0..1)[0] };
+        let bodies = unsafe { &self.bodies.read(0..1)[0] };
         for cell in &self.nodes.cells()[self.cells(item)] {
-            if flights.flies(cell) {
-                for &row in &order[cell.slots()] {
-                    let particle = self.place[row as usize] as usize;
-                    // SAFETY: a particle has one slot, which is in a cell of this item alone.
-                    let (position, velocity) = unsafe {
-                        let position = self.position.part(particle..particle + 1);
-                        (&mut position[0], &mut self.velocity.part(particle..particle + 1)[0])
-                    };
+            let (flies, awake) = (bodies.flies(cell), bodies.awake(cell));
+            if !flies && awake == 1.0 {
+                continue;
+            }
+            for &row in &order[cell.slots()] {
+                let (row, particle) = (row as usize, self.place[row as usize] as usize);
+                // SAFETY: a particle has one slot, which is in a cell of this item alone.
+                let (position, velocity) = unsafe {
+                    let position = self.position.part(particle..particle + 1);
+                    (&mut position[0], &mut self.velocity.part(particle..particle + 1)[0])
+                };
+                if flies {
                     let next = (*position, *velocity);
-                    (*position, *velocity) = flights.correct(
-                        cell,
-                        &self.free(row as usize),
-                        next,
-                        &self.walls.ballistic,
-                    );
+                    (*position, *velocity) =
+                        bodies.correct(cell, &self.free(row), next, &self.walls.ballistic);
+                } else {
+                    let from = self.known.position[row];
+                    for axis in 0..2 {
+                        position[axis] = from[axis] + awake * (position[axis] - from[axis]);
+                        velocity[axis] *= awake;
+                    }
                 }
             }
         }
@@ -443,7 +475,7 @@ impl WithSimd for Item<'_> {
             // SAFETY: these stages have one item each.
             Stage::Find => unsafe {
                 let Known { position, velocity, ballistic, .. } = &pass.known;
-                pass.flights.part(0..1)[0].find(nodes, position, velocity, ballistic);
+                pass.bodies.part(0..1)[0].find(nodes, position, velocity, ballistic);
             },
             // SAFETY: as above.
             Stage::Press => unsafe {
@@ -452,9 +484,14 @@ impl WithSimd for Item<'_> {
                 pass.volume.part(0..1)[0].find(position, material, domain, &pass.walls.ballistic);
             },
             Stage::Yield => pass.give_way(item),
+            Stage::Shape(step) => {
+                let (position, velocity) = (&pass.position, &pass.velocity);
+                pass.shape.run(step, item, position, velocity, &pass.walls.ballistic);
+            }
             // SAFETY: as above.
             Stage::Join => unsafe {
-                pass.flights.part(0..1)[0].join(nodes, pass.motions.read(0..nodes.cells().len()));
+                let sums = pass.motions.read(0..nodes.cells().len());
+                pass.bodies.part(0..1)[0].join(nodes, sums, &pass.walls.ballistic);
             },
             Stage::Sum => pass.sum(item),
             Stage::Correct => pass.correct(item),

@@ -82,7 +82,7 @@ impl Surrogate {
     }
 
     /// The same with a set of instructions that this processor has; `conserve` says whether liquids keep their
-    /// area and bodies in free flight their momentum.
+    /// area, solids their shape, and bodies their momentum and their rest.
     pub(super) fn load_for(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,

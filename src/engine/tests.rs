@@ -14,7 +14,7 @@ use crate::{
         FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings,
     },
     frame::{Domain, Frame, Material, Stamp},
-    model::{DeviceKind, Reference, layers::initial},
+    model::{DeviceKind, Reference, features::velocity_unit, layers::initial},
 };
 
 const DT: f32 = 0.016;
@@ -387,8 +387,8 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
 fn a_body_that_touches_a_wall_is_as_the_network_has_it() {
     let checkpoint = particle_model(Core::MinGru);
     let mut frame = disc(400);
-    // Not of a liquid, whose area is kept everywhere.
-    frame.material.fill(Material::Jelly);
+    // Its area and its shape are nobody's but the network's.
+    frame.material.fill(Material::Snow);
     // Falls so fast that it is there at the next frame only.
     for (x, v) in frame.position.iter_mut().zip(&mut frame.velocity) {
         x[1] -= 0.38;
@@ -400,6 +400,39 @@ fn a_body_that_touches_a_wall_is_as_the_network_has_it() {
         surrogate.step(&mut surrogate.start(&frame).unwrap(), &frame)
     });
     assert_eq!(kept, free);
+}
+
+/// A network that holds everything against gravity, and pushes it to the right by a twentieth of that.
+fn holding() -> Checkpoint {
+    let mut checkpoint = particle_model(Core::MinGru);
+    let unit = velocity_unit(&checkpoint.description.normalization);
+    let up = 9.8 * DT / unit;
+    let decoder = |name: &str| format!("decoder.{name}");
+    checkpoint.tensors.get_mut(&decoder("weight")).unwrap().values.fill(0.0);
+    checkpoint.tensors.get_mut(&decoder("bias")).unwrap().values =
+        vec![0.05 * up, up, 0.05 * up, 0.5 * up];
+    checkpoint
+}
+
+#[test]
+fn what_touches_a_wall_and_hardly_moves_comes_to_rest() {
+    let surrogate = Surrogate::load_for(&holding(), threads(1), Arch::new(), true).unwrap();
+    let mut frame = disc(400);
+    frame.material.fill(Material::Snow);
+    frame.position.iter_mut().for_each(|x| x[1] -= 0.44);
+    let next = |velocity: [f32; 2]| {
+        let mut frame = frame.clone();
+        frame.velocity.fill(velocity);
+        surrogate.step(&mut surrogate.start(&frame).unwrap(), &frame)
+    };
+    let pull = 9.8 * DT;
+    let still = next([0.0; 2]);
+    assert_eq!((still.position, still.velocity), (frame.position.clone(), vec![[0.0; 2]; 400]));
+    // Half asleep: it loses speed. Awake: it gains what the network says.
+    let slow = next([0.3 * pull, 0.0]).velocity[0][0] / pull;
+    assert!(slow > 0.05 && slow < 0.3, "{slow}");
+    let fast = next([2.0 * pull, 0.0]).velocity[0][0] / pull;
+    assert!((fast - 2.05).abs() < 1e-3, "{fast}");
 }
 
 #[test]

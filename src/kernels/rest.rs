@@ -10,6 +10,8 @@
 //! sum of k_j (x_j - x - F (X_j - X)) / sum of k_j. It is what shows particles that have gone out of line,
 //! one this way, the next that way, of which no F knows.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::frame::Material;
@@ -39,6 +41,8 @@ pub struct Rest {
     /// as not strained.
     first: Vec<u32>,
     links: Vec<Link>,
+    /// Of each link.
+    ties: Vec<Tie>,
     /// N.
     particles: usize,
 }
@@ -51,6 +55,15 @@ pub struct Link {
     /// c (1 / domain lengths).
     pub coefficient: [f32; 2],
     /// Share in the bend: spacings at rest by domain length.
+    pub share: f32,
+}
+
+/// Where a neighbour rests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tie {
+    /// From the particle (domain lengths).
+    pub offset: [f32; 2],
+    /// Its share in the weights of the particle's neighbours.
     pub share: f32,
 }
 
@@ -72,12 +85,13 @@ impl Rest {
         let particles = (position.len() / windows).max(1);
         let places = position.par_chunks(particles).zip(material.par_chunks(particles));
         let shapes: Vec<_> = places.map(|(x, material)| Self::of(x, material, range)).collect();
-        let mut joined = Self { first: vec![0], links: Vec::new(), particles };
+        let mut joined = Self { first: vec![0], particles, ..Self::default() };
         for shape in shapes {
             let (row, link) = (joined.len() as u32, joined.links.len() as u32);
             joined.first.extend(shape.first[1..].iter().map(|first| first + link));
             let moved = |link: Link| Link { particle: link.particle + row, ..link };
             joined.links.extend(shape.links.into_iter().map(moved));
+            joined.ties.extend(shape.ties);
         }
         joined
     }
@@ -85,10 +99,13 @@ impl Rest {
     /// The shape of one window.
     fn of(position: &[[f32; 2]], material: &[Material], range: f64) -> Self {
         let cells = Cells::new(position, material, range);
-        let mut shape = Self { first: vec![0], links: Vec::new(), particles: position.len() };
+        let mut shape = Self { first: vec![0], particles: position.len(), ..Self::default() };
         for (particle, material) in material.iter().enumerate() {
             if keeps_shape(*material) {
-                shape.links.extend(coefficients(&cells.nearest(particle), range));
+                for (link, tie) in coefficients(&cells.nearest(particle), range) {
+                    shape.links.push(link);
+                    shape.ties.push(tie);
+                }
             }
             shape.first.push(shape.links.len() as u32);
         }
@@ -107,13 +124,15 @@ impl Rest {
         }
         let mut first = Vec::with_capacity(order.len() + 1);
         let mut links = Vec::with_capacity(self.links.len());
+        let mut ties = Vec::with_capacity(self.ties.len());
         first.push(0);
         for &from in order {
             let moved = |link: &Link| Link { particle: place[link.particle as usize], ..*link };
             links.extend(self.links(from as usize).iter().map(moved));
+            ties.extend_from_slice(self.ties(from as usize));
             first.push(links.len() as u32);
         }
-        Self { first, links, particles: self.particles }
+        Self { first, links, ties, particles: self.particles }
     }
 
     /// R.
@@ -210,7 +229,23 @@ impl Rest {
     /// What a particle is linked to.
     #[inline(always)]
     pub fn links(&self, particle: usize) -> &[Link] {
-        &self.links[self.first[particle] as usize..self.first[particle + 1] as usize]
+        &self.links[self.numbers(particle)]
+    }
+
+    /// Where what it is linked to rests.
+    #[inline(always)]
+    pub fn ties(&self, particle: usize) -> &[Tie] {
+        &self.ties[self.numbers(particle)]
+    }
+
+    /// Whether any particle has a shape.
+    pub fn is_shapeless(&self) -> bool {
+        self.links.is_empty()
+    }
+
+    #[inline(always)]
+    fn numbers(&self, particle: usize) -> Range<usize> {
+        self.first[particle] as usize..self.first[particle + 1] as usize
     }
 }
 
@@ -221,7 +256,7 @@ fn keeps_shape(material: Material) -> bool {
 
 /// F, by rows, and the bend (spacings at rest).
 #[inline(always)]
-fn deformation(
+pub(crate) fn deformation(
     links: &[Link],
     position: &[[f32; 2]],
     [x, y]: [f32; 2],
@@ -263,7 +298,7 @@ fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
 type Near = (u32, [f64; 2]);
 
 /// Links to these neighbours; none where they do not tell a deformation.
-fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = Link> {
+fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie)> {
     let weight = move |[x, y]: [f64; 2]| (1.0 - (x * x + y * y) / (range * range)).powi(2);
     let (mut sum, mut mean) = (0.0, [0.0; 2]);
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -287,7 +322,8 @@ fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = Link> {
         let c = [(yy * x - xy * y), (xx * y - xy * x)].map(|c| k * c / determinant);
         // What is left of the weighted mean once F has carried it along.
         let share = (k - c[0] * mean[0] - c[1] * mean[1]) / (sum * spacing);
-        Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 }
+        let link = Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 };
+        (link, Tie { offset: [x as f32, y as f32], share: (k / sum) as f32 })
     })
 }
 

@@ -4,6 +4,9 @@
 //!
 //! Bodies are what hangs together on the grid: nodes that are next to each other. One is in free flight
 //! when it is away from walls, now and where its mean velocity takes it.
+//!
+//! A body that touches something and hardly moves comes to rest, as in engines for rigid bodies that let islands of them
+//! sleep: the network's errors of a frame would make it creep. Its motion is scaled down, to nothing below [`ASLEEP`].
 
 use crate::{
     kernels::nodes::{Cell, Nodes},
@@ -15,6 +18,11 @@ use super::particle_features::State;
 /// Nearness of a wall that ends free flight (cells of level 0).
 const REACH: f32 = 1.5;
 
+/// Speed, as a part of what gravity gives in a frame, below which a body rests.
+const ASLEEP: f32 = 0.125;
+/// Speed, as such a part, from which on it moves as the network has it.
+const AWAKE: f32 = 0.625;
+
 /// No body.
 const NONE: u32 = u32::MAX;
 
@@ -23,7 +31,7 @@ const POINT: f64 = 1e-10;
 
 /// The bodies of a frame.
 #[derive(Debug, Default)]
-pub(super) struct Flights {
+pub(super) struct Bodies {
     /// The body of each node of level 0.
     body: Vec<u32>,
     bodies: Vec<Body>,
@@ -37,6 +45,8 @@ struct Body {
     /// Of its particles.
     extent: Extent,
     flies: bool,
+    /// The part of its predicted motion that it makes.
+    awake: f32,
     sums: Sums,
     motion: Motion,
 }
@@ -63,6 +73,8 @@ pub(super) struct Sums {
     turns: [f64; 3],
     /// x . V.
     stretch: f64,
+    /// Squared speeds, as observed and as predicted.
+    speeds: [f64; 2],
 }
 
 /// What is wrong with the prediction for a body.
@@ -116,7 +128,7 @@ impl Extent {
     }
 }
 
-impl Flights {
+impl Bodies {
     /// Makes room for as many nodes as the grid has room for.
     pub(super) fn make_room(&mut self, nodes: &Nodes) {
         let Self { body, bodies, open } = self;
@@ -178,12 +190,17 @@ impl Flights {
         self.body(cell).flies
     }
 
+    /// The part of their predicted motion that the particles of a cell make.
+    pub(super) fn awake(&self, cell: &Cell) -> f32 {
+        self.body(cell).awake
+    }
+
     fn body(&self, cell: &Cell) -> &Body {
         &self.bodies[self.body[cell.nodes[0] as usize] as usize]
     }
 
-    /// Finds what is wrong with each body's prediction from its cells' sums.
-    pub(super) fn join(&mut self, nodes: &Nodes, sums: &[Sums]) {
+    /// Finds what is wrong with each body's prediction from its cells' sums, and whether it rests.
+    pub(super) fn join(&mut self, nodes: &Nodes, sums: &[Sums], walls: &Ballistic) {
         for (cell, sums) in nodes.cells().iter().zip(sums) {
             self.bodies[self.body[cell.nodes[0] as usize] as usize].sums.add(sums);
         }
@@ -191,6 +208,7 @@ impl Flights {
             body.motion = body.sums.motion();
             // One particle without a number must not take all others with it.
             body.flies &= body.motion.is_finite();
+            body.awake = if body.flies { 1.0 } else { body.sums.awake(walls) };
         }
     }
 
@@ -259,13 +277,31 @@ impl Sums {
         self.stretch += dot(x, speed);
     }
 
+    /// Takes a particle in of which only the speed counts, as observed and as predicted.
+    #[inline(always)]
+    pub(super) fn weigh(&mut self, observed: [f32; 2], next: [f32; 2]) {
+        self.count += 1.0;
+        for (sum, [x, y]) in self.speeds.iter_mut().zip([observed, next]) {
+            *sum += f64::from(x * x + y * y);
+        }
+    }
+
     fn add(&mut self, other: &Self) {
-        let Self { count, first, squares, turns, stretch } = self;
+        let Self { count, first, squares, turns, stretch, speeds } = self;
         *count += other.count;
         *stretch += other.stretch;
-        let all = first.as_flattened_mut().iter_mut().chain(squares).chain(turns);
+        let all = first.as_flattened_mut().iter_mut().chain(squares).chain(turns).chain(speeds);
         let others = other.first.as_flattened().iter().chain(&other.squares).chain(&other.turns);
-        all.zip(others).for_each(|(sum, other)| *sum += other);
+        all.zip(others.chain(&other.speeds)).for_each(|(sum, other)| *sum += other);
+    }
+
+    /// The part of its predicted motion that a body with such speeds makes: all where it moves, or is not a
+    /// number, or nothing pulls it down.
+    fn awake(&self, walls: &Ballistic) -> f32 {
+        let pull = walls.gravity[0].hypot(walls.gravity[1]) * walls.dt;
+        let fastest = self.speeds[0].max(self.speeds[1]) / self.count.max(1.0);
+        let awake = (fastest.sqrt() as f32 / pull - ASLEEP) / (AWAKE - ASLEEP);
+        if awake.is_finite() { awake.clamp(0.0, 1.0) } else { 1.0 }
     }
 
     /// With r, w, p, q for x, v, X, V about their means, and J turning by a right angle: the positions p - angle J r do not
