@@ -8,7 +8,7 @@
 //! 2. Limit: the deformation gradient F of each particle, with stretches between 1 - [`STRAIN`] and 1 + [`STRAIN`].
 //! 3. Lean: how far a particle is from its neighbours' mean, if they are as at rest but for F: the mean of
 //!    (F + F_j) (X - X_j) / 2, X being places at rest.
-//! 4. Restore, [`SWEEPS`] times: each particle goes most of the way there.
+//! 4. Restore, [`SWEEPS`] times: each particle goes there.
 //! 5. Adopt: velocities change with positions.
 
 use std::ops::Range;
@@ -22,9 +22,7 @@ use crate::{
 /// How far matter is stretched at most: neighbours in the truth are 1 to 2 % off their distances at rest.
 const STRAIN: f32 = 0.03;
 /// How often particles are moved to where their neighbours have them.
-const SWEEPS: usize = 8;
-/// The part of the way that they go.
-const PART: f32 = 0.7;
+const SWEEPS: usize = 5;
 /// Rows of an item.
 const SOME: usize = 256;
 
@@ -150,9 +148,8 @@ impl Shape<'_> {
         for (row, lean) in rows.zip(leans) {
             let own = limited[row];
             *lean = [0.0; 2];
-            for (link, tie) in self.rest.links(row).iter().zip(self.rest.ties(row)) {
-                let [x, y] = tie.offset;
-                let theirs = limited[link.particle as usize];
+            for (tie, &[x, y]) in self.rest.ties(row).iter().zip(self.rest.offsets(row)) {
+                let theirs = limited[tie.particle as usize];
                 for axis in 0..2 {
                     let (a, b) = (own[axis][0] + theirs[axis][0], own[axis][1] + theirs[axis][1]);
                     lean[axis] -= 0.5 * tie.share * (a * x + b * y);
@@ -170,19 +167,18 @@ impl Shape<'_> {
             (from.read(0..self.order.len()), self.lean.read(rows.clone()), to.part(rows.clone()))
         };
         for ((row, lean), to) in rows.zip(leans).zip(to) {
-            let links = self.rest.links(row);
-            if links.is_empty() {
+            let ties = self.rest.ties(row);
+            if ties.is_empty() {
                 continue;
             }
             let mut place = *lean;
-            for (link, tie) in links.iter().zip(self.rest.ties(row)) {
-                let neighbour = from[link.particle as usize];
+            for tie in ties {
+                let neighbour = from[tie.particle as usize];
                 place[0] += tie.share * neighbour[0];
                 place[1] += tie.share * neighbour[1];
             }
             for axis in 0..2 {
-                let now = from[row][axis];
-                to[axis] = walls.hold(axis, now + PART * (place[axis] - now));
+                to[axis] = walls.hold(axis, place[axis]);
             }
         }
     }

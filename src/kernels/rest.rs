@@ -41,8 +41,10 @@ pub struct Rest {
     /// as not strained.
     first: Vec<u32>,
     links: Vec<Link>,
-    /// Of each link.
+    /// Of each link, and where the neighbour rests from the particle (domain lengths): lists of their own,
+    /// which are read many times a frame.
     ties: Vec<Tie>,
+    offsets: Vec<[f32; 2]>,
     /// N.
     particles: usize,
 }
@@ -58,11 +60,11 @@ pub struct Link {
     pub share: f32,
 }
 
-/// Where a neighbour rests.
+/// A neighbour, and how much it counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tie {
-    /// From the particle (domain lengths).
-    pub offset: [f32; 2],
+    /// Its row.
+    pub particle: u32,
     /// Its share in the weights of the particle's neighbours.
     pub share: f32,
 }
@@ -91,7 +93,9 @@ impl Rest {
             joined.first.extend(shape.first[1..].iter().map(|first| first + link));
             let moved = |link: Link| Link { particle: link.particle + row, ..link };
             joined.links.extend(shape.links.into_iter().map(moved));
-            joined.ties.extend(shape.ties);
+            let moved = |tie: Tie| Tie { particle: tie.particle + row, ..tie };
+            joined.ties.extend(shape.ties.into_iter().map(moved));
+            joined.offsets.extend(shape.offsets);
         }
         joined
     }
@@ -102,9 +106,10 @@ impl Rest {
         let mut shape = Self { first: vec![0], particles: position.len(), ..Self::default() };
         for (particle, material) in material.iter().enumerate() {
             if keeps_shape(*material) {
-                for (link, tie) in coefficients(&cells.nearest(particle), range) {
+                for (link, tie, offset) in coefficients(&cells.nearest(particle), range) {
                     shape.links.push(link);
                     shape.ties.push(tie);
+                    shape.offsets.push(offset);
                 }
             }
             shape.first.push(shape.links.len() as u32);
@@ -125,14 +130,17 @@ impl Rest {
         let mut first = Vec::with_capacity(order.len() + 1);
         let mut links = Vec::with_capacity(self.links.len());
         let mut ties = Vec::with_capacity(self.ties.len());
+        let mut offsets = Vec::with_capacity(self.offsets.len());
         first.push(0);
         for &from in order {
             let moved = |link: &Link| Link { particle: place[link.particle as usize], ..*link };
             links.extend(self.links(from as usize).iter().map(moved));
-            ties.extend_from_slice(self.ties(from as usize));
+            let moved = |tie: &Tie| Tie { particle: place[tie.particle as usize], ..*tie };
+            ties.extend(self.ties(from as usize).iter().map(moved));
+            offsets.extend_from_slice(self.offsets(from as usize));
             first.push(links.len() as u32);
         }
-        Self { first, links, ties, particles: self.particles }
+        Self { first, links, ties, offsets, particles: self.particles }
     }
 
     /// R.
@@ -232,10 +240,16 @@ impl Rest {
         &self.links[self.numbers(particle)]
     }
 
-    /// Where what it is linked to rests.
+    /// How much each of these counts.
     #[inline(always)]
     pub fn ties(&self, particle: usize) -> &[Tie] {
         &self.ties[self.numbers(particle)]
+    }
+
+    /// Where each of these rests, from the particle (domain lengths).
+    #[inline(always)]
+    pub fn offsets(&self, particle: usize) -> &[[f32; 2]] {
+        &self.offsets[self.numbers(particle)]
     }
 
     /// Whether any particle has a shape.
@@ -298,7 +312,7 @@ fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
 type Near = (u32, [f64; 2]);
 
 /// Links to these neighbours; none where they do not tell a deformation.
-fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie)> {
+fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie, [f32; 2])> {
     let weight = move |[x, y]: [f64; 2]| (1.0 - (x * x + y * y) / (range * range)).powi(2);
     let (mut sum, mut mean) = (0.0, [0.0; 2]);
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -323,7 +337,7 @@ fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie)> 
         // What is left of the weighted mean once F has carried it along.
         let share = (k - c[0] * mean[0] - c[1] * mean[1]) / (sum * spacing);
         let link = Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 };
-        (link, Tie { offset: [x as f32, y as f32], share: (k / sum) as f32 })
+        (link, Tie { particle, share: (k / sum) as f32 }, [x as f32, y as f32])
     })
 }
 

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torch_core import Bodies
 from torch_model import Model, describe, load, network, save
-from torch_particle import ParticleModel
+from torch_particle import ParticleModel, rest_neighbours, rest_shape
 
 MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
 FRAME = "eddy_msgs/msg/ParticleFrame"
@@ -78,7 +78,7 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
     with torch.no_grad():
         expected, _ = model.double()(bodies, model.matter(material, bodies[0][0]))
         if isinstance(model, ParticleModel):
-            expected = put_right(model, material[0], bodies, expected)
+            expected = put_right(model, material, bodies, expected)
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
         expected = expected[-len(found) :]  # without those of the warm-up
@@ -87,9 +87,15 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
 
 
 def put_right(model: ParticleModel, material: Tensor, bodies: Bodies, predicted: Bodies) -> Bodies:
-    """What eddy predicts, [T, 1, N, 2], where liquids keep their area, bodies in free flight their momenta."""
-    frames = zip(zip(*(track[:, 0] for track in bodies)), zip(*(track[:, 0] for track in predicted)))
-    both = (model.keep_momentum(shown, model.keep_area(material, next)) for shown, next in frames)
+    """What eddy predicts, [T, 1, N, 2], where liquids keep their area, solids their shape, bodies in free flight
+    their momenta."""
+    rest = bodies[0][0]
+    neighbours = rest_neighbours(rest, material, model.spacing)[:2]
+    matter = tuple(part[0] for part in (rest_shape(rest, material, model.spacing), *neighbours))
+    both = []
+    for shown, next in zip(zip(*(track[:, 0] for track in bodies)), zip(*(track[:, 0] for track in predicted))):
+        next = model.keep_shape(matter, model.keep_area(material[0], next))
+        both.append(model.keep_momentum(shown, next))
     position, velocity = zip(*both)
     return torch.stack(position).unsqueeze(1), torch.stack(velocity).unsqueeze(1)
 

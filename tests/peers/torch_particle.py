@@ -35,6 +35,10 @@ REACH = 1.5
 # Where liquids keep their area: width of a cell (spacings), how full a node is when pressure sets in and where the
 # surface is, sweeps and over-relaxation of its solution, the longest shift (cells).
 AREA_CELL, FULLEST, SURFACE, SWEEPS, OVER, LONGEST = 2, 1.25, 0.5, 20, 1.7, 0.5
+# How far jelly and rope are stretched at most; how often particles are moved to where their neighbours have them.
+STRAIN, RESTORED = 0.03, 5
+# Speeds at which a body rests and from which on it moves freely (what gravity gives in a frame).
+ASLEEP, AWAKE = 0.125, 0.625
 # Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
 MARGIN = 4
 
@@ -92,12 +96,9 @@ def spline_slope(distance: Tensor) -> Tensor:
     return torch.where(distance.abs() < 0.5, -2 * distance, outer)
 
 
-def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
-    """What makes strain and bend of positions, [B, 3, N, N], from those at rest, [B, N, 2].
-
-    Its product with positions x gives the two columns of F = sum_j (x_j - x) c_j^T and the bend,
-    sum_j k_j (x_j - x - F (X_j - X)) / sum_j k_j in spacings; zeros where neighbours do not tell.
-    """
+def rest_neighbours(position: Tensor, material: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Of positions at rest, [B, N, 2]: the weights k of a particle's neighbours, [B, N, N], zeros where they do not
+    tell a deformation; where these are from it, X_j - X, [B, N, N, 2]; and the inverse of A, [B, N, 2, 2]."""
     position, reach = position.double(), (RANGE * spacing) ** 2
     apart = position.unsqueeze(1) - position.unsqueeze(2)  # X_j - X_i, [B, i, j, 2]
     squared = apart.square().sum(-1)
@@ -112,11 +113,21 @@ def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
     low, high = torch.linalg.eigvalsh(moment).unbind(-1)
     told = (linked.sum(-1) >= FEWEST) & (low > FLATTEST * high)
     inverse = torch.linalg.inv(torch.where(told[..., None, None], moment, torch.eye(2).double()))
-    weight = torch.where(told.unsqueeze(2), weight, 0)
+    return torch.where(told.unsqueeze(2), weight, 0), apart, inverse
+
+
+def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
+    """What makes strain and bend of positions, [B, 3, N, N], from those at rest, [B, N, 2].
+
+    Its product with positions x gives the two columns of F = sum_j (x_j - x) c_j^T and the bend,
+    sum_j k_j (x_j - x - F (X_j - X)) / sum_j k_j in spacings; zeros where neighbours do not tell.
+    """
+    weight, apart, inverse = rest_neighbours(position, material, spacing)
     column = torch.einsum("bij,bixy,bijy->bxij", weight, inverse, apart)  # c
     mean = torch.einsum("bij,bijx->bix", weight, apart)
     share = weight - torch.einsum("bxij,bix->bij", column, mean)
-    total = torch.where(told, weight.sum(-1), 1).unsqueeze(2)
+    total = weight.sum(-1, keepdim=True)
+    total = torch.where(total > 0, total, 1)
     shape = torch.cat([column, (share / (total * spacing)).unsqueeze(1)], 1)
     return shape - torch.diag_embed(shape.sum(-1))  # of x_j - x_i
 
@@ -299,9 +310,29 @@ class ParticleModel(nn.Module):
         moved = (position + shift).clamp(self.lower, self.upper)
         return moved, velocity + (moved - position) / self.dt
 
+    def keep_shape(self, matter: tuple[Tensor, Tensor, Tensor], predicted: Bodies) -> Bodies:
+        """What eddy makes of a prediction, [N, 2] each, second: jelly and rope keep their shape. `matter` is the
+        `rest_shape`, [3, N, N], and weights and places of neighbours at rest as from `rest_neighbours`."""
+        (shape, weight, apart), (position, velocity) = matter, predicted
+        solid = weight.sum(1) > 0
+        share = weight / torch.where(solid, weight.sum(1), 1).unsqueeze(1)
+        gradient = torch.einsum("kij,jx->ixk", shape[:2], position)  # F, [N, 2, 2]
+        left, stretch, right = torch.linalg.svd(torch.where(solid[:, None, None], gradient, torch.eye(2).to(gradient)))
+        # Turns only: what is mirrored has a negative stretch.
+        mirrored = torch.stack([torch.ones(len(left)).to(left), torch.det(left @ right).sign()], 1)
+        stretch = (stretch * mirrored).clamp(1 - STRAIN, 1 + STRAIN)
+        limited = left * (mirrored * stretch).unsqueeze(1) @ right
+        own = torch.einsum("ixy,ij,ijy->ix", limited, share, apart)
+        theirs = torch.einsum("jxy,ij,ijy->ix", limited, share, apart)
+        place = position
+        for _ in range(RESTORED):
+            there = share @ place - 0.5 * (own + theirs)
+            place = torch.where(solid.unsqueeze(1), there.clamp(self.lower, self.upper), place)
+        return place, velocity + (place - position) / self.dt
+
     def keep_momentum(self, bodies: Bodies, predicted: Bodies) -> Bodies:
         """What eddy makes of a prediction, [N, 2] each, for the frame after `bodies`, [N, 2] each, at last: bodies in
-        free flight keep their momentum and their angular momentum."""
+        free flight keep their momentum and their angular momentum, others that hardly move come to rest."""
         position, velocity = (track.to(self.unit) for track in bodies)
         faster = velocity + self.gravity * self.dt
         fallen = position + 0.5 * (velocity + faster) * self.dt
@@ -315,9 +346,13 @@ class ParticleModel(nn.Module):
             own = number == body
             way = 0.5 * self.dt * (velocity[own] + faster[own]).mean(0)
             lowest, highest = position[own].amin(0), position[own].amax(0)
-            if (lowest + way.clamp(max=0) < self.lower + reach).any():
-                continue
-            if (highest + way.clamp(min=0) > self.upper - reach).any():
+            touches = (lowest + way.clamp(max=0) < self.lower + reach) | (highest + way.clamp(min=0) > self.upper - reach)
+            if touches.any():
+                speeds = [track[own].square().sum(1).mean() for track in (velocity, predicted[1])]
+                fastest = max(speeds).sqrt() / (self.gravity.norm() * self.dt)
+                awake = ((fastest - ASLEEP) / (AWAKE - ASLEEP)).clamp(0, 1)
+                kept_position[own] = position[own] + awake * (predicted[0][own] - position[own])
+                kept_velocity[own] = awake * predicted[1][own]
                 continue
             arm, flight = fallen[own] - fallen[own].mean(0), faster[own] - faster[own].mean(0)
             found, speed = (track[own] - track[own].mean(0) for track in predicted)
