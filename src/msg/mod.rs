@@ -4,22 +4,26 @@
 //! 2. [`cdr`]: struct to bytes and back (CDR, XCDR1, little-endian header `00 01 00 00`).
 //! 3. [`schema`]: the `.msg` text with its dependencies, as MCAP files carry it, and the type
 //!    description parsed from it.
-//! 4. [`services`]: requests and responses, likewise one struct each.
-//! 5. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
-//! 6. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
+//! 4. [`services`], [`playback`]: requests and responses, likewise one struct each.
+//! 5. [`service_type`]: the `.srv` files and their type hashes.
+//! 6. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
+//! 7. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
 //!
-//! The `.msg` files in `msgs/` are the source of truth: schema text and type hash come from them,
+//! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hash come from them,
 //! and a test holds the twins against them.
 
 pub mod cdr;
 pub mod cloud;
 mod convert;
+pub mod playback;
 pub mod schema;
+pub mod service_type;
 pub mod services;
 mod twins;
 
 pub use convert::BadFrame;
 pub use schema::{TypeSupport, UnknownType, type_support};
+pub use service_type::{UnknownService, service_hash};
 pub use twins::{
     Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
     PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,

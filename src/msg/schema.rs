@@ -96,6 +96,34 @@ const FILES: [(&str, &str); 14] = [
     ("std_msgs/msg/String", include_str!("../../msgs/standard/std_msgs/msg/String.msg")),
 ];
 
+/// The `.msg` files of messages that travel only inside of others: name, text.
+const PARTS: [(&str, &str); 6] = [
+    (
+        "rcl_interfaces/msg/FloatingPointRange",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/FloatingPointRange.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/IntegerRange",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/IntegerRange.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/ListParametersResult",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/ListParametersResult.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/ParameterDescriptor",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/ParameterDescriptor.msg"),
+    ),
+    (
+        "rcl_interfaces/msg/SetParametersResult",
+        include_str!("../../msgs/standard/rcl_interfaces/msg/SetParametersResult.msg"),
+    ),
+    (
+        "service_msgs/msg/ServiceEventInfo",
+        include_str!("../../msgs/standard/service_msgs/msg/ServiceEventInfo.msg"),
+    ),
+];
+
 static TYPES: LazyLock<BTreeMap<&'static str, TypeSupport>> =
     LazyLock::new(|| FILES.iter().map(|&(name, _)| (name, assemble(name))).collect());
 
@@ -114,6 +142,7 @@ fn known_types() -> Vec<&'static str> {
 fn text_of(name: &str) -> &'static str {
     let (_, text) = FILES
         .iter()
+        .chain(&PARTS)
         .find(|(known, _)| *known == name)
         .unwrap_or_else(|| panic!("msgs/ holds no {name}, which another message refers to"));
     text
@@ -138,7 +167,11 @@ fn assemble(name: &str) -> TypeSupport {
     TypeSupport { name: name.to_owned(), schema, hash, description }
 }
 
-fn collect_dependencies(of: &TypeDescription, into: &mut BTreeMap<String, TypeDescription>) {
+/// Adds every message that `of` refers to, and what these refer to.
+pub(super) fn collect_dependencies(
+    of: &TypeDescription,
+    into: &mut BTreeMap<String, TypeDescription>,
+) {
     for field in &of.fields {
         let name = &field.field_type.nested_type_name;
         if !name.is_empty() && !into.contains_key(name) {
@@ -150,36 +183,48 @@ fn collect_dependencies(of: &TypeDescription, into: &mut BTreeMap<String, TypeDe
 }
 
 /// Reads the part of the `.msg` language that our files use: comments, constants, fields of
-/// primitive, string or message type, and unbounded sequences of them.
-fn parse(name: &str, text: &str) -> TypeDescription {
+/// primitive, string or message type, arrays and sequences of them; defaults are passed over.
+pub(super) fn parse(name: &str, text: &str) -> TypeDescription {
     let package = name.split('/').next().unwrap_or_default();
     let fields = text
         .lines()
         .map(|line| line.split('#').next().unwrap_or_default().trim())
-        .filter(|line| !line.is_empty() && !line.contains('='))
+        // A constant has a `=` that bounds no sequence.
+        .filter(|line| !line.is_empty() && !line.replace("<=", "").contains('='))
         .map(|line| {
-            let (kind, field) = line
-                .split_once(char::is_whitespace)
-                .unwrap_or_else(|| panic!("{name}.msg: found `{line}`, expected `type name`"));
-            FieldDescription {
-                name: field.trim().to_owned(),
-                field_type: field_type(package, kind),
-                default_value: String::new(),
-            }
+            let mut words = line.split_whitespace();
+            let (Some(kind), Some(field)) = (words.next(), words.next()) else {
+                panic!("{name}: found `{line}`, expected `type name`");
+            };
+            described(field, field_type(package, kind))
         })
         .collect();
     TypeDescription { type_name: name.to_owned(), fields }
 }
 
+/// A field of this name and type.
+pub(super) fn described(name: &str, field_type: FieldTypeDescription) -> FieldDescription {
+    FieldDescription { name: name.to_owned(), field_type, default_value: String::new() }
+}
+
 fn field_type(package: &str, kind: &str) -> FieldTypeDescription {
-    let (element, offset) = match kind.strip_suffix("[]") {
-        Some(element) => (element, TypeId::UNBOUNDED_SEQUENCE_OFFSET),
-        None => (kind, 0),
+    let number = |text: &str| {
+        text.parse()
+            .unwrap_or_else(|_| panic!("{package}: found `{kind}`, expected a number in it"))
     };
+    let (element, offset, capacity) =
+        match kind.strip_suffix(']').and_then(|kind| kind.split_once('[')) {
+            None => (kind, 0, 0),
+            Some((element, "")) => (element, TypeId::UNBOUNDED_SEQUENCE_OFFSET, 0),
+            Some((element, bound)) => match bound.strip_prefix("<=") {
+                Some(most) => (element, TypeId::BOUNDED_SEQUENCE_OFFSET, number(most)),
+                None => (element, TypeId::ARRAY_OFFSET, number(bound)),
+            },
+        };
     let primitive = match element {
         "bool" => TypeId::BOOL,
         "byte" => TypeId::BYTE,
-        "uint8" => TypeId::UINT8,
+        "uint8" | "char" => TypeId::UINT8,
         "int32" => TypeId::INT32,
         "uint32" => TypeId::UINT32,
         "int64" => TypeId::INT64,
@@ -192,10 +237,11 @@ fn field_type(package: &str, kind: &str) -> FieldTypeDescription {
                 Some((package, message)) => format!("{package}/msg/{message}"),
                 None => format!("{package}/msg/{message}"),
             };
-            return FieldTypeDescription::nested(TypeId::NESTED_TYPE + offset, full);
+            let kind = TypeId::NESTED_TYPE + offset;
+            return FieldTypeDescription::nested_array(kind, capacity, full);
         }
     };
-    FieldTypeDescription::primitive(primitive + offset)
+    FieldTypeDescription::array(primitive + offset, capacity)
 }
 
 #[cfg(test)]
