@@ -36,7 +36,7 @@ use serde::Deserialize;
 
 use crate::{
     frame::Frame,
-    msg::{BadFrame, UnknownType},
+    msg::{BadFrame, UnknownService, UnknownType},
 };
 
 /// One message as a transport delivers it.
@@ -132,6 +132,9 @@ pub enum TransportError {
     /// The topic's message type is not one of ours.
     #[error(transparent)]
     Type(#[from] UnknownType),
+    /// The service's type is not one of ours.
+    #[error(transparent)]
+    Service(#[from] UnknownService),
     /// The topic carries frames, the bytes are none.
     #[error("{link}: {reason}")]
     Frame {

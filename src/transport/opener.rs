@@ -235,10 +235,10 @@ impl Transports {
     }
 
     /// Offers a service of type `type_name`, such as `std_srvs/srv/Trigger`, whose requests `handler`
-    /// answers on a thread of its own. `None` on a transport without services: only DDS has them.
+    /// answers on a thread of its own. `None` on a transport without services: Zenoh and DDS have them.
     ///
     /// # Errors
-    /// [`TransportError`] when the middleware refuses.
+    /// [`TransportError`] when the middleware refuses, or the type is unknown where its hash is needed.
     pub fn serve(
         &self,
         link: &Link,
@@ -246,7 +246,10 @@ impl Transports {
         handler: Handler,
     ) -> Result<Option<Box<dyn Served>>, TransportError> {
         Ok(match link.transport {
-            TransportKind::Memory | TransportKind::Shm | TransportKind::Zenoh => None,
+            TransportKind::Memory | TransportKind::Shm => None,
+            TransportKind::Zenoh => {
+                Some(Box::new(self.zenoh(link)?.service(link, type_name, handler)?))
+            }
             TransportKind::Dds => {
                 Some(Box::new(self.dds(link)?.service(link, type_name, handler)?))
             }

@@ -5,13 +5,20 @@ use std::{collections::BTreeMap, path::Path, process::Command, time::Duration};
 use eddy::{
     bag::BagReader,
     frame::Frame,
-    msg::{Message, ParticleFrame},
+    msg::{
+        Message, ParticleFrame,
+        services::{
+            Empty, GetParametersResponse, Parameter, ParameterNames, ParameterValue,
+            SetParametersRequest, SetParametersResponse, TriggerResponse,
+        },
+    },
     transport::{Reliability, TransportKind, TransportOptions, Transports},
 };
 use tempfile::TempDir;
 
-use crate::support::{
-    Process, domain, free_port, simulate, succeed, talking_eddy, unique, wait_for,
+use crate::{
+    client::Client,
+    support::{Process, domain, free_port, simulate, succeed, talking_eddy, unique, wait_for},
 };
 
 /// One scene, what `eddy predict` says of it, and a place in the world of its own.
@@ -177,6 +184,39 @@ fn on_dds_bytes_that_are_no_frame_are_counted_and_the_node_goes_on() {
     let said = node.rest();
     assert!(node.wait().success());
     assert!(said.contains("3 undecodable"), "{said}");
+}
+
+#[test]
+fn on_zenoh_a_node_is_asked_for_its_parameters_set_and_reset() {
+    const NODE: &str = "/eddy_node";
+    let world = World::new(TransportKind::Zenoh);
+    let mut node = world.node();
+    let client = Client::of(world.ports[Role::Node as usize], world.domain);
+    let horizon = || {
+        let names = ParameterNames { names: vec!["horizon".to_owned(), "none".to_owned()] };
+        let (name, kind) = (format!("{NODE}/get_parameters"), "rcl_interfaces/srv/GetParameters");
+        let response: GetParametersResponse = client.ask(&name, kind, &names);
+        assert_eq!(response.values[1], ParameterValue::default());
+        response.values[0].integer_value
+    };
+    let set_horizon = |value| {
+        let (name, value) = ("horizon".to_owned(), ParameterValue::integer(value));
+        let request = SetParametersRequest { parameters: vec![Parameter { name, value }] };
+        let (name, kind) = (format!("{NODE}/set_parameters"), "rcl_interfaces/srv/SetParameters");
+        let response: SetParametersResponse = client.ask(&name, kind, &request);
+        response.results[0].clone()
+    };
+    assert_eq!(horizon(), 1);
+    assert!(set_horizon(20).successful);
+    let refused = set_horizon(20_000);
+    assert!(refused.reason.contains("expected 1 to 10000"), "{}", refused.reason);
+    assert_eq!(horizon(), 20);
+    let name = format!("{NODE}/reset");
+    let reset: TriggerResponse = client.ask(&name, "std_srvs/srv/Trigger", &Empty::default());
+    assert!(reset.success, "{}", reset.message);
+    assert!(client.services().iter().any(|token| token.contains("%eddy_node%list_parameters")));
+    node.interrupt();
+    assert!(node.wait().success());
 }
 
 fn a_killed_process_leaves_the_others_running_and_works_again(transport: TransportKind) {

@@ -5,6 +5,7 @@ mod bad_input;
 mod bag;
 mod bag_edit;
 mod bench;
+mod client;
 mod eval;
 mod exchange;
 mod graph;

@@ -15,11 +15,12 @@ const EMPTY: &str = "%";
 /// Messages kept, as advertised for dropping publishers (the ROS 2 default).
 const ADVERTISED_DEPTH: usize = 10;
 
-/// The two sides of a topic.
+/// The two sides of a topic, and the one side of services that eddy has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Publisher,
     Subscription,
+    Service,
 }
 
 impl Side {
@@ -28,13 +29,16 @@ impl Side {
         match self {
             Self::Publisher => "MP",
             Self::Subscription => "MS",
+            Self::Service => "SS",
         }
     }
 
-    fn other(self) -> Self {
+    /// The word in the tokens of the other side.
+    fn others_code(self) -> &'static str {
         match self {
-            Self::Publisher => Self::Subscription,
-            Self::Subscription => Self::Publisher,
+            Self::Publisher => Self::Subscription.code(),
+            Self::Subscription => Self::Publisher.code(),
+            Self::Service => "SC",
         }
     }
 }
@@ -62,14 +66,14 @@ impl Node {
     }
 }
 
-/// A publisher or subscriber of ours, as others see it.
+/// A publisher, subscriber or service of ours, as others see it.
 pub(super) struct Endpoint {
     pub(super) link: Link,
     /// ROS name of the type, such as `eddy_msgs/msg/ParticleFrame`.
     pub(super) type_name: String,
     /// `<domain>/<topic>/<type>/<hash>`
     pub(super) key: String,
-    /// `@ros2_lv/<domain>/<zid>/<nid>/<eid>/<MP|MS>/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>`
+    /// `@ros2_lv/<domain>/<zid>/<nid>/<eid>/<MP|MS|SS>/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>`
     pub(super) token: String,
     /// The tokens of the topic's other side, whatever their type.
     pub(super) others: String,
@@ -89,7 +93,7 @@ impl Endpoint {
         let namespace = node.mangled_namespace();
         let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
         let (dds_name, hash) = (dds_name(&support.name), &support.hash);
-        let (code, other) = (side.code(), side.other().code());
+        let (code, other) = (side.code(), side.others_code());
         Self {
             link: link.clone(),
             type_name: support.name.clone(),
@@ -142,6 +146,11 @@ pub(super) fn publisher_qos(reliability: Reliability) -> String {
         Reliability::Block => "::2,:,:,:,,".to_owned(),
         Reliability::Drop => best_effort(ADVERTISED_DEPTH),
     }
+}
+
+/// What a service promises: reliable, volatile, keep last, as the services of ROS 2 do.
+pub(super) fn service_qos(depth: usize) -> String {
+    format!("::,{depth}:,:,:,,")
 }
 
 /// What a subscriber asks for: little, so that every publisher suits it.

@@ -5,6 +5,7 @@
 //! 3. [`attachment`]: the 33 bytes beside every message.
 //! 4. [`graph`]: who else is on a topic, by liveliness tokens.
 //! 5. [`publisher`], [`subscriber`]: messages.
+//! 6. [`service`]: requests and their responses.
 //!
 //! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
 //! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
@@ -19,6 +20,7 @@ mod config;
 mod graph;
 mod keys;
 mod publisher;
+mod service;
 mod subscriber;
 
 use std::{
@@ -32,10 +34,11 @@ use std::{
 
 use zenoh::{Session, liveliness::LivelinessToken};
 
-use super::{Link, Reliability, SeenTopic, TransportError, TransportOptions};
-use crate::msg::TypeSupport;
+use super::{Handler, Link, Reliability, SeenTopic, TransportError, TransportOptions};
+use crate::msg::{TypeSupport, service_hash};
 use keys::{Endpoint, Node, Side};
 use publisher::ZenohPublisher;
+use service::ZenohService;
 use subscriber::ZenohSubscriber;
 
 /// This process in the ROS graph.
@@ -84,6 +87,18 @@ impl ZenohNode {
         let endpoint =
             Endpoint::new(&self.node, self.id(), Side::Subscription, link, support, &qos);
         ZenohSubscriber::open(self, endpoint)
+    }
+
+    pub(super) fn service(
+        self: &Arc<Self>,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<ZenohService, TransportError> {
+        let support = TypeSupport::foreign(type_name, service_hash(type_name)?);
+        let qos = keys::service_qos(service::DEPTH);
+        let endpoint = Endpoint::new(&self.node, self.id(), Side::Service, link, &support, &qos);
+        ZenohService::open(self, endpoint, handler)
     }
 
     fn id(&self) -> usize {

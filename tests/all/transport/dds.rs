@@ -156,7 +156,7 @@ fn a_service_answers_each_request_under_its_identity() {
 #[test]
 fn other_transports_have_no_services() {
     let transports = Transports::new(super::options());
-    for transport in ["memory", "shm", "zenoh"] {
+    for transport in ["memory", "shm"] {
         let handler = Box::new(|_: &[u8]| None);
         let served = transports.serve(&link(transport), "std_srvs/srv/Trigger", handler);
         assert!(served.unwrap().is_none(), "{transport}");

@@ -6,7 +6,7 @@ use std::{
 };
 
 use eddy::{
-    msg::{Message, ParticleFrame, type_support},
+    msg::{Message, ParticleFrame, service_hash, type_support},
     transport::{Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 use zenoh::{Session, Wait};
@@ -15,6 +15,7 @@ use super::{
     DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
     link, next_frame, options,
 };
+use crate::client::Client;
 
 /// A session of zenoh alone, in `mode`, with these endpoints (JSON5).
 fn plain_session(mode: &str, listen: &str, connect: &str) -> Session {
@@ -93,6 +94,48 @@ fn others_see_the_keys_attachments_and_tokens_of_rmw_zenoh() {
     assert_eq!(tokens, expected);
     let gid = xxhash_rust::xxh3::xxh3_128(expected[1].as_bytes()).to_le_bytes();
     assert_eq!(first[17..], gid);
+}
+
+#[test]
+fn a_service_answers_each_request_under_its_sequence_and_gid() {
+    const TRIGGER: &str = "std_srvs/srv/Trigger";
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let double = |request: &[u8]| match request {
+        [0, 1, 0, 0, number] => Some(vec![0, 1, 0, 0, 2 * number]),
+        _ => None,
+    };
+    let service = transports.serve(&link, TRIGGER, Box::new(double)).unwrap().unwrap();
+    let client = Client::of(*options.zenoh.ports.start(), 0);
+    let request = |number| client.request(&link.topic, TRIGGER, vec![0, 1, 0, 0, number]);
+    eventually("the service is there", || request(1).is_some());
+    for number in 0..20 {
+        assert_eq!(request(number), Some(Ok(vec![0, 1, 0, 0, 2 * number])));
+    }
+    let refused = client.request(&link.topic, TRIGGER, vec![9]);
+    assert_eq!(refused, Some(Err("the payload is no request of this service".to_owned())));
+    assert_eq!(request(21), Some(Ok(vec![0, 1, 0, 0, 42])));
+
+    let tokens = client.services();
+    let zid = tokens[0].split('/').nth(2).unwrap();
+    let (topic, hash) = (link.topic.replace('/', "%"), service_hash(TRIGGER).unwrap());
+    let expected = format!(
+        "@ros2_lv/0/{zid}/0/1/SS/%/%/eddy_test/{topic}/std_srvs::srv::dds_::Trigger_/{hash}/::,10:,:,:,,"
+    );
+    assert_eq!(tokens, [expected]);
+
+    drop(service);
+    eventually("the service is gone", || request(1).is_none());
+    assert_eq!(client.services(), [""; 0]);
+}
+
+#[test]
+fn a_service_of_a_type_without_a_hash_is_refused() {
+    let transports = Transports::new(options());
+    let served =
+        transports.serve(&link("zenoh"), "std_srvs/srv/SetBool", Box::new(|_: &[u8]| None));
+    let message = served.err().unwrap().to_string();
+    assert!(message.starts_with("service type: found std_srvs/srv/SetBool"), "{message}");
 }
 
 #[test]
