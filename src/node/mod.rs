@@ -12,7 +12,7 @@
 //! 9. `recorder`: what arrives into a bag.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
 //!     `timeline` knows rates and pauses, `wish` what the user wants.
-//! 11. `playback`: plays, until told to end.
+//! 11. `playback`: plays, until told to end; `remote` and `player_services` bring wishes from elsewhere.
 //! 12. `rate`: how regularly messages arrive.
 
 mod cache;
@@ -24,10 +24,12 @@ mod driver;
 mod parameters;
 mod playback;
 mod player;
+mod player_services;
 mod queue;
 mod rate;
 mod read_ahead;
 mod recorder;
+mod remote;
 mod ros_time;
 mod services;
 mod settings;
@@ -46,12 +48,14 @@ pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, Presence, drive};
 pub use parameters::{PARAMETERS, ParameterSpec, Values, parameter};
 pub use playback::{Stage, play};
-pub use player::{Due, Player, PlayerError, PlayerOptions};
+pub use player::{Due, Granted, Player, PlayerError, PlayerOptions};
+pub use player_services::player_services;
 pub use queue::FrameQueue;
 pub use rate::{Figures, Rate};
 pub use recorder::Recorder;
+pub use remote::{Asked, Remote};
 pub use ros_time::{OpenClock, RosTime};
 pub use services::{Service, services};
 pub use settings::{InvalidSettings, NodeSettings, Publish};
 pub use surrogate::{Prediction, SurrogateNode};
-pub use wish::Wish;
+pub use wish::{Outcome, Wish};

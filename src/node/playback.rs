@@ -1,8 +1,8 @@
-//! Plays: sleeps until something is due, publishes it, listens to the user meanwhile.
+//! Plays: sleeps until something is due, publishes it, listens to its users meanwhile.
 
 use std::{thread, time::Duration};
 
-use super::{Due, Player, Wish};
+use super::{Asked, Due, Player};
 use crate::{
     bag::{BagError, BagMessage},
     clock::Clock,
@@ -29,8 +29,8 @@ pub trait Stage {
     /// What ends the playing.
     fn clock(&mut self, recorded: Stamp) -> Result<(), Self::Error>;
 
-    /// What the user wants, since the last look.
-    fn wishes(&mut self) -> Vec<Wish>;
+    /// What was asked for since the last look.
+    fn wishes(&mut self) -> Vec<Asked>;
 
     /// Whether the user wants no more.
     fn is_over(&self) -> bool;
@@ -42,10 +42,12 @@ pub trait Stage {
 /// Damage of the bag, and what the stage gives.
 pub fn play<S: Stage>(player: &mut Player, clock: &Clock, stage: &mut S) -> Result<(), S::Error> {
     while !stage.is_over() {
-        for wish in stage.wishes() {
-            if let Some(message) = player.wish(wish, clock.now())? {
+        for asked in stage.wishes() {
+            let granted = player.wish(asked.wish, clock.now())?;
+            if let Some(message) = granted.message {
                 stage.message(message, clock.now())?;
             }
+            asked.answer(granted.outcome);
         }
         if let Some(recorded) = player.tick(clock.now()) {
             stage.clock(recorded)?;

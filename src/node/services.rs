@@ -64,14 +64,22 @@ pub fn services(node: &str, control: &Arc<Control>) -> Vec<Service> {
     ]
 }
 
-/// Bytes around a function of messages. Bytes that are no request get no answer.
+/// The answer of a function of messages to a request in bytes.
 fn answer<A: DeserializeOwned + 'static, B: Serialize + 'static>(
     control: &Arc<Control>,
     function: fn(&Control, A) -> B,
 ) -> Handler {
-    let control = Arc::clone(control);
+    handler(control, move |control, request| Some(function(control, request)))
+}
+
+/// Bytes around a function of messages. Bytes that are no request get no answer.
+pub(super) fn handler<C: Send + Sync + 'static, A: DeserializeOwned, B: Serialize>(
+    context: &Arc<C>,
+    function: impl Fn(&C, A) -> Option<B> + Send + 'static,
+) -> Handler {
+    let context = Arc::clone(context);
     Box::new(move |request| match cdr::decode(request) {
-        Ok(request) => Some(cdr::encode(&function(&control, request))),
+        Ok(request) => function(&context, request).map(|response| cdr::encode(&response)),
         Err(error) => {
             tracing::warn!("request: {error}");
             None

@@ -39,14 +39,21 @@ impl Timeline {
         (!self.paused).then(|| moment + (position - played) / self.rate - now.as_nanos() as f64)
     }
 
-    pub(super) fn set_paused(&mut self, paused: bool, now: Duration) {
-        self.anchor = (now.as_nanos() as f64, self.position(now));
+    /// Always possible: `true`.
+    pub(super) fn set_paused(&mut self, paused: bool, now: Duration) -> bool {
+        self.jump(self.position(now), now);
         self.paused = paused;
+        true
     }
 
-    pub(super) fn set_rate(&mut self, rate: f64, now: Duration) {
-        self.anchor = (now.as_nanos() as f64, self.position(now));
-        self.rate = rate;
+    /// `false`, and nothing changes, unless the rate is a positive number.
+    pub(super) fn set_rate(&mut self, rate: f64, now: Duration) -> bool {
+        let possible = rate.is_finite() && rate > 0.0;
+        if possible {
+            self.jump(self.position(now), now);
+            self.rate = rate;
+        }
+        possible
     }
 
     /// Goes on from there.
@@ -72,6 +79,10 @@ mod tests {
         line.set_rate(0.5, at(11));
         assert_eq!(line.position(at(11)), 8.0 * SECOND);
         assert_eq!(line.until(9.0 * SECOND, at(11)), Some(2.0 * SECOND));
+        for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(!line.set_rate(rate, at(12)), "{rate}");
+        }
+        assert_eq!((line.rate(), line.position(at(11))), (0.5, 8.0 * SECOND));
         line.jump(0.0, at(20));
         assert_eq!(line.position(at(22)), SECOND);
     }

@@ -14,14 +14,21 @@ use eddy::{
     bag::{BagError, BagMessage, BagReader, BagWriter, WriterOptions},
     clock,
     frame::Stamp,
-    msg::{Clock, Message, RosString, TypeSupport, cdr},
-    node::{Player, PlayerOptions, Stage, Wish, play},
+    msg::{
+        Clock, Message, RosString, Time, TypeSupport, cdr,
+        playback::{Paused, PlayingRate, SeekRequest, Success},
+        services::Empty,
+    },
+    node::{Asked, Player, PlayerOptions, Stage, play},
     transport::{Link, Subscriber, TransportOptions, Transports},
 };
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tempfile::TempDir;
 
-use crate::support::{Process, fail, free_port, talking_eddy, unique};
+use crate::{
+    client::Client,
+    support::{Process, fail, free_port, talking_eddy, unique},
+};
 
 const DEADLINE: Duration = Duration::from_secs(30);
 
@@ -46,6 +53,8 @@ struct World {
     transports: Transports,
     /// The player's part of the same Zenoh network.
     overrides: String,
+    /// Where the player listens on Zenoh.
+    port: u16,
 }
 
 impl World {
@@ -64,6 +73,7 @@ impl World {
             prefix: format!("/{}", unique("replay")),
             transports: Transports::new(options),
             overrides: overrides(1),
+            port: ports[1],
         }
     }
 
@@ -182,7 +192,8 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     let mut player = Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())));
     assert_eq!(
         player.line("space:"),
-        "space: pause or go on, right arrow or n: next message, up and down: faster and slower\n"
+        "space: pause or go on, right arrow or n: next message, up and down: faster and slower, \
+         left arrow or b: 5 s back, f: 5 s on\n"
     );
     assert_eq!(words.receive(Duration::from_millis(200)).unwrap(), None);
     ours.write_all(b"n").unwrap();
@@ -199,6 +210,59 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     let mut shown = Vec::new();
     let _ = ours.read_to_end(&mut shown);
     assert_eq!(String::from_utf8_lossy(&shown), "");
+}
+
+#[test]
+fn on_zenoh_the_player_does_what_its_services_are_asked() {
+    let world = World::new();
+    // The last message comes after ten minutes, or when somebody goes there.
+    write_words(&world.bag(), &[0, 100, 300_000, 600_000]);
+    let link = world.link("zenoh", "a");
+    let mut words = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut player = Process::start(&mut world.replay("zenoh", &["--start-paused"]));
+    let client = Client::of(world.port, 0);
+    let name = |service: &str| format!("/eddy_replay/{service}");
+    let kind = |service: &str| format!("rosbag2_interfaces/srv/{service}");
+    let is_paused =
+        || client.ask::<_, Paused>(&name("is_paused"), &kind("IsPaused"), &Empty::default()).paused;
+    let tell = |service: &str, type_name: &str| {
+        client.ask::<_, Empty>(&name(service), &kind(type_name), &Empty::default());
+    };
+    let play_next = || {
+        let done: Success = client.ask(&name("play_next"), &kind("PlayNext"), &Empty::default());
+        done.success
+    };
+    let seek = |sec| {
+        let request = SeekRequest { time: Time { sec, nanosec: 0 } };
+        client.ask::<_, Success>(&name("seek"), &kind("Seek"), &request).success
+    };
+    let set_rate = |rate| {
+        client.ask::<_, Success>(&name("set_rate"), &kind("SetRate"), &PlayingRate { rate }).success
+    };
+
+    assert!(is_paused());
+    assert!(play_next());
+    assert_eq!(next(&mut *words), word("0"));
+    assert!(set_rate(4.0) && !set_rate(-1.0));
+    let rate: PlayingRate = client.ask(&name("get_rate"), &kind("GetRate"), &Empty::default());
+    assert_eq!(rate.rate, 4.0);
+    tell("resume", "Resume");
+    assert!(!is_paused() && !play_next(), "only a player that pauses steps");
+    assert_eq!(next(&mut *words), word("100"));
+    tell("toggle_paused", "TogglePaused");
+    assert!(is_paused());
+    tell("pause", "Pause");
+    assert!(is_paused());
+    // The bag begins one second after zero.
+    assert!(seek(301) && play_next());
+    assert_eq!(next(&mut *words), word("300000"));
+    assert!(seek(0) && play_next(), "before the bag is at its beginning");
+    assert_eq!(next(&mut *words), word("0"));
+    assert!(!seek(602), "nothing comes after the last message");
+    assert!(seek(600));
+    tell("resume", "Resume");
+    assert_eq!(next(&mut *words), word("600000"));
+    assert!(player.wait().success());
 }
 
 #[test]
@@ -232,7 +296,7 @@ impl Stage for Watch {
         Ok(())
     }
 
-    fn wishes(&mut self) -> Vec<Wish> {
+    fn wishes(&mut self) -> Vec<Asked> {
         Vec::new()
     }
 

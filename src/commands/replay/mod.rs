@@ -2,7 +2,9 @@
 //!
 //! 1. [`outputs`]: a publisher for every topic, and one for the clock.
 //! 2. [`keyboard`]: what the user wants, where standard input is a terminal.
+//! 3. [`control`]: what others want, where the transport has services.
 
+mod control;
 mod keyboard;
 mod outputs;
 
@@ -11,10 +13,11 @@ use indicatif::HumanCount;
 
 use super::{Interrupt, has_no_parameters, transport_options};
 use crate::cli::ReplayArgs;
+use control::RemoteControl;
 use eddy::{
     bag::BagReader,
     clock::Clock,
-    node::{Player, PlayerOptions, Stage, play},
+    node::{Asked, Player, PlayerOptions, Stage, play},
     ros::RosNode,
     transport::Transports,
 };
@@ -45,22 +48,25 @@ pub fn run(
     )?;
     // Sessions end with it: it stays until the last message is out.
     let transports = Transports::new(transport_options(ros)?);
+    let control = RemoteControl::offer(&transports, args.to, &ros.full_name())?;
     let mut outputs = Outputs::open(&transports, ros, &args, &bag, &topics)?;
     if !outputs.wait_for(args.wait_for, interrupt)? {
         return Ok(());
     }
     let keyboard = Keyboard::open();
     ensure!(
-        keyboard.is_some() || !args.start_paused,
-        "--start-paused: found no terminal on standard input, expected one to go on from"
+        keyboard.is_some() || control.is_some() || !args.start_paused,
+        "--start-paused: found no terminal on standard input and no services on {}, expected either to go on from",
+        args.to
     );
     if keyboard.is_some() && !quiet {
         println!(
-            "space: pause or go on, right arrow or n: next message, up and down: faster and slower"
+            "space: pause or go on, right arrow or n: next message, up and down: faster and slower, \
+             left arrow or b: 5 s back, f: 5 s on"
         );
     }
     let clock = Clock::start();
-    let mut theatre = Theatre { outputs: &mut outputs, keyboard, interrupt };
+    let mut theatre = Theatre { outputs: &mut outputs, keyboard, control, interrupt };
     play(&mut player, &clock, &mut theatre)?;
     drop(theatre);
     if !quiet {
@@ -81,10 +87,11 @@ pub fn run(
     Ok(())
 }
 
-/// Plays to the outputs, as the keyboard and the signals say.
+/// Plays to the outputs, as the keyboard, the services and the signals say.
 struct Theatre<'a> {
     outputs: &'a mut Outputs,
     keyboard: Option<Keyboard>,
+    control: Option<RemoteControl>,
     interrupt: &'a Interrupt,
 }
 
@@ -103,8 +110,11 @@ impl Stage for Theatre<'_> {
         self.outputs.tell(recorded)
     }
 
-    fn wishes(&mut self) -> Vec<eddy::node::Wish> {
-        self.keyboard.as_mut().map(Keyboard::wishes).unwrap_or_default()
+    fn wishes(&mut self) -> Vec<Asked> {
+        let typed = self.keyboard.as_mut().map(Keyboard::wishes).unwrap_or_default();
+        let mut wishes: Vec<Asked> = typed.into_iter().map(Asked::from).collect();
+        wishes.extend(self.control.iter().flat_map(RemoteControl::wishes));
+        wishes
     }
 
     fn is_over(&self) -> bool {
