@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use super::metadata;
+use super::{metadata, qos};
 
 /// Key of a channel's metadata: its RIHS01 type hash.
 pub(super) const TYPE_HASH: &str = "topic_type_hash";
@@ -35,8 +35,9 @@ pub struct Channel {
 
 impl Channel {
     /// A topic as rosbag2 describes it: `schema` is the type's `.msg` text with that of every dependency,
-    /// `hash` its RIHS01 type hash, each empty if unknown.
-    pub fn ros(topic: &str, type_name: &str, schema: &str, hash: &str) -> Self {
+    /// `hash` its RIHS01 type hash, each empty if unknown; its publishers keep the last `kept` messages for
+    /// subscribers that come later (transient local).
+    pub fn ros(topic: &str, type_name: &str, schema: &str, hash: &str, kept: usize) -> Self {
         Self {
             topic: topic.to_owned(),
             schema: Some(Arc::new(Schema {
@@ -46,7 +47,7 @@ impl Channel {
             })),
             encoding: "cdr".to_owned(),
             metadata: BTreeMap::from([
-                (OFFERED_QOS.to_owned(), metadata::offered_qos_profiles()),
+                (OFFERED_QOS.to_owned(), metadata::offered_qos_profiles(kept)),
                 (TYPE_HASH.to_owned(), hash.to_owned()),
             ]),
         }
@@ -66,6 +67,11 @@ impl Channel {
     pub(super) fn definition(&self) -> String {
         let data = self.schema.as_ref().map_or(&[][..], |schema| &schema.data);
         String::from_utf8_lossy(data).into_owned()
+    }
+
+    /// How many messages its publishers kept for subscribers that came later.
+    pub(super) fn kept(&self) -> usize {
+        qos::kept(&qos::parse(self.offered_qos()))
     }
 
     /// What the writer said about quality of service; empty if nothing.

@@ -19,9 +19,10 @@ use crate::frame::Stamp;
 /// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
 const VERSION: u32 = 9;
 
-/// The value of a channel's `offered_qos_profiles` where eddy writes it: a list as a text.
-pub(super) fn offered_qos_profiles() -> String {
-    to_yaml(&[QosProfile::default()])
+/// The value of a channel's `offered_qos_profiles` where eddy writes it, for publishers that keep so many
+/// messages for subscribers that come later: a list as a text.
+pub(super) fn offered_qos_profiles(kept: usize) -> String {
+    to_yaml(&[QosProfile::keeping(kept)])
 }
 
 fn to_yaml<T: Serialize>(value: &T) -> String {
@@ -249,7 +250,7 @@ mod tests {
             topic: "/particles".into(),
             schema: None,
             encoding: "cdr".into(),
-            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), offered_qos_profiles())]),
+            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), offered_qos_profiles(0))]),
         };
         let topic = WrittenTopic {
             name: "/particles".into(),

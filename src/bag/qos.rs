@@ -23,6 +23,9 @@ const LIVELINESS: &[&str] = &[
     "best_available",
 ];
 
+/// The durability of publishers that keep messages for subscribers that come later.
+const TRANSIENT_LOCAL: &str = "transient_local";
+
 /// `rmw_time_t` of a duration without end: 2^63 - 1 nanoseconds.
 const INFINITE: QosTime = QosTime { sec: 9_223_372_036, nsec: 854_775_807 };
 
@@ -65,6 +68,30 @@ impl Default for QosProfile {
             avoid_ros_namespace_conventions: false,
         }
     }
+}
+
+impl QosProfile {
+    /// That of publishers that keep so many messages for subscribers that come later.
+    pub(super) fn keeping(kept: usize) -> Self {
+        match kept {
+            0 => Self::default(),
+            kept => Self {
+                depth: kept as u64,
+                durability: TRANSIENT_LOCAL.to_owned(),
+                ..Self::default()
+            },
+        }
+    }
+}
+
+/// How many messages publishers with these profiles keep together for subscribers that come later; none
+/// unless all of them do.
+pub(super) fn kept(profiles: &[QosProfile]) -> usize {
+    if profiles.iter().any(|profile| profile.durability != TRANSIENT_LOCAL) {
+        return 0;
+    }
+    let depth = |profile: &QosProfile| usize::try_from(profile.depth.max(1)).unwrap_or(usize::MAX);
+    profiles.iter().map(depth).fold(0, usize::saturating_add)
 }
 
 /// The profiles in a channel's metadata; none if the text is empty or says something else.
@@ -117,6 +144,17 @@ mod tests {
         assert_eq!(parse(numbers), [expected]);
         let words = serde_saphyr::to_string(&[QosProfile::default()]).unwrap();
         assert_eq!(parse(&words), [QosProfile::default()]);
+    }
+
+    #[test]
+    fn what_publishers_keep_adds_up_if_all_of_them_keep_something() {
+        let profiles = [3, 0, 2].map(QosProfile::keeping);
+        assert_eq!(kept(&profiles), 0);
+        assert_eq!(kept(&[profiles[0].clone(), profiles[2].clone()]), 5);
+        assert_eq!(kept(&[]), 0);
+        // rosbag2 knows no depth of publishers whose history is unknown.
+        let unknown = QosProfile { depth: 0, ..QosProfile::keeping(1) };
+        assert_eq!(kept(&[unknown]), 1);
     }
 
     #[test]

@@ -31,6 +31,8 @@ pub struct TopicInfo {
     pub hash: Option<String>,
     /// How many messages it has.
     pub message_count: u64,
+    /// How many messages its publishers kept for subscribers that came later (transient local).
+    pub kept: usize,
 }
 
 /// A topic's name and type, shared by its messages.
@@ -106,7 +108,9 @@ impl BagReader {
                     schema: channel.definition(),
                     hash: channel.type_hash().map(str::to_owned),
                     message_count: 0,
+                    kept: 0,
                 });
+                topic.kept = topic.kept.max(channel.kept());
                 topic.message_count += file.counts.get(id).copied().unwrap_or_default();
             }
         }

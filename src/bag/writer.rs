@@ -209,6 +209,22 @@ impl BagWriter {
         schema: &str,
         hash: &str,
     ) -> Result<TopicId, BagError> {
+        self.kept_topic(name, type_name, schema, hash, 0)
+    }
+
+    /// Adds a topic of any type, whose publishers keep the last `kept` messages for subscribers that come
+    /// later (transient local).
+    ///
+    /// # Errors
+    /// As [`BagWriter::topic`].
+    pub fn kept_topic(
+        &mut self,
+        name: &str,
+        type_name: &str,
+        schema: &str,
+        hash: &str,
+        kept: usize,
+    ) -> Result<TopicId, BagError> {
         if let Some(known) = self.topics.iter().position(|topic| topic.name == name) {
             if self.topics[known].type_name != type_name {
                 return Err(BagError::TopicType {
@@ -220,7 +236,7 @@ impl BagWriter {
             }
             return Ok(TopicId(known));
         }
-        self.channel(&Arc::new(Channel::ros(name, type_name, schema, hash)))
+        self.channel(&Arc::new(Channel::ros(name, type_name, schema, hash, kept)))
     }
 
     /// Adds a topic as another writer described it, or gives the id it already has. Equal topics with

@@ -33,12 +33,18 @@ impl Recorder {
         self.bag.topic(name, type_name)
     }
 
-    /// Adds a topic of any type, or gives the id it already has.
+    /// Adds a topic of any type, or gives the id it already has. Its publishers keep the last `kept`
+    /// messages for subscribers that come later.
     ///
     /// # Errors
-    /// As [`BagWriter::topic_with_schema`].
-    pub fn topic_of(&mut self, name: &str, of: &TypeSupport) -> Result<TopicId, BagError> {
-        self.bag.topic_with_schema(name, &of.name, &of.schema, &of.hash)
+    /// As [`BagWriter::kept_topic`].
+    pub fn topic_of(
+        &mut self,
+        name: &str,
+        of: &TypeSupport,
+        kept: usize,
+    ) -> Result<TopicId, BagError> {
+        self.bag.kept_topic(name, &of.name, &of.schema, &of.hash, kept)
     }
 
     /// Has `metadata.yaml` say one more thing.

@@ -1,6 +1,7 @@
 //! Opens publishers and subscribers by their links; one session for each middleware.
 
 use std::{
+    num::NonZeroUsize,
     ops::RangeInclusive,
     path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
@@ -185,6 +186,21 @@ impl Transports {
         support: &TypeSupport,
         reliability: Reliability,
     ) -> Result<Box<dyn Publisher>, TransportError> {
+        self.keeping_publisher_of(link, support, reliability, None)
+    }
+
+    /// A publisher that on Zenoh keeps its last `kept` messages for subscribers that come later, as ROS 2
+    /// has it for topics such as `/tf_static` (transient local). Elsewhere these get what comes after them.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn keeping_publisher_of(
+        &self,
+        link: &Link,
+        support: &TypeSupport,
+        reliability: Reliability,
+        kept: Option<NonZeroUsize>,
+    ) -> Result<Box<dyn Publisher>, TransportError> {
         let type_name = support.name.as_str();
         let patience = self.shared.options.patience;
         Ok(match link.transport {
@@ -195,7 +211,7 @@ impl Transports {
                 self.shm(link)?.publisher(link, type_name, reliability, patience)?
             }
             TransportKind::Zenoh => {
-                Box::new(self.zenoh(link)?.publisher(link, support, reliability)?)
+                Box::new(self.zenoh(link)?.publisher(link, support, reliability, kept)?)
             }
             TransportKind::Dds => {
                 Box::new(self.dds(link)?.publisher(link, support, reliability)?)
@@ -205,6 +221,7 @@ impl Transports {
 
     /// A subscriber to messages of type `type_name`. It keeps the messages it is behind in a
     /// bounded queue; a full one holds blocking publishers back and is passed over by the others.
+    /// On Zenoh it also gets what publishers have kept for it.
     ///
     /// # Errors
     /// As [`Transports::publisher`].

@@ -12,6 +12,9 @@ pub struct SeenTopic {
     pub type_name: String,
     /// RIHS01 type hash, where the transport tells.
     pub hash: Option<String>,
+    /// How many messages its publishers keep for subscribers that come later (transient local), where the
+    /// transport tells.
+    pub kept: usize,
 }
 
 impl SeenTopic {

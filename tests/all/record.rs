@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     process::Command,
     thread,
@@ -95,6 +96,31 @@ fn findings(path: &Path) -> Vec<String> {
     let mut survey = Survey::of(&bag, |_| ());
     survey.check_files(&bag);
     survey.findings
+}
+
+#[test]
+fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
+    let world = World::new();
+    let (link, words) = (world.link("zenoh", "latched"), type_support(RosString::TYPE).unwrap());
+    let kept = NonZeroUsize::new(2);
+    let mut publisher =
+        world.transports.keeping_publisher_of(&link, words, Reliability::Block, kept).unwrap();
+    for text in ["zero", "one", "two"] {
+        publisher.publish_cdr(&word(text)).unwrap();
+    }
+    let mut recorder = Process::start(&mut world.record(&[
+        "--regex",
+        &format!("^{}/", world.prefix),
+        "--from",
+        "zenoh",
+        "--max-messages",
+        "2",
+    ]));
+    assert!(recorder.wait().success());
+    let bag = BagReader::open(&world.bag()).unwrap();
+    assert_eq!(bag.topics()[0].kept, 2);
+    let recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
+    assert_eq!(recorded, [word("one"), word("two")]);
 }
 
 #[test]

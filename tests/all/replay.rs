@@ -18,6 +18,7 @@ use eddy::{
         Clock, Message, RosString, Time, TypeSupport, cdr,
         playback::{Paused, PlayingRate, SeekRequest, Success},
         services::Empty,
+        type_support,
     },
     node::{Asked, Player, PlayerOptions, Stage, play},
     transport::{Link, Subscriber, TransportOptions, Transports},
@@ -263,6 +264,27 @@ fn on_zenoh_the_player_does_what_its_services_are_asked() {
     tell("resume", "Resume");
     assert_eq!(next(&mut *words), word("600000"));
     assert!(player.wait().success());
+}
+
+#[test]
+fn what_was_kept_when_it_was_recorded_is_kept_when_it_is_replayed() {
+    let world = World::new();
+    let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
+    let words = type_support(RosString::TYPE).unwrap();
+    let topic = bag.kept_topic("/a", &words.name, &words.schema, &words.hash, 1).unwrap();
+    for seconds in [0, 600] {
+        let stamp = Stamp(seconds * 1_000_000_000);
+        bag.write(topic, stamp, stamp, &word(&seconds.to_string())).unwrap();
+    }
+    bag.finish().unwrap();
+    let link = world.link("zenoh", "a");
+    let mut first = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let player = Process::start(&mut world.replay("zenoh", &[]));
+    assert_eq!(next(&mut *first), word("0"));
+    // The next message is ten minutes away.
+    let mut second = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    assert_eq!(next(&mut *second), word("0"));
+    player.kill();
 }
 
 #[test]

@@ -35,7 +35,7 @@ pub fn clouds(
         let support = type_support(PointCloud2::TYPE)
             .map_err(|reason| BagError::Type { topic: topic.clone(), reason })?;
         let channel =
-            Channel::ros(&beside(&topic), PointCloud2::TYPE, &support.schema, &support.hash);
+            Channel::ros(&beside(&topic), PointCloud2::TYPE, &support.schema, &support.hash, 0);
         channels.insert(topic, Arc::new(channel));
     }
     let with_clouds = bag.messages().flat_map(|message| {

@@ -61,7 +61,7 @@ pub fn run(
     };
     let mut inputs = Vec::new();
     for (link, type_name) in args.links.iter().zip(types) {
-        let topic = SeenTopic { link: link.clone(), type_name, hash: None };
+        let topic = SeenTopic { link: link.clone(), type_name, hash: None, kept: 0 };
         let subscriber = transports.subscriber_of(link, &topic.type_support())?;
         inputs.push(Received::Opened(topic, subscriber));
     }
@@ -170,7 +170,7 @@ fn record(
     thread::scope(|scope| {
         let (stop, mut receivers) = (&stop, Vec::new());
         let mut open = |recorder: &mut Recorder, topic: SeenTopic, subscriber| {
-            let id = recorder.topic_of(&topic.link.topic, &topic.type_support())?;
+            let id = recorder.topic_of(&topic.link.topic, &topic.type_support(), topic.kept)?;
             let (link, output) = (&topic.link, args.output.display());
             println!("recording {link} ({}) into {output}", topic.type_name);
             let producer = cache.producer();

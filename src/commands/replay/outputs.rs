@@ -1,6 +1,6 @@
 //! A publisher for every topic, and one for the clock.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{collections::HashMap, num::NonZeroUsize, sync::Arc};
 
 use anyhow::{Context, bail};
 
@@ -100,7 +100,9 @@ impl Outputs {
         for topic in bag.topics().iter().filter(|topic| topics.contains(&topic.name)) {
             let link = link_of(&topic.name)?;
             let support = support(topic, args.to)?;
-            let publisher = transports.publisher_of(&link, &support, args.reliability)?;
+            let kept = NonZeroUsize::new(topic.kept);
+            let publisher =
+                transports.keeping_publisher_of(&link, &support, args.reliability, kept)?;
             println!("publishing {} on {link} ({})", topic.name, topic.type_name);
             let key = (topic.name.as_str().into(), topic.type_name.as_str().into());
             publishers.insert(key, (link, publisher));

@@ -108,7 +108,7 @@ impl DdsNode {
         let seen = |name: &str, type_name: &str| {
             let topic = name.strip_prefix("rt")?;
             let link = format!("{}:{topic}", TransportKind::Dds).parse().ok()?;
-            Some(SeenTopic { link, type_name: ros_type(type_name)?, hash: None })
+            Some(SeenTopic { link, type_name: ros_type(type_name)?, hash: None, kept: 0 })
         };
         let named =
             |topic: DiscoveredTopicData| seen(&topic.topic_data.name, &topic.topic_data.type_name);

@@ -175,7 +175,7 @@ fn seen(service: &StaticConfig) -> Option<SeenTopic> {
         let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
         (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
     })?;
-    Some(SeenTopic { link, type_name, hash: None })
+    Some(SeenTopic { link, type_name, hash: None, kept: 0 })
 }
 
 /// Errors of a service that is not there, or that another process is creating or removing right now.

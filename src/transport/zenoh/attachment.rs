@@ -7,7 +7,7 @@
 /// Bytes of an endpoint's identifier.
 const GID_LENGTH: usize = 16;
 /// Bytes of an attachment.
-const LENGTH: usize = 8 + 8 + 1 + GID_LENGTH;
+pub(super) const LENGTH: usize = 8 + 8 + 1 + GID_LENGTH;
 
 /// What a publisher says about a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

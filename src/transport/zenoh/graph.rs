@@ -1,13 +1,14 @@
 //! Who else is on a topic: the liveliness tokens of its other side.
 
 use std::{
-    collections::HashSet,
+    collections::{BTreeMap, HashSet},
+    num::NonZeroUsize,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
-use super::keys::{Endpoint, publishers, topic_in, type_in};
+use super::keys::{Endpoint, kept_in, publishers, topic_in, type_in};
 use crate::transport::{SeenTopic, TransportKind};
 
 /// The endpoints on the other side of our topic: counted, and told from those of another type.
@@ -56,16 +57,28 @@ impl Graph {
     }
 }
 
-/// The topics that have a publisher somewhere.
+/// The topics that have a publisher somewhere. What several publishers keep adds up; one that keeps nothing
+/// makes the topic volatile.
 pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<SeenTopic>> {
     let replies = session.liveliness().get(publishers(domain_id)).wait()?;
     let seen = |token: &str| {
         let (topic, (type_name, hash)) = (topic_in(token)?, type_in(token)?);
         let link = format!("{}:{topic}", TransportKind::Zenoh).parse().ok()?;
-        Some(SeenTopic { link, type_name, hash: Some(hash.to_owned()) })
+        Some(SeenTopic { link, type_name, hash: Some(hash.to_owned()), kept: 0 })
     };
-    let tokens = replies.iter().filter_map(|reply| reply.into_result().ok());
-    Ok(tokens.filter_map(|token| seen(token.key_expr().as_str())).collect())
+    let mut topics: BTreeMap<SeenTopic, Option<usize>> = BTreeMap::new();
+    for token in replies.iter().filter_map(|reply| reply.into_result().ok()) {
+        let token = token.key_expr().as_str();
+        let Some(topic) = seen(token) else { continue };
+        let kept = kept_in(token).map(NonZeroUsize::get);
+        topics
+            .entry(topic)
+            .and_modify(|sum| *sum = sum.zip(kept).map(|(sum, kept)| sum.saturating_add(kept)))
+            .or_insert(kept);
+    }
+    let with_kept =
+        |(topic, kept): (_, Option<_>)| SeenTopic { kept: kept.unwrap_or_default(), ..topic };
+    Ok(topics.into_iter().map(with_kept).collect())
 }
 
 /// Shows a node or an endpoint to the others until it is dropped.

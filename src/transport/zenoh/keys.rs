@@ -1,6 +1,8 @@
 //! Names on the wire: key expressions, liveliness tokens, quality of service, GIDs
 //! (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`).
 
+use std::num::NonZeroUsize;
+
 use zenoh::session::ZenohId;
 
 use crate::{
@@ -12,6 +14,8 @@ use crate::{
 const ADMIN_SPACE: &str = "@ros2_lv";
 /// Stands for an empty enclave or namespace; within names, for `/`.
 const EMPTY: &str = "%";
+/// The durability of publishers that keep messages for subscribers that come later, as a code.
+const TRANSIENT_LOCAL: &str = "1";
 /// Messages kept, as advertised for dropping publishers (the ROS 2 default).
 const ADVERTISED_DEPTH: usize = 10;
 
@@ -140,12 +144,24 @@ pub(super) fn publishers(domain_id: u16) -> String {
 }
 
 /// What a publisher promises: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each
-/// empty where it equals rmw_zenoh's default of reliable, volatile, keep last.
-pub(super) fn publisher_qos(reliability: Reliability) -> String {
-    match reliability {
-        Reliability::Block => "::2,:,:,:,,".to_owned(),
-        Reliability::Drop => best_effort(ADVERTISED_DEPTH),
+/// empty where it equals rmw_zenoh's default of reliable, volatile, keep last. One that keeps its last
+/// messages for subscribers that come later is transient local.
+pub(super) fn publisher_qos(reliability: Reliability, kept: Option<NonZeroUsize>) -> String {
+    match (reliability, kept) {
+        (Reliability::Block, Some(depth)) => format!(":{TRANSIENT_LOCAL}:,{depth}:,:,:,,"),
+        (Reliability::Drop, Some(depth)) => format!("2:{TRANSIENT_LOCAL}:,{depth}:,:,:,,"),
+        (Reliability::Block, None) => "::2,:,:,:,,".to_owned(),
+        (Reliability::Drop, None) => best_effort(ADVERTISED_DEPTH),
     }
+}
+
+/// How many messages a publisher keeps for subscribers that come later, by its token; none if it is
+/// volatile.
+pub(super) fn kept_in(token: &str) -> Option<NonZeroUsize> {
+    let mut policies = token.split('/').nth(12)?.split(':').skip(1);
+    let (durability, history) = (policies.next()?, policies.next()?);
+    let depth = history.split(',').nth(1).and_then(|depth| depth.parse().ok());
+    (durability == TRANSIENT_LOCAL).then(|| depth.unwrap_or(NonZeroUsize::MIN))
 }
 
 /// What a service promises: reliable, volatile, keep last, as the services of ROS 2 do.
@@ -187,7 +203,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_rmw_zenoh() {
-        let qos = publisher_qos(Reliability::Block);
+        let qos = publisher_qos(Reliability::Block, None);
         let endpoint = endpoint("zenoh:/chatter", RosString::TYPE, Side::Publisher, &qos);
         let hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
         assert_eq!(endpoint.key, format!("7/chatter/std_msgs::msg::dds_::String_/{hash}"));
@@ -244,9 +260,27 @@ mod tests {
     }
 
     #[test]
+    fn what_a_publisher_keeps_is_read_back_from_its_token() {
+        for (qos, kept) in [
+            (publisher_qos(Reliability::Block, NonZeroUsize::new(7)), 7),
+            (publisher_qos(Reliability::Drop, NonZeroUsize::new(3)), 3),
+            (publisher_qos(Reliability::Block, None), 0),
+            (":1:,:,:,:,,".to_owned(), 1),
+            ("nothing".to_owned(), 0),
+        ] {
+            let endpoint = endpoint("zenoh:/a", RosString::TYPE, Side::Publisher, &qos);
+            assert_eq!(kept_in(&endpoint.token).map_or(0, NonZeroUsize::get), kept, "{qos}");
+        }
+    }
+
+    #[test]
     fn quality_of_service_is_written_as_rmw_zenoh_writes_it() {
-        assert_eq!(publisher_qos(Reliability::Block), "::2,:,:,:,,");
-        assert_eq!(publisher_qos(Reliability::Drop), "2::,10:,:,:,,");
+        assert_eq!(publisher_qos(Reliability::Block, None), "::2,:,:,:,,");
+        assert_eq!(publisher_qos(Reliability::Drop, None), "2::,10:,:,:,,");
+        let one = Some(NonZeroUsize::MIN);
+        assert_eq!(publisher_qos(Reliability::Block, one), ":1:,1:,:,:,,");
+        assert_eq!(publisher_qos(Reliability::Drop, one), "2:1:,1:,:,:,,");
+        assert_eq!(service_qos(10), "::,10:,:,:,,");
         assert_eq!(subscriber_qos(64), "2::,64:,:,:,,");
     }
 

@@ -5,7 +5,8 @@
 //! 3. [`attachment`]: the 33 bytes beside every message.
 //! 4. [`graph`]: who else is on a topic, by liveliness tokens.
 //! 5. [`publisher`], [`subscriber`]: messages.
-//! 6. [`service`]: requests and their responses.
+//! 6. [`latched`]: messages for subscribers that come later.
+//! 7. [`service`]: requests and their responses.
 //!
 //! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
 //! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
@@ -13,18 +14,20 @@
 //! tools could not tie a message to its publisher; it turns on all of zenoh's default features (TLS, QUIC, serial
 //! lines, shared memory); and it builds zenoh a second time as a build dependency. Its part for names and tokens,
 //! `hiroz-protocol` 0.2.1, compiles only with its feature `std`, which turns on the same features; the
-//! names are short enough to be written here. `zenoh-ext` is not needed: no topic of eddy's is transient local.
+//! names are short enough to be written here.
 
 mod attachment;
 mod config;
 mod graph;
 mod keys;
+mod latched;
 mod publisher;
 mod service;
 mod subscriber;
 
 use std::{
     fmt::Display,
+    num::NonZeroUsize,
     sync::{
         Arc,
         atomic::{AtomicUsize, Ordering},
@@ -72,10 +75,11 @@ impl ZenohNode {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
+        kept: Option<NonZeroUsize>,
     ) -> Result<ZenohPublisher, TransportError> {
-        let qos = keys::publisher_qos(reliability);
+        let qos = keys::publisher_qos(reliability, kept);
         let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
-        ZenohPublisher::open(self, endpoint, reliability)
+        ZenohPublisher::open(self, endpoint, reliability, kept)
     }
 
     pub(super) fn subscriber(

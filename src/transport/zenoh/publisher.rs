@@ -1,14 +1,15 @@
 //! Publishes one topic.
 
-use std::sync::Arc;
+use std::{num::NonZeroUsize, sync::Arc};
 
-use zenoh::{Wait, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
+use zenoh::{Wait, bytes::ZBytes, liveliness::LivelinessToken, pubsub, qos::CongestionControl};
 
 use super::{
     ZenohNode,
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
+    latched::Kept,
     middleware,
 };
 use crate::{
@@ -21,13 +22,15 @@ pub(in crate::transport) struct ZenohPublisher {
     link: Link,
     type_name: String,
     publisher: pubsub::Publisher<'static>,
+    /// For subscribers that come later.
+    kept: Option<Kept>,
     gid: [u8; 16],
     /// Number of the last message; the first one is 1.
     sequence: i64,
     graph: Graph,
     _token: LivelinessToken,
     /// The session ends with its last user.
-    _node: Arc<ZenohNode>,
+    node: Arc<ZenohNode>,
 }
 
 impl ZenohPublisher {
@@ -35,6 +38,7 @@ impl ZenohPublisher {
         node: &Arc<ZenohNode>,
         endpoint: Endpoint,
         reliability: Reliability,
+        kept: Option<NonZeroUsize>,
     ) -> Result<Self, TransportError> {
         let session = &node.session;
         let graph = Graph::watch(session, &endpoint)
@@ -45,6 +49,10 @@ impl ZenohPublisher {
             Reliability::Block => CongestionControl::Block,
             Reliability::Drop => CongestionControl::Drop,
         };
+        let kept = kept
+            .map(|depth| Kept::open(session, &key, depth))
+            .transpose()
+            .map_err(|error| middleware(&link, "keep messages", &error))?;
         let publisher = session
             .declare_publisher(key)
             .congestion_control(congestion_control)
@@ -52,17 +60,25 @@ impl ZenohPublisher {
             .map_err(|error| middleware(&link, "declare the publisher", &error))?;
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
-        let _node = Arc::clone(node);
-        Ok(Self { link, type_name, publisher, gid, sequence: 0, graph, _token: token, _node })
+        let node = Arc::clone(node);
+        Ok(Self { link, type_name, publisher, kept, gid, sequence: 0, graph, _token: token, node })
     }
 
     fn publish(&mut self, bytes: Vec<u8>) -> Result<(), TransportError> {
         self.sequence += 1;
         let attachment =
             Attachment { sequence: self.sequence, source_time: clock::wall().0, gid: self.gid };
+        let attachment = attachment.to_bytes();
+        let payload = ZBytes::from(bytes);
+        let timestamp = self.kept.as_ref().map(|kept| {
+            let now = self.node.session.new_timestamp();
+            kept.keep(payload.clone(), attachment, now);
+            now
+        });
         self.publisher
-            .put(bytes)
-            .attachment(attachment.to_bytes())
+            .put(payload)
+            .attachment(attachment)
+            .timestamp(timestamp)
             .wait()
             .map_err(|error| middleware(&self.link, "publish", &error))
     }

@@ -3,7 +3,7 @@
 use std::{
     collections::HashMap,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
     time::Duration,
@@ -16,7 +16,7 @@ use super::{
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
-    middleware,
+    latched, middleware,
 };
 use crate::transport::{Payload, Subscriber, TransportError, queue::Queue};
 
@@ -30,6 +30,7 @@ pub(in crate::transport) struct ZenohSubscriber {
     _graph: Graph,
     _token: LivelinessToken,
     _subscriber: pubsub::Subscriber<()>,
+    _kept: pubsub::Subscriber<()>,
     /// The session ends with its last user.
     _node: Arc<ZenohNode>,
 }
@@ -48,15 +49,25 @@ impl ZenohSubscriber {
         });
         let callback = Arc::clone(&intake);
         let subscriber = session
-            .declare_subscriber(key)
+            .declare_subscriber(&key)
             .callback(move |sample| callback.take(&sample))
             .wait()
             .map_err(|error| middleware(&link, "declare the subscriber", &error))?;
+        let callback = Arc::clone(&intake);
+        let kept = latched::collect(node, &key, DEPTH, move |sample| callback.take_kept(sample))
+            .map_err(|error| middleware(&link, "ask for what was kept", &error))?;
         // After the subscription: whoever sees the token can be sure that messages arrive.
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
         let _node = Arc::clone(node);
-        Ok(Self { intake, _graph: graph, _token: token, _subscriber: subscriber, _node })
+        Ok(Self {
+            intake,
+            _graph: graph,
+            _token: token,
+            _subscriber: subscriber,
+            _kept: kept,
+            _node,
+        })
     }
 }
 
@@ -86,14 +97,26 @@ struct Intake {
 }
 
 impl Intake {
-    /// Puts a message into the queue. Waiting for room blocks zenoh's thread, that stops the reading of
-    /// the link, and that holds a blocking publisher back; messages sent to be dropped never wait.
+    /// Takes a message that its publisher kept, unless it came before.
+    fn take_kept(&self, sample: &Sample) {
+        // Who does not number its messages is not ROS: they cannot be told apart.
+        if attachment(sample).is_none_or(|attachment| self.lock().is_new(&attachment)) {
+            self.queue_up(sample);
+        }
+    }
+
+    /// Takes a message that was just published.
     fn take(&self, sample: &Sample) {
-        let attachment = sample.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()));
-        if let Some(attachment) = attachment {
-            let lost = self.gaps.lock().unwrap_or_else(PoisonError::into_inner).count(&attachment);
+        if let Some(attachment) = attachment(sample) {
+            let lost = self.lock().count(&attachment);
             self.lost.fetch_add(lost, Ordering::Relaxed);
         }
+        self.queue_up(sample);
+    }
+
+    /// Puts a message into the queue. Waiting for room blocks zenoh's thread, that stops the reading of
+    /// the link, and that holds a blocking publisher back; messages sent to be dropped never wait.
+    fn queue_up(&self, sample: &Sample) {
         let bytes = sample.payload().to_bytes().into_owned();
         let waited = match sample.congestion_control() {
             CongestionControl::Drop => Err(bytes),
@@ -103,24 +126,67 @@ impl Intake {
             self.queue.push_or_replace(bytes);
         }
     }
+
+    /// Numbers are never left half changed.
+    fn lock(&self) -> MutexGuard<'_, Gaps> {
+        self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
-/// The last message of each publisher.
+fn attachment(sample: &Sample) -> Option<Attachment> {
+    Attachment::parse(&sample.attachment()?.to_bytes())
+}
+
+/// Which messages of each publisher have come.
 #[derive(Default)]
-struct Gaps(HashMap<[u8; 16], i64>);
+struct Gaps(HashMap<[u8; 16], Seen>);
+
+/// The messages of one publisher that have come: those from `first` to `last` as they were published, and
+/// of the ones before, which it had kept, those up to `kept`.
+#[derive(Clone, Copy)]
+struct Seen {
+    first: i64,
+    last: i64,
+    kept: i64,
+}
 
 impl Gaps {
     /// Messages that were published between the last one and this one, but never came.
     fn count(&mut self, message: &Attachment) -> u64 {
-        if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(&message.gid) {
+        let (seen, is_first) = self.seen(message);
+        let last = std::mem::replace(&mut seen.last, message.sequence);
+        if is_first {
+            return 0;
+        }
+        u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0)
+    }
+
+    /// Whether a message that its publisher kept has not come before. Notes it.
+    fn is_new(&mut self, message: &Attachment) -> bool {
+        let sequence = message.sequence;
+        let (seen, is_first) = self.seen(message);
+        if is_first {
+            return true;
+        }
+        if sequence > seen.last {
+            seen.last = sequence;
+            return true;
+        }
+        let is_new = seen.kept < sequence && sequence < seen.first;
+        if is_new {
+            seen.kept = sequence;
+        }
+        is_new
+    }
+
+    /// What is known of a message's publisher, and whether this is the first of its messages.
+    fn seen(&mut self, message: &Attachment) -> (&mut Seen, bool) {
+        let is_first = !self.0.contains_key(&message.gid);
+        if is_first && self.0.len() >= MAX_PUBLISHERS {
             self.0.clear();
         }
-        match self.0.insert(message.gid, message.sequence) {
-            Some(last) => {
-                u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0)
-            }
-            None => 0,
-        }
+        let (first, last) = (message.sequence, message.sequence);
+        (self.0.entry(message.gid).or_insert(Seen { first, last, kept: i64::MIN }), is_first)
     }
 }
 
@@ -138,6 +204,20 @@ mod tests {
         let counts = [(1, 5), (1, 6), (2, 1), (1, 9), (2, 2), (1, 9), (1, 1), (1, 2)]
             .map(|(publisher, sequence)| gaps.count(&message(publisher, sequence)));
         assert_eq!(counts, [0, 0, 0, 2, 0, 0, 0, 0]);
+    }
+
+    #[test]
+    fn kept_messages_come_once_and_leave_no_gap() {
+        let mut gaps = Gaps::default();
+        let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(1, sequence));
+        assert_eq!([3, 4, 4, 3].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
+        assert_eq!(gaps.count(&message(1, 5)), 0);
+        assert_eq!([4, 5, 6, 5].map(|n| kept(&mut gaps, n)), [false, false, true, false]);
+        // A message that was just published came first: those before it are still new.
+        assert_eq!(gaps.count(&message(2, 8)), 0);
+        let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(2, sequence));
+        assert_eq!([6, 7, 8, 6].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
+        assert_eq!(gaps.count(&message(2, 9)), 0);
     }
 
     #[test]

@@ -2,14 +2,21 @@
 
 use std::{
     net::TcpListener,
+    num::NonZeroUsize,
     time::{Duration, Instant},
 };
 
 use eddy::{
-    msg::{Message, ParticleFrame, service_hash, type_support},
-    transport::{Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+    msg::{Message, ParticleFrame, RosString, cdr, service_hash, type_support},
+    transport::{
+        Link, Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions,
+        Transports,
+    },
 };
-use zenoh::{Session, Wait};
+use zenoh::{
+    Session, Wait,
+    query::{ConsolidationMode, ReplyKeyExpr},
+};
 
 use super::{
     DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
@@ -44,7 +51,7 @@ fn router() -> (Session, String) {
     (plain_session(r#""router""#, &format!(r#"["{endpoint}"]"#), "[]"), endpoint)
 }
 
-fn topic_key(link: &eddy::transport::Link) -> String {
+fn topic_key(link: &Link) -> String {
     let hash = &type_support(ParticleFrame::TYPE).unwrap().hash;
     format!("0{}/eddy_msgs::msg::dds_::ParticleFrame_/{hash}", link.topic)
 }
@@ -127,6 +134,111 @@ fn a_service_answers_each_request_under_its_sequence_and_gid() {
     drop(service);
     eventually("the service is gone", || request(1).is_none());
     assert_eq!(client.services(), [""; 0]);
+}
+
+/// A publisher of words that keeps so many of them.
+fn keeping(transports: &Transports, link: &Link, kept: usize) -> Box<dyn Publisher> {
+    let words = type_support(RosString::TYPE).unwrap();
+    let kept = NonZeroUsize::new(kept);
+    transports.keeping_publisher_of(link, words, Reliability::Block, kept).unwrap()
+}
+
+fn word(word: &str) -> Vec<u8> {
+    cdr::encode(&RosString { data: word.to_owned() })
+}
+
+fn next_word(subscriber: &mut dyn Subscriber) -> Vec<u8> {
+    subscriber.receive(DEADLINE).unwrap().expect("a word comes").into_cdr()
+}
+
+#[test]
+fn who_comes_later_gets_what_was_kept_and_every_message_once() {
+    let (options, link) = (options(), link("zenoh"));
+    let (here, there) = (Transports::new(options.clone()), Transports::new(options));
+    let mut publisher = keeping(&here, &link, 3);
+    for number in 0..5 {
+        publisher.publish_cdr(&word(&number.to_string())).unwrap();
+    }
+    let mut subscriber = there.subscriber(&link, RosString::TYPE).unwrap();
+    for number in 2..5 {
+        assert_eq!(next_word(&mut *subscriber), word(&number.to_string()));
+    }
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_cdr(&word("5")).unwrap();
+    assert_eq!(next_word(&mut *subscriber), word("5"));
+    // One that comes later still.
+    let mut another = there.subscriber(&link, RosString::TYPE).unwrap();
+    for number in 3..6 {
+        assert_eq!(next_word(&mut *another), word(&number.to_string()));
+    }
+    for subscriber in [&mut subscriber, &mut another] {
+        assert_eq!(subscriber.receive(Duration::from_millis(200)).unwrap(), None);
+        assert_eq!(subscriber.refused(), 0);
+    }
+    // Who comes first gets what comes, and nothing twice.
+    let elsewhere = link.with_topic(&format!("{}/later", link.topic));
+    let mut early = there.subscriber(&elsewhere, RosString::TYPE).unwrap();
+    let mut publisher = keeping(&here, &elsewhere, 1);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    for number in 0..3 {
+        publisher.publish_cdr(&word(&number.to_string())).unwrap();
+        assert_eq!(next_word(&mut *early), word(&number.to_string()));
+    }
+    assert_eq!(early.receive(Duration::from_millis(200)).unwrap(), None);
+}
+
+#[test]
+fn what_is_kept_is_told_and_adds_up_unless_a_publisher_keeps_nothing() {
+    let (options, link) = (options(), link("zenoh"));
+    let (here, there) = (Transports::new(options.clone()), Transports::new(options));
+    let kept = || {
+        let topics = there.topics(TransportKind::Zenoh).unwrap();
+        topics.iter().find(|topic| topic.link == link).map(|topic| topic.kept)
+    };
+    let _first = keeping(&here, &link, 2);
+    eventually("the first is seen", || kept() == Some(2));
+    let _second = keeping(&here, &link, 1);
+    eventually("the second is seen", || kept() == Some(3));
+    let _third = here.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
+    eventually("the third is seen", || kept() == Some(0));
+}
+
+/// As `AdvancedSubscriber` of zenoh-ext finds and asks a publisher.
+#[test]
+fn what_is_kept_is_found_and_given_as_zenoh_ext_has_it() {
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let mut publisher = keeping(&transports, &link, 2);
+    for text in ["one", "two", "three"] {
+        publisher.publish_cdr(&word(text)).unwrap();
+    }
+    let peer = plain_peer(&options);
+    let hash = &type_support(RosString::TYPE).unwrap().hash;
+    let key = format!("0{}/std_msgs::msg::dds_::String_/{hash}", link.topic);
+    let find = || {
+        let tokens = peer.liveliness().get(format!("{key}/@adv/pub/**")).wait().unwrap();
+        tokens.recv().ok().map(|reply| reply.result().unwrap().key_expr().to_string())
+    };
+    eventually("the publisher is found", || find().is_some());
+    let place = find().unwrap();
+    let zid = place.split('/').rev().nth(2).unwrap();
+    assert_eq!(place, format!("{key}/@adv/pub/{zid}/uhlc/_"));
+    let ask = |selector: String| {
+        let asked = peer.get(selector).accept_replies(ReplyKeyExpr::Any);
+        let replies = asked.consolidation(ConsolidationMode::None).wait().unwrap();
+        let samples = replies.iter().map(|reply| reply.into_result().unwrap());
+        samples.collect::<Vec<_>>()
+    };
+    let all = ask(format!("{key}/@adv/**"));
+    let words: Vec<_> = all.iter().map(|sample| sample.payload().to_bytes().into_owned()).collect();
+    assert_eq!(words, [word("two"), word("three")]);
+    let numbers = all.iter().map(|sample| sample.attachment().unwrap().to_bytes()[0]);
+    assert_eq!(numbers.collect::<Vec<_>>(), [2, 3]);
+    assert!(all.iter().all(|sample| sample.key_expr().as_str() == key));
+    assert!(all[0].timestamp().unwrap() < all[1].timestamp().unwrap());
+    let newest = ask(format!("{key}/@adv/pub/**?_max=1"));
+    assert_eq!(newest.len(), 1);
+    assert_eq!(newest[0].payload().to_bytes(), word("three"));
 }
 
 #[test]
