@@ -30,7 +30,7 @@ pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListAr
 #[derive(Debug, Parser)]
 #[command(name = "eddy", version, propagate_version = true)]
 pub struct Cli {
-    /// No progress bars, no live lines.
+    /// No progress bars, no live lines, no remarks on what was done.
     #[arg(long, short, global = true)]
     pub quiet: bool,
 
@@ -219,7 +219,7 @@ pub struct RecordArgs {
     /// The bag: a directory that does not exist yet.
     #[arg(long, short)]
     pub output: PathBuf,
-    /// Begin a new file before one is larger than this (bytes, without its index).
+    /// Begin a new file before one is larger than this (bytes).
     #[arg(long, short = 'b', visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_bag_size: Option<u64>,
     /// Begin a new file when one is so long (seconds).

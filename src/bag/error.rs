@@ -150,9 +150,9 @@ pub enum BagError {
         path: PathBuf,
     },
     /// The user wanted no more.
-    #[error("{path}: interrupted before it was whole, nothing was kept", path = .path.display())]
+    #[error("{path}: interrupted before the work was done, nothing was changed", path = .path.display())]
     Interrupted {
-        /// The bag that was not written.
+        /// The bag that was not written, or the file that was being read.
         path: PathBuf,
     },
     /// A file is still being written, or was left so.
@@ -180,6 +180,12 @@ impl BagError {
     pub(super) fn is_out_of_room(error: &io::Error) -> bool {
         use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
         matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    }
+
+    /// Whether the disk has these bytes but cannot read them: a bad sector. What is beside them may be
+    /// readable.
+    pub(super) fn is_unreadable(error: &io::Error) -> bool {
+        rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
     }
 
     /// For `map_err`: an [`BagError::Io`] of `action` on `path`.

@@ -9,7 +9,8 @@
 //! 6. `qos`, `metadata`: `metadata.yaml`, version 9.
 //!
 //! Reading:
-//! 7. `record`: the records of a file, one after the other.
+//! 7. `record`: the records of a file, one after the other; `parse`: what is in them; `extra`: those
+//!    beside messages.
 //! 8. `index`: where messages lie in a file: from its summary, or by a `walk` through the file;
 //!    `resync` finds where to go on behind damage.
 //! 9. `segment`: one piece of a file, decompressed and checked.
@@ -28,10 +29,12 @@ mod channel;
 mod draft;
 mod edit;
 mod error;
+mod extra;
 mod index;
 mod layout;
 mod messages;
 mod metadata;
+mod parse;
 mod part;
 mod qos;
 mod reader;
@@ -45,8 +48,8 @@ mod writer;
 
 pub use channel::{Channel, Schema};
 pub use edit::{
-    CopyOptions, InvalidMoment, Moment, Recovered, Reindexed, TopicChoice, clouds, extract, merge,
-    recover, reindex, without_cloud,
+    CopyOptions, InvalidMoment, Moment, Recovered, Recovery, Reindexed, TopicChoice, clouds,
+    extract, merge, reindex, without_cloud,
 };
 pub use error::BagError;
 pub use layout::find_bags;

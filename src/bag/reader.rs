@@ -6,9 +6,12 @@ use std::{
     sync::Arc,
 };
 
+use mcap::records::op;
+
 use super::{
     channel::Channel,
     error::BagError,
+    extra::Extra,
     index::FileIndex,
     layout,
     messages::{Messages, Selection},
@@ -91,13 +94,14 @@ impl BagReader {
         Self::open_files(path, &layout::files_of(path)?)
     }
 
-    /// Opens these files as one bag that is called `path`.
-    pub(super) fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
-        let files = files
-            .iter()
-            .enumerate()
-            .map(|(number, file)| FileIndex::open(file, number))
-            .collect::<Result<Vec<_>, _>>()?;
+    fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
+        let files = files.iter().enumerate();
+        let files = files.map(|(number, file)| FileIndex::open(file, number));
+        Ok(Self::of_files(path, files.collect::<Result<_, _>>()?))
+    }
+
+    /// These files, numbered in their order, as one bag that is called `path`.
+    pub(super) fn of_files(path: &Path, files: Vec<FileIndex>) -> Self {
         let mut topics = BTreeMap::new();
         for file in &files {
             for (id, channel) in &file.channels {
@@ -139,7 +143,7 @@ impl BagReader {
             .collect();
         let path = path.into();
         let contents = Contents { path, files, topics, names, channels, distinct };
-        Ok(Self { contents: Arc::new(contents) })
+        Self { contents: Arc::new(contents) }
     }
 
     /// The path it was opened with.
@@ -208,6 +212,22 @@ impl BagReader {
             (Some(start), Some(end)) => Stamp(end.0 - start.0).seconds(),
             _ => 0.0,
         }
+    }
+
+    /// How many attachments it has, and how many metadata records.
+    pub fn extra_counts(&self) -> [usize; 2] {
+        [op::ATTACHMENT, op::METADATA].map(|opcode| {
+            let extras = self.contents.files.iter().flat_map(|file| &file.extras);
+            extras.filter(|extra| extra.opcode == opcode).count()
+        })
+    }
+
+    /// Its attachments and metadata records, in the order of the files.
+    pub(super) fn extras(&self) -> impl Iterator<Item = Result<Extra, BagError>> {
+        self.contents
+            .files
+            .iter()
+            .flat_map(|file| file.extras.iter().map(|extra| Extra::read(&file.path, extra)))
     }
 
     /// All messages, in the order of their log time.

@@ -10,8 +10,13 @@ use std::{
 
 use mcap::{MAGIC, records::op};
 
+use super::{error::BagError, resync::Searched};
+
 /// Opcode and length.
 pub(super) const HEADER_SIZE: u64 = 9;
+
+/// No record has this opcode: bytes that were never written, most likely.
+pub(super) const NO_RECORD: u8 = 0;
 
 /// Body of the footer: start of the summary, start of its offsets, checksum.
 const FOOTER_BODY: u64 = 20;
@@ -66,12 +71,13 @@ pub(super) struct Records {
     pub(super) size: u64,
     /// Where the next record starts.
     pub(super) position: u64,
+    pub(super) searched: Searched,
 }
 
 impl Records {
     /// Starts at a byte position of a file of `size` bytes.
     pub(super) fn new(file: File, size: u64, position: u64) -> Self {
-        Self { file: BufReader::new(file), size, position }
+        Self { file: BufReader::new(file), size, position, searched: Searched::default() }
     }
 
     /// The next record's place; its body is passed over, unless [`Records::read`] is called for it.
@@ -107,8 +113,11 @@ impl Records {
         let available = self.size.saturating_sub(chunk.body()).min(chunk.length);
         let mut start =
             vec![0; available.min((CHUNK_FIXED + COMPRESSION_NAME_LIMIT) as u64) as usize];
-        self.read_at(chunk.body(), &mut start)?;
-        Ok(ChunkHeader::parse(&start))
+        match self.read_at(chunk.body(), &mut start) {
+            Ok(()) => Ok(ChunkHeader::parse(&start)),
+            Err(error) if BagError::is_unreadable(&error) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     pub(super) fn read_at(&mut self, position: u64, into: &mut [u8]) -> io::Result<()> {
@@ -136,6 +145,11 @@ pub(super) struct ChunkHeader {
 }
 
 impl ChunkHeader {
+    /// How long the chunk's body is by what it states about itself (bytes).
+    pub(super) fn length(&self) -> Option<u64> {
+        self.compressed.checked_add(self.records as u64)
+    }
+
     /// The header at the start of a chunk's body, if it is there whole.
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
         let number = |at: usize| body.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
@@ -183,6 +197,8 @@ pub(super) fn name(opcode: u8) -> String {
         op::CHUNK => "chunk",
         op::MESSAGE_INDEX => "message index",
         op::CHUNK_INDEX => "chunk index",
+        op::ATTACHMENT => "attachment",
+        op::METADATA => "metadata record",
         op::STATISTICS => "statistics",
         op::DATA_END => "data end",
         other => return format!("record with opcode {other:#04x}"),

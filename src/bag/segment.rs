@@ -7,13 +7,14 @@ use std::{
 };
 
 use mcap::{
-    McapError, McapResult, parse_record,
+    McapError, McapResult,
     records::{Record, op},
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
 use super::{
     error::BagError,
+    parse,
     record::{self, ChunkHeader, HEADER_SIZE, SIZE_LIMIT},
 };
 
@@ -67,7 +68,7 @@ impl Segment {
         if self.length > SIZE_LIMIT {
             return Err(corrupt((format!("{} bytes", self.length), "at most 1 GiB")));
         }
-        let bytes = self.bytes(path).map_err(BagError::io(path, "reading"))?;
+        let bytes = read_piece(path, self.position, self.length)?;
         let outcome = match self.kind {
             Kind::Loose => walk(&bytes, on_record),
             Kind::Chunk => read_chunk(&bytes, on_record),
@@ -75,18 +76,42 @@ impl Segment {
         };
         outcome.map_err(|fault| corrupt(fault.words()))
     }
+}
 
-    fn bytes(&self, path: &Path) -> std::io::Result<Vec<u8>> {
+/// So many bytes of a file from there.
+///
+/// # Errors
+/// [`BagError::Corrupt`] when the disk cannot read them, [`BagError::Io`] when the system refuses.
+pub(super) fn read_piece(path: &Path, position: u64, length: u64) -> Result<Vec<u8>, BagError> {
+    let read = || {
         let mut file = File::open(path)?;
-        file.seek(SeekFrom::Start(self.position))?;
-        let mut bytes = Vec::with_capacity(self.length as usize);
-        file.take(self.length).read_to_end(&mut bytes)?;
-        if (bytes.len() as u64) < self.length {
+        file.seek(SeekFrom::Start(position))?;
+        let mut bytes = Vec::with_capacity(length as usize);
+        file.take(length).read_to_end(&mut bytes)?;
+        if (bytes.len() as u64) < length {
             return Err(ErrorKind::UnexpectedEof.into());
         }
         Ok(bytes)
-    }
+    };
+    read().map_err(|error: std::io::Error| {
+        if BagError::is_unreadable(&error) {
+            let (found, expected) = (unreadable(&error), "readable bytes".into());
+            BagError::Corrupt { path: path.into(), position, found, expected }
+        } else {
+            BagError::io(path, "reading")(error)
+        }
+    })
 }
+
+/// For messages about bytes that the disk cannot read.
+pub(super) fn unreadable(error: &std::io::Error) -> String {
+    format!("bytes that the disk cannot read ({error})")
+}
+
+/// What the formats can make of a byte at most: zstd repeats one in a block of 128 KiB by four bytes, LZ4
+/// adds 255 to a length by one. Memory is taken for what a chunk claims, before it is decompressed.
+const MOST_OF_ZSTD: u64 = 1 << 15;
+const MOST_OF_LZ4: u64 = 1 << 8;
 
 /// Why the records of a piece could not be read to its end.
 enum Fault {
@@ -94,6 +119,8 @@ enum Fault {
     Mcap(McapError),
     /// A record cannot be used, for the reason given.
     Record(String),
+    /// No compression makes so few bytes of so many.
+    Claim { compressed: u64, uncompressed: u64 },
 }
 
 impl Fault {
@@ -101,6 +128,10 @@ impl Fault {
     fn words(self) -> (String, &'static str) {
         match self {
             Self::Record(found) => (found, "a record that fits those before it"),
+            Self::Claim { compressed, uncompressed } => (
+                format!("a chunk of {compressed} bytes that claims to hold {uncompressed}"),
+                "a size that its compression can reach",
+            ),
             Self::Mcap(McapError::BadChunkCrc { saved, calculated }) => (
                 format!("checksum {calculated:08x} where the chunk says {saved:08x}"),
                 "equal checksums",
@@ -179,7 +210,7 @@ fn read_cut_chunk(
         drive(&bytes, &mut on_record)
     };
     match outcome {
-        Err(Fault::Record(reason)) => Err(Fault::Record(reason).words()),
+        Err(fault @ (Fault::Record(_) | Fault::Claim { .. })) => Err(fault.words()),
         // Bytes that end too early are what a cut is.
         Err(Fault::Mcap(_)) | Ok(()) => Ok(()),
     }
@@ -190,6 +221,13 @@ fn drive(
     bytes: &[u8],
     mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), Fault> {
+    if let Some(header) = bytes.get(HEADER_SIZE as usize..).and_then(ChunkHeader::parse) {
+        let (compressed, uncompressed) = (bytes.len() as u64, header.uncompressed);
+        let most = if header.compression == "lz4" { MOST_OF_LZ4 } else { MOST_OF_ZSTD };
+        if uncompressed / most > compressed {
+            return Err(Fault::Claim { compressed, uncompressed });
+        }
+    }
     let mut reader = LinearReader::new_with_options(
         LinearReaderOptions::default()
             .with_skip_start_magic(true)
@@ -219,7 +257,7 @@ fn drive(
 /// The record, if it is one of the three kinds that count here.
 pub(super) fn wanted_record(opcode: u8, body: &[u8]) -> McapResult<Option<Record<'_>>> {
     match opcode {
-        op::SCHEMA | op::CHANNEL | op::MESSAGE => parse_record(opcode, body).map(Some),
+        op::SCHEMA | op::CHANNEL | op::MESSAGE => parse::record(opcode, body).map(Some),
         _ => Ok(None),
     }
 }

@@ -15,7 +15,13 @@ use mcap::{
     records::{self, DataEnd, Footer, SchemaHeader, Statistics, op},
 };
 
-use super::{channel::Schema, error::BagError, index::FileIndex, record::HEADER_SIZE};
+use super::{
+    channel::Schema,
+    error::BagError,
+    extra::{Extra, ExtraIndex},
+    index::{FileIndex, Watch},
+    record::{HEADER_SIZE, RecordHeader},
+};
 
 /// Room that `metadata.yaml` and the directory may need beside the summary (bytes).
 const ELBOW_ROOM: usize = 64 << 10;
@@ -31,48 +37,45 @@ pub(super) enum Chunks {
 /// chunks make some, if they may. Gives what the file then holds.
 ///
 /// # Errors
-/// [`BagError::Io`]; what was whole before is whole after it.
-pub(super) fn end_file(path: &Path, chunks: Chunks) -> Result<FileIndex, BagError> {
+/// [`BagError::Io`]; what was whole before is whole after it. [`BagError::Interrupted`] while the file is
+/// read.
+pub(super) fn end_file(
+    path: &Path,
+    chunks: Chunks,
+    watch: &mut Watch<'_>,
+) -> Result<FileIndex, BagError> {
     let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
-    let mut index = FileIndex::walk(path)?;
+    let mut index = FileIndex::walk(path, watch)?;
+    let extras = index.extras.iter().map(|header| Ok((*header, Extra::read(path, header)?)));
+    let extras: Vec<_> = extras
+        .map(|extra| extra.map(|(header, extra)| (header, extra.index(&header))))
+        .collect::<Result<_, BagError>>()?;
     let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
-    if index.data_end < index.size {
-        // What a cut chunk still has is not in the file any more then.
-        file.set_len(index.data_end).map_err(failed)?;
-        index = FileIndex::walk(path)?;
-    }
+    // What a cut chunk still has is not in the file any more then.
+    let mut data_end = index.data_end;
     loop {
-        let end = ending(&index);
-        file.set_len(index.data_end).map_err(failed)?;
-        match append(&mut file, index.data_end, &end) {
+        index.cut_back(data_end);
+        let end = ending(&index, &extras);
+        file.set_len(data_end).map_err(failed)?;
+        match append(&mut file, data_end, &end) {
             Ok(()) => return Ok(index),
             Err(error)
                 if chunks == Chunks::MakeRoom
                     && BagError::is_out_of_room(&error)
                     && !index.chunks.is_empty() =>
             {
-                give_up_chunks(&mut index, path, (end.len() + ELBOW_ROOM) as u64)?;
+                data_end = without_chunks(&index, (end.len() + ELBOW_ROOM) as u64);
             }
             Err(error) => return Err(failed(error)),
         }
     }
 }
 
-/// Takes chunks from the end until so many bytes are free.
-fn give_up_chunks(index: &mut FileIndex, path: &Path, bytes: u64) -> Result<(), BagError> {
-    let old_end = index.data_end;
-    while old_end - index.data_end < bytes {
-        let Some(chunk) = index.chunks.pop() else { break };
-        index.data_end = chunk.chunk_start_offset;
-    }
-    let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
-    OpenOptions::new()
-        .write(true)
-        .open(path)
-        .and_then(|file| file.set_len(index.data_end))
-        .map_err(failed)?;
-    *index = FileIndex::walk(path)?;
-    Ok(())
+/// Where the data end when chunks from their end have given so many bytes.
+fn without_chunks(index: &FileIndex, bytes: u64) -> u64 {
+    let mut starts = index.chunks.iter().map(|chunk| chunk.chunk_start_offset);
+    let first = starts.next().unwrap_or(index.data_end);
+    starts.rev().find(|start| index.data_end - start >= bytes).unwrap_or(first)
 }
 
 /// Writes `bytes` there, if there is also some room for what is written after it.
@@ -85,7 +88,7 @@ fn append(file: &mut File, at: u64, bytes: &[u8]) -> std::io::Result<()> {
 }
 
 /// Data end, summary, footer and magic of a file with this index.
-fn ending(index: &FileIndex) -> Vec<u8> {
+fn ending(index: &FileIndex, extras: &[(RecordHeader, ExtraIndex)]) -> Vec<u8> {
     let mut end = Vec::new();
     // No checksum over the data section, which is read again nowhere here; each chunk has its own.
     record(&mut end, op::DATA_END, &DataEnd { data_section_crc: 0 });
@@ -106,13 +109,14 @@ fn ending(index: &FileIndex) -> Vec<u8> {
         };
         record(&mut end, op::CHANNEL, &record_of_channel);
     }
+    let attachments = index.extras.iter().filter(|extra| extra.opcode == op::ATTACHMENT).count();
     let (message_start_time, message_end_time) = index.times.unwrap_or_default();
     let statistics = Statistics {
         message_count: index.messages(),
         schema_count: index.schemas.len() as u16,
         channel_count: index.channels.len() as u32,
-        attachment_count: index.extras.0,
-        metadata_count: index.extras.1,
+        attachment_count: attachments as u32,
+        metadata_count: (index.extras.len() - attachments) as u32,
         chunk_count: index.chunks.len() as u32,
         message_start_time,
         message_end_time,
@@ -121,6 +125,12 @@ fn ending(index: &FileIndex) -> Vec<u8> {
     record(&mut end, op::STATISTICS, &statistics);
     for chunk in &index.chunks {
         record(&mut end, op::CHUNK_INDEX, chunk);
+    }
+    for (_, extra) in extras.iter().filter(|(header, _)| header.position < index.data_end) {
+        match extra {
+            ExtraIndex::Attachment(index) => record(&mut end, op::ATTACHMENT_INDEX, index),
+            ExtraIndex::Metadata(index) => record(&mut end, op::METADATA_INDEX, index),
+        }
     }
     record(&mut end, op::FOOTER, &Footer { summary_start, ..Footer::default() });
     end.extend_from_slice(MAGIC);

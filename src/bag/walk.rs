@@ -3,29 +3,33 @@
 use std::collections::BTreeMap;
 
 use mcap::{
-    MAGIC, parse_record,
+    MAGIC,
     records::{ChunkIndex, Record, op},
 };
 
 use super::{
     error::BagError,
-    index::{Builder, Damage, FileIndex},
-    layout,
-    record::{RecordHeader, Records, SIZE_LIMIT, Step},
-    segment::{Kind, Segment, described, wanted_record},
+    index::{Builder, Damage, FileIndex, Piece, Watch, widened},
+    layout, parse,
+    record::{NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
+    segment::{Kind, Segment, described, unreadable, wanted_record},
 };
 
-/// No record has this opcode: bytes that were never written, most likely.
-const NO_RECORD: u8 = 0;
+/// How much is passed over between two calls of who watches (bytes).
+const WATCHED: u64 = 1 << 20;
 
 /// A run of messages outside chunks ends at this size (bytes), so that reading stays bounded.
 const LOOSE_RUN: u64 = 1 << 20;
 
 impl Builder {
     /// Reads the whole file once. Chunks are opened to see what is in them.
-    pub(super) fn by_walking(mut self, mut records: Records) -> Result<FileIndex, BagError> {
+    pub(super) fn by_walking(
+        mut self,
+        mut records: Records,
+        watch: &mut Watch<'_>,
+    ) -> Result<FileIndex, BagError> {
         let failed = BagError::io(self.index.path.clone(), "reading");
-        let ended = self.walk(&mut records);
+        let ended = self.walk(&mut records, watch);
         match ended {
             Ok(None) => {}
             Ok(Some(expected)) => {
@@ -40,34 +44,57 @@ impl Builder {
     }
 
     /// Walks to the end. Gives what should have come when the file ends too early.
-    fn walk(&mut self, records: &mut Records) -> Result<Option<String>, WalkError> {
+    fn walk(
+        &mut self,
+        records: &mut Records,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<String>, WalkError> {
         if self.index.size < MAGIC.len() as u64 {
             return Ok(Some("the rest of the 8 bytes that start an MCAP file".into()));
         }
-        let mut in_summary = false;
+        let (mut in_summary, mut watched) = (false, 0);
         loop {
-            let header = match records.step()? {
-                Step::Record(header) => header,
-                Step::CutBody(header) if !in_summary && self.reads_on(&header, records)? => {
+            let passed = records.position - watched;
+            if passed >= WATCHED {
+                watched = records.position;
+                if !watch(passed) {
+                    let path = self.index.path.clone();
+                    return Err(WalkError::Bag(BagError::Interrupted { path }));
+                }
+            }
+            let header = match records.step() {
+                Ok(Step::Record(header) | Step::CutBody(header)) if !in_summary => {
+                    match self.settled(header, records)? {
+                        Some(header) => header,
+                        None => continue,
+                    }
+                }
+                Ok(Step::Record(header) | Step::CutBody(header)) => header,
+                Ok(Step::CutHeader) => return Ok(Some("a record's header of 9 bytes".into())),
+                // What is still being written ends after any whole record.
+                Ok(Step::End) if !in_summary && layout::is_active(&self.index.path) => {
+                    return Ok(None);
+                }
+                Ok(Step::End) => return Ok(Some("the data end record and the footer".into())),
+                Err(error) if BagError::is_unreadable(&error) => {
+                    let position = records.position;
+                    self.damaged(position, unreadable(&error), "a record".into());
+                    if in_summary || !records.go_to_message(position + 1, &self.index.channels)? {
+                        return Ok(Some(format!("a record from byte {position}")));
+                    }
                     continue;
                 }
-                Step::CutBody(header) => {
-                    if header.opcode == op::CHUNK {
-                        self.chunk(&header, Kind::CutChunk, records)?;
-                    }
-                    let start = header.position;
-                    return Ok(Some(format!("{} from byte {start}", described(&header))));
-                }
-                Step::CutHeader => return Ok(Some("a record's header of 9 bytes".into())),
-                // What is still being written ends after any whole record.
-                Step::End if !in_summary && layout::is_active(&self.index.path) => return Ok(None),
-                Step::End => return Ok(Some("the data end record and the footer".into())),
+                Err(error) => return Err(error.into()),
             };
+            if header.end() > self.index.size {
+                if header.opcode == op::CHUNK && !in_summary {
+                    self.chunk(&header, Kind::CutChunk, records)?;
+                }
+                let start = header.position;
+                return Ok(Some(format!("{} from byte {start}", described(&header))));
+            }
             match header.opcode {
                 NO_RECORD if !in_summary => {
-                    if self.reads_on(&header, records)? {
-                        continue;
-                    }
                     return Ok(Some(format!("a record from byte {}", header.position)));
                 }
                 op::FOOTER => {
@@ -76,12 +103,12 @@ impl Builder {
                     return Ok((rest < MAGIC.len() as u64).then(|| expected.into()));
                 }
                 op::DATA_END => in_summary = true,
+                op::STATISTICS if in_summary => self.statistics(&header, records)?,
                 _ if in_summary => {}
                 op::CHUNK => self.chunk(&header, Kind::Chunk, records)?,
                 op::MESSAGE_INDEX => self.message_index(&header, records)?,
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => self.loose(&header, records)?,
-                op::ATTACHMENT => self.index.extras.0 += 1,
-                op::METADATA => self.index.extras.1 += 1,
+                op::ATTACHMENT | op::METADATA => self.index.extras.push(header),
                 _ => {}
             }
             if !in_summary {
@@ -90,19 +117,60 @@ impl Builder {
         }
     }
 
-    /// Looks for a chunk after a record that cannot be one, and goes on there.
-    fn reads_on(
+    /// The record with the length that it has. Nothing follows where a damaged length says that the next
+    /// one starts: then a chunk says its length once more; after other records the next chunk or message
+    /// is looked for, and there is `None` when there is one.
+    fn settled(
+        &mut self,
+        header: RecordHeader,
+        records: &mut Records,
+    ) -> Result<Option<RecordHeader>, WalkError> {
+        if header.opcode == op::FOOTER {
+            return Ok(Some(header));
+        }
+        if header.opcode == op::CHUNK
+            && let Some(length) = records.chunk_header(&header)?.and_then(|chunk| chunk.length())
+            && length != header.length
+        {
+            let restated = RecordHeader { length, ..header };
+            if records.goes_on_at(restated.end())? {
+                self.damaged(header.position, described(&header), format!("{length} bytes"));
+                records.position = restated.end();
+                return Ok(Some(restated));
+            }
+        }
+        if header.opcode != NO_RECORD && records.goes_on_at(header.end())? {
+            return Ok(Some(header));
+        }
+        let goes_on = match header.opcode {
+            // Nothing vouches for the messages in a chunk but its checksum.
+            op::CHUNK => records.go_to_chunk(header.position + 1)?,
+            _ => records.go_to_message(header.position + 1, &self.index.channels)?,
+        };
+        if goes_on {
+            let expected = "a record that another one follows".into();
+            self.damaged(header.position, described(&header), expected);
+        }
+        Ok((!goes_on).then_some(header))
+    }
+
+    /// Remembers the first damage.
+    fn damaged(&mut self, position: u64, found: String, expected: String) {
+        self.index.damage.get_or_insert(Damage::Corrupt { position, found, expected });
+    }
+
+    fn statistics(
         &mut self,
         header: &RecordHeader,
         records: &mut Records,
-    ) -> Result<bool, WalkError> {
-        let found = records.go_to_chunk(header.position + 1)?;
-        if found {
-            let (found, expected) = (described(header), "a record within the file".into());
-            let damage = Damage::Corrupt { position: header.position, found, expected };
-            self.index.damage.get_or_insert(damage);
+    ) -> Result<(), WalkError> {
+        if header.length <= SIZE_LIMIT
+            && let Ok(Record::Statistics(found)) =
+                parse::record(header.opcode, &records.read(header)?)
+        {
+            self.index.stated = Some(found.message_count);
         }
-        Ok(found)
+        Ok(())
     }
 
     fn chunk(
@@ -132,7 +200,7 @@ impl Builder {
                     return Err(unknown_channel(header.channel_id));
                 }
                 *counts.entry(header.channel_id).or_insert(0) += 1;
-                times = Some(widened(times, header.log_time));
+                times = Some(widened(times, (header.log_time, header.log_time)));
                 Ok(())
             }
             other => self.declare(&other),
@@ -140,8 +208,8 @@ impl Builder {
         match outcome {
             Ok(()) => {}
             Err(BagError::Corrupt { position, found, expected, .. }) => {
-                // The chunks after it may be whole: go on, and remember the first fault.
-                self.index.damage.get_or_insert(Damage::Corrupt { position, found, expected });
+                // The chunks after it may be whole: go on.
+                self.damaged(position, found, expected);
                 return Ok(());
             }
             Err(error) => return Err(error.into()),
@@ -162,7 +230,7 @@ impl Builder {
         }
         if let Some((first, last)) = times {
             self.index.segments.push(Segment { first, last, ..segment });
-            self.count(counts, (first, last));
+            self.count(Piece { position: header.position, counts, times: (first, last) });
         }
         Ok(())
     }
@@ -178,8 +246,12 @@ impl Builder {
         if header.position != indexed || header.length > SIZE_LIMIT {
             return Ok(());
         }
-        let body = records.read(header)?;
-        if let Ok(Record::MessageIndex(index)) = parse_record(header.opcode, &body) {
+        let body = match records.read(header) {
+            // Only an index: the messages are in the chunk.
+            Err(error) if BagError::is_unreadable(&error) => return Ok(()),
+            body => body?,
+        };
+        if let Ok(Record::MessageIndex(index)) = parse::record(header.opcode, &body) {
             chunk.message_index_offsets.insert(index.channel_id, header.position);
             chunk.message_index_length += header.end() - header.position;
         }
@@ -188,22 +260,24 @@ impl Builder {
 
     fn loose(&mut self, header: &RecordHeader, records: &mut Records) -> Result<(), WalkError> {
         if header.length > SIZE_LIMIT {
-            let found = described(header);
-            let expected = "at most 1 GiB".into();
-            let damage = Damage::Corrupt { position: header.position, found, expected };
-            self.index.damage.get_or_insert(damage);
+            self.damaged(header.position, described(header), "at most 1 GiB".into());
             return Ok(());
         }
-        let body = records.read(header)?;
+        let body = match records.read(header) {
+            Ok(body) => body,
+            Err(error) if BagError::is_unreadable(&error) => {
+                self.damaged(header.position, unreadable(&error), described(header));
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
         let parsed = wanted_record(header.opcode, &body).map_err(|error| error.to_string());
         let outcome = match parsed {
             Ok(Some(Record::Message { header: message, .. })) => {
                 if self.index.channels.contains_key(&message.channel_id) {
                     self.loose_message(header, message.log_time);
-                    self.count(
-                        BTreeMap::from([(message.channel_id, 1)]),
-                        (message.log_time, message.log_time),
-                    );
+                    let (counts, time) = ([(message.channel_id, 1)].into(), message.log_time);
+                    self.count(Piece { position: header.position, counts, times: (time, time) });
                     Ok(())
                 } else {
                     Err(unknown_channel(message.channel_id))
@@ -215,8 +289,7 @@ impl Builder {
         };
         if let Err(found) = outcome {
             let expected = "a record that fits those before it".into();
-            let damage = Damage::Corrupt { position: header.position, found, expected };
-            self.index.damage.get_or_insert(damage);
+            self.damaged(header.position, found, expected);
         }
         Ok(())
     }
@@ -230,7 +303,7 @@ impl Builder {
             && run.length < LOOSE_RUN
         {
             run.length += length;
-            (run.first, run.last) = widened(Some((run.first, run.last)), time);
+            (run.first, run.last) = widened(Some((run.first, run.last)), (time, time));
             return;
         }
         self.index.segments.push(Segment {
@@ -243,12 +316,22 @@ impl Builder {
         });
     }
 
-    fn count(&mut self, counts: BTreeMap<u16, u64>, (first, last): (u64, u64)) {
-        for (channel, messages) in counts {
-            *self.index.counts.entry(channel).or_insert(0) += messages;
+    /// Counts what a piece holds. Loose messages make one piece for each run of theirs.
+    fn count(&mut self, piece: Piece) {
+        for (channel, messages) in &piece.counts {
+            *self.index.counts.entry(*channel).or_insert(0) += messages;
         }
-        let times = widened(self.index.times, first);
-        self.index.times = Some(widened(Some(times), last));
+        self.index.times = Some(widened(self.index.times, piece.times));
+        let run = self.index.segments.last().map(|run| (run.kind, run.position));
+        match (run, self.index.pieces.last_mut()) {
+            (Some((Kind::Loose, start)), Some(last)) if last.position >= start => {
+                for (channel, messages) in piece.counts {
+                    *last.counts.entry(channel).or_insert(0) += messages;
+                }
+                last.times = widened(Some(last.times), piece.times);
+            }
+            _ => self.index.pieces.push(piece),
+        }
     }
 }
 
@@ -272,8 +355,4 @@ impl From<BagError> for WalkError {
 
 pub(super) fn unknown_channel(channel: u16) -> String {
     format!("a message of channel {channel}, which is unknown")
-}
-
-fn widened(times: Option<(u64, u64)>, time: u64) -> (u64, u64) {
-    times.map_or((time, time), |(first, last)| (first.min(time), last.max(time)))
 }

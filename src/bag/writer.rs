@@ -11,7 +11,8 @@ use std::{
 use mcap::records::MessageHeader;
 
 use super::{
-    channel::Channel, error::BagError, layout, messages::BagMessage, metadata, part::Part,
+    channel::Channel, error::BagError, extra::Extra, layout, messages::BagMessage, metadata,
+    part::Part,
 };
 use crate::{frame::Stamp, msg::type_support};
 
@@ -41,8 +42,8 @@ pub struct WriterOptions {
 /// When a file of a bag ends and the next one begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Split {
-    /// Before its messages would take more than this (bytes; its summary comes on top). A longer
-    /// message gets a file of its own.
+    /// Before it would take more than this, closed (bytes). A message that is longer, together with the
+    /// descriptions of the topics, gets a file of its own.
     pub size: Option<u64>,
     /// Before a message logged so long after its first one.
     pub duration: Option<Duration>,
@@ -72,6 +73,19 @@ pub struct WrittenTopic {
     pub messages: u64,
     /// Everything that the files say about it.
     pub channel: Arc<Channel>,
+}
+
+impl WrittenTopic {
+    /// A topic without a message yet.
+    pub(super) fn new(channel: &Arc<Channel>) -> Self {
+        Self {
+            name: channel.topic.clone(),
+            type_name: channel.type_name().to_owned(),
+            hash: channel.type_hash().unwrap_or_default().to_owned(),
+            messages: 0,
+            channel: Arc::clone(channel),
+        }
+    }
 }
 
 /// A file that was written.
@@ -252,16 +266,16 @@ impl BagWriter {
         if let Some(known) = known {
             return Ok(TopicId(known));
         }
+        let size = self.options.split.size;
+        if self.part.start().is_some()
+            && size.is_some_and(|most| self.part.closed_size_with_channel(channel) > most)
+        {
+            self.split()?;
+        }
         let id = self.part.declare(channel);
         let id = self.noted(id)?;
         self.channels.push((id, 0));
-        self.topics.push(WrittenTopic {
-            name: channel.topic.clone(),
-            type_name: channel.type_name().to_owned(),
-            hash: channel.type_hash().unwrap_or_default().to_owned(),
-            messages: 0,
-            channel: Arc::clone(channel),
-        });
+        self.topics.push(WrittenTopic::new(channel));
         Ok(TopicId(self.topics.len() - 1))
     }
 
@@ -318,11 +332,20 @@ impl BagWriter {
         self.noted(written)
     }
 
+    /// Writes an attachment or a metadata record of another bag.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub(super) fn attach(&mut self, extra: &Extra) -> Result<(), BagError> {
+        let attached = self.part.attach(extra);
+        self.noted(attached)
+    }
+
     fn must_split(&self, log_time: Stamp, length: u64) -> bool {
         let Some(start) = self.part.start() else { return false };
         let Split { size, duration } = self.options.split;
         let elapsed = u128::try_from(log_time.0 - start.0).unwrap_or_default();
-        size.is_some_and(|most| self.part.size_with(length) > most)
+        size.is_some_and(|most| self.part.closed_size_with(length) > most)
             || duration.is_some_and(|most| elapsed >= most.as_nanos())
     }
 

@@ -11,21 +11,26 @@ use eddy::{
     launch::{Plan, Said, supervise},
 };
 
-/// Runs the file's processes until they have ended, or a signal comes.
+/// Runs the file's processes until they have ended, or a signal comes. When it is to be quiet, so are they;
+/// what they still say, they were asked for.
 pub fn run(args: &LaunchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let plan: Plan = config::load(&args.file)?;
+    let mut plan: Plan = config::load(&args.file)?;
     plan.check().with_context(|| args.file.display().to_string())?;
     let program = std::env::current_exe().context("cannot find the program itself")?;
-    let outcome = supervise(&plan, &program, interrupt.flag(), |said| tell(said, quiet))?;
-    let summary = format!("all ended: {} restarts, {} killed", outcome.restarts, outcome.killed);
-    tell(Said::Output(summary), quiet);
+    if quiet {
+        plan.process.iter_mut().for_each(|process| process.run.insert(0, "--quiet".to_owned()));
+    }
+    let outcome = supervise(&plan, &program, interrupt.flag(), tell)?;
+    if !quiet {
+        let (restarts, killed) = (outcome.restarts, outcome.killed);
+        tell(Said::Output(format!("all ended: {restarts} restarts, {killed} killed")));
+    }
     Ok(())
 }
 
 /// Hands a line on. That nobody listens any more is no reason to end what runs.
-fn tell(said: Said, quiet: bool) {
+fn tell(said: Said) {
     let _ = match said {
-        Said::Output(_) if quiet => Ok(()),
         Said::Output(line) => writeln!(io::stdout(), "{line}"),
         Said::Error(line) => writeln!(io::stderr(), "{line}"),
     };

@@ -70,19 +70,30 @@ impl<T> Cache<T> {
         self.lock().bytes
     }
 
-    /// Frees whoever waits for room, now and later: what they bring vanishes.
-    pub fn close(&self) {
+    /// Frees whoever waits for room, now and later: what they bring vanishes. Gives what waited here.
+    pub fn close(&self) -> Vec<T> {
         let mut state = self.lock();
         state.closed = true;
-        state.items.clear();
         state.bytes = 0;
         self.freed.notify_all();
+        state.items.drain(..).map(|(item, _)| item).collect()
     }
 
     /// A panic elsewhere cannot leave the state half changed: every change is one push or pop.
     fn lock(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// What became of an item.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Brought {
+    /// It waits.
+    Queued,
+    /// There never was room for it: it is given up.
+    NoRoom,
+    /// Nobody takes anything any more: it is given up.
+    Unwanted,
 }
 
 /// What an item takes at least, beside its own bytes: its place here and what it is kept in.
@@ -94,9 +105,8 @@ pub struct Producer<T> {
 }
 
 impl<T> Producer<T> {
-    /// Adds an item of so many bytes when there is room, waiting `patience` for it at most. `false`
-    /// when there never was: the item is given up.
-    pub fn bring(&self, item: T, bytes: usize, patience: Duration) -> bool {
+    /// Adds an item of so many bytes when there is room, waiting `patience` for it at most.
+    pub fn bring(&self, item: T, bytes: usize, patience: Duration) -> Brought {
         let Cache { arrived, freed, capacity, .. } = &*self.cache;
         let bytes = bytes + LEAST;
         let full = |state: &mut State<T>| {
@@ -105,15 +115,16 @@ impl<T> Producer<T> {
         let (mut state, _) = freed
             .wait_timeout_while(self.cache.lock(), patience, full)
             .unwrap_or_else(PoisonError::into_inner);
+        if state.closed {
+            return Brought::Unwanted;
+        }
         if full(&mut state) {
-            return false;
+            return Brought::NoRoom;
         }
-        if !state.closed {
-            state.items.push_back((item, bytes));
-            state.bytes += bytes;
-            arrived.notify_one();
-        }
-        true
+        state.items.push_back((item, bytes));
+        state.bytes += bytes;
+        arrived.notify_one();
+        Brought::Queued
     }
 }
 
@@ -143,7 +154,8 @@ mod tests {
     fn items_come_out_in_order_and_the_queue_ends_with_its_producers() {
         let cache = Cache::new(10_000);
         let (first, second) = (cache.producer(), cache.producer());
-        assert!(first.bring('a', 4_000, LONG) && second.bring('b', 4_000, LONG));
+        assert_eq!(first.bring('a', 4_000, LONG), Brought::Queued);
+        assert_eq!(second.bring('b', 4_000, LONG), Brought::Queued);
         assert_eq!(cache.bytes(), 8_000 + 2 * LEAST);
         drop(first);
         assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('b')]);
@@ -157,9 +169,9 @@ mod tests {
     fn what_finds_no_room_in_time_is_given_up_and_said_so() {
         let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert!(producer.bring('a', 7_000, LONG));
-        assert!(!producer.bring('b', 4_000, Duration::from_millis(1)));
-        assert!(producer.bring('c', 2_000, Duration::ZERO));
+        assert_eq!(producer.bring('a', 7_000, LONG), Brought::Queued);
+        assert_eq!(producer.bring('b', 4_000, Duration::from_millis(1)), Brought::NoRoom);
+        assert_eq!(producer.bring('c', 2_000, Duration::ZERO), Brought::Queued);
         assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('c')]);
     }
 
@@ -167,10 +179,10 @@ mod tests {
     fn a_longer_item_than_the_queue_has_it_for_itself() {
         let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert!(producer.bring('a', 100_000, Duration::ZERO));
-        assert!(!producer.bring('b', 1, Duration::ZERO));
+        assert_eq!(producer.bring('a', 100_000, Duration::ZERO), Brought::Queued);
+        assert_eq!(producer.bring('b', 1, Duration::ZERO), Brought::NoRoom);
         assert_eq!(cache.take(LONG), Taken::Item('a'));
-        assert!(producer.bring('b', 1, Duration::ZERO));
+        assert_eq!(producer.bring('b', 1, Duration::ZERO), Brought::Queued);
     }
 
     #[test]
@@ -180,12 +192,16 @@ mod tests {
             let producer = cache.producer();
             producer.bring(0, 1, LONG);
             let waiting = thread::spawn(move || producer.bring(1, 1, LONG));
-            if close {
-                cache.close()
+            let expected = if close {
+                // The one that waited in the queue comes back; the other may have come before it.
+                let left = cache.close();
+                assert_eq!(left[0], 0);
+                if left.len() == 1 { Brought::Unwanted } else { Brought::Queued }
             } else {
-                assert_eq!(cache.take(LONG), Taken::Item(0))
-            }
-            assert!(waiting.join().unwrap());
+                assert_eq!(cache.take(LONG), Taken::Item(0));
+                Brought::Queued
+            };
+            assert_eq!(waiting.join().unwrap(), expected);
         }
     }
 }

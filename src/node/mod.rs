@@ -41,7 +41,7 @@ mod wish;
 #[cfg(test)]
 mod tests;
 
-pub use cache::{Cache, Producer, Taken};
+pub use cache::{Brought, Cache, Producer, Taken};
 pub use cloud::CloudTopic;
 pub use control::{Answer, Control, Request, Unanswered};
 pub use counters::{Counters, Refusal};

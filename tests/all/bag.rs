@@ -14,6 +14,8 @@ use eddy::{
 use mcap::records::MessageHeader;
 use proptest::prelude::*;
 
+use crate::support::{findings, word};
+
 const COMPRESSIONS: [Compression; 3] = [Compression::None, Compression::Lz4, Compression::Zstd];
 
 fn frame(sequence: u64) -> Frame {
@@ -30,10 +32,6 @@ fn frame(sequence: u64) -> Frame {
     }
 }
 
-fn text(words: &str) -> Vec<u8> {
-    cdr::encode(&RosString { data: words.into() })
-}
-
 /// A bag of so many frames on `/particles`, with small chunks.
 fn write_frames(path: &Path, frames: u64, compression: Compression) {
     let options = WriterOptions { compression, chunk_size: 4096, ..WriterOptions::default() };
@@ -43,13 +41,6 @@ fn write_frames(path: &Path, frames: u64, compression: Compression) {
         bag.write(topic, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
     }
     bag.finish().unwrap();
-}
-
-fn findings(path: &Path) -> Vec<String> {
-    let bag = BagReader::open(path).unwrap();
-    let mut survey = Survey::of(&bag, |_| ());
-    survey.check_files(&bag);
-    survey.findings
 }
 
 /// One message as the tests compare them: topic, log time, publish time, data.
@@ -147,10 +138,10 @@ fn a_bag_dropped_before_its_end_is_readable_under_its_unfinished_name() {
     let path = directory.path().join("bag");
     let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
     let topic = bag.topic("/words", RosString::TYPE).unwrap();
-    bag.write(topic, Stamp(1), Stamp(1), &text("a")).unwrap();
+    bag.write(topic, Stamp(1), Stamp(1), &word("a")).unwrap();
     drop(bag);
     assert!(path.join("bag_0.mcap.active").exists());
-    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, text("a"))]);
+    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("a"))]);
     assert!(BagReader::open(&path).unwrap().is_unfinished());
     assert!(findings(&path)[0].contains("found a file that was never closed"));
 }
@@ -162,13 +153,13 @@ fn what_was_flushed_is_readable_while_the_bag_is_written() {
     let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
     assert_eq!(plain(&path), []);
     let topic = bag.topic("/words", RosString::TYPE).unwrap();
-    bag.write(topic, Stamp(1), Stamp(1), &text("kept")).unwrap();
+    bag.write(topic, Stamp(1), Stamp(1), &word("kept")).unwrap();
     bag.flush().unwrap();
-    bag.write(topic, Stamp(2), Stamp(2), &text("in memory")).unwrap();
-    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, text("kept"))]);
+    bag.write(topic, Stamp(2), Stamp(2), &word("in memory")).unwrap();
+    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("kept"))]);
     // As after SIGKILL: nobody finishes the file.
     std::mem::forget(bag);
-    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, text("kept"))]);
+    assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("kept"))]);
 }
 
 #[test]
@@ -252,11 +243,11 @@ fn errors_name_file_topic_found_and_expected() {
     let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
     let words = bag.topic("/words", RosString::TYPE).unwrap();
     bag.topic("/particles", ParticleFrame::TYPE).unwrap();
-    bag.write(words, Stamp(0), Stamp(0), &text("a")).unwrap();
+    bag.write(words, Stamp(0), Stamp(0), &word("a")).unwrap();
 
     let conflict = bag.topic("/words", ParticleFrame::TYPE).unwrap_err().to_string();
     let unknown = bag.topic("/points", "sensor_msgs/msg/PointCloud").unwrap_err().to_string();
-    let early = bag.write(words, Stamp(-5), Stamp(0), &text("b")).unwrap_err().to_string();
+    let early = bag.write(words, Stamp(-5), Stamp(0), &word("b")).unwrap_err().to_string();
     bag.finish().unwrap();
     let exists = BagWriter::create(&path, WriterOptions::default()).err().unwrap().to_string();
     let bag = BagReader::open(&path).unwrap();
@@ -300,7 +291,7 @@ fn write_foreign(path: &Path, times: &[u64], options: mcap::WriteOptions) {
     for &time in times {
         let header =
             MessageHeader { channel_id: channel, sequence: 0, log_time: time, publish_time: time };
-        writer.write_to_known_channel(&header, &text(&time.to_string())).unwrap();
+        writer.write_to_known_channel(&header, &word(&time.to_string())).unwrap();
     }
     writer.finish().unwrap();
 }

@@ -4,6 +4,7 @@
 mod bad_input;
 mod bag;
 mod bag_edit;
+mod bag_recover;
 mod bench;
 mod client;
 mod eval;

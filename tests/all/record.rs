@@ -3,65 +3,31 @@
 use std::{
     fs,
     num::NonZeroUsize,
-    path::{Path, PathBuf},
+    path::Path,
     process::Command,
     thread,
     time::{Duration, Instant},
 };
 
 use eddy::{
-    bag::{BagReader, Survey},
+    bag::BagReader,
     clock,
-    msg::{Message, RosString, TypeSupport, cdr, type_support},
-    transport::{Link, Publisher, Reliability, TransportOptions, Transports},
+    msg::{Message, PredictionStatus, RosString, TypeSupport, cdr, type_support},
+    transport::{Publisher, Reliability},
 };
-use tempfile::TempDir;
+use iceoryx2::prelude::{NodeBuilder, ipc};
 
 use crate::support::{
-    DEADLINE, Process, eddy, fail, free_port, succeed, talking_eddy, unique, wait_for,
+    DEADLINE, Process, World, eddy, fail, findings, succeed, talking_eddy, wait_for, word,
 };
 
-/// The recorder's bag, and topics of its own.
-struct World {
-    folder: TempDir,
-    prefix: String,
-    transports: Transports,
-    /// The recorder's part of the same Zenoh network.
-    overrides: String,
+/// How the recorder is started.
+trait Recording {
+    fn record(&self, arguments: &[&str]) -> Command;
+    fn record_words(&self, arguments: &[&str]) -> Command;
 }
 
-impl World {
-    fn new() -> Self {
-        let ports = [free_port(), free_port()];
-        let overrides = |listen: usize| {
-            let [mine, other] = [ports[listen], ports[1 - listen]];
-            format!(
-                r#"listen/endpoints=["tcp/127.0.0.1:{mine}"];connect/endpoints=["tcp/127.0.0.1:{other}"]"#
-            )
-        };
-        let mut options = TransportOptions::new("eddy_test");
-        options.zenoh.overrides = overrides(0);
-        Self {
-            folder: tempfile::tempdir().unwrap(),
-            prefix: format!("/{}", unique("record")),
-            transports: Transports::new(options),
-            overrides: overrides(1),
-        }
-    }
-
-    fn link(&self, transport: &str, name: &str) -> Link {
-        format!("{transport}:{}/{name}", self.prefix).parse().unwrap()
-    }
-
-    fn words(&self, transport: &str, name: &str) -> Box<dyn Publisher> {
-        let link = self.link(transport, name);
-        self.transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap()
-    }
-
-    fn bag(&self) -> PathBuf {
-        self.folder.path().join("bag")
-    }
-
+impl Recording for World {
     fn record(&self, arguments: &[&str]) -> Command {
         let mut command = talking_eddy();
         command.env("ZENOH_CONFIG_OVERRIDE", &self.overrides);
@@ -78,10 +44,6 @@ impl World {
     }
 }
 
-fn word(words: &str) -> Vec<u8> {
-    cdr::encode(&RosString { data: words.into() })
-}
-
 fn wait_for_a_subscriber(publisher: &dyn Publisher) {
     wait_for("the recorder listens", || (publisher.subscribers() > 0).then_some(()));
 }
@@ -91,16 +53,9 @@ fn terminate(process: &Process) {
     assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
 }
 
-fn findings(path: &Path) -> Vec<String> {
-    let bag = BagReader::open(path).unwrap();
-    let mut survey = Survey::of(&bag, |_| ());
-    survey.check_files(&bag);
-    survey.findings
-}
-
 #[test]
 fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
-    let world = World::new();
+    let world = World::new("record");
     let (link, words) = (world.link("zenoh", "latched"), type_support(RosString::TYPE).unwrap());
     let kept = NonZeroUsize::new(2);
     let mut publisher =
@@ -125,7 +80,7 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
 
 #[test]
 fn everything_that_is_published_is_found_also_later_and_of_types_nobody_knows_here() {
-    let world = World::new();
+    let world = World::new("record");
     let mut early = world.words("zenoh", "early");
     let arguments = ["--all", "--exclude", "secret", "--from", "zenoh", "--max-messages", "2"];
     let mut recorder = Process::start(&mut world.record(&arguments));
@@ -158,7 +113,7 @@ fn everything_that_is_published_is_found_also_later_and_of_types_nobody_knows_he
 
 #[test]
 fn several_transports_are_recorded_at_once_by_pattern() {
-    let world = World::new();
+    let world = World::new("record");
     let pattern = format!("^{}/", world.prefix);
     let mut publishers = [world.words("zenoh", "a"), world.words("shm", "b")];
     let mut recorder = Process::start(&mut world.record(&["-e", &pattern, "--max-messages", "20"]));
@@ -176,7 +131,7 @@ fn several_transports_are_recorded_at_once_by_pattern() {
 
 #[test]
 fn a_long_recording_is_split_and_its_files_are_one_bag() {
-    let world = World::new();
+    let world = World::new("record");
     let mut publisher = world.words("shm", "words");
     let arguments = ["--max-bag-size", "20000", "--compression", "none", "--max-messages", "100"];
     let mut recorder = Process::start(&mut world.record_words(&arguments));
@@ -193,7 +148,7 @@ fn a_long_recording_is_split_and_its_files_are_one_bag() {
 
 #[test]
 fn a_recorder_that_is_asked_to_end_has_everything() {
-    let world = World::new();
+    let world = World::new("record");
     let mut publisher = world.words("shm", "words");
     let mut recorder = Process::start(&mut world.record_words(&[]));
     wait_for_a_subscriber(&*publisher);
@@ -208,7 +163,7 @@ fn a_recorder_that_is_asked_to_end_has_everything() {
 
 #[test]
 fn a_killed_recorder_loses_at_most_a_second_and_recover_saves_the_rest() {
-    let world = World::new();
+    let world = World::new("record");
     let mut publisher = world.words("shm", "words");
     let recorder = Process::start(&mut world.record_words(&[]));
     wait_for_a_subscriber(&*publisher);
@@ -246,7 +201,7 @@ fn a_killed_recorder_loses_at_most_a_second_and_recover_saves_the_rest() {
 /// The limit on the size of a file stands for a full disk: both refuse a write in its middle.
 #[test]
 fn a_recorder_without_room_closes_a_readable_bag_and_says_so() {
-    let world = World::new();
+    let world = World::new("record");
     let mut publisher = world.words("shm", "words");
     let inner = world.record_words(&["--compression", "none"]);
     let mut command = Command::new("sh");
@@ -283,6 +238,82 @@ fn a_recorder_without_room_closes_a_readable_bag_and_says_so() {
         assert_eq!(message.unwrap().data, word(&format!("{number:010000}")));
     }
     succeed(["bag", "check", world.bag().to_str().unwrap()]);
+}
+
+/// What is in the bag and what is counted as lost make up all that was published, but for what the topic
+/// itself still holds when nobody listens any more.
+#[test]
+fn what_waits_in_the_queue_of_a_full_disk_is_counted_as_lost() {
+    let world = World::new("record");
+    let mut publisher = world.words("shm", "words");
+    let inner = world.record_words(&["--compression", "none"]);
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -f 4096; exec \"$@\" 2>&1", "sh"]).arg(inner.get_program());
+    command.args(inner.get_args());
+    let mut recorder = Process::start(&mut command);
+    wait_for_a_subscriber(&*publisher);
+    let mut published = 0;
+    while recorder.is_running() && publisher.subscribers() > 0 && published < 2_000 {
+        publisher.publish_cdr(&word(&format!("{published:010000}"))).unwrap();
+        published += 1;
+    }
+    assert_eq!(recorder.wait().code(), Some(1));
+    let said = recorder.rest();
+    let numbers = said.split("the bag is closed with ").nth(1).unwrap();
+    let mut numbers = numbers.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty());
+    let mut number = || numbers.next().unwrap().parse::<u64>().unwrap();
+    let (kept, lost) = (number(), number());
+    assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), kept);
+    let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+    assert!(metadata.contains("eddy_messages_not_recorded"), "{metadata}");
+    // What the publisher brought after the recorder had stopped listening is not the recorder's.
+    assert!(
+        kept + lost <= published && kept + lost + 128 >= published,
+        "{kept} {lost} {published}"
+    );
+}
+
+/// Topics whose name promises a type, in a service of another layout, stand for whatever cannot be
+/// subscribed to.
+#[test]
+fn a_topic_that_cannot_be_had_is_named_and_tried_again_while_the_others_are_recorded() {
+    let world = World::new("record");
+    let mut good = world.words("shm", "good");
+    let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
+    let foreign = |name: &str| {
+        let name = format!("eddy{}/{name}/status", world.prefix);
+        let name = name.as_str().try_into().unwrap();
+        node.service_builder(&name).publish_subscribe::<u64>().create().unwrap()
+    };
+    let (passing, _lasting) = (foreign("passing"), foreign("lasting"));
+    let regex = format!("^{}/", world.prefix);
+    let mut recorder = Process::start(&mut world.record(&["--regex", &regex, "--from", "shm"]));
+    wait_for_a_subscriber(&*good);
+    good.publish_cdr(&word("one")).unwrap();
+
+    drop(passing);
+    // Of the type that the recorder may have opened the topic with by now.
+    let (link, status) =
+        (world.link("shm", "passing/status"), cdr::encode(&PredictionStatus::default()));
+    let kind = PredictionStatus::TYPE;
+    let mut again = world.transports.publisher(&link, kind, Reliability::Block).unwrap();
+    wait_for_a_subscriber(&*again);
+    again.publish_cdr(&status).unwrap();
+    good.publish_cdr(&word("three")).unwrap();
+    terminate(&recorder);
+    assert!(recorder.wait().success());
+    let said = recorder.rest();
+    let failed = format!("not recorded: shm:{}/lasting/status: ", world.prefix);
+    assert_eq!(said.matches("not recorded: ").count(), 1, "{said}");
+    assert!(said.contains(&failed), "{said}");
+    let data: Vec<_> =
+        BagReader::open(&world.bag()).unwrap().messages().map(|m| m.unwrap().data).collect();
+    // Of two topics at the same moment, either may be first.
+    assert_eq!(data.len(), 3);
+    let expected = [word("one"), status, word("three")];
+    assert!(expected.iter().all(|message| data.contains(message)));
+    let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+    assert!(metadata.contains("eddy_topics_not_recorded"), "{metadata}");
 }
 
 #[test]

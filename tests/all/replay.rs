@@ -1,17 +1,21 @@
 //! `eddy replay` as its users run it: what it publishes, when, and what the keys do.
 
 use std::{
+    collections::BTreeMap,
     fs::File,
     io::{Read as _, Write as _},
-    path::{Path, PathBuf},
-    process::Stdio,
-    sync::atomic::{AtomicBool, Ordering},
+    path::Path,
+    process::{Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
     time::{Duration, Instant},
 };
 
 use eddy::{
-    bag::{BagError, BagMessage, BagReader, BagWriter, WriterOptions},
+    bag::{BagError, BagMessage, BagReader, BagWriter, Channel, Schema, WriterOptions},
     clock,
     frame::Stamp,
     msg::{
@@ -21,14 +25,16 @@ use eddy::{
         type_support,
     },
     node::{Asked, Player, PlayerOptions, Stage, play},
-    transport::{Link, Subscriber, TransportOptions, Transports},
+    transport::Subscriber,
 };
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use tempfile::TempDir;
+use rustix::{
+    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
+    termios::{LocalModes, tcgetattr},
+};
 
 use crate::{
     client::Client,
-    support::{Process, fail, free_port, talking_eddy, unique},
+    support::{Process, World, fail, talking_eddy, wait_for, word},
 };
 
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -44,49 +50,13 @@ fn write_words(path: &Path, times: &[i64]) {
     bag.finish().unwrap();
 }
 
-fn word(words: &str) -> Vec<u8> {
-    cdr::encode(&RosString { data: words.into() })
+/// How the player is started.
+trait Replaying {
+    fn replay(&self, transport: &str, arguments: &[&str]) -> Command;
 }
 
-struct World {
-    folder: TempDir,
-    prefix: String,
-    transports: Transports,
-    /// The player's part of the same Zenoh network.
-    overrides: String,
-    /// Where the player listens on Zenoh.
-    port: u16,
-}
-
-impl World {
-    fn new() -> Self {
-        let ports = [free_port(), free_port()];
-        let overrides = |listen: usize| {
-            let [mine, other] = [ports[listen], ports[1 - listen]];
-            format!(
-                r#"listen/endpoints=["tcp/127.0.0.1:{mine}"];connect/endpoints=["tcp/127.0.0.1:{other}"]"#
-            )
-        };
-        let mut options = TransportOptions::new("eddy_test");
-        options.zenoh.overrides = overrides(0);
-        Self {
-            folder: tempfile::tempdir().unwrap(),
-            prefix: format!("/{}", unique("replay")),
-            transports: Transports::new(options),
-            overrides: overrides(1),
-            port: ports[1],
-        }
-    }
-
-    fn bag(&self) -> PathBuf {
-        self.folder.path().join("bag")
-    }
-
-    fn link(&self, transport: &str, name: &str) -> Link {
-        format!("{transport}:{}/{name}", self.prefix).parse().unwrap()
-    }
-
-    fn replay(&self, transport: &str, arguments: &[&str]) -> std::process::Command {
+impl Replaying for World {
+    fn replay(&self, transport: &str, arguments: &[&str]) -> Command {
         let mut command = talking_eddy();
         command.env("ZENOH_CONFIG_OVERRIDE", &self.overrides);
         command.args([
@@ -108,7 +78,7 @@ fn next(subscriber: &mut dyn Subscriber) -> Vec<u8> {
 
 #[test]
 fn the_clock_tells_the_recorded_time_beside_the_messages() {
-    let world = World::new();
+    let world = World::new("replay");
     write_words(&world.bag(), &[0, 300, 600]);
     let subscribe =
         |name: &str, of| world.transports.subscriber(&world.link("shm", name), of).unwrap();
@@ -147,7 +117,7 @@ fn the_clock_tells_the_recorded_time_beside_the_messages() {
 
 #[test]
 fn types_that_nobody_knows_here_pass_through_as_bytes() {
-    let world = World::new();
+    let world = World::new("replay");
     let hash = format!("RIHS01_{}", "7".repeat(64));
     let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
     let topic = bag.topic_with_schema("/a", "acme_msgs/msg/Imu", "float64 x", &hash).unwrap();
@@ -180,15 +150,15 @@ fn terminal() -> (File, File) {
 
 #[test]
 fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() {
-    let world = World::new();
+    let world = World::new("replay");
     // The last message comes after ten minutes, or when it is asked for.
     write_words(&world.bag(), &[0, 300_000, 600_000]);
     let mut words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
     let (mut ours, theirs) = terminal();
-    let before = rustix::termios::tcgetattr(&ours).unwrap().local_modes;
+    let before = tcgetattr(&ours).unwrap().local_modes;
     // `setsid` gives the player the terminal as its own, as a shell gives it to what it runs.
     let inner = world.replay("shm", &["--start-paused"]);
-    let mut command = std::process::Command::new("setsid");
+    let mut command = Command::new("setsid");
     command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
     let mut player = Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())));
     assert_eq!(
@@ -204,7 +174,7 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     ours.write_all(b" n").unwrap();
     assert_eq!(next(&mut *words), word("600000"));
     assert!(player.wait().success());
-    assert_eq!(rustix::termios::tcgetattr(&ours).unwrap().local_modes, before);
+    assert_eq!(tcgetattr(&ours).unwrap().local_modes, before);
     // All who could still write are gone: reading ends.
     drop((theirs, command));
     // Nothing of what was typed was shown.
@@ -213,9 +183,108 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     assert_eq!(String::from_utf8_lossy(&shown), "");
 }
 
+/// A player that has a terminal as its own, as a shell gives it to what it runs.
+fn on_a_terminal(inner: &Command, theirs: &File) -> Process {
+    let mut command = Command::new("setsid");
+    command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
+    let mut player = Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())));
+    player.line("space:");
+    player
+}
+
+fn modes(terminal: &File) -> LocalModes {
+    tcgetattr(terminal).unwrap().local_modes
+}
+
+#[test]
+fn a_stopped_player_gives_the_terminal_back_and_takes_it_again() {
+    let world = World::new("replay");
+    write_words(&world.bag(), &[0, 300_000]);
+    let mut words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
+    let (mut ours, theirs) = terminal();
+    let before = modes(&ours);
+    let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
+    wait_for("the player takes the terminal", || (modes(&ours) != before).then_some(()));
+    let direct = modes(&ours);
+    // Ctrl-Z.
+    ours.write_all(b"\x1a").unwrap();
+    wait_for("the terminal is as before", || (modes(&ours) == before).then_some(()));
+    let stat = format!("/proc/{}/stat", player.id());
+    wait_for("the player is stopped", || {
+        std::fs::read_to_string(&stat).unwrap().contains(") T ").then_some(())
+    });
+    // As `fg` does.
+    assert!(
+        Command::new("kill").args(["-CONT", &player.id().to_string()]).status().unwrap().success()
+    );
+    wait_for("the player has the terminal again", || (modes(&ours) == direct).then_some(()));
+    ours.write_all(b"n").unwrap();
+    assert_eq!(next(&mut *words), word("0"));
+    ours.write_all(b"n").unwrap();
+    assert_eq!(next(&mut *words), word("300000"));
+    assert!(player.wait().success());
+    assert_eq!(modes(&ours), before);
+}
+
+#[test]
+fn a_player_that_is_ended_by_a_second_signal_leaves_the_terminal_as_before() {
+    let world = World::new("replay");
+    let times: Vec<i64> = (0..2_000).collect();
+    write_words(&world.bag(), &times);
+    // It reads nothing: a player that blocks waits for it, and looks at no signal meanwhile.
+    let words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
+    let (ours, theirs) = terminal();
+    let before = modes(&ours);
+    let mut player = on_a_terminal(&world.replay("shm", &["--rate", "100"]), &theirs);
+    wait_for("the player takes the terminal", || (modes(&ours) != before).then_some(()));
+    // Long enough for the room of the topic to be full.
+    let full = Instant::now();
+    while full.elapsed() < Duration::from_millis(500) {
+        assert!(player.is_running());
+        thread::sleep(Duration::from_millis(20));
+    }
+    player.interrupt();
+    wait_for("the terminal is as before", || (modes(&ours) == before).then_some(()));
+    player.interrupt();
+    player.wait();
+    assert_eq!(modes(&ours), before);
+    drop(words);
+}
+
+#[test]
+fn a_topic_with_two_types_is_played_with_the_one_that_can_be_had() {
+    let world = World::new("replay");
+    let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
+    let channel = |name: &str| {
+        Arc::new(Channel {
+            topic: "/a".to_owned(),
+            schema: Some(Arc::new(Schema {
+                name: name.to_owned(),
+                encoding: "ros2msg".to_owned(),
+                data: Vec::new(),
+            })),
+            encoding: "cdr".to_owned(),
+            metadata: BTreeMap::new(),
+        })
+    };
+    // Nobody on Zenoh would find a type without its hash.
+    let topics =
+        [RosString::TYPE, "acme_msgs/msg/Imu"].map(|name| bag.channel(&channel(name)).unwrap());
+    for (time, topic) in topics.into_iter().enumerate() {
+        let stamp = Stamp(time as i64);
+        bag.write(topic, stamp, stamp, &word("here")).unwrap();
+    }
+    bag.finish().unwrap();
+    let link = world.link("zenoh", "a");
+    let mut words = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut player = Process::start(&mut world.replay("zenoh", &[]));
+    assert_eq!(next(&mut *words), word("here"));
+    assert!(player.wait().success());
+}
+
 #[test]
 fn on_zenoh_the_player_does_what_its_services_are_asked() {
-    let world = World::new();
+    let world = World::new("replay");
     // The last message comes after ten minutes, or when somebody goes there.
     write_words(&world.bag(), &[0, 100, 300_000, 600_000]);
     let link = world.link("zenoh", "a");
@@ -268,7 +337,7 @@ fn on_zenoh_the_player_does_what_its_services_are_asked() {
 
 #[test]
 fn what_was_kept_when_it_was_recorded_is_kept_when_it_is_replayed() {
-    let world = World::new();
+    let world = World::new("replay");
     let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
     let words = type_support(RosString::TYPE).unwrap();
     let topic = bag.kept_topic("/a", &words.name, &words.schema, &words.hash, 1).unwrap();
@@ -289,7 +358,7 @@ fn what_was_kept_when_it_was_recorded_is_kept_when_it_is_replayed() {
 
 #[test]
 fn without_a_terminal_nobody_could_end_the_pause() {
-    let world = World::new();
+    let world = World::new("replay");
     write_words(&world.bag(), &[0]);
     let bag = world.bag();
     let remap = format!("/a:={}/a", world.prefix);

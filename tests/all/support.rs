@@ -3,12 +3,19 @@
 use std::{
     io::{BufRead as _, BufReader},
     net::TcpListener,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Child, ChildStdout, Command, ExitStatus, Output, Stdio},
     sync::atomic::{AtomicU32, Ordering},
     thread,
     time::{Duration, Instant},
 };
+
+use eddy::{
+    bag::{BagReader, Survey},
+    msg::{Message, RosString, cdr},
+    transport::{Link, Publisher, Reliability, TransportOptions, Transports},
+};
+use tempfile::TempDir;
 
 /// No test waits longer for anything.
 pub const DEADLINE: Duration = Duration::from_secs(120);
@@ -59,7 +66,7 @@ pub struct Process {
 impl Process {
     /// Starts it in the background.
     pub fn start(command: &mut Command) -> Self {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap();
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let printed = BufReader::new(child.stdout.take().unwrap());
         Self { child, printed }
     }
@@ -159,4 +166,63 @@ pub fn simulate(folder: &Path, scenes: u32, seconds: f64) {
     let (scenes, seconds) = (scenes.to_string(), seconds.to_string());
     let folder = folder.to_str().unwrap();
     succeed(["simulate", "--scenes", &scenes, "--duration", &seconds, "--output", folder]);
+}
+
+/// A message with a text.
+pub fn word(words: &str) -> Vec<u8> {
+    cdr::encode(&RosString { data: words.into() })
+}
+
+/// Everything that is wrong with a bag.
+pub fn findings(path: &Path) -> Vec<String> {
+    let bag = BagReader::open(path).unwrap();
+    let mut survey = Survey::of(&bag, |_| ());
+    survey.check_files(&bag);
+    survey.findings
+}
+
+/// A place for a bag, topics of its own, and this process's end of the transports.
+pub struct World {
+    pub folder: TempDir,
+    pub prefix: String,
+    pub transports: Transports,
+    /// The program's part of the same Zenoh network (`ZENOH_CONFIG_OVERRIDE`).
+    pub overrides: String,
+    /// Where the program listens on Zenoh.
+    pub port: u16,
+}
+
+impl World {
+    pub fn new(name: &str) -> Self {
+        let ports = [free_port(), free_port()];
+        let overrides = |listen: usize| {
+            let [mine, other] = [ports[listen], ports[1 - listen]];
+            format!(
+                r#"listen/endpoints=["tcp/127.0.0.1:{mine}"];connect/endpoints=["tcp/127.0.0.1:{other}"]"#
+            )
+        };
+        let mut options = TransportOptions::new("eddy_test");
+        options.zenoh.overrides = overrides(0);
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            prefix: format!("/{}", unique(name)),
+            transports: Transports::new(options),
+            overrides: overrides(1),
+            port: ports[1],
+        }
+    }
+
+    pub fn bag(&self) -> PathBuf {
+        self.folder.path().join("bag")
+    }
+
+    pub fn link(&self, transport: &str, name: &str) -> Link {
+        format!("{transport}:{}/{name}", self.prefix).parse().unwrap()
+    }
+
+    /// A publisher of texts.
+    pub fn words(&self, transport: &str, name: &str) -> Box<dyn Publisher> {
+        let link = self.link(transport, name);
+        self.transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap()
+    }
 }

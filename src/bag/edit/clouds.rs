@@ -45,7 +45,8 @@ pub fn clouds(
         });
         [Some(message), cloud.map(Ok)].into_iter().flatten()
     });
-    copy(output, bag.channels().iter().chain(channels.values()), with_clouds, options)
+    let channels = bag.channels().iter().chain(channels.values());
+    copy(output, channels, bag.extras(), with_clouds, options)
 }
 
 /// The topic of the clouds of a topic of frames, as the node publishes them.

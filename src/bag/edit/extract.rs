@@ -20,5 +20,5 @@ pub fn extract(
     let wanted = bag.channels().iter().filter(|channel| {
         selection.topics.as_ref().is_none_or(|topics| topics.contains(&channel.topic))
     });
-    copy(output, wanted, bag.select(selection), options)
+    copy(output, wanted, bag.extras(), bag.select(selection), options)
 }

@@ -25,7 +25,8 @@ pub fn merge(
     check_types(bags)?;
     let channels = bags.iter().flat_map(|bag| bag.channels());
     let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
-    copy(output, channels, Merged { inputs }, options)
+    let extras = bags.iter().flat_map(BagReader::extras);
+    copy(output, channels, extras, Merged { inputs }, options)
 }
 
 fn check_types(bags: &[BagReader]) -> Result<(), BagError> {

@@ -1,5 +1,6 @@
 //! Bags made of bags. Messages pass through one after the other, with their bytes, numbers and both
-//! times as they are, and so do the descriptions of their topics.
+//! times as they are, and so do the descriptions of their topics. Attachments and metadata records all go
+//! with them, whatever is chosen of the messages; only not what rosbag2 noted about the old file.
 //!
 //! 1. `choice`: which topics are wanted, by name and by pattern.
 //! 2. `moment`: a moment of a bag, as people write it.
@@ -22,7 +23,7 @@ pub use clouds::{clouds, without_cloud};
 pub use extract::extract;
 pub use merge::merge;
 pub use moment::{InvalidMoment, Moment};
-pub use recover::{Recovered, recover};
+pub use recover::{Recovered, Recovery};
 pub use reindex::{Reindexed, reindex};
 
 use std::{path::Path, sync::Arc};
@@ -31,6 +32,7 @@ use super::{
     channel::Channel,
     draft::Draft,
     error::BagError,
+    extra::{Extra, Written},
     messages::BagMessage,
     writer::{BagSummary, WriterOptions},
 };
@@ -43,16 +45,24 @@ pub struct CopyOptions<'a> {
     pub go_on: &'a mut dyn FnMut() -> bool,
 }
 
-/// Writes channels and messages into a new bag at `output`, which appears when it is whole.
+/// Writes channels, extras and messages into a new bag at `output`, which appears when it is whole.
 fn copy<'c>(
     output: &Path,
     channels: impl IntoIterator<Item = &'c Arc<Channel>>,
+    extras: impl IntoIterator<Item = Result<Extra, BagError>>,
     messages: impl Iterator<Item = Result<BagMessage, BagError>>,
     options: CopyOptions<'_>,
 ) -> Result<BagSummary, BagError> {
     let mut draft = Draft::begin(output, options.writer)?;
     for channel in channels {
         draft.writer().channel(channel)?;
+    }
+    let mut written = Written::default();
+    for extra in extras {
+        let extra = extra?;
+        if extra.is_about_what_was_recorded() && written.add(&extra) {
+            draft.writer().attach(&extra)?;
+        }
     }
     for message in messages {
         let message = message?;

@@ -4,14 +4,12 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 use crate::{
     bag::{
-        channel::Channel,
         error::BagError,
-        index::FileIndex,
+        index::{FileIndex, Watch},
         layout, metadata, summary,
         writer::{BagSummary, WrittenFile, WrittenTopic},
     },
@@ -32,20 +30,21 @@ pub struct Reindexed {
 ///
 /// # Errors
 /// [`BagError::Unfinished`] and damage of a file, which [`recover`](fn@super::recover) is for: nothing is
-/// changed then. [`BagError::Io`] when writing failed: each file is then the old or the new one.
-pub fn reindex(path: &Path) -> Result<Reindexed, BagError> {
+/// changed then. [`BagError::Io`] when writing failed, [`BagError::Interrupted`] when `watch`, which is
+/// called with the bytes that were read since, wants no more: each file is then the old or the new one.
+pub fn reindex(path: &Path, watch: &mut dyn FnMut(u64) -> bool) -> Result<Reindexed, BagError> {
     let files = layout::mcap_files(path)?;
     if let Some(active) = files.iter().find(|file| layout::is_active(file)) {
         return Err(BagError::Unfinished { path: active.clone() });
     }
-    let mut indexes = open(&files)?;
+    let mut indexes = open(&files, watch)?;
     let mut summarized = Vec::new();
     for index in indexes.iter().filter(|index| !index.summarized) {
-        summarize(&index.path)?;
+        summarize(&index.path, watch)?;
         summarized.push(index.path.clone());
     }
     if !summarized.is_empty() {
-        indexes = open(&files)?;
+        indexes = open(&files, &mut |_| true)?;
     }
     indexes.sort_by_key(|index| index.times.unwrap_or((u64::MAX, u64::MAX)));
     let bag = describe(path, &indexes);
@@ -55,11 +54,11 @@ pub fn reindex(path: &Path) -> Result<Reindexed, BagError> {
     Ok(Reindexed { bag, summarized })
 }
 
-fn open(files: &[PathBuf]) -> Result<Vec<FileIndex>, BagError> {
+fn open(files: &[PathBuf], watch: &mut Watch<'_>) -> Result<Vec<FileIndex>, BagError> {
     let indexes: Vec<FileIndex> = files
         .iter()
         .enumerate()
-        .map(|(number, file)| FileIndex::open(file, number))
+        .map(|(number, file)| FileIndex::open_watched(file, number, watch))
         .collect::<Result<_, _>>()?;
     let damage = |index: &FileIndex| Some(index.damage.as_ref()?.error(&index.path));
     indexes.iter().find_map(damage).map_or(Ok(()), Err)?;
@@ -67,12 +66,12 @@ fn open(files: &[PathBuf]) -> Result<Vec<FileIndex>, BagError> {
 }
 
 /// Writes the summary of a file into a copy, which then takes its place.
-fn summarize(file: &Path) -> Result<(), BagError> {
+fn summarize(file: &Path, watch: &mut Watch<'_>) -> Result<(), BagError> {
     let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let copy = file.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
     let replaced = fs::copy(file, &copy)
         .map_err(BagError::io(&copy, "copying the file"))
-        .and_then(|_| summary::end_file(&copy, summary::Chunks::Stay))
+        .and_then(|_| summary::end_file(&copy, summary::Chunks::Stay, watch))
         .and_then(|_| fs::rename(&copy, file).map_err(BagError::io(file, "replacing the file")));
     if replaced.is_err() {
         // The first error counts.
@@ -116,20 +115,10 @@ fn topics(indexes: &[FileIndex]) -> Vec<WrittenTopic> {
                 Some(&topic) => topics[topic].messages += messages,
                 None => {
                     same_name.push(topics.len());
-                    topics.push(written(channel, messages));
+                    topics.push(WrittenTopic { messages, ..WrittenTopic::new(channel) });
                 }
             }
         }
     }
     topics
-}
-
-fn written(channel: &Arc<Channel>, messages: u64) -> WrittenTopic {
-    WrittenTopic {
-        name: channel.topic.clone(),
-        type_name: channel.type_name().to_owned(),
-        hash: channel.type_hash().unwrap_or_default().to_owned(),
-        messages,
-        channel: Arc::clone(channel),
-    }
 }

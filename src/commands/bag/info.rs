@@ -21,6 +21,12 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     let compressions = bag.compressions().into_iter().collect::<Vec<_>>().join(", ");
     println!("compression  {}", if compressions.is_empty() { "none" } else { &compressions });
     println!("messages     {}", bag.message_count());
+
+    for (what, count) in ["attachments", "metadata"].iter().zip(bag.extra_counts()) {
+        if count > 0 {
+            println!("{what:<12} {count}");
+        }
+    }
     println!("duration     {:.3} s", bag.duration());
     if let (Some(start), Some(end)) = (bag.start(), bag.end()) {
         println!("start        {:.9} s", start.seconds());

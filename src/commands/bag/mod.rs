@@ -31,7 +31,7 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         BagCommand::Merge(args) => edit::merge(&args, quiet, interrupt),
         BagCommand::Filter(args) => edit::filter(args, quiet, interrupt),
         BagCommand::Cloud(args) => edit::cloud(&args, quiet, interrupt),
-        BagCommand::Reindex { bag } => reindex::run(&bag),
+        BagCommand::Reindex { bag } => reindex::run(&bag, quiet, interrupt),
         BagCommand::Info { bag } => info::run(&bag, quiet),
         BagCommand::Check { bag } => check::run(&bag, quiet),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),
@@ -95,6 +95,14 @@ fn messages(bags: &[PathBuf], topic: &str) -> Result<u64, BagError> {
         messages += of_topic.map(|info| info.message_count).sum::<u64>();
     }
     Ok(messages)
+}
+
+/// Moves the bar by the bytes of each call, and goes on until a signal comes.
+fn watch_bytes<'a>(bar: &'a ProgressBar, interrupt: &'a Interrupt) -> impl FnMut(u64) -> bool + 'a {
+    move |bytes| {
+        bar.inc(bytes);
+        !interrupt.requested()
+    }
 }
 
 /// Moves the bar by one frame at each call, and goes on until a signal comes.

@@ -2,12 +2,16 @@
 
 use std::path::Path;
 
-use super::report;
-use eddy::bag::{BagError, reindex};
+use super::{report, watch_bytes};
+use crate::commands::{Interrupt, progress_bar};
+use eddy::bag::{BagError, Recovery, reindex};
 
 /// Writes metadata and missing summaries anew.
-pub fn run(path: &Path) -> anyhow::Result<()> {
-    let reindexed = reindex(path).map_err(|error| {
+pub fn run(path: &Path, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let bar = progress_bar(Recovery::size(path)?, "bytes", quiet);
+    let outcome = reindex(path, &mut watch_bytes(&bar, interrupt));
+    bar.finish_and_clear();
+    let reindexed = outcome.map_err(|error| {
         let unfit = matches!(
             error,
             BagError::Unfinished { .. } | BagError::Truncated { .. } | BagError::Corrupt { .. }

@@ -1,8 +1,11 @@
 //! Which topics there are, now and later.
 
 use std::{
-    collections::HashSet,
-    sync::atomic::{AtomicBool, Ordering},
+    collections::{BTreeMap, HashSet},
+    sync::{
+        Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
     time::Duration,
 };
@@ -12,7 +15,7 @@ use eddy::{
     bag::TopicChoice,
     clock::Clock,
     node::Producer,
-    transport::{TransportKind, Transports},
+    transport::{Link, TransportKind, Transports},
 };
 
 /// Between two looks at what there is: messages published before their topic is found are missed.
@@ -25,20 +28,32 @@ pub(super) struct Search {
     pub(super) transports: Transports,
     pub(super) from: Vec<TransportKind>,
     pub(super) choice: TopicChoice,
+    pub(super) found: Mutex<Found>,
+}
+
+/// What is known of the topics that there are.
+pub(super) struct Found {
+    /// Names of those that are recorded, or were.
+    known: HashSet<String>,
+    /// Those that cannot be recorded, and why.
+    failed: BTreeMap<String, String>,
+}
+
+impl Found {
+    /// Those that are recorded by their links.
+    pub(super) fn knowing(known: HashSet<String>) -> Self {
+        Self { known, failed: BTreeMap::new() }
+    }
 }
 
 impl Search {
     /// Subscribes to every wanted topic that appears, until `stop`. A topic that is on several
-    /// transports is recorded from where it is found first; so is one with several types.
-    pub(super) fn run(
-        &self,
-        mut known: HashSet<String>,
-        producer: &Producer<Received>,
-        stop: &AtomicBool,
-    ) {
+    /// transports is recorded from where it is found first; so is one with several types. One that
+    /// cannot be subscribed to is tried again at every look.
+    pub(super) fn run(&self, producer: &Producer<Received>, stop: &AtomicBool) {
         while !stop.load(Ordering::Relaxed) {
             for &transport in &self.from {
-                self.look(transport, &mut known, producer);
+                self.look(transport, producer);
             }
             let clock = Clock::start();
             while clock.now() < INTERVAL && !stop.load(Ordering::Relaxed) {
@@ -47,32 +62,49 @@ impl Search {
         }
     }
 
-    fn look(
-        &self,
-        transport: TransportKind,
-        known: &mut HashSet<String>,
-        producer: &Producer<Received>,
-    ) {
+    /// Counts a topic that cannot be recorded.
+    pub(super) fn fails(&self, link: &Link, error: &dyn std::error::Error) {
+        let known = self.lock().failed.insert(link.to_string(), error.to_string());
+        if known.is_none() {
+            tracing::warn!("{link} is not recorded: {error}");
+        }
+    }
+
+    /// The topics that cannot be recorded, each with the reason.
+    pub(super) fn failed(&self) -> BTreeMap<String, String> {
+        self.lock().failed.clone()
+    }
+
+    fn look(&self, transport: TransportKind, producer: &Producer<Received>) {
         let topics = match self.transports.topics(transport) {
             Ok(topics) => topics,
             Err(error) => {
                 // Once: it will hardly be another one the next time.
-                if known.insert(format!("{transport}:")) {
+                if self.lock().known.insert(format!("{transport}:")) {
                     tracing::warn!("the topics on {transport} cannot be listed: {error}");
                 }
                 return;
             }
         };
         for topic in topics.into_iter().filter(|topic| self.choice.wants(&topic.link.topic)) {
-            if !known.insert(topic.link.topic.clone()) {
+            if self.lock().known.contains(&topic.link.topic) {
                 continue;
             }
             match self.transports.subscriber_of(&topic.link, &topic.type_support()) {
                 Ok(subscriber) => {
+                    let mut found = self.lock();
+                    found.known.insert(topic.link.topic.clone());
+                    found.failed.remove(&topic.link.to_string());
+                    drop(found);
                     producer.bring(Received::Opened(topic, subscriber), 0, Duration::MAX);
                 }
-                Err(error) => tracing::warn!("{} is not recorded: {error}", topic.link),
+                Err(error) => self.fails(&topic.link, &error),
             }
         }
+    }
+
+    /// A panic elsewhere cannot leave it half changed: every change is one insertion or removal.
+    fn lock(&self) -> MutexGuard<'_, Found> {
+        self.found.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -11,8 +11,8 @@ use eddy::{
     bag::TopicId,
     clock::{self, Clock},
     frame::Stamp,
-    node::Producer,
-    transport::{Payload, SeenTopic, Subscriber, TransportError},
+    node::{Brought, Producer},
+    transport::{Link, Payload, SeenTopic, Subscriber, TransportError},
 };
 
 /// How long messages that had arrived at the end are still taken, from a publisher that goes on.
@@ -26,7 +26,8 @@ pub(super) enum Received {
     /// A topic to record from now on.
     Opened(SeenTopic, Box<dyn Subscriber>),
     Message(TopicId, Payload, Stamp),
-    Failed(TransportError),
+    /// Nothing more comes from a topic.
+    Failed(Link, TransportError),
 }
 
 /// Messages that are not in the bag.
@@ -36,11 +37,13 @@ pub(super) struct Losses {
     pub(super) refused: u64,
     /// They found no room in the queue.
     pub(super) no_room: u64,
+    /// They were in the queue, or on their way to it, when the bag could not be written on.
+    pub(super) unwritten: u64,
 }
 
 impl Losses {
     pub(super) fn total(&self) -> u64 {
-        self.refused + self.no_room
+        self.refused + self.no_room + self.unwritten
     }
 }
 
@@ -49,19 +52,21 @@ impl Sum for Losses {
         all.fold(Self::default(), |sum, one| Self {
             refused: sum.refused + one.refused,
             no_room: sum.no_room + one.no_room,
+            unwritten: sum.unwritten + one.unwritten,
         })
     }
 }
 
 /// Hands over what a subscriber receives, at the end also what had arrived by then.
 pub(super) fn receive(
+    link: &Link,
     topic: TopicId,
     mut subscriber: Box<dyn Subscriber>,
     producer: &Producer<Received>,
     stop: &AtomicBool,
 ) -> Losses {
     let mut stopped: Option<Clock> = None;
-    let mut no_room = 0;
+    let (mut no_room, mut unwritten) = (0, 0);
     loop {
         if stopped.is_none() && stop.load(Ordering::Relaxed) {
             stopped = Some(Clock::start());
@@ -75,15 +80,17 @@ pub(super) fn receive(
             Ok(Some(payload)) => {
                 let size = payload.size();
                 let message = Received::Message(topic, payload, clock::wall());
-                if !producer.bring(message, size, ROOM_PATIENCE) {
-                    no_room += 1;
+                match producer.bring(message, size, ROOM_PATIENCE) {
+                    Brought::Queued => {}
+                    Brought::NoRoom => no_room += 1,
+                    Brought::Unwanted => unwritten += 1,
                 }
             }
             Err(error) => {
-                producer.bring(Received::Failed(error), 0, ROOM_PATIENCE);
+                producer.bring(Received::Failed(link.clone(), error), 0, ROOM_PATIENCE);
                 break;
             }
         }
     }
-    Losses { refused: subscriber.refused(), no_room }
+    Losses { refused: subscriber.refused(), no_room, unwritten }
 }

@@ -9,7 +9,10 @@ mod intake;
 
 use std::{
     collections::HashSet,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
     time::Duration,
 };
@@ -19,7 +22,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
-use discover::Search;
+use discover::{Found, Search};
 use eddy::{
     bag::{BagError, BagSummary, BagWriter, Split, TopicChoice, WriterOptions},
     clock::{self, Clock},
@@ -36,6 +39,9 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// Key in `custom_data` of `metadata.yaml`: messages that arrived and are not in the bag.
 const NOT_RECORDED: &str = "eddy_messages_not_recorded";
 
+/// Key in `custom_data`: topics that were found and could not be recorded.
+const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
+
 /// Records until a limit, a failure or a signal; closes the bag in each case.
 pub fn run(
     mut args: RecordArgs,
@@ -49,9 +55,11 @@ pub fn run(
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
     let transports = Transports::new(transport_options(ros)?);
+    let known = args.links.iter().map(|link| link.topic.clone()).collect();
     let search = Search {
         transports: transports.clone(),
         from: args.from.clone(),
+        found: Mutex::new(Found::knowing(known)),
         choice: TopicChoice {
             names: Vec::new(),
             regex: args.regex.clone(),
@@ -77,6 +85,13 @@ pub fn run(
     let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
     if losses.total() > 0 {
         recorder.note(NOT_RECORDED, losses.total().to_string());
+    }
+    let failed = search.failed();
+    if !failed.is_empty() {
+        recorder.note(TOPICS_NOT_RECORDED, failed.keys().cloned().collect::<Vec<_>>().join(" "));
+    }
+    for (link, reason) in failed {
+        println!("not recorded: {link}: {reason}");
     }
     end(recorder, outcome, &losses, clock.now().as_secs_f64())
 }
@@ -126,17 +141,18 @@ fn end(
     let bag = recorder.finish().with_context(kept)?;
     report(&bag, losses, seconds);
     match failure {
-        None if bag.lost > 0 => bail!(no_room(&bag)),
-        Some(failure) if bag.lost > 0 => Err(failure).context(no_room(&bag)),
+        None if bag.lost > 0 => bail!(no_room(&bag, losses)),
+        Some(failure) if bag.lost > 0 => Err(failure).context(no_room(&bag, losses)),
         Some(failure) => Err(failure),
         None => Ok(()),
     }
 }
 
-fn no_room(bag: &BagSummary) -> String {
+fn no_room(bag: &BagSummary, losses: &Losses) -> String {
     format!(
         "no room was left: the bag is closed with {} messages, {} more were lost",
-        bag.messages, bag.lost
+        bag.messages,
+        bag.lost + losses.unwritten
     )
 }
 
@@ -149,6 +165,9 @@ fn report(bag: &BagSummary, losses: &Losses, seconds: f64) {
     }
     if losses.no_room > 0 {
         println!("not recorded: {} messages that found no room in the queue", losses.no_room);
+    }
+    if losses.unwritten > 0 {
+        println!("not recorded: {} messages that waited in the queue at the end", losses.unwritten);
     }
     let files = match bag.files.len() {
         1 => String::new(),
@@ -174,7 +193,8 @@ fn record(
             let (link, output) = (&topic.link, args.output.display());
             println!("recording {link} ({}) into {output}", topic.type_name);
             let producer = cache.producer();
-            receivers.push(scope.spawn(move || receive(id, subscriber, &producer, stop)));
+            let link = topic.link;
+            receivers.push(scope.spawn(move || receive(&link, id, subscriber, &producer, stop)));
             Ok(())
         };
         let mut begun = Ok(());
@@ -184,18 +204,24 @@ fn record(
             }
         }
         if !search.choice.is_empty() {
-            let known = args.links.iter().map(|link| link.topic.clone()).collect();
             let producer = cache.producer();
-            scope.spawn(move || search.run(known, &producer, stop));
+            scope.spawn(move || search.run(&producer, stop));
         }
-        let outcome = begun.and_then(|()| write(recorder, &cache, &mut open, terms, stop));
+        let outcome = begun.and_then(|()| write(recorder, &cache, &mut open, search, terms, stop));
         stop.store(true, Ordering::Relaxed);
-        cache.close();
+        let waited = cache.close().into_iter();
+        let waited = waited.filter(|item| matches!(item, Received::Message(..))).count() as u64;
         let losses = receivers.into_iter().map(|receiver| match receiver.join() {
             Ok(losses) => losses,
             Err(panic) => std::panic::resume_unwind(panic),
         });
-        (outcome, losses.sum())
+        let mut losses: Losses = losses.sum();
+        losses.unwritten += waited;
+        if outcome.is_ok() {
+            // What came after the last message that was wanted is no loss.
+            losses.unwritten = 0;
+        }
+        (outcome, losses)
     })
 }
 
@@ -216,6 +242,7 @@ fn write(
     recorder: &mut Recorder,
     cache: &Cache<Received>,
     open: &mut Open<'_>,
+    search: &Search,
     terms: &Terms<'_>,
     stop: &AtomicBool,
 ) -> Result<(), Failure> {
@@ -232,8 +259,20 @@ fn write(
             Taken::Item(Received::Message(topic, payload, arrived)) => {
                 recorder.on_message(topic, payload, arrived).map_err(Failure::Bag)?;
             }
-            Taken::Item(Received::Opened(topic, subscriber)) => open(recorder, topic, subscriber)?,
-            Taken::Item(Received::Failed(error)) => failure = Some(Failure::Transport(error)),
+            Taken::Item(Received::Opened(topic, subscriber)) => {
+                let link = topic.link.clone();
+                match open(recorder, topic, subscriber) {
+                    Err(Failure::Bag(error @ BagError::TopicType { .. })) => {
+                        search.fails(&link, &error);
+                    }
+                    opened => opened?,
+                }
+            }
+            // Who asks for a topic by its link wants it; of all topics those that can be had.
+            Taken::Item(Received::Failed(link, error)) if !args.links.contains(&link) => {
+                search.fails(&link, &error);
+            }
+            Taken::Item(Received::Failed(_, error)) => failure = Some(Failure::Transport(error)),
             Taken::Nothing => {}
             Taken::Ended => break,
         }

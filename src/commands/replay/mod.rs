@@ -33,7 +33,7 @@ pub fn run(
 ) -> anyhow::Result<()> {
     has_no_parameters(ros)?;
     let bag = BagReader::open(&args.bag)?;
-    let topics = outputs::playable(&bag, &args)?;
+    let playable = outputs::playable(&bag, &args)?;
     let mut player = Player::new(
         &bag,
         PlayerOptions {
@@ -41,7 +41,7 @@ pub fn run(
             start_offset: args.start_offset,
             duration: args.duration,
             looped: args.looped,
-            topics: Some(topics.clone()),
+            topics: Some(outputs::names(&playable, &bag, &args)),
             clock: args.clock,
             paused: args.start_paused,
         },
@@ -49,7 +49,7 @@ pub fn run(
     // Sessions end with it: it stays until the last message is out.
     let transports = Transports::new(transport_options(ros)?);
     let control = RemoteControl::offer(&transports, args.to, &ros.full_name())?;
-    let mut outputs = Outputs::open(&transports, ros, &args, &bag, &topics)?;
+    let mut outputs = Outputs::open(&transports, ros, &args, &bag, &playable)?;
     if !outputs.wait_for(args.wait_for, interrupt)? {
         return Ok(());
     }

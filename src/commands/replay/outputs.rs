@@ -20,8 +20,12 @@ use eddy::{
 const CLOCK: &str = "/clock";
 
 /// The topics to play. Those that the transport cannot carry are left out, unless they were asked for;
-/// a recorded clock is left out when there is a new one.
-pub(super) fn playable(bag: &BagReader, args: &ReplayArgs) -> anyhow::Result<Vec<String>> {
+/// a recorded clock is left out when there is a new one. A name with two types is there twice, if both can
+/// be carried.
+pub(super) fn playable<'b>(
+    bag: &'b BagReader,
+    args: &ReplayArgs,
+) -> anyhow::Result<Vec<&'b TopicInfo>> {
     let wanted = &args.topics;
     let mut topics = Vec::new();
     for topic in bag.topics() {
@@ -34,18 +38,27 @@ pub(super) fn playable(bag: &BagReader, args: &ReplayArgs) -> anyhow::Result<Vec
             continue;
         }
         match support(topic, args.to) {
-            Ok(_) => topics.push(topic.name.clone()),
+            Ok(_) => topics.push(topic),
             Err(error) if asked_for => {
                 return Err(error).with_context(|| format!("topic {}", topic.name));
             }
-            Err(error) => tracing::warn!("topic {} is left out: {error}", topic.name),
+            Err(error) => {
+                let TopicInfo { name, type_name, .. } = topic;
+                tracing::warn!("topic {name} ({type_name}) is left out: {error}");
+            }
         }
     }
-    // Names the bag lacks are the player's to refuse.
-    topics.extend(
-        wanted.iter().filter(|name| !bag.topics().iter().any(|t| t.name == **name)).cloned(),
-    );
     Ok(topics)
+}
+
+/// The names to play, each once; also those that were asked for and that the bag lacks, which are the
+/// player's to refuse.
+pub(super) fn names(playable: &[&TopicInfo], bag: &BagReader, args: &ReplayArgs) -> Vec<String> {
+    let lacks = |name: &&String| !bag.topics().iter().any(|topic| topic.name == **name);
+    let mut names: Vec<String> = playable.iter().map(|topic| topic.name.clone()).collect();
+    names.dedup();
+    names.extend(args.topics.iter().filter(lacks).cloned());
+    names
 }
 
 /// What the transport has to know of a topic's type. Types that are unknown here pass through as bytes,
@@ -87,9 +100,9 @@ impl Outputs {
         ros: &RosNode,
         args: &ReplayArgs,
         bag: &BagReader,
-        topics: &[String],
+        playable: &[&TopicInfo],
     ) -> anyhow::Result<Self> {
-        let renamed = renamed(args, bag, topics)?;
+        let renamed = renamed(args, bag, playable)?;
         let link_of = |topic: &str| -> anyhow::Result<Link> {
             let name = renamed.get(topic).copied().unwrap_or(topic);
             let link = ros.link(&format!("{}:{name}", args.to).parse()?);
@@ -97,7 +110,7 @@ impl Outputs {
             Ok(link)
         };
         let mut publishers = HashMap::new();
-        for topic in bag.topics().iter().filter(|topic| topics.contains(&topic.name)) {
+        for topic in playable {
             let link = link_of(&topic.name)?;
             let support = support(topic, args.to)?;
             let kept = NonZeroUsize::new(topic.kept);
@@ -152,7 +165,7 @@ impl Outputs {
 fn renamed<'a>(
     args: &'a ReplayArgs,
     bag: &BagReader,
-    topics: &[String],
+    playable: &[&TopicInfo],
 ) -> anyhow::Result<HashMap<&'a str, &'a str>> {
     let mut renamed = HashMap::new();
     for rule in &args.remap {
@@ -161,7 +174,8 @@ fn renamed<'a>(
         };
         let is_clock = args.clock.is_some() && from == CLOCK;
         if !is_clock && !bag.topics().iter().any(|topic| topic.name == from) {
-            bail!("--remap: found topic `{from}`, expected one of {}", topics.join(", "));
+            let names: Vec<&str> = playable.iter().map(|topic| topic.name.as_str()).collect();
+            bail!("--remap: found topic `{from}`, expected one of {}", names.join(", "));
         }
         renamed.insert(from, to);
     }

@@ -1,0 +1,287 @@
+//! What is damaged, and what is beside the messages: what of it a copy keeps.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use eddy::bag::{BagError, BagReader, Recovery, Split, reindex};
+use mcap::records::MessageHeader;
+
+use crate::{
+    bag_edit::{Folder, messages, recover, small_chunks, write_foreign, write_split},
+    support::{eddy, findings, succeed, word},
+};
+
+/// A file whose messages lie in chunks, with one more between the last chunk and the end of the data.
+fn with_a_loose_message(bytes: &[u8]) -> Vec<u8> {
+    let footer = bytes.len() - 37;
+    let number = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+    let (summary, offsets) = (number(footer + 9), number(footer + 17));
+    // The data end record, before the summary, takes 13 bytes.
+    let data_end = summary as usize - 13;
+    let mut loose = vec![5];
+    let body = [&1_u16.to_le_bytes()[..], &99_u32.to_le_bytes(), &[9; 16], &word("loose")].concat();
+    loose.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    loose.extend_from_slice(&body);
+    let mut mixed = [&bytes[..data_end], &loose, &bytes[data_end..]].concat();
+    let shift = loose.len() as u64;
+    let footer = footer + loose.len();
+    mixed[footer + 9..footer + 17].copy_from_slice(&(summary + shift).to_le_bytes());
+    mixed[footer + 17..footer + 25].copy_from_slice(&(offsets + shift).to_le_bytes());
+    // No checksum over the summary.
+    mixed[footer + 25..footer + 29].fill(0);
+    mixed
+}
+
+#[test]
+fn messages_outside_chunks_count_beside_those_in_chunks() {
+    let folder = Folder::new();
+    let mixed = with_a_loose_message(&fs::read(folder.join("whole.mcap")).unwrap());
+    fs::write(folder.join("mixed.mcap"), mixed).unwrap();
+    let found = messages(&folder.join("mixed.mcap"));
+    assert_eq!(found.len(), 61);
+    assert!(found.iter().any(|message| message.1 == 99 && message.4 == word("loose")));
+    let recovered = recover(&folder.join("mixed.mcap"), &folder.join("saved")).unwrap();
+    assert_eq!((recovered.bag.messages, recovered.losses.len()), (61, 0));
+}
+
+#[test]
+fn one_wrong_byte_costs_one_chunk_at_most() {
+    let folder = Folder::new();
+    let whole = messages(&folder.join("whole.mcap"));
+    let bytes = fs::read(folder.join("whole.mcap")).unwrap();
+    let (damaged, saved) = (folder.join("damaged.mcap"), folder.join("saved"));
+    let most = {
+        let index = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
+        60 / index.len() + 2
+    };
+    for (number, position) in (8..bytes.len()).step_by(3).enumerate() {
+        let mut bytes = bytes.clone();
+        bytes[position] ^= 1 << (number % 8);
+        fs::write(&damaged, &bytes).unwrap();
+        recover(&damaged, &saved).unwrap_or_else(|error| panic!("byte {position}: {error}"));
+        let kept = messages(&saved);
+        assert!(kept.len() + most >= 60, "byte {position}: {} messages", kept.len());
+        let right = kept.iter().filter(|message| whole.contains(message)).count();
+        // A name in the summary may be what is wrong: nothing but the data has checksums of its own.
+        assert!(right == kept.len() || kept.len() == 60, "byte {position}: {right} are right");
+        fs::remove_dir_all(&saved).unwrap();
+    }
+}
+
+#[test]
+fn a_wrong_length_of_a_loose_message_costs_no_other() {
+    let folder = Folder::new();
+    let times: Vec<u64> = (0..60).map(|number| number * 1_000).collect();
+    write_foreign(&folder.join("loose.mcap"), &times, mcap::WriteOptions::new().use_chunks(false));
+    let whole = messages(&folder.join("loose.mcap"));
+    let bytes = fs::read(folder.join("loose.mcap")).unwrap();
+    let start = bytes.windows(9).position(|w| w[0] == 5 && w[2..] == [0; 7]).unwrap();
+    for (place, wrong) in [(1, 0xff), (2, 0x10), (5, 0x01), (8, 0x80)] {
+        let mut bytes = bytes.clone();
+        bytes[start + place] ^= wrong;
+        fs::write(folder.join("damaged.mcap"), &bytes).unwrap();
+        let recovered = recover(&folder.join("damaged.mcap"), &folder.join("saved")).unwrap();
+        let kept = messages(&folder.join("saved"));
+        assert_eq!(kept, whole[1..], "byte {place} of the first length");
+        assert_eq!(recovered.losses.len(), 2, "{:?}", recovered.losses);
+        fs::remove_dir_all(folder.join("saved")).unwrap();
+    }
+}
+
+#[test]
+fn a_bag_that_states_more_messages_than_it_has_is_not_whole() {
+    let folder = Folder::new();
+    let bag = folder.join("bag");
+    write_split(&bag, Split { size: Some(4_000), duration: None });
+    fs::remove_file(bag.join("bag_1.mcap")).unwrap();
+    let recovered = recover(&bag, &folder.join("saved")).unwrap();
+    let kept = recovered.bag.messages;
+    assert!(kept < 30);
+    assert_eq!(
+        recovered.losses,
+        [format!("{}: found {kept} messages, expected the 30 it states", bag.display())]
+    );
+}
+
+/// A file with chunks of several messages, an attachment and two metadata records, one of them rosbag2's.
+fn write_with_extras(path: &Path, times: std::ops::Range<u64>) {
+    let mut writer = small_chunks().create(fs::File::create(path).unwrap()).unwrap();
+    let channel = writer.add_channel(0, "/a", "cdr", &BTreeMap::new()).unwrap();
+    for (sequence, log_time) in (0..).zip(times) {
+        let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time: 0 };
+        writer.write_to_known_channel(&header, &word("a")).unwrap();
+        if sequence == 20 {
+            writer.attach(&calibration()).unwrap();
+            for name in ["rosbag2", "place"] {
+                writer.write_metadata(&about(name)).unwrap();
+            }
+        }
+    }
+    writer.finish().unwrap();
+}
+
+fn calibration() -> mcap::Attachment<'static> {
+    mcap::Attachment {
+        log_time: 1,
+        create_time: 2,
+        name: "camera.yaml".to_owned(),
+        media_type: "text/yaml".to_owned(),
+        data: b"f: 500".into(),
+    }
+}
+
+fn about(name: &str) -> mcap::records::Metadata {
+    let metadata = [("hall".to_owned(), "3".to_owned())].into();
+    mcap::records::Metadata { name: name.to_owned(), metadata }
+}
+
+/// The attachments and metadata records of a bag of one file, as MCAP's own reader finds them.
+fn extras(bag: &Path) -> (Vec<mcap::Attachment<'static>>, Vec<mcap::records::Metadata>) {
+    let reader = BagReader::open(bag).unwrap();
+    let bytes = fs::read(reader.files().next().unwrap()).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let attachments = summary.attachment_indexes.iter().map(|index| {
+        let found = mcap::read::attachment(&bytes, index).unwrap();
+        let data = found.data.into_owned().into();
+        mcap::Attachment { data, ..found }
+    });
+    let metadata = summary.metadata_indexes.iter();
+    let metadata = metadata.map(|index| mcap::read::metadata(&bytes, index).unwrap());
+    (attachments.collect(), metadata.collect())
+}
+
+#[test]
+fn attachments_and_metadata_go_with_the_messages() {
+    let folder = Folder::new();
+    write_with_extras(&folder.join("one.mcap"), 0..60);
+    write_with_extras(&folder.join("two.mcap"), 100..160);
+    let expected = (vec![calibration()], vec![about("place")]);
+    for arguments in [
+        vec!["cut", "one.mcap", "--start", "50ns"],
+        vec!["filter", "one.mcap", "--topics", "/a"],
+        vec!["merge", "one.mcap", "two.mcap"],
+        vec!["recover", "one.mcap"],
+    ] {
+        let new = folder.path(&format!("{}ted", arguments[0]));
+        let path = |word: &str| {
+            if word.ends_with("mcap") { folder.path(word) } else { word.to_owned() }
+        };
+        let arguments: Vec<String> = arguments.into_iter().map(path).collect();
+        let arguments =
+            [&["bag".to_owned()], &arguments[..], &["-o".to_owned(), new.clone()]].concat();
+        succeed(&arguments);
+        assert_eq!(extras(Path::new(&new)), expected, "{arguments:?}");
+        let said = succeed(["bag", "info", &new]);
+        assert!(said.contains("attachments  1\nmetadata     1\n"), "{said}");
+    }
+}
+
+#[test]
+fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
+    let folder = Folder::new();
+    let file = folder.join("bag.mcap");
+    write_with_extras(&file, 0..60);
+    let bytes = fs::read(&file).unwrap();
+    let summary = bytes.len() - 37 + 9;
+    let start = u64::from_le_bytes(bytes[summary..summary + 8].try_into().unwrap()) as usize;
+    // Without its end from the data end record on.
+    fs::write(
+        &file,
+        [&bytes[..start], &[2], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat(),
+    )
+    .unwrap();
+    assert_eq!(reindex(&file, &mut |_| true).unwrap().summarized, std::slice::from_ref(&file));
+    assert_eq!(extras(&file), (vec![calibration()], vec![about("rosbag2"), about("place")]));
+    assert_eq!(findings(&file), [""; 0]);
+}
+
+#[test]
+fn work_on_a_file_that_is_read_from_its_start_can_be_ended() {
+    let folder = Folder::new();
+    let bag = folder.join("bag.mcap");
+    let times: Vec<u64> = (0..40_000).collect();
+    let bare = mcap::WriteOptions::new().emit_summary_records(false).emit_summary_offsets(false);
+    write_foreign(&bag, &times, bare.compression(None));
+    let mut passed = 0;
+    let mut twice = |bytes| {
+        passed += bytes;
+        passed < 2 << 20
+    };
+    let error = reindex(&bag, &mut twice).unwrap_err();
+    assert!(matches!(error, BagError::Interrupted { .. }), "{error}");
+    let error = Recovery::open(&bag, &mut |_| false).unwrap_err();
+    assert!(matches!(error, BagError::Interrupted { .. }), "{error}");
+    assert_eq!(folder.names(), ["bag.mcap", "whole.mcap"]);
+}
+
+/// Compiles the library that makes a sector of a file unreadable.
+#[cfg(target_os = "linux")]
+fn bad_sector(folder: &Path) -> PathBuf {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/bad_sector.rs");
+    let library = folder.join("bad_sector.so");
+    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let mut command = Command::new(rustc);
+    command.args(["--edition=2024", "--crate-type=cdylib", "-Cpanic=abort", "-o"]);
+    assert!(command.arg(&library).arg(source).status().unwrap().success());
+    library
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_sector_that_cannot_be_read_costs_the_chunks_that_it_is_in() {
+    let folder = Folder::new();
+    let library = bad_sector(folder.0.path());
+    let summarized = mcap::WriteOptions::new().chunk_size(Some(5_000)).compression(None);
+    let bare = summarized.clone().emit_summary_records(false).emit_summary_offsets(false);
+    for (name, options) in [("summarized", summarized), ("bare", bare)] {
+        let file = folder.join(&format!("{name}.mcap"));
+        let mut writer = options.create(fs::File::create(&file).unwrap()).unwrap();
+        let channel = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
+        for sequence in 0..400 {
+            let log_time = u64::from(sequence);
+            let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time: 0 };
+            writer.write_to_known_channel(&header, &[b'!'; 1_000]).unwrap();
+        }
+        writer.finish().unwrap();
+        let recover = |start: u64, end: u64| {
+            let saved = folder.join(&format!("{name}_{start}"));
+            let output = eddy()
+                .args(["bag", "recover", file.to_str().unwrap(), "-o", saved.to_str().unwrap()])
+                .env("LD_PRELOAD", &library)
+                .env("BAD_SECTOR_FILE", &file)
+                .env("BAD_SECTOR_START", start.to_string())
+                .env("BAD_SECTOR_END", end.to_string())
+                .output()
+                .unwrap();
+            let said = String::from_utf8(output.stdout).unwrap();
+            assert_eq!(output.status.code(), Some(3), "{name}, byte {start}: {said}");
+            assert!(said.contains("bytes that the disk cannot read"), "{name}: {said}");
+            let numbers: Vec<u32> = messages(&saved).iter().map(|message| message.1).collect();
+            assert_eq!(findings(&saved), [""; 0]);
+            numbers
+        };
+        // In the middle, in the middle of a chunk or over the border of two.
+        for start in [102_400, 204_800] {
+            let numbers = recover(start, start + 4_096);
+            assert!((380..=395).contains(&numbers.len()), "{name}: {}", numbers.len());
+            assert_eq!((numbers[0], numbers[numbers.len() - 1]), (0, 399));
+        }
+    }
+    // The beginning, with magic and topics, is repeated in the summary only.
+    let file = folder.join("summarized.mcap");
+    let saved = folder.join("beginning");
+    let output = eddy()
+        .args(["bag", "recover", file.to_str().unwrap(), "-o", saved.to_str().unwrap()])
+        .env("LD_PRELOAD", &library)
+        .env("BAD_SECTOR_FILE", &file)
+        .env("BAD_SECTOR_START", "0")
+        .env("BAD_SECTOR_END", "4096")
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(messages(&saved).len() >= 390);
+}
