@@ -84,7 +84,15 @@ impl Overrides {
     /// # Errors
     /// [`ConfigError::Read`], [`ConfigError::Syntax`].
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        Ok(Self { file: file.to_owned(), table: table(file, &read(file)?)? })
+        Self::parse(file, &read(file)?)
+    }
+
+    /// The settings in the text of a file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Syntax`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigError> {
+        Ok(Self { file: file.to_owned(), table: table(file, text)? })
     }
 
     /// The value of one key at the top, where it decides which defaults hold.

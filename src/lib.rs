@@ -9,7 +9,7 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | L7 | `cli`, `commands` |
+//! | L7 | `cli`, `commands`, `fuzzing` |
 //! | L6 | `bench`, `config`, `launch` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
@@ -28,6 +28,8 @@ pub mod engine;
 pub mod eval;
 pub mod exchange;
 pub mod frame;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod kernels;
 pub mod launch;
 pub mod model;

@@ -80,7 +80,12 @@ impl Checkpoint {
         )
     }
 
-    fn parse(directory: &Path, description: &str, weights: &[u8]) -> Result<Self, CheckpointError> {
+    /// The checkpoint in the contents of its two files, which `directory` names in errors.
+    pub(crate) fn parse(
+        directory: &Path,
+        description: &str,
+        weights: &[u8],
+    ) -> Result<Self, CheckpointError> {
         let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
         let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
         let checkpoint = Self { description, tensors };

@@ -15,6 +15,7 @@
 //! [`Payload`] must be expected from any topic of frames.
 
 mod dds;
+pub(crate) mod foreign;
 mod link;
 mod memory;
 mod opener;

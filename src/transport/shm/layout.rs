@@ -11,7 +11,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[type_name("eddy::Particle")]
 #[repr(C)]
-pub(super) struct Particle {
+pub(in crate::transport) struct Particle {
     /// Position (domain lengths).
     pub(super) x: f32,
     pub(super) y: f32,
@@ -26,7 +26,7 @@ pub(super) struct Particle {
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("eddy::FrameHeader")]
 #[repr(C)]
-pub(super) struct FrameHeader {
+pub(in crate::transport) struct FrameHeader {
     pub(super) stream: u64,
     pub(super) sequence: u64,
     /// Simulation time (ns).
@@ -59,7 +59,7 @@ pub(super) fn particle(frame: &Frame, index: usize) -> Particle {
 
 /// What lies in shared memory as a message, unchecked. Material numbers that do not fit its bytes
 /// are saturated, so that they stay unknown.
-pub(super) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleFrame {
+pub(in crate::transport) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleFrame {
     let material = |p: &Particle| u8::try_from(p.material).unwrap_or(u8::MAX);
     ParticleFrame {
         header: Header::world(Stamp(header.stamp_ns)),
@@ -75,7 +75,10 @@ pub(super) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleF
 }
 
 /// The frame in shared memory, checked.
-pub(super) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Frame, InvalidFrame> {
+pub(in crate::transport) fn frame(
+    header: &FrameHeader,
+    particles: &[Particle],
+) -> Result<Frame, InvalidFrame> {
     let domain = Domain { lower: header.lower, upper: header.upper };
     let material = particles
         .iter()
@@ -96,6 +99,26 @@ pub(super) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Fram
         particles.iter().map(|p| [p.vx, p.vy]).collect(),
         material,
     )
+}
+
+/// Header and particles as other programs may have left them in shared memory: any bits at all.
+pub(in crate::transport) fn from_bits(bytes: &[u8]) -> (FrameHeader, Vec<Particle>) {
+    let mut words = bytes.chunks_exact(4).map(|word| {
+        let (word, _) = word.split_first_chunk().expect("chunks of four bytes have four");
+        u32::from_le_bytes(*word)
+    });
+    let mut word = || words.next();
+    let mut or_zero = || word().unwrap_or_default();
+    let mut long = || u64::from(or_zero()) | u64::from(or_zero()) << 32;
+    let (stream, sequence, stamp_ns) = (long(), long(), long() as i64);
+    let mut number = || f32::from_bits(or_zero());
+    let (dt, lower, upper) = (number(), [number(), number()], [number(), number()]);
+    let header = FrameHeader { stream, sequence, stamp_ns, dt, lower, upper };
+    let mut particle = || {
+        let [x, y, vx, vy] = [word()?, word()?, word()?, word()?].map(f32::from_bits);
+        Some(Particle { x, y, vx, vy, material: word()? })
+    };
+    (header, std::iter::from_fn(&mut particle).collect())
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@
 //! A frame's `frame_id` does not travel: readers see `world`, whatever the bytes given to
 //! [`publish_cdr`](super::Publisher::publish_cdr) said.
 
-mod layout;
+pub(super) mod layout;
 mod publisher;
 mod service;
 mod subscriber;

@@ -11,7 +11,7 @@ pub(super) const LENGTH: usize = 8 + 8 + 1 + GID_LENGTH;
 
 /// What a publisher says about a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Attachment {
+pub(in crate::transport) struct Attachment {
     /// Number of the message; a publisher starts at 1.
     pub(super) sequence: i64,
     /// When it was published (ns since the epoch).
@@ -21,7 +21,7 @@ pub(super) struct Attachment {
 }
 
 impl Attachment {
-    pub(super) fn to_bytes(self) -> [u8; LENGTH] {
+    pub(in crate::transport) fn to_bytes(self) -> [u8; LENGTH] {
         let mut bytes = [0; LENGTH];
         bytes[..8].copy_from_slice(&self.sequence.to_le_bytes());
         bytes[8..16].copy_from_slice(&self.source_time.to_le_bytes());
@@ -31,7 +31,7 @@ impl Attachment {
     }
 
     /// The attachment in `bytes`, or `None` when they have another form.
-    pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
+    pub(in crate::transport) fn parse(bytes: &[u8]) -> Option<Self> {
         let bytes: &[u8; LENGTH] = bytes.try_into().ok()?;
         let (sequence, rest) = bytes.split_first_chunk()?;
         let (source_time, rest) = rest.split_first_chunk()?;

@@ -126,7 +126,7 @@ fn dds_name(ros_name: &str) -> String {
 }
 
 /// Type, as ROS names it, and hash in the token of an endpoint.
-pub(super) fn type_in(token: &str) -> Option<(String, &str)> {
+pub(in crate::transport) fn type_in(token: &str) -> Option<(String, &str)> {
     let mut chunks = token.split('/').skip(10);
     let (dds_name, hash) = (chunks.next()?, chunks.next()?);
     let ros_name = dds_name.replace("::dds_::", "::").replace("::", "/");
@@ -134,7 +134,7 @@ pub(super) fn type_in(token: &str) -> Option<(String, &str)> {
 }
 
 /// The topic in the token of an endpoint.
-pub(super) fn topic_in(token: &str) -> Option<String> {
+pub(in crate::transport) fn topic_in(token: &str) -> Option<String> {
     Some(token.split('/').nth(9)?.replace('%', "/"))
 }
 

@@ -16,10 +16,10 @@
 //! `hiroz-protocol` 0.2.1, compiles only with its feature `std`, which turns on the same features; the
 //! names are short enough to be written here.
 
-mod attachment;
+pub(super) mod attachment;
 mod config;
 mod graph;
-mod keys;
+pub(super) mod keys;
 mod latched;
 mod publisher;
 mod service;

@@ -1,0 +1,183 @@
+//! Makes the corpus's first inputs: one that is whole for each thing that a kind may be. What a run finds
+//! is added to them by hand, under a name that says what it was.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use eddy::{
+    bag::{BagWriter, Compression, WriterOptions},
+    checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, Weights, tensor_shapes},
+    frame::{Domain, Frame, Material, Stamp},
+    msg::{
+        Clock, DiagnosticArray, DiagnosticStatus, KeyValue, Message, ParticleFrame,
+        PredictionStatus, RosString, StreamState, cdr, services,
+    },
+};
+use mcap::records::MessageHeader;
+use serde::Serialize;
+
+use super::corpus;
+
+fn keep(target: &str, name: &str, bytes: impl AsRef<[u8]>) {
+    fs::create_dir_all(corpus(target)).unwrap();
+    fs::write(corpus(target).join(name), bytes).unwrap();
+}
+
+fn frame(sequence: u64) -> Frame {
+    Frame {
+        stream: 3,
+        sequence,
+        stamp: Stamp(sequence as i64 * 16_000_000),
+        dt: 0.016,
+        domain: Domain::UNIT,
+        position: vec![[0.25, 0.5], [0.5, 0.75]],
+        velocity: vec![[0.0, -1.0], [1.0, 0.0]],
+        material: vec![Material::Liquid, Material::Snow],
+    }
+}
+
+#[test]
+#[ignore = "writes the corpus"]
+fn write_the_first_inputs() {
+    messages();
+    bags();
+    attachments_and_names();
+    samples();
+    checkpoints();
+    texts();
+}
+
+fn messages() {
+    keep("cdr", "particle_frame", frame(1).to_cdr());
+    let status = PredictionStatus {
+        header: Default::default(),
+        stream: 1,
+        source_sequence: 2,
+        horizon: 3,
+        state: StreamState::Tracking as u8,
+        latency: 0.001,
+        model: "0123456789ab".to_owned(),
+    };
+    encoded("prediction_status", &status);
+    let values = vec![KeyValue { key: "rate".to_owned(), value: "62.5".to_owned() }];
+    let status = DiagnosticStatus { name: "eddy_node".to_owned(), values, ..Default::default() };
+    encoded("diagnostics", &DiagnosticArray { status: vec![status], ..Default::default() });
+    encoded("clock", &Clock::default());
+    encoded("string", &RosString { data: "eddy".to_owned() });
+    let parameter = services::Parameter { name: "horizon".to_owned(), ..Default::default() };
+    let names = services::ParameterNames { names: vec!["horizon".to_owned(); 2] };
+    encoded("parameter_names", &names);
+    encoded("set_parameters", &services::SetParametersRequest { parameters: vec![parameter] });
+    let descriptors = vec![services::ParameterDescriptor::default()];
+    encoded("descriptors", &services::DescribeParametersResponse { descriptors });
+}
+
+fn encoded<M: Serialize>(name: &str, message: &M) {
+    keep("cdr", name, cdr::encode(message));
+}
+
+fn bags() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, compression) in
+        [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)]
+    {
+        let options = WriterOptions { compression, chunk_size: 200, ..Default::default() };
+        let path = folder.path().join(name);
+        let mut bag = BagWriter::create(&path, options).unwrap();
+        let particles = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
+        let words = bag.topic("/words", RosString::TYPE).unwrap();
+        for number in 0..6 {
+            let frame = frame(number);
+            bag.write(particles, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
+        }
+        bag.write(words, Stamp(7), Stamp(8), &[0, 1, 0, 0, 1, 0, 0, 0, 0]).unwrap();
+        let file = bag.finish().unwrap().files[0].path.clone();
+        keep("mcap", name, fs::read(file).unwrap());
+        keep("metadata", name, fs::read(path.join("metadata.yaml")).unwrap());
+    }
+    let loose = mcap::WriteOptions::new().use_chunks(false);
+    keep("mcap", "loose", foreign(&folder.path().join("loose"), loose));
+    let bare = mcap::WriteOptions::new().emit_summary_records(false).chunk_size(Some(100));
+    keep("mcap", "bare", foreign(&folder.path().join("bare"), bare));
+}
+
+/// A file of another program, with an attachment and a metadata record.
+fn foreign(file: &Path, options: mcap::WriteOptions) -> Vec<u8> {
+    let mut writer = options.create(fs::File::create(file).unwrap()).unwrap();
+    let schema = writer.add_schema("acme_msgs/msg/Imu", "ros2idl", b"module acme {};").unwrap();
+    let channel_id = writer.add_channel(schema, "/imu", "cdr", &BTreeMap::new()).unwrap();
+    for time in 0..6 {
+        let header =
+            MessageHeader { channel_id, sequence: time, log_time: time.into(), publish_time: 1 };
+        writer.write_to_known_channel(&header, &[0, 1, 0, 0, 42]).unwrap();
+    }
+    let attachment = mcap::Attachment {
+        log_time: 1,
+        create_time: 2,
+        name: "calibration".to_owned(),
+        media_type: "text/plain".to_owned(),
+        data: b"f = 500".into(),
+    };
+    writer.attach(&attachment).unwrap();
+    let metadata = [("place".to_owned(), "hall".to_owned())].into();
+    writer.write_metadata(&mcap::records::Metadata { name: "about".to_owned(), metadata }).unwrap();
+    writer.finish().unwrap();
+    fs::read(file).unwrap()
+}
+
+fn attachments_and_names() {
+    keep("attachment", "whole", b"\x01\0\0\0\0\0\0\0\x02\x01\0\0\0\0\0\0\x100123456789abcdef");
+    let token = "@ros2_lv/0/1234567890abcdef1234567890abcdef/0/1/MP/%/%/node/%left%particles/eddy_msgs::msg::dds_::ParticleFrame_/RIHS01_00/2::,10:,:,:,,";
+    keep("names", "token", token);
+    keep("names", "link", "zenoh:/left/particles");
+}
+
+fn samples() {
+    let mut bits = Vec::new();
+    for long in [3_u64, 1, 16_000_000] {
+        bits.extend_from_slice(&long.to_le_bytes());
+    }
+    for number in [0.016_f32, 0.0, 0.0, 1.0, 1.0] {
+        bits.extend_from_slice(&number.to_le_bytes());
+    }
+    for material in [0_u32, 3] {
+        for number in [0.25_f32, 0.5, 0.0, -1.0] {
+            bits.extend_from_slice(&number.to_le_bytes());
+        }
+        bits.extend_from_slice(&material.to_le_bytes());
+    }
+    keep("shm", "two_particles", bits);
+}
+
+fn checkpoints() {
+    let folder = tempfile::tempdir().unwrap();
+    // The particle model's grid makes it too large to be changed to some effect.
+    let architecture = Architecture::Frame;
+    for core in Core::ALL {
+        let sizes = Sizes { encoder: 2, hidden: 3, layers: 1, particles: Some(2) };
+        let description = Description::untrained(architecture, core, sizes);
+        let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
+            let values = vec![0.125; shape.iter().product()];
+            (name, Weights { shape, values })
+        });
+        let checkpoint = Checkpoint { tensors: tensors.collect(), description };
+        checkpoint.save(folder.path()).unwrap();
+        let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+        let bytes = [read("model.toml"), vec![0], read("model.safetensors")].concat();
+        keep("checkpoint", &format!("{core:?}").to_lowercase(), bytes);
+    }
+}
+
+fn texts() {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs");
+    let files = |folder: &Path| {
+        let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        files.filter(|file| file.is_file()).collect::<Vec<_>>()
+    };
+    for (target, folder) in [("toml", configs.clone()), ("scene", configs.join("scenes"))] {
+        for file in files(&folder) {
+            let name = file.file_stem().unwrap().to_str().unwrap();
+            keep(target, name, fs::read(&file).unwrap());
+        }
+    }
+    keep("scene", "empty", "");
+}
