@@ -10,6 +10,7 @@ mod client;
 mod eval;
 mod exchange;
 mod graph;
+mod hostile;
 mod launch;
 mod launch_configs;
 mod layers;
