@@ -1,13 +1,8 @@
 //! What other programs may make this one read, without the middleware that brings it: for fuzzing.
 
-use super::{
-    Link,
-    shm::layout,
-    zenoh::{
-        attachment::Attachment,
-        keys::{topic_in, type_in},
-    },
-};
+use super::zenoh::attachment::Attachment;
+use super::zenoh::keys::{topic_in, type_in};
+use super::{Link, shm::layout};
 use crate::msg::cdr;
 
 /// Reads a sample of a topic of frames as it lies in shared memory.
