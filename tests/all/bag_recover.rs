@@ -58,7 +58,7 @@ fn one_wrong_byte_costs_one_chunk_at_most() {
         let index = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
         60 / index.len() + 2
     };
-    for (number, position) in (8..bytes.len()).step_by(3).enumerate() {
+    for (number, position) in (8..bytes.len()).step_by(11).enumerate() {
         let mut bytes = bytes.clone();
         bytes[position] ^= 1 << (number % 8);
         fs::write(&damaged, &bytes).unwrap();
