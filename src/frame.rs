@@ -2,7 +2,14 @@
 //!
 //! A [`Frame`] is always whole: its lengths agree, every number is finite, every material is known.
 //! Whatever comes from outside becomes a frame through [`Frame::new`], which refuses the rest with an
-//! [`InvalidFrame`] that names the field, what was found and what was expected.
+//! [`InvalidFrame`] that names the field, what was found and what was expected. A [`FrameView`] is a frame
+//! that is read where it lies.
+
+mod view;
+
+pub use view::{FrameView, Particle, Particles};
+
+use std::io::Write as _;
 
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +41,14 @@ impl Stamp {
 
 /// The double that a person meant who wrote `value`: 0.016f32 is 0.016, not 0.01599999964.
 pub fn decimal(value: f32) -> f64 {
-    value.to_string().parse().unwrap_or(f64::from(value))
+    // As `to_string`, which asks for memory: at most nine digits, two signs, a point and an exponent.
+    let mut text = [0; 24];
+    let mut rest = text.as_mut_slice();
+    let written = write!(rest, "{value:e}").is_ok();
+    let left = rest.len();
+    let length = text.len() - left;
+    let digits = str::from_utf8(&text[..length]).ok().filter(|_| written);
+    digits.and_then(|digits| digits.parse().ok()).unwrap_or(f64::from(value))
 }
 
 /// What a particle is made of. The numbers are those of `eddy_msgs/msg/ParticleFrame`.
@@ -225,12 +239,10 @@ impl Frame {
     /// As [`Frame::new`].
     pub fn check(&self) -> Result<(), InvalidFrame> {
         let particles = self.material.len();
-        if particles == 0 {
-            return Err(InvalidFrame::Empty);
-        }
         for (field, found) in [("position", self.position.len()), ("velocity", self.velocity.len())]
         {
-            if found != particles {
+            // Without particles, that is said instead.
+            if found != particles && particles > 0 {
                 return Err(InvalidFrame::Length {
                     field,
                     found: 2 * found,
@@ -239,28 +251,7 @@ impl Frame {
                 });
             }
         }
-        if self.sequence == u64::MAX {
-            return Err(InvalidFrame::Sequence { found: self.sequence });
-        }
-        if !self.domain.is_whole() {
-            return Err(InvalidFrame::Domain { found: [self.domain.lower, self.domain.upper] });
-        }
-        if !(self.dt.is_finite() && self.dt > 0.0) {
-            return Err(InvalidFrame::Interval { found: self.dt });
-        }
-        first_not_finite("position", &self.position)?;
-        first_not_finite("velocity", &self.velocity)
-    }
-}
-
-fn first_not_finite(field: &'static str, vectors: &[[f32; 2]]) -> Result<(), InvalidFrame> {
-    let found = vectors
-        .iter()
-        .enumerate()
-        .find_map(|(particle, v)| v.iter().find(|x| !x.is_finite()).map(|x| (particle, *x)));
-    match found {
-        None => Ok(()),
-        Some((particle, found)) => Err(InvalidFrame::NotFinite { field, particle, found }),
+        FrameView::from(self).check()
     }
 }
 
@@ -300,6 +291,16 @@ mod tests {
         frame.position.pop();
         let message = frame.check().unwrap_err().to_string();
         assert_eq!(message, "position: found 2 numbers, expected 4 for 2 particles");
+    }
+
+    #[test]
+    fn decimals_are_those_that_are_shown() {
+        for value in
+            [0.016_f32, 1.0 / 3.0, f32::MAX, f32::MIN_POSITIVE / 3.0, -1.234_567_9e-30, 0.0]
+        {
+            assert_eq!(decimal(value), value.to_string().parse::<f64>().unwrap(), "{value}");
+        }
+        assert!(decimal(f32::NAN).is_nan());
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::{
     checkpoint::{
         Activation, Description, FeatureScaling, MaterialInput, Normalization, Weights, layout,
     },
-    frame::{Frame, Material},
+    frame::{Material, Particles},
 };
 
 /// Features that change from frame to frame: x, y, vx, vy.
@@ -89,9 +89,9 @@ impl Encoder {
     }
 
     /// x, y, vx, vy of every particle, scaled.
-    pub(super) fn scale(&self, frame: &Frame, features: &mut [[f32; STATE]]) {
-        let bodies = frame.position.iter().zip(&frame.velocity);
-        for (scaled, (position, velocity)) in features.iter_mut().zip(bodies) {
+    pub(super) fn scale(&self, particles: Particles<'_>, features: &mut [[f32; STATE]]) {
+        for (particle, scaled) in features.iter_mut().enumerate() {
+            let (position, velocity) = particles.motion(particle);
             let state = [position[0], position[1], velocity[0], velocity[1]];
             for feature in 0..STATE {
                 scaled[feature] = (state[feature] - self.origin[feature]) / self.range[feature];

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Activation, Core, Description, Pooling, Weights},
-    frame::Frame,
+    frame::{Frame, FrameView},
     kernels::vectors::Lanes,
 };
 
@@ -168,10 +168,10 @@ impl FrameModel {
         alone: bool,
         room: &mut Room,
         memory: &mut Memory,
-        frame: &Frame,
+        frame: FrameView<'_>,
         next: &mut Frame,
     ) {
-        self.encoder.scale(frame, &mut room.features);
+        self.encoder.scale(frame.particles, &mut room.features);
         room.maxima.fill(f32::NEG_INFINITY);
         let pass = Pass {
             model: self,
@@ -192,9 +192,9 @@ impl FrameModel {
         memory.cell.copy_from_slice(&room.cell);
 
         let changes = room.change.as_chunks::<2>().0;
-        let bodies = frame.position.iter().zip(&frame.velocity).zip(changes);
         let after = next.position.iter_mut().zip(&mut next.velocity);
-        for ((position, velocity), ((x, v), change)) in after.zip(bodies) {
+        for (particle, ((position, velocity), change)) in after.zip(changes).enumerate() {
+            let (x, v) = frame.particles.motion(particle);
             for axis in 0..2 {
                 velocity[axis] = v[axis] + change[axis];
                 position[axis] = x[axis] + velocity[axis] * self.dt;

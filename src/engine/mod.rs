@@ -1,4 +1,4 @@
-//! The networks of [`model`](crate::model), for streaming: one frame of one stream at a time.
+//! The networks of [`model`](crate::model), for streaming: one frame of a stream at a time.
 //!
 //! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers;
 //!    `products`: a layer for rows from one place, its sums to another.
@@ -12,7 +12,8 @@
 //!    rope, `bodies` the momentum and the spin of those that touch nothing, and the rest of those at rest.
 //! 7. `memory`: what a network remembers of a stream, and in which `order`.
 //! 8. [`Remark`]: what is predicted although the network was not made for it.
-//! 9. `surrogate`: a checkpoint that predicts frames, one after the other.
+//! 9. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
+//!    stream, or each on its own.
 //!
 //! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
 //! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
@@ -39,6 +40,7 @@ mod shape;
 mod surrogate;
 mod surroundings;
 mod volume;
+mod workshop;
 
 #[cfg(test)]
 mod tests;
@@ -47,3 +49,4 @@ pub use error::ModelError;
 pub use memory::Memory;
 pub use remark::Remark;
 pub use surrogate::Surrogate;
+pub use workshop::Stepper;

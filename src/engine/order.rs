@@ -4,7 +4,7 @@
 //! order in which they come they may lie anywhere, and every look at one would wait for memory.
 
 use super::crew::{Crew, Parts, Task};
-use crate::frame::Frame;
+use crate::frame::{Frame, Particles};
 
 /// The particles by rows of cells, so that what is worked on one after the other is near in memory, too.
 pub(super) fn by_place(frame: &Frame, cell_width: f32) -> Vec<u32> {
@@ -21,12 +21,13 @@ pub(super) fn by_place(frame: &Frame, cell_width: f32) -> Vec<u32> {
 /// Particles that are put in order at once.
 const SOME: usize = 4096;
 
-/// Positions and velocities of a frame, those of particle `order[row]` in each row.
+/// Positions and velocities of a frame's particles, those of particle `order[row]` in each row: the one time
+/// that what was observed is read.
 pub(super) fn put_in_order(
     crew: &mut Crew,
     alone: bool,
     order: &[u32],
-    frame: &Frame,
+    particles: Particles<'_>,
     state: &mut [Vec<[f32; 2]>; 2],
 ) {
     for list in &mut *state {
@@ -39,7 +40,7 @@ pub(super) fn put_in_order(
         // SAFETY: these rows are those of this item alone.
         let lists = unsafe { (position.part(rows.clone()), velocity.part(rows.clone())) };
         for ((&particle, x), v) in order[rows].iter().zip(lists.0).zip(lists.1) {
-            (*x, *v) = (frame.position[particle as usize], frame.velocity[particle as usize]);
+            (*x, *v) = particles.motion(particle as usize);
         }
     });
 }

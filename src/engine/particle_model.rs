@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Description, Weights, layout},
-    frame::Frame,
+    frame::{Domain, Frame, FrameView, Material},
     kernels::{
         nodes::{Nodes, Window},
         vectors::Lanes,
@@ -176,15 +176,16 @@ impl ParticleModel {
         alone: bool,
         room: &mut Room,
         memory: &mut Memory,
-        frame: &Frame,
+        frame: FrameView<'_>,
         next: &mut Frame,
     ) {
         let ballistic = self.features.ballistic(&frame.domain);
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
-        let window = Window { particles: 0..frame.len(), lower, upper };
-        put_in_order(crew, alone, &memory.order, frame, &mut room.state);
+        let particles = memory.order.len();
+        let window = Window { particles: 0..particles, lower, upper };
+        put_in_order(crew, alone, &memory.order, frame.particles, &mut room.state);
         room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
-        self.make_room(room, frame.len());
+        self.make_room(room, particles);
 
         let Room { grid, features, pieces, written, fallen, volume, shape, bodies, .. } = room;
         let Room { state: [position, velocity], motions, benches, .. } = room;
@@ -208,7 +209,8 @@ impl ParticleModel {
             features: Parts::new(features),
             sums: Parts::new(written),
             fallen: Parts::new(fallen),
-            frame,
+            material: &next.material,
+            domain: &next.domain,
             volume: Parts::new(std::slice::from_mut(volume)),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
             shape: shape.shape(&memory.rest, &memory.order),
@@ -330,8 +332,9 @@ pub(super) struct Pass<'a> {
     /// What each piece adds to the nodes.
     pub(super) sums: Parts<'a, f32>,
     pub(super) fallen: Parts<'a, State>,
-    /// As it was observed.
-    frame: &'a Frame,
+    /// Of the particles in the frame's order.
+    material: &'a [Material],
+    domain: &'a Domain,
     volume: Parts<'a, Volume>,
     pub(super) fields: Fields<'a>,
     shape: Shape<'a>,
@@ -377,7 +380,7 @@ impl Pass<'_> {
                 self.velocity.part(particles.clone()),
             )
         };
-        let material = &self.frame.material[particles];
+        let material = &self.material[particles];
         volume.give_way(position, velocity, material, &self.walls.ballistic);
     }
 
@@ -479,7 +482,7 @@ impl WithSimd for Item<'_> {
             },
             // SAFETY: as above.
             Stage::Press => unsafe {
-                let Frame { material, domain, .. } = pass.frame;
+                let Pass { material, domain, .. } = pass;
                 let position = pass.position.read(0..particles);
                 pass.volume.part(0..1)[0].find(position, material, domain, &pass.walls.ballistic);
             },

@@ -2,7 +2,7 @@
 
 use std::{
     num::NonZeroUsize,
-    sync::{Mutex, PoisonError},
+    sync::{Mutex, MutexGuard, PoisonError},
     thread,
 };
 
@@ -10,14 +10,14 @@ use pulp::Arch;
 
 use super::{
     Memory, ModelError, Remark,
-    crew::Crew,
-    frame_model::{self, FrameModel},
-    particle_model::{self, ParticleModel},
+    frame_model::FrameModel,
+    particle_model::ParticleModel,
     remark,
+    workshop::{Network, Stepper, Workshop},
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, Surroundings},
-    frame::{Domain, Frame, Stamp},
+    frame::{Domain, Frame, FrameView, Material, Particles, Stamp},
 };
 
 /// How much the frame interval of a stream may differ from the checkpoint's, relative to it.
@@ -35,9 +35,6 @@ const CELLS: usize = 1 << 20;
 /// More threads than this have nothing to do: no layer has many more panels.
 const MOST_THREADS: usize = 256;
 
-/// Multiplications of a frame for which the other threads are woken: some ten microseconds.
-const WORTH_WAKING: usize = 1 << 18;
-
 /// A trained network, ready to predict.
 ///
 /// The same frames give the same bits, whatever other streams there are, with any number of threads,
@@ -49,23 +46,8 @@ pub struct Surrogate {
     network: Network,
     /// Time between two frames (ns).
     interval: i64,
+    /// Room for frames under way. One step at a time, or one batch, has it.
     workshop: Mutex<Workshop>,
-}
-
-enum Network {
-    Frame(FrameModel),
-    Particle(ParticleModel),
-}
-
-/// Threads, and room for what they hand on to each other. One step at a time has it.
-struct Workshop {
-    crew: Crew,
-    room: Room,
-}
-
-enum Room {
-    Frame(Box<frame_model::Room>),
-    Particle(Box<particle_model::Room>),
 }
 
 impl Surrogate {
@@ -93,26 +75,19 @@ impl Surrogate {
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MOST_THREADS);
         let Checkpoint { description, tensors } = checkpoint;
-        let (network, crew, room) = match description.architecture {
-            Architecture::Frame => {
-                let model = FrameModel::pack(arch, description, tensors);
-                let crew = Crew::new(threads, model.stages());
-                let room = Room::Frame(Box::new(model.room(crew.threads(), description.core)));
-                (Network::Frame(model), crew, room)
-            }
+        let network = match description.architecture {
+            Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
             Architecture::Particle => {
-                let model = ParticleModel::pack(arch, description, tensors, conserve);
-                let crew = Crew::new(threads, particle_model::STAGES);
-                let room = Room::Particle(Box::new(model.room(crew.threads())));
-                (Network::Particle(model), crew, room)
+                Network::Particle(ParticleModel::pack(arch, description, tensors, conserve))
             }
         };
+        let workshop = Workshop::new(&network, description.core, threads);
         Ok(Self {
             description: description.clone(),
             digest: checkpoint.digest(),
             network,
             interval: Stamp(0).advance(description.dt, 1).0,
-            workshop: Mutex::new(Workshop { crew, room }),
+            workshop: Mutex::new(workshop),
         })
     }
 
@@ -132,20 +107,20 @@ impl Surrogate {
     /// [`ModelError`] when it cannot: a material or interval it was not trained on, another number of
     /// particles or another domain (frame model), a domain with no room between its walls or far too large
     /// for its particles (particle model).
-    pub fn fits(&self, frame: &Frame) -> Result<(), ModelError> {
+    pub fn fits<'a>(&self, frame: impl Into<FrameView<'a>>) -> Result<(), ModelError> {
+        let frame = frame.into();
+        let particles = frame.particles;
         let Description { sizes, materials, dt, domain, .. } = &self.description;
         if let Some(expected) = sizes.particles
-            && expected != frame.len()
+            && expected != particles.len()
         {
-            return Err(ModelError::Particles { found: frame.len(), expected });
+            return Err(ModelError::Particles { found: particles.len(), expected });
         }
-        if let Some(particle) = frame.material.iter().position(|m| !materials.contains(m)) {
+        let mut kinds = particles.materials().enumerate();
+        if let Some((particle, found)) = kinds.find(|(_, kind)| !materials.contains(kind)) {
             let expected: Vec<_> = materials.iter().map(|m| m.name()).collect();
-            return Err(ModelError::Material {
-                particle,
-                found: frame.material[particle].name(),
-                expected: expected.join(", "),
-            });
+            let (found, expected) = (found.name(), expected.join(", "));
+            return Err(ModelError::Material { particle, found, expected });
         }
         if (frame.dt - dt).abs() > INTERVAL_TOLERANCE * dt {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
@@ -153,7 +128,7 @@ impl Surrogate {
         match self.description.surroundings {
             None => same_domain(&frame.domain, domain),
             Some(Surroundings { cell_width, .. }) => {
-                fits_domain(&frame.domain, &self.description, cell_width, frame.len())
+                fits_domain(&frame.domain, &self.description, cell_width, particles.len())
             }
         }
     }
@@ -184,32 +159,61 @@ impl Surrogate {
     /// # Panics
     /// When `frame` has another number of particles than the memory was started for. In a domain that
     /// [`Surrogate::fits`] refuses, the memory that is asked for may be more than there is.
-    pub fn step_into(&self, memory: &mut Memory, frame: &Frame, next: &mut Frame) {
-        let particles = memory.particles();
-        let lengths = [frame.position.len(), frame.velocity.len(), frame.material.len()];
-        assert_eq!(lengths, [particles; 3], "the memory is for {particles} particles");
+    pub fn step_into<'a>(
+        &self,
+        memory: &mut Memory,
+        frame: impl Into<FrameView<'a>>,
+        next: &mut Frame,
+    ) {
+        self.workshop().together(self).step_into(memory, frame, next);
+    }
+
+    /// Does `work` for each item, with what steps streams: all threads together for one item, each thread
+    /// on an item of its own for several. What is predicted is the same, bit for bit.
+    ///
+    /// # Panics
+    /// Where `work` does, on any thread.
+    pub fn each<T: Send + Sync>(
+        &self,
+        items: &mut [T],
+        work: impl Fn(&mut Stepper<'_>, &mut T) + Sync,
+    ) {
+        self.workshop().each(self, items, work);
+    }
+
+    /// How many items [`Surrogate::each`] works on at once.
+    pub fn threads(&self) -> usize {
+        self.workshop().threads()
+    }
+
+    /// A step that panicked left room behind that the next one fills anew.
+    fn workshop(&self) -> MutexGuard<'_, Workshop> {
+        self.workshop.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// What a prediction from `frame` has but for positions and velocities, for which there is room then.
+    pub(super) fn begin(&self, particles: usize, frame: &FrameView<'_>, next: &mut Frame) {
+        assert_eq!(frame.particles.len(), particles, "the memory is for {particles} particles");
         let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = next;
         (*stream, *sequence) = (frame.stream, frame.sequence + 1);
         *stamp = Stamp(frame.stamp.0.saturating_add(self.interval));
         (*dt, *domain) = (frame.dt, frame.domain);
-        material.clone_from(&frame.material);
+        match frame.particles {
+            Particles::Lists { material: kinds, .. } => kinds.clone_into(material),
+            rows @ Particles::Rows(_) => {
+                // The caller has checked them. A program that writes on nevertheless must not change how
+                // many there are.
+                let kind = |particle| rows.material(particle).unwrap_or(Material::Liquid);
+                material.clear();
+                material.extend((0..particles).map(kind));
+            }
+        }
         position.resize(particles, [0.0; 2]);
         velocity.resize(particles, [0.0; 2]);
-
-        // A step that panicked left room behind that the next one fills anew.
-        let mut workshop = self.workshop.lock().unwrap_or_else(PoisonError::into_inner);
-        let Workshop { crew, room } = &mut *workshop;
-        match (&self.network, room) {
-            (Network::Frame(model), Room::Frame(room)) => {
-                let alone = model.work() < WORTH_WAKING;
-                model.step(crew, alone, room, memory, frame, next);
-            }
-            (Network::Particle(model), Room::Particle(room)) => {
-                let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
-                model.step(crew, alone, room, memory, frame, next);
-            }
-            _ => unreachable!("a network and its room are made together"),
-        }
     }
 
     /// As [`Surrogate::step_into`], with a new frame for the prediction.

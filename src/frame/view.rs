@@ -1,0 +1,178 @@
+//! Frames read where they lie.
+
+use super::{Domain, Frame, InvalidFrame, Material, Stamp};
+
+/// One particle as it lies in shared memory, 20 bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+pub struct Particle {
+    /// Position (domain lengths).
+    pub x: f32,
+    /// Position (domain lengths).
+    pub y: f32,
+    /// Velocity (domain lengths per second).
+    pub vx: f32,
+    /// Velocity (domain lengths per second).
+    pub vy: f32,
+    /// Number of the [`Material`].
+    pub material: u32,
+}
+
+/// A frame that lies elsewhere: in the lists of a [`Frame`], or particle by particle in memory that
+/// another program has written.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameView<'a> {
+    /// Which simulated trajectory this frame belongs to.
+    pub stream: u64,
+    /// Number of this frame in its stream; consecutive.
+    pub sequence: u64,
+    /// Simulation time of this frame.
+    pub stamp: Stamp,
+    /// Time between two frames of the stream (s).
+    pub dt: f32,
+    /// The box that holds the particles.
+    pub domain: Domain,
+    /// Where they are, how fast, and of what.
+    pub particles: Particles<'a>,
+}
+
+/// The particles of a frame, in one of the two forms they come in.
+#[derive(Clone, Copy, Debug)]
+pub enum Particles<'a> {
+    /// A list for each property, all as long.
+    Lists {
+        /// `[N, 2]` (domain lengths).
+        position: &'a [[f32; 2]],
+        /// `[N, 2]` (domain lengths per second).
+        velocity: &'a [[f32; 2]],
+        /// `[N]`.
+        material: &'a [Material],
+    },
+    /// One after the other.
+    Rows(&'a [Particle]),
+}
+
+impl<'a> From<&'a Frame> for FrameView<'a> {
+    fn from(frame: &'a Frame) -> Self {
+        let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = frame;
+        let particles = Particles::Lists { position, velocity, material };
+        let (stream, sequence, stamp) = (*stream, *sequence, *stamp);
+        Self { stream, sequence, stamp, dt: *dt, domain: *domain, particles }
+    }
+}
+
+impl<'a> Particles<'a> {
+    /// How many there are, by the length of their materials.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Lists { material, .. } => material.len(),
+            Self::Rows(rows) => rows.len(),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Position and velocity of a particle.
+    #[inline(always)]
+    pub fn motion(&self, particle: usize) -> ([f32; 2], [f32; 2]) {
+        match self {
+            Self::Lists { position, velocity, .. } => (position[particle], velocity[particle]),
+            Self::Rows(rows) => {
+                let Particle { x, y, vx, vy, .. } = rows[particle];
+                ([x, y], [vx, vy])
+            }
+        }
+    }
+
+    /// Material of a particle, or the number that is none. Numbers that do not fit a byte are saturated,
+    /// so that they stay unknown.
+    #[inline(always)]
+    pub fn material(&self, particle: usize) -> Result<Material, u8> {
+        match self {
+            Self::Lists { material, .. } => Ok(material[particle]),
+            Self::Rows(rows) => {
+                Material::try_from(u8::try_from(rows[particle].material).unwrap_or(u8::MAX))
+            }
+        }
+    }
+
+    /// Materials of all particles; those that are unknown are left out.
+    pub fn materials(self) -> impl Iterator<Item = Material> + 'a {
+        (0..self.len()).filter_map(move |particle| self.material(particle).ok())
+    }
+
+    /// Whether the particles are of these materials, one by one.
+    pub fn are_of(&self, materials: &[Material]) -> bool {
+        match self {
+            Self::Lists { material, .. } => *material == materials,
+            Self::Rows(rows) => {
+                rows.len() == materials.len()
+                    && rows.iter().zip(materials).all(|(row, &kind)| row.material == kind as u32)
+            }
+        }
+    }
+}
+
+impl FrameView<'_> {
+    /// A frame of its own, for as long as the particles are needed.
+    pub fn to_frame(&self) -> Frame {
+        let Self { stream, sequence, stamp, dt, domain, particles } = *self;
+        let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
+        Frame {
+            stream,
+            sequence,
+            stamp,
+            dt,
+            domain,
+            position: motions().map(|motion| motion.0).collect(),
+            velocity: motions().map(|motion| motion.1).collect(),
+            material: particles.materials().collect(),
+        }
+    }
+
+    /// Checks what [`Frame::new`] promises, but for the lengths of lists.
+    ///
+    /// # Errors
+    /// [`InvalidFrame`] with the first fault.
+    pub fn check(&self) -> Result<(), InvalidFrame> {
+        let Self { sequence, dt, domain, particles, .. } = self;
+        if let Particles::Rows(_) = particles {
+            for particle in 0..particles.len() {
+                particles
+                    .material(particle)
+                    .map_err(|found| InvalidFrame::Material { particle, found })?;
+            }
+        }
+        if particles.is_empty() {
+            return Err(InvalidFrame::Empty);
+        }
+        if *sequence == u64::MAX {
+            return Err(InvalidFrame::Sequence { found: *sequence });
+        }
+        if !domain.is_whole() {
+            return Err(InvalidFrame::Domain { found: [domain.lower, domain.upper] });
+        }
+        if !(dt.is_finite() && *dt > 0.0) {
+            return Err(InvalidFrame::Interval { found: *dt });
+        }
+        let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
+        first_not_finite("position", motions().map(|motion| motion.0))?;
+        first_not_finite("velocity", motions().map(|motion| motion.1))
+    }
+}
+
+fn first_not_finite(
+    field: &'static str,
+    vectors: impl Iterator<Item = [f32; 2]>,
+) -> Result<(), InvalidFrame> {
+    let found = vectors
+        .enumerate()
+        .find_map(|(particle, v)| v.into_iter().find(|x| !x.is_finite()).map(|x| (particle, x)));
+    match found {
+        None => Ok(()),
+        Some((particle, found)) => Err(InvalidFrame::NotFinite { field, particle, found }),
+    }
+}
