@@ -1,9 +1,16 @@
 //! Streaming allocates nothing: a binary of its own, whose allocator counts.
 
+#![allow(clippy::unwrap_used, reason = "a test that meets an error has failed")]
+
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     num::NonZeroUsize,
-    sync::atomic::{AtomicUsize, Ordering},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
 };
 
 use eddy::{
@@ -13,12 +20,18 @@ use eddy::{
     },
     engine::Surrogate,
     frame::{Frame, Material, Stamp},
+    msg::{Message, ParticleFrame, PredictionStatus},
+    node::{Control, FrameQueue, NodeSettings, Outputs, SurrogateNode, drive},
+    transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
 /// Counts what any thread asks of the system's allocator.
 struct Counting;
 
 static ASKED: AtomicUsize = AtomicUsize::new(0);
+
+/// All threads are counted: one test at a time.
+static ALONE: Mutex<()> = Mutex::new(());
 
 // SAFETY: every call goes to the system's allocator as it is.
 unsafe impl GlobalAlloc for Counting {
@@ -85,6 +98,7 @@ fn frame(description: &Description) -> Frame {
 
 #[test]
 fn after_its_first_frame_a_stream_allocates_nothing_on_any_thread() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let mut networks = vec![];
     for core in Core::ALL {
         networks.push((Architecture::Frame, core, Pooling::Mean));
@@ -113,5 +127,105 @@ fn after_its_first_frame_a_stream_allocates_nothing_on_any_thread() {
             assert_eq!(asked, 0, "{architecture:?} {core:?} {pooling:?}, {threads} threads");
             frame.check().unwrap();
         }
+    }
+}
+
+/// Frames of which each must cost nothing.
+const FRAMES: usize = 300;
+
+/// The next frame; it must be lent, not copied.
+fn lent(subscriber: &mut dyn Subscriber) -> Option<Payload> {
+    let payload = subscriber.receive(Duration::from_secs(30)).unwrap();
+    assert!(payload.iter().all(|payload| matches!(payload, Payload::Shared(_))), "{payload:?}");
+    payload
+}
+
+fn outputs(transports: &Transports, link: &Link) -> Outputs {
+    let publisher = |link: &Link, kind| transports.publisher(link, kind, Reliability::Block);
+    let status = link.with_topic(&format!("{}/status", link.topic));
+    Outputs {
+        prediction: publisher(link, ParticleFrame::TYPE).unwrap(),
+        status: publisher(&status, PredictionStatus::TYPE).unwrap(),
+        diagnostics: None,
+    }
+}
+
+/// What anybody asked for while each frame went to the node and its predictions came back.
+fn asked_by_frame(
+    source: &mut dyn Publisher,
+    sink: &mut dyn Subscriber,
+    frames: &[Frame],
+    predictions: usize,
+) -> Vec<usize> {
+    let mut asked = Vec::with_capacity(frames.len());
+    for frame in frames {
+        let before = ASKED.load(Ordering::SeqCst);
+        source.publish_frame(frame).unwrap();
+        for _ in 0..predictions {
+            assert!(lent(sink).is_some(), "no prediction from frame {}", frame.sequence);
+        }
+        asked.push(ASKED.load(Ordering::SeqCst) - before);
+    }
+    asked
+}
+
+#[test]
+fn a_node_on_shared_memory_allocates_nothing_from_receive_to_publish() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let topic = |name: &str| -> Link {
+        format!("shm:/allocation_{}/{name}", std::process::id()).parse().unwrap()
+    };
+    for horizon in [1, 4] {
+        let checkpoint = checkpoint(Architecture::Particle, Core::MinGru, Pooling::Mean);
+        let surrogate = Surrogate::load(&checkpoint, NonZeroUsize::new(2)).unwrap();
+        let warm_up = surrogate.description().warm_up as usize;
+        let first = frame(surrogate.description());
+        let frames: Vec<_> = (0..warm_up + 20 + FRAMES)
+            .map(|number| Frame {
+                sequence: number as u64,
+                stamp: Stamp(0).advance(first.dt, number as u32),
+                ..first.clone()
+            })
+            .collect();
+        let settings = NodeSettings { horizon, ..NodeSettings::default() };
+        let queue = FrameQueue::new(settings.queue, Reliability::Block);
+        let mut node = SurrogateNode::new(surrogate, settings).unwrap();
+        let [here, there] =
+            ["here", "there"].map(|name| Transports::new(TransportOptions::new(name)));
+        let subscriber = |transports: &Transports, name| {
+            transports.subscriber(&topic(name), ParticleFrame::TYPE).unwrap()
+        };
+        let (mut input, mut sink) = (subscriber(&there, "in"), subscriber(&here, "out"));
+        let mut outputs = [outputs(&there, &topic("out"))];
+        let mut source =
+            here.publisher(&topic("in"), ParticleFrame::TYPE, Reliability::Block).unwrap();
+        let stop = AtomicBool::new(false);
+        thread::scope(|scope| {
+            let control = Control::default();
+            let (node, input, outputs) = (&mut node, &mut *input, &mut outputs[..]);
+            let (queue, stop) = (&queue, &stop);
+            scope.spawn(move || drive(node, "node", input, outputs, queue, &control, stop));
+            // Whatever fails below, the node ends.
+            let _stopping = Stopping(stop);
+            let (warming, rest) = frames.split_at(warm_up - 1);
+            let (settling, steady) = rest.split_at(21);
+            asked_by_frame(&mut *source, &mut *sink, warming, 0);
+            asked_by_frame(&mut *source, &mut *sink, settling, 1);
+            let start = Instant::now();
+            let asked = asked_by_frame(&mut *source, &mut *sink, steady, 1);
+            // Twice a second each end looks for killed processes, and once the node reports.
+            let others = 1 + (5.0 * start.elapsed().as_secs_f64()) as usize;
+            let costly = asked.iter().filter(|&&asked| asked > 0).count();
+            assert!(costly <= 2 * others, "horizon {horizon}: {costly} of {FRAMES}: {asked:?}");
+        });
+        assert_eq!(node.counters().published, (frames.len() + 1 - warm_up) as u64);
+    }
+}
+
+struct Stopping<'a>(&'a AtomicBool);
+
+impl Drop for Stopping<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 }

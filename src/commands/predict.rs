@@ -8,9 +8,9 @@ use super::{Interrupt, node::summary, surrogate};
 use crate::cli::PredictArgs;
 use eddy::{
     bag::{BagReader, BagWriter, WriterOptions},
-    frame::Frame,
     msg::{Message, ParticleFrame},
-    node::{NodeSettings, SurrogateNode},
+    node::{NodeSettings, Prediction, SurrogateNode},
+    transport::Payload,
 };
 
 /// The topic of the predictions.
@@ -42,19 +42,20 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
                 break;
             }
         };
-        let frame = Frame::from_cdr(&message.data);
-        let predictions = match node.on_frame(frame, Duration::ZERO) {
-            Ok(predictions) => predictions,
+        let mut arrival = [(Duration::ZERO, Payload::Cdr(message.data))];
+        let (mut published, mut outcome) = (0, Ok(()));
+        node.on_frames(&mut arrival, None, &mut |_, predicted| match predicted {
+            Ok(Prediction { frame, .. }) if outcome.is_ok() => {
+                outcome = writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr());
+                published += 1;
+            }
+            Ok(_) => {}
             Err(refusal) => {
                 tracing::warn!("{}: frame refused: {refusal}", args.input.display());
-                Vec::new()
             }
-        };
-        for prediction in predictions {
-            let stamp = prediction.frame.stamp;
-            writer.write(topic, stamp, stamp, &prediction.frame.to_cdr())?;
-            node.counters_mut().published += 1;
-        }
+        });
+        outcome?;
+        node.counters_mut().published += published;
     }
     writer.finish()?;
     if !quiet {

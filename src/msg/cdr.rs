@@ -1,7 +1,7 @@
 //! Struct to CDR bytes and back, with the 4-byte encapsulation header that ROS 2 sends
 //! (OMG DDSI-RTPS 2.5, 10.2: `00 01` is plain CDR, little-endian; two option bytes follow).
 
-use cdr_encoding::{from_bytes, to_vec_with_size_hint};
+use cdr_encoding::{from_bytes, to_vec_with_size_hint, to_writer};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Little-endian plain CDR.
@@ -9,6 +9,10 @@ pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
 /// What CDR may append to reach its 4-byte granularity.
 const MAX_PADDING: usize = 3;
+
+/// Why encoding cannot fail.
+const EXPRESSED: &str =
+    "messages hold numbers, strings and sequences only, all of which CDR expresses";
 
 /// Why bytes are no message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -48,8 +52,7 @@ pub enum CdrError {
 /// # Panics
 /// Never for the messages of [`crate::msg`]: they hold only what CDR can express.
 pub fn encode<M: Serialize>(message: &M) -> Vec<u8> {
-    let body = to_vec_with_size_hint::<M, byteorder::LittleEndian>(message, 256)
-        .expect("messages hold numbers, strings and sequences only, all of which CDR expresses");
+    let body = to_vec_with_size_hint::<M, byteorder::LittleEndian>(message, 256).expect(EXPRESSED);
     [HEADER.as_slice(), &body].concat()
 }
 
@@ -77,6 +80,27 @@ pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, CdrError> {
         return Err(CdrError::Trailing { type_name, found: body.len(), expected: used });
     }
     Ok(message)
+}
+
+/// The stream of what may be a `ParticleFrame`, without decoding the rest of it: the field after the header,
+/// which ends with a string.
+pub fn stream_of_frame(bytes: &[u8]) -> Option<u64> {
+    /// Of the seconds and nanoseconds before the string.
+    const STRING: usize = 8;
+    let (head, body) = bytes.split_at_checked(HEADER.len())?;
+    let little = head[1] == 1;
+    let length = *body.get(STRING..)?.first_chunk::<4>()?;
+    let length = if little { u32::from_le_bytes(length) } else { u32::from_be_bytes(length) };
+    let begin = (STRING + 4).checked_add(length as usize)?.checked_next_multiple_of(8)?;
+    let stream = *body.get(begin..)?.first_chunk::<8>()?;
+    Some(if little { u64::from_le_bytes(stream) } else { u64::from_be_bytes(stream) })
+}
+
+/// As [`encode`], into `bytes`, whose room is used again.
+pub fn encode_into<M: Serialize>(message: &M, bytes: &mut Vec<u8>) {
+    bytes.clear();
+    bytes.extend(HEADER);
+    to_writer::<M, byteorder::LittleEndian, _>(&mut *bytes, message).expect(EXPRESSED);
 }
 
 fn short_name<M>() -> &'static str {
@@ -138,12 +162,17 @@ mod tests {
             };
             // NaN differs from itself: compare bytes.
             let bytes = encode(&message);
+            prop_assert_eq!(stream_of_frame(&bytes), Some(stream));
+            let mut again = vec![7; 3];
+            encode_into(&message, &mut again);
+            prop_assert_eq!(&again, &bytes);
             prop_assert_eq!(encode(&decode::<ParticleFrame>(&bytes).unwrap()), bytes);
         }
 
         #[test]
         fn no_bytes_make_the_decoder_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             let _ = decode::<ParticleFrame>(&bytes);
+            let _ = stream_of_frame(&bytes);
         }
 
         #[test]

@@ -1,6 +1,6 @@
 //! Frames as point clouds, for whoever looks at them.
 
-use crate::{frame::Frame, msg::cloud, transport::Publisher};
+use crate::{frame::FrameView, msg::cloud, transport::Publisher};
 
 /// A topic of clouds. Nothing is encoded while nobody subscribes, as far as the transport can tell.
 pub struct CloudTopic {
@@ -15,12 +15,12 @@ impl CloudTopic {
         Self { publisher, failed: false }
     }
 
-    /// Publishes the frame if somebody wants it.
-    pub fn show(&mut self, frame: &Frame) {
-        if self.publisher.subscribers() == 0 {
+    /// Publishes the frame if somebody wants it, and it is one.
+    pub fn show(&mut self, frame: &FrameView<'_>) {
+        if self.publisher.subscribers() == 0 || frame.check().is_err() {
             return;
         }
-        let outcome = self.publisher.publish_cdr(&cloud::to_cdr(frame));
+        let outcome = self.publisher.publish_cdr(&cloud::to_cdr(&frame.to_frame()));
         if let (Err(error), false) = (&outcome, self.failed) {
             tracing::warn!("cloud: {error}");
         }

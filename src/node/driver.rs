@@ -7,12 +7,12 @@ use std::{
 };
 
 use super::{
-    CloudTopic, Control, FrameQueue, Prediction, Refusal, RosTime, SurrogateNode,
-    diagnostics::Monitor,
+    Arrival, CloudTopic, Control, Counters, FrameQueue, Prediction, Refusal, RosTime,
+    SurrogateNode, diagnostics::Monitor,
 };
 use crate::{
     clock::Clock,
-    msg::{ParameterEvent, cdr, services::Parameter},
+    msg::{ParameterEvent, PredictionStatus, cdr, services::Parameter},
     transport::{Publisher, Subscriber, TransportError},
 };
 
@@ -81,8 +81,13 @@ pub fn drive(
         // Whatever ends the loop, a panic included, the receiver must not wait for room for ever.
         let _closing = Closing(queue, control);
         let monitor = Monitor::start(clock.now());
+        let digest = node.surrogate().digest().to_owned();
+        let Counters { published, unpublished, .. } = *node.counters();
+        let (status, bytes) = Default::default();
         let time = presence.time.now(clock.now());
-        let mut work = Work { node, presence, time, outputs, queue, lost: &lost, clock, monitor };
+        let sink = Sink { outputs, clock, monitor, digest, status, bytes, published, unpublished };
+        let batch = Vec::with_capacity(node.together());
+        let mut work = Work { node, presence, time, queue, lost: &lost, batch, sink };
         let mut reported = clock.now();
         while !receiver.is_finished() {
             work.step();
@@ -149,40 +154,55 @@ struct Work<'a> {
     presence: &'a mut Presence,
     /// The node's time when it was last looked at.
     time: Duration,
-    outputs: &'a mut [Outputs],
     queue: &'a FrameQueue,
     lost: &'a AtomicU64,
+    /// Messages that are worked on at once; empty between steps.
+    batch: Vec<Arrival>,
+    sink: Sink<'a>,
+}
+
+/// Where predictions go.
+struct Sink<'a> {
+    outputs: &'a mut [Outputs],
     clock: Clock,
     monitor: Monitor,
+    /// Of the model.
+    digest: String,
+    /// Used again for every prediction.
+    status: PredictionStatus,
+    bytes: Vec<u8>,
+    published: u64,
+    unpublished: u64,
 }
 
 impl Work<'_> {
-    /// Predicts from one message or one tick. Returns whether there was a message.
+    /// Predicts from what waits, one message of a stream, or from one tick. Returns whether there was a message.
     fn step(&mut self) -> bool {
-        let message = self.queue.pop(self.until_tick().min(PATIENCE));
-        let had_message = message.is_some();
-        if let Some((arrived, payload)) = message {
-            let now = if self.presence.time.is_simulated() { self.now() } else { arrived };
-            let frame = payload.into_frame();
-            if let Ok(frame) = &frame {
-                self.outputs
-                    .iter_mut()
-                    .filter_map(|o| o.input_cloud.as_mut())
-                    .for_each(|c| c.show(frame));
+        let patience = self.until_tick().min(PATIENCE);
+        self.queue.pop_batch(patience, self.node.together(), &mut self.batch);
+        let had_message = !self.batch.is_empty();
+        let simulated = self.presence.time.is_simulated().then(|| self.now());
+        let Self { node, batch, sink, .. } = self;
+        node.on_frames(batch, simulated, &mut |arrived, outcome| match outcome {
+            Ok(prediction) => sink.publish(&prediction, arrived),
+            // A stream that runs free is meant to ignore its source.
+            Err(Refusal::FreeRunning { .. }) => {}
+            Err(refusal) => {
+                tracing::debug!("frame refused: {refusal}");
+                sink.monitor.refused(refusal.to_string());
             }
-            match self.node.on_frame(frame, now) {
-                Ok(predictions) => self.publish(&predictions, arrived),
-                // A stream that runs free is meant to ignore its source.
-                Err(Refusal::FreeRunning { .. }) => {}
-                Err(refusal) => {
-                    tracing::debug!("frame refused: {refusal}");
-                    self.monitor.refused(refusal.to_string());
-                }
+        });
+        sink.show(batch);
+        // Gives back what was lent.
+        batch.clear();
+        let now = self.now();
+        let Self { node, sink, .. } = self;
+        let started = sink.clock.now();
+        node.on_tick(now, &mut |_, outcome| {
+            if let Ok(prediction) = outcome {
+                sink.publish(&prediction, started);
             }
-        }
-        let (now, started) = (self.now(), self.clock.now());
-        let due = self.node.on_tick(now);
-        self.publish(&due, started);
+        });
         had_message
     }
 
@@ -198,7 +218,7 @@ impl Work<'_> {
 
     /// The node's time. When it jumps back, or is told for the first time, what was due moves along.
     fn now(&mut self) -> Duration {
-        let now = self.presence.time.now(self.clock.now());
+        let now = self.presence.time.now(self.sink.clock.now());
         if now < self.time || self.time.is_zero() {
             self.node.shift_time(self.time, now);
         }
@@ -212,7 +232,7 @@ impl Work<'_> {
         match self.presence.time.follow(self.node.settings().use_sim_time) {
             Ok(false) => {}
             Ok(true) => {
-                self.time = self.presence.time.now(self.clock.now());
+                self.time = self.presence.time.now(self.sink.clock.now());
                 self.node.shift_time(before, self.time);
             }
             Err(error) => tracing::error!("use_sim_time: {error}"),
@@ -224,53 +244,58 @@ impl Work<'_> {
         let (stamp, node) = (self.presence.time.stamp().into(), self.presence.name.clone());
         let event = ParameterEvent { stamp, node, changed_parameters, ..ParameterEvent::default() };
         let bytes = cdr::encode(&event);
-        for events in self.outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
+        for events in self.sink.outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
             log_failure(events.publish_cdr(&bytes));
         }
     }
 
-    fn publish(&mut self, predictions: &[Prediction], arrived: Duration) {
-        if predictions.is_empty() {
-            return;
-        }
-        let digest = self.node.surrogate().digest();
-        let (mut published, mut unpublished) = (0, 0);
-        for prediction in predictions {
-            let status = cdr::encode(&prediction.status(self.clock.now() - arrived, digest));
-            for output in self.outputs.iter_mut() {
-                match output.prediction.publish_frame(&prediction.frame) {
-                    Ok(()) => published += 1,
-                    Err(error) => {
-                        tracing::warn!("{error}");
-                        unpublished += 1;
-                    }
-                }
-                log_failure(output.status.publish_cdr(&status));
+    fn report(&mut self) {
+        let Self { node, queue, sink, presence, .. } = self;
+        let counters = node.counters_mut();
+        counters.published = sink.published;
+        counters.unpublished = sink.unpublished;
+        counters.dropped_from_queue = queue.dropped();
+        counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
+        sink.report(presence, counters);
+    }
+}
+
+impl Sink<'_> {
+    /// Observed frames as points, where somebody wants them.
+    fn show(&mut self, batch: &[Arrival]) {
+        for cloud in self.outputs.iter_mut().filter_map(|output| output.input_cloud.as_mut()) {
+            for frame in batch.iter().filter_map(|(_, payload)| payload.view()) {
+                cloud.show(&frame);
             }
-        }
-        let counters = self.node.counters_mut();
-        counters.published += published;
-        counters.unpublished += unpublished;
-        self.monitor.published(predictions.len() as u64, self.clock.now() - arrived);
-        // Who waits for a prediction does not wait for its picture.
-        for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
-            predictions.iter().for_each(|prediction| cloud.show(&prediction.frame));
         }
     }
 
-    fn report(&mut self) {
-        let counters = self.node.counters_mut();
-        counters.dropped_from_queue = self.queue.dropped();
-        counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
-        let digest = self.node.surrogate().digest().to_owned();
-        let report = self.monitor.report(
-            self.clock.now(),
-            self.presence.time.stamp(),
-            // Diagnostics are named without the slash.
-            self.presence.name.trim_start_matches('/'),
-            &digest,
-            self.node.counters(),
-        );
+    fn publish(&mut self, prediction: &Prediction<'_>, arrived: Duration) {
+        let latency = self.clock.now() - arrived;
+        prediction.status(latency, &self.digest, &mut self.status);
+        cdr::encode_into(&self.status, &mut self.bytes);
+        for output in self.outputs.iter_mut() {
+            match output.prediction.publish_frame(prediction.frame) {
+                Ok(()) => self.published += 1,
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    self.unpublished += 1;
+                }
+            }
+            log_failure(output.status.publish_cdr(&self.bytes));
+        }
+        self.monitor.published(1, self.clock.now() - arrived);
+        // Who waits for a prediction does not wait for its picture.
+        for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
+            cloud.show(&prediction.frame.into());
+        }
+    }
+
+    fn report(&mut self, presence: &Presence, counters: &Counters) {
+        let now = self.clock.now();
+        // Diagnostics are named without the slash.
+        let name = presence.name.trim_start_matches('/');
+        let report = self.monitor.report(now, presence.time.stamp(), name, &self.digest, counters);
         let bytes = cdr::encode(&report);
         for diagnostics in self.outputs.iter_mut().filter_map(|o| o.diagnostics.as_mut()) {
             log_failure(diagnostics.publish_cdr(&bytes));

@@ -1,6 +1,7 @@
 //! The nodes' logic: what happens when a frame arrives, without any concrete transport.
 //!
-//! 1. [`surrogate`]: frame in, predictions out; which frames are used and which are refused.
+//! 1. [`surrogate`]: frame in, predictions out; which frames are used and which are refused. `step`: what a
+//!    frame does to its own stream.
 //! 2. [`track`]: what the node knows of one stream: hidden state, sequence, warm-up, free run.
 //! 3. [`counters`]: everything that was dropped, and why.
 //! 4. [`queue`]: bounded, between a subscriber and the node.
@@ -33,6 +34,7 @@ mod remote;
 mod ros_time;
 mod services;
 mod settings;
+mod step;
 mod surrogate;
 mod timeline;
 mod track;
@@ -57,5 +59,6 @@ pub use remote::{Asked, Remote};
 pub use ros_time::{OpenClock, RosTime};
 pub use services::{Service, services};
 pub use settings::{InvalidSettings, NodeSettings, Publish};
-pub use surrogate::{Prediction, SurrogateNode};
+pub use step::Prediction;
+pub use surrogate::{Arrival, SurrogateNode, Tell};
 pub use wish::{Outcome, Wish};

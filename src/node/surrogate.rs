@@ -3,42 +3,26 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use super::{
-    Counters, InvalidSettings, NodeSettings, Publish, Refusal,
+    Counters, InvalidSettings, NodeSettings, Prediction, Refusal,
+    step::{Ahead, Step, interval},
     track::{Follows, StreamTrack},
 };
 use crate::{
-    engine::{Memory, Surrogate},
-    frame::Frame,
-    msg::{BadFrame, Header, PredictionStatus, StreamState, services::Parameter},
+    engine::Surrogate,
+    frame::{Frame, FrameView},
+    msg::{StreamState, services::Parameter},
+    transport::Payload,
 };
 
-/// A predicted frame, with how it came to be.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Prediction {
-    /// The predicted frame: sequence and stamp of the predicted instant.
-    pub frame: Frame,
-    /// Sequence of the last observed frame.
-    pub source_sequence: u64,
-    /// Frames predicted ahead of it.
-    pub horizon: u32,
-    /// What the node does with the stream.
-    pub state: StreamState,
-}
+/// A message with its time of arrival.
+pub type Arrival = (Duration, Payload);
 
-impl Prediction {
-    /// The message that goes with the frame.
-    pub fn status(&self, latency: Duration, model: &str) -> PredictionStatus {
-        PredictionStatus {
-            header: Header::world(self.frame.stamp),
-            stream: self.frame.stream,
-            source_sequence: self.source_sequence,
-            horizon: self.horizon,
-            state: self.state as u8,
-            latency: latency.as_secs_f32(),
-            model: model.to_owned(),
-        }
-    }
-}
+/// Is told what is to be published, in the order of the predicted instants, and what was not used; each
+/// with the arrival of the frame it comes from. What was not used is counted already.
+pub type Tell<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Refusal>) + 'a;
+
+/// Streams that have a frame stepped at once, at most: more threads are of no use here.
+const TOGETHER: usize = 16;
 
 /// A surrogate with the state of every stream it observes.
 ///
@@ -47,11 +31,24 @@ pub struct SurrogateNode {
     surrogate: Surrogate,
     settings: NodeSettings,
     streams: BTreeMap<u64, StreamTrack>,
-    /// Room for the copy of a stream's state that looks ahead.
-    ahead: Option<Memory>,
+    /// Room for looking ahead, for each of the streams that are stepped at once.
+    ahead: Vec<Ahead>,
+    /// Frames that are to be stepped at once; empty between calls.
+    waiting: Vec<Waiting>,
+    /// The time now, where it is not that of arrivals.
+    simulated: Option<Duration>,
     /// Counted up with every use of a stream: which was used last must not depend on the time.
     uses: u64,
     counters: Counters,
+}
+
+/// A frame that is to be stepped.
+struct Waiting {
+    /// Which of the frames that arrived together.
+    index: usize,
+    stream: u64,
+    /// Missing frames that the model fills.
+    gap: u64,
 }
 
 impl SurrogateNode {
@@ -62,7 +59,9 @@ impl SurrogateNode {
     pub fn new(surrogate: Surrogate, settings: NodeSettings) -> Result<Self, InvalidSettings> {
         settings.check()?;
         let (streams, counters) = (BTreeMap::new(), Counters::default());
-        Ok(Self { surrogate, settings, streams, ahead: None, uses: 0, counters })
+        let (ahead, waiting) = (Vec::new(), Vec::new());
+        let simulated = None;
+        Ok(Self { surrogate, settings, streams, ahead, waiting, simulated, uses: 0, counters })
     }
 
     /// The surrogate that predicts.
@@ -116,53 +115,72 @@ impl SurrogateNode {
         streams
     }
 
-    /// Observes one frame and returns what is to be published, in the order of the predicted instants.
-    ///
-    /// # Errors
-    /// [`Refusal`] when the frame was not used; it is counted already and the node goes on.
-    pub fn on_frame(
-        &mut self,
-        frame: Result<Frame, BadFrame>,
-        now: Duration,
-    ) -> Result<Vec<Prediction>, Refusal> {
-        self.counters.received += 1;
-        let outcome = frame.map_err(Refusal::from).and_then(|frame| self.observe(&frame, now));
-        if let Err(refusal) = &outcome {
-            self.counters.refuse(refusal);
-        }
-        outcome
+    /// How many frames [`SurrogateNode::on_frames`] works on at once.
+    pub fn together(&self) -> usize {
+        self.surrogate.threads().min(TOGETHER)
     }
 
-    /// Returns the frames of free runs that are due by `now`, at most one a stream.
-    pub fn on_tick(&mut self, now: Duration) -> Vec<Prediction> {
-        let mut due = Vec::new();
+    /// Observes frames, one after the other. Those of different streams that wait together are stepped at
+    /// once, which changes no bit of the predictions. Free runs begin at `simulated`, the time now of a
+    /// node that follows `/clock`, else at the arrival of the last observed frame.
+    pub fn on_frames(
+        &mut self,
+        arrivals: &mut [Arrival],
+        simulated: Option<Duration>,
+        tell: &mut Tell<'_>,
+    ) {
+        self.simulated = simulated;
+        let mut waiting = std::mem::take(&mut self.waiting);
+        for (arrived, payload) in &mut *arrivals {
+            self.counters.received += 1;
+            if let Err(bad) = payload.decode() {
+                self.refuse(*arrived, bad.into(), tell);
+            }
+        }
+        for (index, (arrived, payload)) in arrivals.iter().enumerate() {
+            let Some(frame) = payload.view() else { continue };
+            if let Err(refusal) = self.prepare(index, &frame, arrivals, &mut waiting, tell) {
+                self.refuse(*arrived, refusal, tell);
+            }
+        }
+        self.step(arrivals, &mut waiting, tell);
+        self.waiting = waiting;
+        // There may be room for fewer than before.
+        self.evict();
+    }
+
+    /// Publishes the frames of free runs that are due by `now`, at most one a stream.
+    pub fn on_tick(&mut self, now: Duration, tell: &mut Tell<'_>) {
         let mut diverged = Vec::new();
         for (&stream, track) in &mut self.streams {
             let Some(when) = track.free_run_due else { continue };
             if when > now {
                 continue;
             }
-            let next = self.surrogate.step(&mut track.memory, &track.predicted);
-            let frame = std::mem::replace(&mut track.predicted, next);
+            let StreamTrack { memory, predicted: next, spare: frame, .. } = track;
+            std::mem::swap(next, frame);
+            self.surrogate.step_into(memory, &*frame, next);
             self.uses += 1;
             track.used = self.uses;
-            track.free_run_due = Some(when + interval(&frame));
+            track.free_run_due = Some(when + interval(frame.dt));
             if frame.check().is_err() {
                 diverged.push(stream);
                 continue;
             }
             let ahead = frame.sequence - track.sequence;
-            due.push(Prediction {
-                source_sequence: track.sequence,
-                horizon: u32::try_from(ahead).unwrap_or(u32::MAX),
-                state: StreamState::FreeRunning,
-                frame,
-            });
+            tell(
+                now,
+                Ok(Prediction {
+                    source_sequence: track.sequence,
+                    horizon: u32::try_from(ahead).unwrap_or(u32::MAX),
+                    state: StreamState::FreeRunning,
+                    frame,
+                }),
+            );
         }
         for stream in diverged {
             self.diverge(stream);
         }
-        due
     }
 
     /// When [`SurrogateNode::on_tick`] has something to do next.
@@ -170,117 +188,143 @@ impl SurrogateNode {
         self.streams.values().filter_map(|track| track.free_run_due).min()
     }
 
-    fn observe(&mut self, frame: &Frame, now: Duration) -> Result<Vec<Prediction>, Refusal> {
+    /// Decides what a frame does to its stream, and has it wait for its step. What cannot wait together
+    /// with others is stepped at once: a stream's second frame, and one that begins a stream, as it may
+    /// send another one away.
+    fn prepare(
+        &mut self,
+        index: usize,
+        frame: &FrameView<'_>,
+        arrivals: &[Arrival],
+        waiting: &mut Vec<Waiting>,
+        tell: &mut Tell<'_>,
+    ) -> Result<(), Refusal> {
         // Before anything is touched: a bad frame must not cost its stream.
-        self.surrogate.fits(frame)?;
-        let mut track = match self.streams.remove(&frame.stream) {
-            Some(track)
-                if track.free_run_due.is_some() && track.follows(frame) != Follows::Restart =>
-            {
-                let refusal = Refusal::FreeRunning { stream: frame.stream, found: frame.sequence };
-                self.streams.insert(frame.stream, track);
-                return Err(refusal);
-            }
-            Some(track) => self.follow(track, frame)?,
-            None => self.begin(frame)?,
-        };
-        track.observed += 1;
-        self.uses += 1;
-        (track.sequence, track.stamp, track.used) = (frame.sequence, frame.stamp, self.uses);
-
-        let warm_up = u64::from(self.surrogate.description().warm_up);
-        let predictions =
-            if self.settings.free_run.is_some_and(|k| track.observed >= k.max(warm_up)) {
-                track.free_run_due = Some(now + interval(frame));
-                Vec::new()
-            } else if track.observed < warm_up {
-                Vec::new()
-            } else {
-                self.look_ahead(&track)
-            };
+        self.surrogate.fits(*frame)?;
         let stream = frame.stream;
-        self.streams.insert(stream, track);
-        if predictions.iter().any(|prediction| prediction.frame.check().is_err()) {
-            self.diverge(stream);
-            return Ok(Vec::new());
+        if waiting.len() >= self.together() || waiting.iter().any(|other| other.stream == stream) {
+            self.step(arrivals, waiting, tell);
         }
+        let Self { streams, settings, counters, .. } = self;
+        let gap = match streams.get_mut(&stream) {
+            None => None,
+            Some(track) => match track.follows(frame) {
+                Follows::Restart => {
+                    counters.resets += 1;
+                    None
+                }
+                _ if track.free_run_due.is_some() => {
+                    return Err(Refusal::FreeRunning { stream, found: frame.sequence });
+                }
+                Follows::After { gap } if gap <= settings.max_gap => {
+                    counters.filled += gap;
+                    Some(gap)
+                }
+                Follows::After { gap } => {
+                    counters.missing = counters.missing.saturating_add(gap);
+                    counters.resets += 1;
+                    // The particles are the same: solids still rest in the shape they had at first.
+                    track.memory.forget();
+                    track.observed = 0;
+                    Some(0)
+                }
+                Follows::Late => {
+                    let (found, expected) = (frame.sequence, track.sequence + 1);
+                    return Err(Refusal::Late { stream, found, expected });
+                }
+            },
+        };
+        if let Some(gap) = gap {
+            waiting.push(Waiting { index, stream, gap });
+            return Ok(());
+        }
+        self.step(arrivals, waiting, tell);
+        self.begin(&frame.to_frame())?;
+        waiting.push(Waiting { index, stream, gap: 0 });
+        self.step(arrivals, waiting, tell);
         self.evict();
-        Ok(predictions)
+        Ok(())
     }
 
-    /// A stream whose first frame is `frame`.
-    fn begin(&self, frame: &Frame) -> Result<StreamTrack, Refusal> {
-        let mut memory = self.surrogate.start(frame)?;
+    /// A stream whose first frame is `frame`, which it has yet to observe.
+    fn begin(&mut self, frame: &Frame) -> Result<(), Refusal> {
+        let memory = self.surrogate.start(frame)?;
         for remark in self.surrogate.remarks(frame) {
             tracing::warn!("stream {}: {remark}", frame.stream);
         }
-        let predicted = self.surrogate.step(&mut memory, frame);
-        Ok(StreamTrack {
+        let track = StreamTrack {
             memory,
-            predicted,
+            predicted: frame.clone(),
+            spare: frame.clone(),
             sequence: frame.sequence,
             stamp: frame.stamp,
             observed: 0,
             free_run_due: None,
             used: self.uses,
-        })
-    }
-
-    /// The stream after `frame`: stepped, filled up and stepped, or begun anew. A late frame leaves
-    /// the stream as it was.
-    fn follow(&mut self, mut track: StreamTrack, frame: &Frame) -> Result<StreamTrack, Refusal> {
-        match track.follows(frame) {
-            Follows::After { gap } if gap <= self.settings.max_gap => {
-                for _ in 0..gap {
-                    track.predicted = self.surrogate.step(&mut track.memory, &track.predicted);
-                }
-                self.counters.filled += gap;
-                self.surrogate.step_into(&mut track.memory, frame, &mut track.predicted);
-                Ok(track)
-            }
-            Follows::After { gap } => {
-                self.counters.missing = self.counters.missing.saturating_add(gap);
-                self.counters.resets += 1;
-                // The particles are the same: solids still rest in the shape they had at first.
-                track.memory.forget();
-                self.surrogate.step_into(&mut track.memory, frame, &mut track.predicted);
-                Ok(StreamTrack { observed: 0, free_run_due: None, ..track })
-            }
-            Follows::Restart => {
-                self.counters.resets += 1;
-                self.begin(frame)
-            }
-            Follows::Late => {
-                let expected = track.sequence + 1;
-                self.streams.insert(frame.stream, track);
-                Err(Refusal::Late { stream: frame.stream, found: frame.sequence, expected })
-            }
-        }
-    }
-
-    /// Predicts up to the horizon, beyond the first frame from a copy of the stream's state.
-    fn look_ahead(&mut self, track: &StreamTrack) -> Vec<Prediction> {
-        let Self { surrogate, settings, ahead: memory, .. } = self;
-        let prediction = |frame, horizon| Prediction {
-            frame,
-            source_sequence: track.sequence,
-            horizon,
-            state: StreamState::Tracking,
         };
-        let mut predictions = vec![prediction(track.predicted.clone(), 1)];
-        if settings.horizon > 1 {
-            let memory = memory.get_or_insert_with(|| track.memory.clone());
-            memory.clone_from(&track.memory);
-            let mut frame = track.predicted.clone();
-            for ahead in 2..=settings.horizon {
-                frame = surrogate.step(memory, &frame);
-                if settings.publish == Publish::Last {
-                    predictions.clear();
+        self.streams.insert(frame.stream, track);
+        Ok(())
+    }
+
+    /// Steps every stream that waits, and publishes.
+    fn step(&mut self, arrivals: &[Arrival], waiting: &mut Vec<Waiting>, tell: &mut Tell<'_>) {
+        let Self { surrogate, settings, streams, ahead, simulated, uses, .. } = self;
+        ahead.resize_with(waiting.len().max(ahead.len()), Ahead::default);
+        let mut steps = [const { None }; TOGETHER];
+        // One stream is looked up; several are picked out of all, as only so all can be written at once.
+        let mut prepare = |number: usize, track, ahead| {
+            let Waiting { index, gap, .. } = waiting[number];
+            let (arrived, payload) = &arrivals[index];
+            let Some(frame) = payload.view() else { return };
+            let (arrived, tracking, finite) = (*arrived, false, true);
+            let now = simulated.unwrap_or(arrived);
+            steps[number] = Some(Step { track, frame, arrived, now, gap, ahead, tracking, finite });
+        };
+        match &waiting[..] {
+            [] => return,
+            [one] => {
+                if let Some(track) = streams.get_mut(&one.stream) {
+                    prepare(0, track, &mut ahead[0]);
                 }
-                predictions.push(prediction(frame.clone(), ahead));
+            }
+            several => {
+                let mut room = ahead.iter_mut();
+                for (stream, track) in streams.iter_mut() {
+                    let number = several.iter().position(|waiting| waiting.stream == *stream);
+                    if let (Some(number), Some(ahead)) = (number, number.and_then(|_| room.next()))
+                    {
+                        prepare(number, track, ahead);
+                    }
+                }
             }
         }
-        predictions
+        let warm_up = u64::from(surrogate.description().warm_up);
+        surrogate.each(&mut steps[..waiting.len()], |engine, step| {
+            if let Some(step) = step {
+                step.run(engine, settings, warm_up);
+            }
+        });
+        let mut diverged = [const { None }; TOGETHER];
+        for (step, diverged) in steps.iter_mut().flatten().zip(&mut diverged) {
+            *uses += 1;
+            step.track.used = *uses;
+            if !step.finite {
+                *diverged = Some(step.frame.stream);
+            } else if step.tracking {
+                for prediction in step.predictions(settings) {
+                    tell(step.arrived, Ok(prediction));
+                }
+            }
+        }
+        waiting.clear();
+        for stream in diverged.into_iter().flatten() {
+            self.diverge(stream);
+        }
+    }
+
+    fn refuse(&mut self, arrived: Duration, refusal: Refusal, tell: &mut Tell<'_>) {
+        self.counters.refuse(&refusal);
+        tell(arrived, Err(refusal));
     }
 
     fn diverge(&mut self, stream: u64) {
@@ -298,8 +342,4 @@ impl SurrogateNode {
             }
         }
     }
-}
-
-fn interval(frame: &Frame) -> Duration {
-    Duration::from_secs_f64(crate::frame::decimal(frame.dt))
 }

@@ -1,6 +1,6 @@
 //! The rules of the surrogate node, one test a rule.
 
-use std::{sync::Arc, thread, time::Duration};
+use std::{num::NonZeroUsize, sync::Arc, thread, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -14,7 +14,7 @@ use crate::{
     frame::{Domain, Frame, Material, Stamp},
     model::layers::initial,
     msg::{
-        BadFrame, StreamState, cdr,
+        StreamState, cdr,
         services::{
             DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
             ListParametersRequest, ListParametersResponse, Parameter, ParameterNames,
@@ -22,6 +22,7 @@ use crate::{
             SetParametersResponse, SetParametersResult, TriggerResponse,
         },
     },
+    transport::Payload,
 };
 
 const DT: f32 = 0.016;
@@ -29,6 +30,10 @@ const WARM_UP: u64 = 3;
 
 /// A particle model with random weights, its decoder included: its predictions depend on all it saw.
 fn surrogate() -> Surrogate {
+    surrogate_on(None)
+}
+
+fn surrogate_on(threads: Option<NonZeroUsize>) -> Surrogate {
     let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: None };
     let description = Description {
         warm_up: WARM_UP as u32,
@@ -40,7 +45,7 @@ fn surrogate() -> Surrogate {
     for (index, weight) in decoder.values.iter_mut().enumerate() {
         *weight = 0.1 * (index as f32).sin();
     }
-    Surrogate::load(&Checkpoint { description, tensors }, None).unwrap()
+    Surrogate::load(&Checkpoint { description, tensors }, threads).unwrap()
 }
 
 fn node(settings: NodeSettings) -> SurrogateNode {
@@ -65,10 +70,21 @@ fn frame(stream: u64, sequence: u64) -> Frame {
     }
 }
 
+/// Feeds messages that arrive together; the predicted frames, or why a message was not used.
+fn observe(node: &mut SurrogateNode, messages: Vec<Payload>) -> Result<Vec<Frame>, Refusal> {
+    let mut arrivals: Vec<_> = messages.into_iter().map(|m| (Duration::ZERO, m)).collect();
+    let mut outcome = Ok(Vec::new());
+    node.on_frames(&mut arrivals, &mut |_, told| match (told, &mut outcome) {
+        (Ok(prediction), Ok(frames)) => frames.push(prediction.frame.clone()),
+        (Err(refusal), _) => outcome = Err(refusal),
+        (Ok(_), Err(_)) => {}
+    });
+    outcome
+}
+
 /// Feeds one frame and returns the predicted frames.
 fn feed(node: &mut SurrogateNode, frame: Frame) -> Vec<Frame> {
-    let predictions = node.on_frame(Ok(frame), Duration::ZERO).unwrap();
-    predictions.into_iter().map(|prediction| prediction.frame).collect()
+    observe(node, vec![Payload::Frame(frame)]).unwrap()
 }
 
 fn feed_all(node: &mut SurrogateNode, frames: impl IntoIterator<Item = Frame>) -> Vec<Frame> {
@@ -131,6 +147,59 @@ fn streams_do_not_touch_each_other() {
     assert_eq!(found, expected);
 }
 
+/// Frames of several streams, some with gaps, a restart, a stranger and frames that are refused.
+fn crowd() -> Vec<Frame> {
+    let mut frames = Vec::new();
+    for sequence in 0..12 {
+        for stream in 0..9 {
+            let missing =
+                (stream == 3 && sequence == 6) || (stream == 4 && (5..10).contains(&sequence));
+            let begun = stream != 7 || sequence >= 5;
+            if begun && !missing {
+                frames.push(frame(stream, sequence));
+            }
+        }
+        if sequence % 4 == 3 {
+            frames.push(frame(1, sequence));
+            frames.push(frame(2, sequence - 2));
+        }
+    }
+    frames.extend((0..3).flat_map(|sequence| (0..3).map(move |stream| frame(stream, sequence))));
+    frames
+}
+
+#[test]
+fn frames_that_arrive_together_are_predicted_from_as_one_by_one() {
+    let threads = [1, 2, 5];
+    for (horizon, publish, max_streams) in [
+        (1, Publish::Last, 64),
+        (4, Publish::Last, 64),
+        (3, Publish::All, 64),
+        (2, Publish::All, 6),
+    ] {
+        let settings = NodeSettings { horizon, publish, max_streams, ..NodeSettings::default() };
+        let mut alone = node(settings.clone());
+        let mut expected = Vec::new();
+        for frame in crowd() {
+            expected.extend(observe(&mut alone, vec![Payload::Frame(frame)]).unwrap_or_default());
+        }
+        for (together, threads) in [2, 7, 64].into_iter().zip(threads) {
+            let surrogate = surrogate_on(NonZeroUsize::new(threads));
+            let mut node = SurrogateNode::new(surrogate, settings.clone()).unwrap();
+            let mut found = Vec::new();
+            for frames in crowd().chunks(together) {
+                let mut arrivals: Vec<_> =
+                    frames.iter().map(|f| (Duration::ZERO, Payload::Frame(f.clone()))).collect();
+                node.on_frames(&mut arrivals, &mut |_, told| {
+                    found.extend(told.ok().map(|prediction| prediction.frame.clone()));
+                });
+            }
+            assert_eq!(found, expected, "{together} together on {threads} threads");
+            assert_eq!(node.counters(), alone.counters());
+        }
+    }
+}
+
 #[test]
 fn a_short_gap_is_filled_with_the_models_own_prediction() {
     let mut node = node(NodeSettings::default());
@@ -162,7 +231,7 @@ fn duplicates_and_late_frames_are_dropped_and_change_nothing() {
     let mut node = node(NodeSettings::default());
     let mut found = feed_all(&mut node, (0..5).map(|s| frame(1, s)));
     for late in [4, 2] {
-        let refusal = node.on_frame(Ok(frame(1, late)), Duration::ZERO).unwrap_err();
+        let refusal = observe(&mut node, vec![Payload::Frame(frame(1, late))]).unwrap_err();
         assert!(
             matches!(refusal, Refusal::Late { stream: 1, found, expected: 5 } if found == late),
             "{refusal}"
@@ -216,14 +285,13 @@ fn bad_frames_are_counted_by_their_fault_and_change_nothing() {
         let mut found = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
         let mut bad = frame(1, 4);
         fault(&mut bad);
-        let checked = bad.check().map(|()| bad).map_err(BadFrame::from);
-        node.on_frame(checked, Duration::ZERO).unwrap_err();
+        observe(&mut node, vec![Payload::Cdr(bad.to_cdr())]).unwrap_err();
         assert_eq!(counter(node.counters()), 1);
         found.extend(feed(&mut node, frame(1, 4)));
         assert_eq!(found, expected);
     }
     let mut node = node(NodeSettings::default());
-    node.on_frame(Frame::from_cdr(&[1, 2, 3]), Duration::ZERO).unwrap_err();
+    observe(&mut node, vec![Payload::Cdr(vec![1, 2, 3])]).unwrap_err();
     assert_eq!(node.counters().undecodable, 1);
 }
 
@@ -232,7 +300,7 @@ fn the_least_recently_used_stream_makes_room() {
     let mut node = node(NodeSettings { max_streams: 2, ..NodeSettings::default() });
     // All at one instant, as `eddy predict` calls it: the order of use decides, not the time.
     for (sequence, stream) in [(0, 1), (1, 2), (1, 1), (3, 3)] {
-        node.on_frame(Ok(frame(stream, sequence)), Duration::ZERO).unwrap();
+        feed(&mut node, frame(stream, sequence));
     }
     assert_eq!((node.streams(), node.counters().evicted_streams), (2, 1));
     // Stream 1 was used after stream 2: it is still there, and its third frame ends its warm-up.
@@ -249,15 +317,19 @@ fn a_free_run_goes_on_alone_at_dt() {
     for number in 1..=3u32 {
         let due = node.next_tick().unwrap();
         assert_eq!(due, number * Duration::from_millis(16));
-        assert_eq!(node.on_tick(due - Duration::from_millis(1)), []);
-        let predictions = node.on_tick(due);
-        assert_eq!(predictions.len(), 1);
-        assert_eq!(predictions[0].frame, expected);
-        assert_eq!(predictions[0].state, StreamState::FreeRunning);
-        assert_eq!((predictions[0].source_sequence, predictions[0].horizon), (3, number));
+        node.on_tick(due - Duration::from_millis(1), &mut |_, told| panic!("too early: {told:?}"));
+        let mut published = 0;
+        node.on_tick(due, &mut |_, told| {
+            let prediction = told.unwrap();
+            assert_eq!(*prediction.frame, expected);
+            assert_eq!(prediction.state, StreamState::FreeRunning);
+            assert_eq!((prediction.source_sequence, prediction.horizon), (3, number));
+            published += 1;
+        });
+        assert_eq!(published, 1);
         expected = surrogate.step(&mut memory, &expected);
     }
-    let refusal = node.on_frame(Ok(frame(1, 4)), Duration::ZERO).unwrap_err();
+    let refusal = observe(&mut node, vec![Payload::Frame(frame(1, 4))]).unwrap_err();
     assert!(matches!(refusal, Refusal::FreeRunning { stream: 1, found: 4 }), "{refusal}");
 }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::{
     engine::Memory,
-    frame::{Frame, Material, Stamp},
+    frame::{Frame, FrameView, Stamp},
 };
 
 /// Frames older than so many intervals mean that the stream started again (a looped bag).
@@ -16,6 +16,8 @@ pub(super) struct StreamTrack {
     pub memory: Memory,
     /// The model's prediction from that state: the next frame.
     pub predicted: Frame,
+    /// Room for a prediction that takes the place of a missing frame.
+    pub spare: Frame,
     /// Sequence of the last observed frame.
     pub sequence: u64,
     /// Stamp of the last observed frame.
@@ -45,19 +47,15 @@ pub(super) enum Follows {
 impl StreamTrack {
     /// How `frame` follows. A change of the particles, or a stamp more than 16 intervals in the past,
     /// begins the stream anew.
-    pub(super) fn follows(&self, frame: &Frame) -> Follows {
+    pub(super) fn follows(&self, frame: &FrameView<'_>) -> Follows {
         let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
         let restarted = frame.stamp < Stamp(self.stamp.0.saturating_sub(reach));
-        if self.material() != frame.material || restarted {
+        if restarted || !frame.particles.are_of(&self.predicted.material) {
             return Follows::Restart;
         }
         match frame.sequence.checked_sub(self.sequence + 1) {
             Some(gap) => Follows::After { gap },
             None => Follows::Late,
         }
-    }
-
-    fn material(&self) -> &[Material] {
-        &self.predicted.material
     }
 }

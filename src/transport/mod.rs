@@ -1,7 +1,7 @@
 //! Topics on a wire: one small trait pair, one file for each middleware.
 //!
 //! 1. `link`: a transport and a topic, written `zenoh:/particles`.
-//! 2. [`Publisher`], [`Subscriber`]: what every transport offers.
+//! 2. [`Publisher`], [`Subscriber`]: what every transport offers; [`Payload`]: one message.
 //! 3. `opener`: [`Transports`] opens them; one session for each middleware and process.
 //! 4. `seen`: which topics there are.
 //! 5. `queue`: the bounded queue between a transport's thread and a subscriber.
@@ -11,14 +11,15 @@
 //! 9. `dds`: the wire of ROS 2's DDS middlewares.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
-//! A transport may move frames in a form of its own (shared memory does), so both sides of
-//! [`Payload`] must be expected from any topic of frames.
+//! A transport may move frames in a form of its own (shared memory does), so every form of [`Payload`]
+//! must be expected from any topic of frames.
 
 mod dds;
 pub(crate) mod foreign;
 mod link;
 mod memory;
 mod opener;
+mod payload;
 mod queue;
 mod seen;
 mod shm;
@@ -28,6 +29,9 @@ pub(crate) use link::{is_absolute_name, is_name_token};
 pub(crate) use queue::Queue;
 
 pub use link::{InvalidLink, Link, TransportKind};
+pub use payload::Payload;
+pub use shm::SharedFrame;
+
 pub use opener::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 pub use seen::SeenTopic;
 
@@ -39,44 +43,6 @@ use crate::{
     frame::Frame,
     msg::{BadFrame, UnknownService, UnknownType},
 };
-
-/// One message as a transport delivers it.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Payload {
-    /// A frame in the transport's own form, already checked.
-    Frame(Frame),
-    /// CDR bytes with their 4-byte header, unchecked.
-    Cdr(Vec<u8>),
-}
-
-impl Payload {
-    /// The frame, decoded if it came as bytes.
-    ///
-    /// # Errors
-    /// [`BadFrame`] when the bytes are no usable frame.
-    pub fn into_frame(self) -> Result<Frame, BadFrame> {
-        match self {
-            Self::Frame(frame) => Ok(frame),
-            Self::Cdr(bytes) => Frame::from_cdr(&bytes),
-        }
-    }
-
-    /// The memory it takes (bytes).
-    pub fn size(&self) -> usize {
-        match self {
-            Self::Frame(frame) => size_of_val(&*frame.position) * 2 + frame.len(),
-            Self::Cdr(bytes) => bytes.len(),
-        }
-    }
-
-    /// The CDR bytes, encoded if it came as a frame.
-    pub fn into_cdr(self) -> Vec<u8> {
-        match self {
-            Self::Frame(frame) => frame.to_cdr(),
-            Self::Cdr(bytes) => bytes,
-        }
-    }
-}
 
 /// What a publisher does when a subscriber cannot keep up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]

@@ -45,12 +45,25 @@ impl<T> Queue<T> {
 
     /// Adds `item` at once; a full queue gives up its oldest item, which is counted.
     pub(crate) fn push_or_replace(&self, item: T) {
+        self.push_or_give_up(item, |_| 0);
+    }
+
+    /// Adds `item` at once; a full queue gives up the one of its items that `which` chooses. It is counted
+    /// and returned.
+    pub(crate) fn push_or_give_up(
+        &self,
+        item: T,
+        which: impl FnOnce(&VecDeque<T>) -> usize,
+    ) -> Option<T> {
         let mut state = self.lock();
+        let mut given_up = None;
         if state.items.len() >= self.capacity {
-            state.items.pop_front();
+            let which = which(&state.items);
+            given_up = state.items.remove(which);
             state.dropped += 1;
         }
         self.push(state, item);
+        given_up
     }
 
     fn push(&self, mut state: MutexGuard<'_, State<T>>, item: T) {
@@ -71,7 +84,25 @@ impl<T> Queue<T> {
         item
     }
 
-    /// Items given up by [`Queue::push_or_replace`].
+    /// Takes the oldest item into `taken`, waiting `timeout` for it at most, and those that follow it while
+    /// `more` says so, given what was taken.
+    pub(crate) fn pop_while<U>(
+        &self,
+        timeout: Duration,
+        taken: &mut Vec<U>,
+        keep: impl Fn(T) -> U,
+        more: impl Fn(&[U], &T) -> bool,
+    ) {
+        let Some(first) = self.pop(timeout) else { return };
+        taken.push(keep(first));
+        let mut state = self.lock();
+        while state.items.front().is_some_and(|next| more(taken, next)) {
+            taken.extend(state.items.pop_front().map(&keep));
+            self.freed.notify_one();
+        }
+    }
+
+    /// Items given up by [`Queue::push_or_replace`] and [`Queue::push_or_give_up`].
     pub(crate) fn dropped(&self) -> u64 {
         self.lock().dropped
     }

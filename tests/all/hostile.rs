@@ -165,8 +165,8 @@ fn on_shared_memory_what_is_no_frame_is_counted_and_named() {
 }
 
 /// As many large frames as a publisher that waits for nobody can send: far more than ten times as many as
-/// the node can predict from. `beside`: whether a slow stream has its predictions meanwhile.
-fn a_flood_is_counted_and_the_rest_goes_on(transport: &str, beside: bool) {
+/// the node can predict from. A slow stream has its predictions meanwhile.
+fn a_flood_is_counted_and_the_rest_goes_on(transport: &str) {
     let mut scene = Scene::new(transport);
     let mut slow = scene.publisher(Reliability::Block);
     scene.predicts(&mut *slow, 1);
@@ -190,9 +190,7 @@ fn a_flood_is_counted_and_the_rest_goes_on(transport: &str, beside: bool) {
                 let lost: u64 = lost.iter().map(|key| count(values, key)).sum();
                 lost > 10 && message != "predicting"
             });
-            if beside {
-                scene.predicts(&mut *slow, 3);
-            }
+            scene.predicts(&mut *slow, 3);
         }));
         over.store(true, Ordering::Relaxed);
         assert!(sending.join().unwrap() > 0);
@@ -205,12 +203,12 @@ fn a_flood_is_counted_and_the_rest_goes_on(transport: &str, beside: bool) {
 
 #[test]
 fn on_zenoh_a_flood_is_counted_and_a_slow_stream_beside_it_goes_on() {
-    a_flood_is_counted_and_the_rest_goes_on("zenoh", true);
+    a_flood_is_counted_and_the_rest_goes_on("zenoh");
 }
 
 #[test]
-fn on_shared_memory_a_flood_is_counted_and_the_node_goes_on_after_it() {
-    a_flood_is_counted_and_the_rest_goes_on("shm", false);
+fn on_shared_memory_a_flood_is_counted_and_a_slow_stream_beside_it_goes_on() {
+    a_flood_is_counted_and_the_rest_goes_on("shm");
 }
 
 /// Players that are killed while they publish, each at another moment.

@@ -3,23 +3,15 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    frame::{Domain, Frame, InvalidFrame, Material, Stamp},
+    frame::{Domain, Frame, FrameView, Particle, Particles, Stamp},
     msg::{Header, ParticleFrame},
 };
 
-/// One particle, 20 bytes.
-#[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
-#[type_name("eddy::Particle")]
-#[repr(C)]
-pub(in crate::transport) struct Particle {
-    /// Position (domain lengths).
-    pub(super) x: f32,
-    pub(super) y: f32,
-    /// Velocity (domain lengths per second).
-    pub(super) vx: f32,
-    pub(super) vy: f32,
-    /// Number of the [`Material`].
-    pub(super) material: u32,
+// SAFETY: the layout is fixed (`repr(C)`, five numbers), any bits are a particle, and it refers to nothing.
+unsafe impl ZeroCopySend for Particle {
+    unsafe fn type_name() -> &'static str {
+        "eddy::Particle"
+    }
 }
 
 /// What a frame says besides its particles, 48 bytes.
@@ -74,31 +66,26 @@ pub(in crate::transport) fn message(header: &FrameHeader, particles: &[Particle]
     }
 }
 
-/// The frame in shared memory, checked.
+/// The frame in shared memory, unchecked.
+pub(super) fn view<'a>(header: &FrameHeader, particles: &'a [Particle]) -> FrameView<'a> {
+    FrameView {
+        stream: header.stream,
+        sequence: header.sequence,
+        stamp: Stamp(header.stamp_ns),
+        dt: header.dt,
+        domain: Domain { lower: header.lower, upper: header.upper },
+        particles: Particles::Rows(particles),
+    }
+}
+
+/// The frame in shared memory, checked and in memory of its own.
 pub(in crate::transport) fn frame(
     header: &FrameHeader,
     particles: &[Particle],
 ) -> Result<Frame, InvalidFrame> {
-    let domain = Domain { lower: header.lower, upper: header.upper };
-    let material = particles
-        .iter()
-        .enumerate()
-        .map(|(particle, p)| {
-            // Saturated, so that a number that does not fit a byte stays unknown.
-            let found = u8::try_from(p.material).unwrap_or(u8::MAX);
-            Material::try_from(found).map_err(|found| InvalidFrame::Material { particle, found })
-        })
-        .collect::<Result<_, _>>()?;
-    Frame::new(
-        header.stream,
-        header.sequence,
-        Stamp(header.stamp_ns),
-        header.dt,
-        domain,
-        particles.iter().map(|p| [p.x, p.y]).collect(),
-        particles.iter().map(|p| [p.vx, p.vy]).collect(),
-        material,
-    )
+    let frame = view(header, particles);
+    frame.check()?;
+    Ok(frame.to_frame())
 }
 
 /// Header and particles as other programs may have left them in shared memory: any bits at all.
@@ -128,6 +115,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::frame::{InvalidFrame, Material};
 
     #[test]
     fn the_layout_is_the_one_other_programs_were_told() {
@@ -142,7 +130,7 @@ mod tests {
     fn an_unknown_material_is_named() {
         let header = FrameHeader { dt: 0.016, upper: [1.0; 2], ..FrameHeader::default() };
         let particle = Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material: 256 };
-        let error = frame(&header, &[particle]).unwrap_err();
+        let error = view(&header, &[particle]).check().unwrap_err();
         assert_eq!(error, InvalidFrame::Material { particle: 0, found: 255 });
     }
 
@@ -162,7 +150,10 @@ mod tests {
                 material: particles.iter().map(|p| Material::try_from(p.2).unwrap()).collect(),
             };
             let slice: Vec<_> = (0..sent.len()).map(|index| particle(&sent, index)).collect();
-            prop_assert_eq!(frame(&FrameHeader::from(&sent), &slice), Ok(sent));
+            let header = FrameHeader::from(&sent);
+            let received = view(&header, &slice);
+            prop_assert_eq!(received.check(), sent.check());
+            prop_assert_eq!(received.to_frame(), sent);
         }
     }
 }

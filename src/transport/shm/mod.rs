@@ -4,10 +4,10 @@
 //! 2. [`service`]: opens the services of a topic, whoever made them, and clears away what killed
 //!    processes left.
 //! 3. [`publisher`]: writes messages into loaned memory, sends them, wakes the readers.
-//! 4. [`subscriber`]: waits, reads, checks.
+//! 4. [`subscriber`]: waits, and lends what came; [`lent`]: a frame that is read where it lies.
 //!
 //! The service of a topic is called `eddy<topic>`, such as `eddy/particles`. Frames travel as a slice
-//! of [`Particle`](layout::Particle) with a [`FrameHeader`](layout::FrameHeader); every other message as
+//! of [`Particle`] with a [`FrameHeader`](layout::FrameHeader); every other message as
 //! CDR bytes. An event service of the same name wakes readers: event 0 is a new sample.
 //!
 //! Overflow and buffer length belong to the service and are fixed by whoever creates it. eddy
@@ -19,17 +19,23 @@
 //! [`publish_cdr`](super::Publisher::publish_cdr) said.
 
 pub(super) mod layout;
+mod lent;
 mod publisher;
 mod service;
 mod subscriber;
 
 use std::time::Duration;
 
+use iceoryx2::service::port_factory::PortFactory as _;
+
 use super::{
     Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
     opener::is_frames,
 };
-use layout::{FrameHeader, Particle};
+pub use lent::SharedFrame;
+
+use crate::frame::Particle;
+use layout::FrameHeader;
 use publisher::{BytesPublisher, FramePublisher, Outlet};
 use service::Services;
 use subscriber::{BytesSubscriber, FrameSubscriber, Inlet};
@@ -75,7 +81,9 @@ impl ShmNode {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<Particle, FrameHeader>(link, type_name)?;
-            Box::new(FrameSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })
+            let borrowable = topic.static_config().subscriber_max_borrowed_samples();
+            let inlet = Inlet::open(link, &topic, &events, cleaner)?;
+            Box::new(FrameSubscriber::new(inlet, borrowable))
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
             Box::new(BytesSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })

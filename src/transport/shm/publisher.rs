@@ -3,21 +3,27 @@
 use std::{fmt::Debug, thread, time::Duration};
 
 use iceoryx2::{
-    port::{BackpressureAction, SendError, notifier::Notifier, publisher},
+    port::{BackpressureAction, LoanError, SendError, notifier::Notifier, publisher},
     prelude::*,
 };
 
 use super::{
-    layout::{self, FrameHeader, Particle},
-    service::{Cleaner, Events, Ipc, Topic, middleware},
+    layout::{self, FrameHeader},
+    service::{BORROWED, Cleaner, DEPTH, Events, Ipc, Topic, middleware},
 };
 use crate::{
-    frame::Frame,
+    frame::{Frame, Particle},
     transport::{Link, Publisher, Reliability, TransportError, opener},
 };
 
 /// Elements of a message there is room for at first; more room is made when a longer one comes.
 const FIRST_LENGTH: usize = 2560;
+/// Memory of a writer (bytes) that gives room for as many messages as all possible readers may hold. What
+/// takes more has room for fewer of them.
+const BUDGET: usize = 128 << 20;
+/// Messages that there is room for, however large they are: more than one reader can hold that has stopped
+/// reading.
+const FEWEST: usize = DEPTH + BORROWED + 8;
 /// Between two tries to send to a reader that is not there yet.
 const PAUSE: Duration = Duration::from_millis(1);
 
@@ -29,6 +35,7 @@ where
 {
     link: Link,
     topic: Topic<P, H>,
+    /// Its memory is made when it is opened: messages that need more get another one.
     publisher: publisher::Publisher<Ipc, [P], H>,
     notifier: Notifier<Ipc>,
     reliability: Reliability,
@@ -57,7 +64,7 @@ where
                 "found a service made by another program with overflow: slow readers lose the oldest messages"
             );
         }
-        let publisher = open_publisher(link, &topic, reliability, patience)?;
+        let publisher = open_publisher(link, &topic, FIRST_LENGTH, reliability, patience)?;
         let notifier = events
             .notifier_builder()
             .default_event_id(EventId::new(0))
@@ -92,9 +99,17 @@ where
     where
         H: Copy,
     {
+        self.make_room(length)?;
         let tries = self.patience.div_duration_f64(PAUSE) as u64;
         for _ in 0..=tries {
-            let taken = self.send_once(length, header, &element)?;
+            let Some(taken) = self.send_once(length, header, &element)? else {
+                // Every message there is room for is with some reader.
+                if self.reliability == Reliability::Drop {
+                    return Ok(());
+                }
+                thread::sleep(PAUSE);
+                continue;
+            };
             self.wake();
             let readers = self.subscribers();
             if self.reliability == Reliability::Drop || taken >= readers {
@@ -111,19 +126,35 @@ where
         Err(self.stalled())
     }
 
-    /// Sends a message; how many readers took it.
+    /// Makes sure that there is room for messages of so many elements. What was sent before stays with its
+    /// readers.
+    fn make_room(&mut self, length: usize) -> Result<(), TransportError> {
+        if length <= self.publisher.initial_max_slice_len() {
+            return Ok(());
+        }
+        let Self { link, topic, reliability, patience, .. } = self;
+        // Twice as much at least: a frame that grows by a particle now and then needs no new room each time.
+        let room = length.next_power_of_two();
+        self.publisher = open_publisher(link, topic, room, *reliability, *patience)?;
+        tracing::info!(%link, elements = room, "made room for larger messages");
+        Ok(())
+    }
+
+    /// Writes a message into loaned memory and sends it; how many readers took it. `None` when there is no
+    /// memory to loan.
     fn send_once(
         &self,
         length: usize,
         header: H,
         element: impl Fn(usize) -> P,
-    ) -> Result<usize, TransportError> {
-        let mut loan = self
-            .publisher
-            .loan_slice_uninit(length)
-            .map_err(|error| middleware(&self.link, "loan memory", &error))?;
+    ) -> Result<Option<usize>, TransportError> {
+        let mut loan = match self.publisher.loan_slice_uninit(length) {
+            Ok(loan) => loan,
+            Err(LoanError::OutOfMemory) => return Ok(None),
+            Err(error) => return Err(middleware(&self.link, "loan memory", &error)),
+        };
         *loan.user_header_mut() = header;
-        loan.write_from_fn(element).send().map_err(|error| match error {
+        loan.write_from_fn(element).send().map(Some).map_err(|error| match error {
             SendError::UnableToDeliver => self.stalled(),
             error => middleware(&self.link, "send", &error),
         })
@@ -148,6 +179,7 @@ where
 fn open_publisher<P, H>(
     link: &Link,
     topic: &Topic<P, H>,
+    length: usize,
     reliability: Reliability,
     patience: Duration,
 ) -> Result<publisher::Publisher<Ipc, [P], H>, TransportError>
@@ -157,8 +189,12 @@ where
 {
     let builder = topic
         .publisher_builder()
-        .initial_max_slice_len(FIRST_LENGTH)
-        .allocation_strategy(AllocationStrategy::PowerOfTwo);
+        .initial_max_slice_len(length)
+        // iceoryx2 grows by itself, too, but then for as many messages as ever: 6 GB for a million particles.
+        .allocation_strategy(AllocationStrategy::Static)
+        .override_sample_preallocation(move |all| {
+            all.min((BUDGET / (length * size_of::<P>())).max(FEWEST))
+        });
     let builder = match reliability {
         Reliability::Drop => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
         Reliability::Block => builder

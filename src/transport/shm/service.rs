@@ -21,8 +21,8 @@ use iceoryx2::{
     },
 };
 
-use super::layout::Particle;
 use crate::{
+    frame::Particle,
     msg::{Message, ParticleFrame, topic_type},
     transport::{Link, SeenTopic, TransportError, TransportKind},
 };
@@ -35,9 +35,11 @@ pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
 pub(super) type Events = event::PortFactory<Ipc>;
 
 /// Messages that a reader may be behind. A publisher reserves (and zeroes) memory for as many
-/// from every possible reader: 14 MB for frames of 2,560 particles, 0.7 MB for short messages.
-/// That leaves room for several topics in the 64 MB that containers usually have.
-const DEPTH: usize = 32;
+/// from every possible reader, those it has borrowed included: 16 MB for frames of 2,560 particles, 0.8 MB
+/// for short messages. That leaves room for several topics in the 64 MB that containers usually have.
+pub(super) const DEPTH: usize = 32;
+/// Messages that a reader may be reading in place.
+pub(super) const BORROWED: usize = 8;
 /// Readers that a topic has room for, and writers.
 const PORTS: usize = 8;
 /// Processes that may have a topic open.
@@ -104,7 +106,7 @@ impl Services {
             let created = builder()
                 .enable_safe_overflow(false)
                 .subscriber_max_buffer_size(DEPTH)
-                .subscriber_max_borrowed_samples(2)
+                .subscriber_max_borrowed_samples(BORROWED)
                 .history_size(0)
                 .max_publishers(PORTS)
                 .max_subscribers(PORTS)

@@ -1,4 +1,4 @@
-//! Waits for messages, reads them, checks them.
+//! Waits for messages and lends them.
 
 use std::{fmt::Debug, time::Duration};
 
@@ -12,11 +12,12 @@ use iceoryx2::{
 };
 
 use super::{
-    layout::{self, FrameHeader, Particle},
+    layout::FrameHeader,
+    lent::{self, Ledger, SharedFrame},
     service::{Cleaner, Events, Ipc, Topic, middleware},
 };
 use crate::{
-    msg::cdr,
+    frame::Particle,
     transport::{Link, Payload, Subscriber, TransportError},
 };
 
@@ -100,18 +101,26 @@ where
 
 /// Reads a topic of frames.
 pub(super) struct FrameSubscriber {
-    pub(super) inlet: Inlet<Particle, FrameHeader>,
+    inlet: Inlet<Particle, FrameHeader>,
+    ledger: Ledger,
+    /// Samples that may be out at the same time; one more is read and given back at once.
+    lendable: usize,
+}
+
+impl FrameSubscriber {
+    pub(super) fn new(inlet: Inlet<Particle, FrameHeader>, borrowable: usize) -> Self {
+        Self { inlet, ledger: Ledger::default(), lendable: borrowable.saturating_sub(1) }
+    }
 }
 
 impl Subscriber for FrameSubscriber {
+    /// Lends the frame where it lies. While as many are out as the service allows, whoever keeps them is
+    /// behind: then it is a copy, so that the publisher's memory comes back.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let sample = self.inlet.receive(timeout)?;
-        Ok(sample.map(|sample| {
-            let (header, particles) = (sample.user_header(), sample.payload());
-            match layout::frame(header, particles) {
-                Ok(frame) => Payload::Frame(frame),
-                Err(_) => Payload::Cdr(cdr::encode(&layout::message(header, particles))),
-            }
+        let Some(sample) = self.inlet.receive(timeout)? else { return Ok(None) };
+        Ok(Some(match self.ledger.lend(self.lendable) {
+            Some(loan) => Payload::Shared(SharedFrame::new(sample, loan)),
+            None => lent::copy(&sample),
         }))
     }
 
