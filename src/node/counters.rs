@@ -1,5 +1,7 @@
 //! Everything that was not used, and why.
 
+use std::collections::BTreeMap;
+
 use crate::{engine::ModelError, frame::InvalidFrame, msg::BadFrame};
 
 /// Why a frame was not used.
@@ -64,6 +66,8 @@ pub struct Counters {
     pub evicted_streams: u64,
     /// Frames that were dropped because the node was slow.
     pub dropped_from_queue: u64,
+    /// Of them, those of each stream that lost any (of the first 1,024 such streams).
+    pub dropped_by_stream: BTreeMap<u64, u64>,
     /// Messages that the transport had to give up before they reached the node.
     pub lost_in_transport: u64,
     /// Predictions that were not finite, and not published.

@@ -94,6 +94,7 @@ impl Monitor {
             value("model", model),
         ];
         values.extend(counters.named().map(|(key, count)| value(key, count.to_string())));
+        values.extend(losses(counters));
         *self = Self { last: counters.clone(), ..Self::start(now) };
         let status = DiagnosticStatus {
             level: level as u8,
@@ -119,6 +120,16 @@ impl Monitor {
             (Level::Ok, "predicting".to_owned())
         }
     }
+}
+
+/// Which streams lose frames because the node is slow, those that lost most first.
+fn losses(counters: &Counters) -> Option<KeyValue> {
+    const NAMED: usize = 8;
+    let mut losses: Vec<_> = counters.dropped_by_stream.iter().collect();
+    losses.sort_by_key(|&(_, lost)| std::cmp::Reverse(lost));
+    let named = losses.iter().take(NAMED).map(|(stream, lost)| format!("{stream}: {lost}"));
+    let named = named.collect::<Vec<_>>().join(", ");
+    (!losses.is_empty()).then(|| value("dropped_from_queue, by stream", named))
 }
 
 fn value(key: &str, value: impl Into<String>) -> KeyValue {
@@ -150,6 +161,17 @@ mod tests {
         assert_eq!(found("published"), "50");
         assert_eq!(status.level, Level::Ok as u8);
         assert_eq!(status.values.len(), 4 + counters.named().len());
+    }
+
+    #[test]
+    fn streams_that_lose_frames_are_named_those_that_lost_most_first() {
+        let counters = Counters {
+            dropped_by_stream: (0..20).map(|n| (n, n)).collect(),
+            ..Counters::default()
+        };
+        let named = report(&mut Monitor::start(Duration::ZERO), 1, &counters).values.pop().unwrap();
+        assert_eq!(named.key, "dropped_from_queue, by stream");
+        assert_eq!(named.value, "19: 19, 18: 18, 17: 17, 16: 16, 15: 15, 14: 14, 13: 13, 12: 12");
     }
 
     #[test]

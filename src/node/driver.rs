@@ -82,7 +82,7 @@ pub fn drive(
         let _closing = Closing(queue, control);
         let monitor = Monitor::start(clock.now());
         let digest = node.surrogate().digest().to_owned();
-        let Counters { published, unpublished, .. } = *node.counters();
+        let (published, unpublished) = (node.counters().published, node.counters().unpublished);
         let (status, bytes) = Default::default();
         let time = presence.time.now(clock.now());
         let sink = Sink { outputs, clock, monitor, digest, status, bytes, published, unpublished };
@@ -255,6 +255,7 @@ impl Work<'_> {
         counters.published = sink.published;
         counters.unpublished = sink.unpublished;
         counters.dropped_from_queue = queue.dropped();
+        counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
         sink.report(presence, counters);
     }

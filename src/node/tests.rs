@@ -1,20 +1,29 @@
 //! The rules of the surrogate node, one test a rule.
 
-use std::{num::NonZeroUsize, sync::Arc, thread, time::Duration};
+use std::{
+    num::NonZeroUsize,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
 
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::{
-    Control, Counters, NodeSettings, PARAMETERS, Publish, Refusal, Request, Service, SurrogateNode,
-    Unanswered, services,
+    Control, Counters, FrameQueue, NodeSettings, Outputs, PARAMETERS, Presence, Publish, Refusal,
+    Request, RosTime, Service, SurrogateNode, Unanswered, drive, services,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes},
+    clock,
     engine::{Memory, Surrogate},
     frame::{Domain, Frame, Material, Stamp},
     model::layers::initial,
     msg::{
-        StreamState, cdr,
+        Message, ParticleFrame, PredictionStatus, StreamState, cdr,
         services::{
             DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
             ListParametersRequest, ListParametersResponse, Parameter, ParameterNames,
@@ -22,7 +31,7 @@ use crate::{
             SetParametersResponse, SetParametersResult, TriggerResponse,
         },
     },
-    transport::Payload,
+    transport::{Link, Payload, Reliability, TransportOptions, Transports},
 };
 
 const DT: f32 = 0.016;
@@ -74,7 +83,7 @@ fn frame(stream: u64, sequence: u64) -> Frame {
 fn observe(node: &mut SurrogateNode, messages: Vec<Payload>) -> Result<Vec<Frame>, Refusal> {
     let mut arrivals: Vec<_> = messages.into_iter().map(|m| (Duration::ZERO, m)).collect();
     let mut outcome = Ok(Vec::new());
-    node.on_frames(&mut arrivals, &mut |_, told| match (told, &mut outcome) {
+    node.on_frames(&mut arrivals, None, &mut |_, told| match (told, &mut outcome) {
         (Ok(prediction), Ok(frames)) => frames.push(prediction.frame.clone()),
         (Err(refusal), _) => outcome = Err(refusal),
         (Ok(_), Err(_)) => {}
@@ -190,7 +199,7 @@ fn frames_that_arrive_together_are_predicted_from_as_one_by_one() {
             for frames in crowd().chunks(together) {
                 let mut arrivals: Vec<_> =
                     frames.iter().map(|f| (Duration::ZERO, Payload::Frame(f.clone()))).collect();
-                node.on_frames(&mut arrivals, &mut |_, told| {
+                node.on_frames(&mut arrivals, None, &mut |_, told| {
                     found.extend(told.ok().map(|prediction| prediction.frame.clone()));
                 });
             }
@@ -198,6 +207,68 @@ fn frames_that_arrive_together_are_predicted_from_as_one_by_one() {
             assert_eq!(node.counters(), alone.counters());
         }
     }
+}
+
+#[test]
+fn a_flooding_stream_costs_the_others_nothing() {
+    const ROUNDS: u64 = 30;
+    let transports = Transports::new(TransportOptions::new("flood"));
+    let [input, output, status] = ["/in", "/out", "/status"].map(Link::memory);
+    let publisher = |link, kind| transports.publisher(link, kind, Reliability::Block).unwrap();
+    let mut read = transports.subscriber(&input, ParticleFrame::TYPE).unwrap();
+    let mut predicted = transports.subscriber(&output, ParticleFrame::TYPE).unwrap();
+    let [mut fast, mut slow] = [(); 2].map(|()| publisher(&input, ParticleFrame::TYPE));
+    let mut outputs = [Outputs::new(
+        publisher(&output, ParticleFrame::TYPE),
+        publisher(&status, PredictionStatus::TYPE),
+    )];
+    let mut presence = Presence { name: "/node".into(), time: RosTime::of_the_machine() };
+    let mut node = node(NodeSettings::default());
+    let queue = FrameQueue::new(40, Reliability::Drop);
+    let (stop, control) = (AtomicBool::new(false), Control::default());
+    thread::scope(|scope| {
+        let (queue, stop) = (&queue, &stop);
+        let (node, outputs, control) = (&mut node, &mut outputs[..], &control);
+        let presence = &mut presence;
+        let driving = scope.spawn(move || {
+            // Dropped at the end, so that the flood has nobody left to wait for.
+            let mut read = read;
+            drive(node, presence, &mut *read, outputs, queue, control, stop)
+        });
+        scope.spawn(move || {
+            for sequence in 0.. {
+                if stop.load(Ordering::Relaxed) {
+                    break;
+                }
+                fast.publish_frame(&frame(0, sequence)).unwrap();
+            }
+        });
+        let deadline = clock::Clock::start();
+        let mut rounds = 0;
+        // As long as it takes for the flood to be one.
+        while rounds < ROUNDS || queue.dropped() == 0 {
+            (1..8).for_each(|stream| slow.publish_frame(&frame(stream, rounds)).unwrap());
+            rounds += 1;
+            let mut missing = if rounds < WARM_UP { 0 } else { 7 };
+            while missing > 0 {
+                assert!(deadline.now() < Duration::from_secs(60), "{missing} are missing");
+                let Some(payload) = predicted.receive(Duration::from_millis(50)).unwrap() else {
+                    continue;
+                };
+                let frame = payload.into_frame().unwrap();
+                if frame.stream > 0 {
+                    assert_eq!(frame.sequence, rounds);
+                    missing -= 1;
+                }
+            }
+        }
+        stop.store(true, Ordering::Relaxed);
+        // The node may be waiting for somebody to read its predictions.
+        while predicted.receive(Duration::from_millis(100)).unwrap().is_some() {}
+    });
+    let lost = queue.dropped_by_stream();
+    assert_eq!(lost.keys().collect::<Vec<_>>(), [&0], "{lost:?}");
+    assert_eq!(lost[&0], queue.dropped());
 }
 
 #[test]
