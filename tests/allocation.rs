@@ -1,6 +1,6 @@
 //! Streaming allocates nothing: a binary of its own, whose allocator counts.
 
-#![allow(clippy::unwrap_used, reason = "a test that meets an error has failed")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},

@@ -4,11 +4,12 @@ use std::num::NonZeroUsize;
 
 use serde::Serialize;
 
+use super::particles::frame_for;
 use crate::{
     checkpoint::{Architecture, Checkpoint, CheckpointError, Core, Description, Sizes},
     clock::Clock,
     engine::{ModelError, Surrogate},
-    frame::{Frame, Stamp},
+    frame::Frame,
     model::{DeviceKind, Reference, layers::initial},
 };
 
@@ -61,7 +62,7 @@ impl Case {
     pub fn frame(core: Core, particles: usize) -> Self {
         let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) };
         let description = Description::untrained(Architecture::Frame, core, sizes);
-        let frame = frame(&description, particles);
+        let frame = frame_for(&description, particles);
         Self { checkpoint: Checkpoint { tensors: initial(&description, 1), description }, frame }
     }
 
@@ -71,7 +72,7 @@ impl Case {
     /// As [`Checkpoint::shipped`].
     pub fn shipped(particles: usize) -> Result<Self, CheckpointError> {
         let checkpoint = Checkpoint::shipped()?;
-        let frame = frame(&checkpoint.description, particles);
+        let frame = frame_for(&checkpoint.description, particles);
         Ok(Self { checkpoint, frame })
     }
 
@@ -135,27 +136,6 @@ fn time(seconds: f64, mut step: impl FnMut()) -> Vec<f64> {
     }
     times.sort_by(f64::total_cmp);
     times
-}
-
-/// Particles all over the box, of the network's materials.
-fn frame(description: &Description, particles: usize) -> Frame {
-    let Description { domain, materials, dt, .. } = description;
-    // Multiples of irrational numbers fill the box evenly.
-    let place = |n: usize, axis: usize| {
-        let part = (n as f64 * [0.618_033_988_7, 0.754_877_666_2][axis]).fract() as f32;
-        domain.lower[axis] + (0.1 + 0.8 * part) * (domain.upper[axis] - domain.lower[axis])
-    };
-    let pace = |n: usize| [(n as f32 * 0.7).sin(), (n as f32 * 1.3).cos()];
-    Frame {
-        stream: 0,
-        sequence: 0,
-        stamp: Stamp(0),
-        dt: *dt,
-        domain: *domain,
-        position: (0..particles).map(|n| [place(n, 0), place(n, 1)]).collect(),
-        velocity: (0..particles).map(pace).collect(),
-        material: (0..particles).map(|n| materials[n % materials.len()]).collect(),
-    }
 }
 
 #[cfg(test)]

@@ -4,10 +4,15 @@
 //! 2. [`training`]: time of a training step by core and length of the window.
 //! 3. [`inference`]: time of a predicted frame by core, on the engine and in burn.
 //! 4. [`bag`]: rates of bags that are written and read, losses of a live recording.
-//! 5. [`limit`]: what the processor and its memory would allow.
+//! 5. [`transport`]: how long a frame is on its way.
+//! 6. [`node`]: what a node adds to its model's time, how many streams it carries.
+//! 7. [`limit`]: what the processor and its memory would allow.
 
 pub mod bag;
 pub mod inference;
 pub mod limit;
+pub mod node;
+mod particles;
 pub mod solver;
 pub mod training;
+pub mod transport;

@@ -9,6 +9,7 @@ use eddy::{
     model::{Core, DeviceKind},
     mpm::Law,
     train::exercise::PARTICLES,
+    transport::TransportKind,
 };
 
 /// `eddy bench`
@@ -26,8 +27,58 @@ pub enum BenchCommand {
     Inference(BenchInferenceArgs),
     /// Times training steps of the paper's network by core and length of the window (its Table 4).
     Training(BenchTrainingArgs),
+    /// Times frames on their way from a publisher to a subscriber, beside the middleware alone.
+    Transport(BenchTransportArgs),
+    /// Runs a node on shared memory: what it adds to its model's time, how many streams it carries.
+    Node(BenchNodeArgs),
     /// Times the writing and reading of bags, and counts what a live recording loses.
     Bag(BenchBagArgs),
+}
+
+/// `eddy bench transport`
+#[derive(Debug, Args)]
+pub struct BenchTransportArgs {
+    /// What carries them.
+    #[arg(long, value_delimiter = ',', default_value = "shm,zenoh,dds")]
+    pub transport: Vec<TransportKind>,
+    /// Particles of a frame.
+    #[arg(long, value_delimiter = ',', default_value = "2500,10000,100000,1000000")]
+    pub particles: Vec<usize>,
+    /// Messages of each kind.
+    #[arg(long, default_value_t = 500)]
+    pub messages: usize,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench node`
+#[derive(Debug, Args)]
+pub struct BenchNodeArgs {
+    /// Directory of the checkpoint; the shipped particle model if not given.
+    #[arg(long)]
+    pub checkpoint: Option<PathBuf>,
+    /// Streams at once.
+    #[arg(long, default_value_t = 1)]
+    pub streams: u64,
+    /// Particles of each stream.
+    #[arg(long, default_value_t = 2500)]
+    pub particles: usize,
+    /// Frames a second of each stream.
+    #[arg(long, default_value_t = 62.5)]
+    pub hertz: f64,
+    /// About how long it runs (s).
+    #[arg(long, default_value_t = 10.0)]
+    pub seconds: f64,
+    /// All streams have their frame at the same instant, instead of one after the other.
+    #[arg(long)]
+    pub together: bool,
+    /// Threads of the engine; as many as there are cores if not given.
+    #[arg(long)]
+    pub threads: Option<NonZeroUsize>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `eddy bench bag`

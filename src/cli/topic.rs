@@ -21,7 +21,7 @@ pub enum TopicCommand {
     Echo(TopicEchoArgs),
     /// Prints how many messages a second a topic has, like `ros2 topic hz`.
     Hz(TopicHzArgs),
-    /// Prints the type of a topic's messages.
+    /// Prints the type of a topic's messages, and the memory it takes on shm.
     Info {
         /// The topic, for example zenoh:/particles.
         link: Link,

@@ -82,8 +82,13 @@ pub fn run(
 
     if !quiet {
         let digest = &node.surrogate().digest()[..12];
-        let outputs: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
-        println!("predicting {input} -> {} with model {digest}", outputs.join(", "));
+        let names: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
+        println!("predicting {input} -> {} with model {digest}", names.join(", "));
+        for link in &renamed.outputs {
+            if let Some(memory) = transports.shared_memory(link, ParticleFrame::TYPE)? {
+                println!("{link} takes {memory}, more for frames of more than 2,560 particles");
+            }
+        }
     }
     let outcome = drive(
         &mut node,

@@ -89,6 +89,11 @@ impl Link {
         Self { transport: TransportKind::Zenoh, topic: topic.to_owned() }
     }
 
+    /// A topic in shared memory.
+    pub fn shm(topic: &str) -> Self {
+        Self { transport: TransportKind::Shm, topic: topic.to_owned() }
+    }
+
     /// A topic within this process.
     pub fn memory(topic: &str) -> Self {
         Self { transport: TransportKind::Memory, topic: topic.to_owned() }

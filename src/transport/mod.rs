@@ -9,11 +9,13 @@
 //! 7. `shm`: shared memory, by iceoryx2.
 //! 8. `zenoh`: the wire of ROS 2's rmw_zenoh.
 //! 9. `dds`: the wire of ROS 2's DDS middlewares.
+//! 10. `bare`: middlewares alone, to measure against.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so every form of [`Payload`]
 //! must be expected from any topic of frames.
 
+mod bare;
 mod dds;
 pub(crate) mod foreign;
 mod link;
@@ -28,9 +30,10 @@ mod zenoh;
 pub(crate) use link::{is_absolute_name, is_name_token};
 pub(crate) use queue::Queue;
 
+pub use bare::{BarePair, BarePublisher, BareSubscriber};
 pub use link::{InvalidLink, Link, TransportKind};
 pub use payload::Payload;
-pub use shm::SharedFrame;
+pub use shm::{SharedFrame, SharedMemory};
 
 pub use opener::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 pub use seen::SeenTopic;

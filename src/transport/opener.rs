@@ -11,8 +11,8 @@ use std::{
 use super::dds::DdsNode;
 use super::zenoh::ZenohNode;
 use super::{
-    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, memory::Broker, shm::ShmNode,
+    Handler, Link, Publisher, Reliability, SeenTopic, Served, SharedMemory, Subscriber,
+    TransportError, TransportKind, memory::Broker, shm::ShmNode,
 };
 use crate::msg::{Message, ParticleFrame, TypeSupport, type_support};
 
@@ -292,7 +292,27 @@ impl Transports {
         Ok(topics)
     }
 
-    fn shm(&self, link: &Link) -> Result<Arc<ShmNode>, TransportError> {
+    /// The memory that the publishers of a topic of type `type_name` have made for it; `None` where nothing is
+    /// shared.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn shared_memory(
+        &self,
+        link: &Link,
+        type_name: &str,
+    ) -> Result<Option<SharedMemory>, TransportError> {
+        Ok(match link.transport {
+            TransportKind::Shm => Some(self.shm(link)?.memory(link, type_name)?),
+            TransportKind::Memory | TransportKind::Zenoh | TransportKind::Dds => None,
+        })
+    }
+
+    pub(super) fn options(&self) -> &TransportOptions {
+        &self.shared.options
+    }
+
+    pub(super) fn shm(&self, link: &Link) -> Result<Arc<ShmNode>, TransportError> {
         open_once(&self.shared.shm, || ShmNode::open(link, &self.shared.options))
     }
 

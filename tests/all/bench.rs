@@ -65,6 +65,43 @@ fn bags_are_timed_and_what_was_written_is_removed() {
 }
 
 #[test]
+fn frames_on_their_way_are_timed_beside_the_middleware_alone() {
+    let arguments = ["bench", "transport", "--transport", "shm,zenoh", "--particles", "100"];
+    let json = succeed(arguments.iter().chain(&["--messages", "5", "--json"]));
+    let report: Value = serde_json::from_str(&json).unwrap();
+    let timings = report["timings"].as_array().unwrap();
+    let named = |timing: &Value| format!("{} {}", timing["transport"], timing["way"]);
+    let expected = [
+        r#""shm" "frame""#,
+        r#""shm" "bare""#,
+        r#""shm" "untouched""#,
+        r#""shm" "bare-untouched""#,
+        r#""zenoh" "frame""#,
+        r#""zenoh" "bytes""#,
+        r#""zenoh" "bare""#,
+    ];
+    assert_eq!(timings.iter().map(named).collect::<Vec<_>>(), expected);
+    for timing in timings {
+        assert_eq!(timing["messages"], 5, "{timing}");
+        let of = |key: &str| timing[key].as_f64().unwrap();
+        assert!(0.0 < of("p50") && of("p50") <= of("p99"), "{timing}");
+    }
+}
+
+#[test]
+fn a_node_is_timed_with_all_its_streams() {
+    let arguments = ["bench", "node", "--streams", "3", "--particles", "100", "--hertz", "20"];
+    let json = succeed(arguments.iter().chain(&["--seconds", "2", "--json"]));
+    let report: Value = serde_json::from_str(&json).unwrap();
+    let timing = &report["timing"];
+    assert_eq!((&timing["frames"], &timing["received"]), (&120.into(), &120.into()), "{timing}");
+    assert_eq!(timing["predictions"], timing["expected"], "{timing}");
+    for what in ["model", "node", "way"] {
+        assert!(timing[what]["p50"].as_f64().unwrap() > 0.0, "{timing}");
+    }
+}
+
+#[test]
 fn a_benchmark_without_threads_or_time_is_wrong_usage() {
     let message = fail(2, ["bench", "inference", "--threads", "0"]);
     assert!(message.contains("--threads"), "{message}");

@@ -2,8 +2,10 @@
 
 mod bag;
 mod inference;
+mod node;
 mod solver;
 mod training;
+mod transport;
 
 use comfy_table::{CellAlignment, Table, presets};
 
@@ -17,6 +19,8 @@ pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         BenchCommand::Inference(args) => inference::run(args, quiet, interrupt),
         BenchCommand::Training(args) => training::run(args, quiet, interrupt),
         BenchCommand::Bag(args) => bag::run(args, quiet, interrupt),
+        BenchCommand::Transport(args) => transport::run(args, quiet, interrupt),
+        BenchCommand::Node(args) => node::run(args, interrupt),
     }
 }
 

@@ -39,6 +39,9 @@ pub fn run(args: TopicArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
             if let Some(SeenTopic { type_name, hash, .. }) = find(&link, &transports, interrupt)? {
                 let hash = hash.as_deref().unwrap_or("not told");
                 print(&format!("Type: {type_name}\nType hash: {hash}"))?;
+                if let Some(memory) = transports.shared_memory(&link, &type_name)? {
+                    print(&format!("Shared memory: {memory}"))?;
+                }
             }
             Ok(())
         }

@@ -5,6 +5,7 @@
 //!    processes left.
 //! 3. [`publisher`]: writes messages into loaned memory, sends them, wakes the readers.
 //! 4. [`subscriber`]: waits, and lends what came; [`lent`]: a frame that is read where it lies.
+//! 5. [`bare`]: iceoryx2 alone, to measure against.
 //!
 //! The service of a topic is called `eddy<topic>`, such as `eddy/particles`. Frames travel as a slice
 //! of [`Particle`] with a [`FrameHeader`](layout::FrameHeader); every other message as
@@ -18,6 +19,7 @@
 //! A frame's `frame_id` does not travel: readers see `world`, whatever the bytes given to
 //! [`publish_cdr`](super::Publisher::publish_cdr) said.
 
+pub(super) mod bare;
 pub(super) mod layout;
 mod lent;
 mod publisher;
@@ -29,12 +31,16 @@ use std::time::Duration;
 use iceoryx2::service::port_factory::PortFactory as _;
 
 use super::{
-    Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
-    opener::is_frames,
+    BarePublisher, Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError,
+    TransportOptions, opener::is_frames,
 };
 pub use lent::SharedFrame;
+pub use service::SharedMemory;
 
-use crate::frame::Particle;
+use crate::{
+    frame::Particle,
+    msg::{Message, ParticleFrame},
+};
 use layout::FrameHeader;
 use publisher::{BytesPublisher, FramePublisher, Outlet};
 use service::Services;
@@ -48,6 +54,32 @@ pub(super) struct ShmNode {
 impl ShmNode {
     pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         Ok(Self { services: Services::open(link, &options.node_name)? })
+    }
+
+    /// The memory that the publishers of a topic have made for it.
+    pub(super) fn memory(
+        &self,
+        link: &Link,
+        type_name: &str,
+    ) -> Result<SharedMemory, TransportError> {
+        Ok(if is_frames(type_name) {
+            SharedMemory::of(&self.services.topic::<Particle, FrameHeader>(link, type_name)?)
+        } else {
+            SharedMemory::of(&self.services.topic::<u8, ()>(link, type_name)?)
+        })
+    }
+
+    /// See [`Transports::untouched`](super::Transports::untouched).
+    pub(super) fn untouched(
+        &self,
+        link: &Link,
+        particles: usize,
+        patience: Duration,
+    ) -> Result<Box<dyn BarePublisher>, TransportError> {
+        let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
+        let topic = self.services.topic::<Particle, FrameHeader>(link, ParticleFrame::TYPE)?;
+        let outlet = Outlet::open(link, topic, &events, cleaner, Reliability::Block, patience)?;
+        Ok(Box::new(bare::Untouched { outlet, particles }))
     }
 
     pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {

@@ -1,10 +1,12 @@
 //! Writes messages into loaned memory, sends them, wakes the readers.
 
-use std::{fmt::Debug, thread, time::Duration};
+use std::{fmt::Debug, mem::MaybeUninit, thread, time::Duration};
 
 use iceoryx2::{
     port::{BackpressureAction, LoanError, SendError, notifier::Notifier, publisher},
     prelude::*,
+    sample_mut::SampleMut,
+    sample_mut_uninit::SampleMutUninit,
 };
 
 use super::{
@@ -26,6 +28,11 @@ const BUDGET: usize = 128 << 20;
 const FEWEST: usize = DEPTH + BORROWED + 8;
 /// Between two tries to send to a reader that is not there yet.
 const PAUSE: Duration = Duration::from_millis(1);
+
+/// Memory of a message that is to be written.
+pub(super) type Loan<P, H> = SampleMutUninit<Ipc, [MaybeUninit<P>], H>;
+/// A message that can be sent.
+pub(super) type Written<P, H> = SampleMut<Ipc, [P], H>;
 
 /// The writing side of one topic.
 pub(super) struct Outlet<P, H>
@@ -85,16 +92,16 @@ where
         Ok(outlet)
     }
 
-    /// Sends `length` elements with a header.
+    /// Sends `length` elements with a header, which `write` puts into loaned memory.
     ///
     /// A reader connects when it next looks for messages; until then it has a buffer, but is not
     /// waited for when that is full. A blocking publisher therefore sends again what nobody took. With
     /// several readers, one that is so late may miss messages that another one took; this is a warning.
-    fn send(
+    pub(super) fn send(
         &mut self,
         length: usize,
         header: H,
-        element: impl Fn(usize) -> P,
+        write: impl Fn(Loan<P, H>) -> Written<P, H>,
     ) -> Result<(), TransportError>
     where
         H: Copy,
@@ -102,7 +109,7 @@ where
         self.make_room(length)?;
         let tries = self.patience.div_duration_f64(PAUSE) as u64;
         for _ in 0..=tries {
-            let Some(taken) = self.send_once(length, header, &element)? else {
+            let Some(taken) = self.send_once(length, header, &write)? else {
                 // Every message there is room for is with some reader.
                 if self.reliability == Reliability::Drop {
                     return Ok(());
@@ -146,7 +153,7 @@ where
         &self,
         length: usize,
         header: H,
-        element: impl Fn(usize) -> P,
+        write: impl Fn(Loan<P, H>) -> Written<P, H>,
     ) -> Result<Option<usize>, TransportError> {
         let mut loan = match self.publisher.loan_slice_uninit(length) {
             Ok(loan) => loan,
@@ -154,7 +161,7 @@ where
             Err(error) => return Err(middleware(&self.link, "loan memory", &error)),
         };
         *loan.user_header_mut() = header;
-        loan.write_from_fn(element).send().map(Some).map_err(|error| match error {
+        write(loan).send().map(Some).map_err(|error| match error {
             SendError::UnableToDeliver => self.stalled(),
             error => middleware(&self.link, "send", &error),
         })
@@ -217,7 +224,9 @@ pub(super) struct FramePublisher {
 
 impl Publisher for FramePublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        self.outlet.send(frame.len(), frame.into(), |index| layout::particle(frame, index))
+        self.outlet.send(frame.len(), frame.into(), |loan| {
+            loan.write_from_fn(|index| layout::particle(frame, index))
+        })
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
@@ -243,7 +252,7 @@ impl Publisher for BytesPublisher {
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        self.outlet.send(bytes.len(), (), |index| bytes[index])
+        self.outlet.send(bytes.len(), (), |loan| loan.write_from_slice(bytes))
     }
 
     fn subscribers(&self) -> usize {

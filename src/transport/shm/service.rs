@@ -1,7 +1,7 @@
 //! The services of a topic: opened as they are found, created with room to spare.
 
 use std::{
-    fmt::{Debug, Display},
+    fmt::{self, Debug, Display},
     sync::{Mutex, PoisonError, mpsc},
     thread,
     time::Duration,
@@ -154,6 +154,44 @@ impl Services {
             thread::sleep(Duration::from_millis(20));
         }
         Err(middleware(link, "open the event service", &last))
+    }
+}
+
+/// The memory that the publishers of a topic have made for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SharedMemory {
+    /// How many there are.
+    pub publishers: usize,
+    /// How many read from it.
+    pub subscribers: usize,
+    /// What it takes, but for some bytes a message.
+    pub bytes: usize,
+}
+
+impl SharedMemory {
+    pub(super) fn of<P, H>(topic: &Topic<P, H>) -> Self
+    where
+        P: Debug + ZeroCopySend,
+        H: Debug + ZeroCopySend,
+    {
+        let users = topic.dynamic_config();
+        let subscribers = users.number_of_subscribers();
+        let mut memory = Self { subscribers, ..Self::default() };
+        users.list_publishers(|publisher| {
+            let message = publisher.max_slice_len * size_of::<P>() + size_of::<H>();
+            memory.publishers += 1;
+            memory.bytes += publisher.number_of_samples * message;
+            CallbackProgression::Continue
+        });
+        memory
+    }
+}
+
+impl Display for SharedMemory {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { publishers, subscribers, bytes } = self;
+        let megabytes = *bytes as f64 * 1e-6;
+        write!(formatter, "{megabytes:.1} MB ({publishers} publishers, {subscribers} subscribers)")
     }
 }
 

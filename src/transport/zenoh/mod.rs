@@ -7,6 +7,7 @@
 //! 5. [`publisher`], [`subscriber`]: messages.
 //! 6. [`latched`]: messages for subscribers that come later.
 //! 7. [`service`]: requests and their responses.
+//! 8. [`bare`]: zenoh alone, to measure against.
 //!
 //! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
 //! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
@@ -17,6 +18,7 @@
 //! names are short enough to be written here.
 
 pub(super) mod attachment;
+pub(super) mod bare;
 mod config;
 mod graph;
 pub(super) mod keys;

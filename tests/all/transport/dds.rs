@@ -2,7 +2,6 @@
 
 use std::{
     net::{IpAddr, Ipv4Addr},
-    thread,
     time::{Duration, Instant},
 };
 
@@ -177,49 +176,4 @@ fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restart
         publisher.kill();
         while subscriber.receive(Duration::from_millis(50)).unwrap().is_some() {}
     }
-}
-
-/// `cargo test --release --test all -- --ignored --nocapture size_of_messages`: messages that must
-/// arrive as fast as they go, then messages that may be lost at the rate of frames; one row a size.
-#[test]
-#[ignore = "a measurement: where RustDDS stops being sound"]
-fn the_size_of_messages_that_dds_carries() {
-    println!("| bytes | as fast as they go, arrived | MB/s | 62.5 Hz, may be lost: arrived |");
-    for size in [43_000, 100_000, 200_000, 500_000, 1_000_000, 2_000_000, 4_000_000] {
-        let row = [Reliability::Block, Reliability::Drop].map(|mode| carried(size, mode));
-        let [(blocked, seconds), (dropped, _)] = row;
-        let rate = f64::from(blocked) * size as f64 / seconds / 1e6;
-        println!("| {size} | {blocked} of {MESSAGES} | {rate:.1} | {dropped} of {MESSAGES} |");
-    }
-}
-
-const MESSAGES: u32 = 100;
-
-/// How many messages of `size` bytes arrive, and how long that takes (s).
-fn carried(size: usize, mode: Reliability) -> (u32, f64) {
-    let ([here, there], link) = (ends("dds", options()), link("dds"));
-    let mut subscriber = frames_subscriber(&there, &link);
-    let mut publisher = frames_publisher(&here, &link, mode);
-    eventually("the subscriber is seen", || publisher.subscribers() == 1);
-    let message = [vec![0, 1, 0, 0], vec![7; size - 4]].concat();
-    let start = Instant::now();
-    let publishing = thread::spawn(move || {
-        for number in 0..MESSAGES {
-            if publisher.publish_cdr(&message).is_err() {
-                break;
-            }
-            if mode == Reliability::Drop {
-                let due = Duration::from_millis(16) * (number + 1);
-                thread::sleep(due.saturating_sub(start.elapsed()));
-            }
-        }
-        publisher
-    });
-    let (mut arrived, mut last) = (0, start.elapsed());
-    while arrived < MESSAGES && subscriber.receive(Duration::from_secs(5)).unwrap().is_some() {
-        arrived += 1;
-        last = start.elapsed();
-    }
-    drop(publishing.join().unwrap());
-    (arrived, last.as_secs_f64())
 }

@@ -5,13 +5,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::transport::{Reliability, Transports};
+use eddy::{
+    msg::{Message, ParticleFrame},
+    transport::{Link, Payload, Reliability, Transports},
+};
 use iceoryx2::prelude::*;
 
 use super::{
-    child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber, link,
-    next_frame, options,
+    DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
+    link, next_frame, options,
 };
+use crate::support::{self, talking_eddy, unique};
 
 #[test]
 fn a_killed_subscriber_frees_the_publisher_that_waits_for_it() {
@@ -86,6 +90,101 @@ fn frames_outlive_the_publisher_that_sent_them() {
     }
 }
 
+#[test]
+fn memory_grows_with_the_frame_and_is_told() {
+    for reliability in [Reliability::Block, Reliability::Drop] {
+        let (options, link) = (options(), link("shm"));
+        let [here, there] = [Transports::new(options.clone()), Transports::new(options)];
+        let mut subscriber = frames_subscriber(&there, &link);
+        let mut publisher = frames_publisher(&here, &link, reliability);
+        let memory = || there.shared_memory(&link, ParticleFrame::TYPE).unwrap().unwrap();
+        let mut told = Vec::new();
+        for (sequence, particles) in (0..).zip([2_500, 100_000, 2_500, 100_000]) {
+            let sent = frame(sequence, particles);
+            publisher.publish_frame(&sent).unwrap();
+            expect_frame(&mut *subscriber, &sent);
+            assert_eq!((memory().publishers, memory().subscribers), (1, 1));
+            told.push(memory().bytes / 1_000_000);
+        }
+        // 321 messages of 2,560 particles; 51 of the next power of two.
+        assert_eq!(told, [16, 133, 133, 133]);
+    }
+}
+
+#[test]
+fn frames_are_lent_until_too_many_are_kept_then_copied() {
+    let (options, link) = (options(), link("shm"));
+    let [here, there] = [Transports::new(options.clone()), Transports::new(options)];
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    let mut receive = |sequence| {
+        publisher.publish_frame(&frame(sequence, 50)).unwrap();
+        subscriber.receive(DEADLINE).unwrap().unwrap()
+    };
+    let lent = |payload: &Payload| matches!(payload, Payload::Shared(_));
+    let mut kept: Vec<_> = (0..100).map(&mut receive).collect();
+    assert_eq!(kept.iter().filter(|payload| lent(payload)).count(), 7);
+    assert!(kept[..7].iter().all(lent));
+    for (sequence, payload) in kept.iter().enumerate() {
+        assert!(*payload == Payload::Frame(frame(sequence as u64, 50)), "frame {sequence}");
+    }
+    kept.remove(3);
+    assert!(lent(&receive(100)), "one was given back");
+}
+
+#[test]
+fn a_subscriber_that_reads_nothing_never_holds_a_dropping_publisher_back() {
+    let (options, link) = (options(), link("shm"));
+    let transports = Transports::new(options.clone());
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Drop);
+    let mut reader = frames_subscriber(&Transports::new(options.clone()), &link);
+    let stalled = Process::start("stall", &link, &options);
+    stalled.says("ready");
+    eventually("both subscribers are seen", || publisher.subscribers() == 2);
+    let start = Instant::now();
+    for sequence in 0..500 {
+        // Past what the slots of this size are: the stalled one keeps some of them.
+        let sent = frame(sequence, 50_000);
+        publisher.publish_frame(&sent).unwrap();
+        assert_eq!(next_frame(&mut *reader).sequence, sequence);
+    }
+    assert!(start.elapsed() < DEADLINE, "{:?}", start.elapsed());
+    stalled.kill();
+    eventually("the killed subscriber is forgotten", || publisher.subscribers() == 1);
+}
+
+#[test]
+fn a_node_goes_on_when_its_peers_are_killed() {
+    let (options, topics) = (options(), unique("node"));
+    let link = |name: &str| -> Link { format!("shm:/{topics}/{name}").parse().unwrap() };
+    let (input, output) = (link("particles"), link("prediction"));
+    let mut node = talking_eddy();
+    node.args(["node", "--input", &input.to_string(), "--output", &output.to_string()]);
+    let mut node = support::Process::start_until(&mut node, "predicting");
+    assert!(node.line("shm:/").contains(" takes 16.4 MB (1 publishers, 0 subscribers)"));
+    let watch = Transports::new(options.clone());
+    let users = |link| watch.shared_memory(link, ParticleFrame::TYPE).unwrap().unwrap();
+    // More often than a topic has room for either.
+    for _ in 0..10 {
+        let reader = Process::start("subscribe", &output, &options);
+        reader.says("ready");
+        let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
+        let mut source = talking_eddy();
+        source.args(["replay", sample, "--loop", "--reliability", "drop", "--to", "shm"]);
+        source.args(["--remap", &format!("/particles:={}", input.topic)]);
+        let source = support::Process::start_until(&mut source, "publishing");
+        reader.says("frame");
+        reader.kill();
+        source.kill();
+        eventually("the dead are cleared away", || {
+            users(&input).publishers == 0 && users(&output).subscribers == 0
+        });
+        assert!(node.is_running());
+    }
+    node.interrupt();
+    assert!(node.wait().success());
+}
+
 /// The layout that other programs were told, written down again as they would.
 #[derive(Debug, Clone, Copy, ZeroCopySend)]
 #[type_name("eddy::Particle")]
@@ -110,7 +209,7 @@ struct FrameHeader {
     upper: [f32; 2],
 }
 
-fn service_name(link: &eddy::transport::Link) -> ServiceName {
+fn service_name(link: &Link) -> ServiceName {
     format!("eddy{}", link.topic).as_str().try_into().unwrap()
 }
 

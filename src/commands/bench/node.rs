@@ -1,0 +1,64 @@
+//! `eddy bench node`: what a node adds to its model's time, and how many streams it carries.
+
+use anyhow::ensure;
+use serde::Serialize;
+
+use super::table;
+use crate::{
+    cli::BenchNodeArgs,
+    commands::{Interrupt, surrogate},
+};
+use eddy::bench::node::{Plan, Timing, time};
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    streams: u64,
+    particles: usize,
+    hertz: f64,
+    seconds: f64,
+    together: bool,
+    timing: Timing,
+    /// Received to published, less the model's own time, by the model's own time.
+    overhead: f64,
+}
+
+/// Runs the node for a while.
+pub fn run(args: BenchNodeArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let BenchNodeArgs { streams, particles, hertz, seconds, together, threads, .. } = args;
+    ensure!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
+    ensure!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
+    ensure!(particles > 0, "particles: found 0, expected at least 1");
+    ensure!(streams > 0, "streams: found 0, expected at least 1");
+    ensure!(!interrupt.requested(), "interrupted");
+    let checkpoint = surrogate::checkpoint(args.checkpoint.as_deref())?;
+    let plan = Plan { streams, particles, hertz, seconds, together, threads };
+    let timing = time(&checkpoint, &plan)?;
+    let overhead = timing.node.p50 / timing.model.p50 - 1.0;
+    if args.json {
+        let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    let rows = [
+        ("the model alone", timing.model),
+        ("received to published", timing.node),
+        ("publishing to prediction", timing.way),
+    ];
+    let rows = rows.map(|(what, spread)| {
+        vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
+    });
+    println!("{}", table(["", "p50 (ms)", "p99 (ms)"], rows.into()).trim_fmt());
+    println!(
+        "\n{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: the node adds \
+         {:.0} % to the model's time; {} frames, {} came, {} were dropped by the node, {} of {} predictions came",
+        timing.threads,
+        100.0 * overhead,
+        timing.frames,
+        timing.received,
+        timing.dropped,
+        timing.predictions,
+        timing.expected,
+    );
+    Ok(())
+}

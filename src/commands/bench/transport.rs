@@ -1,0 +1,85 @@
+//! `eddy bench transport`: how long a frame is on its way.
+
+use anyhow::ensure;
+use serde::Serialize;
+
+use super::table;
+use crate::{
+    cli::BenchTransportArgs,
+    commands::{Interrupt, progress_bar},
+};
+use eddy::bench::transport::{Timing, Way, time};
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    timings: Vec<Timing>,
+}
+
+/// Times every transport with every number of particles.
+pub fn run(args: BenchTransportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(args.messages > 0, "messages: found 0, expected at least 1");
+    ensure!(!args.particles.contains(&0), "particles: found 0, expected at least 1");
+    let cases = args.transport.len() * args.particles.len();
+    let bar = progress_bar(cases as u64, "cases", quiet);
+    let mut timings = Vec::new();
+    for &transport in &args.transport {
+        for &particles in &args.particles {
+            ensure!(!interrupt.requested(), "interrupted");
+            timings.extend(time(transport, particles, args.messages)?);
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&Report { timings })?);
+        return Ok(());
+    }
+    let header = [
+        "transport",
+        "particles",
+        "way",
+        "p50 (µs)",
+        "p99 (µs)",
+        "to bare",
+        "p99 to bare",
+        "MB/s",
+        "arrived",
+    ];
+    let rows = timings.iter().map(|timing| {
+        let against = if timing.way == Way::Untouched { Way::BareUntouched } else { Way::Bare };
+        let bare = timings.iter().find(|other| {
+            let same = other.transport == timing.transport && other.particles == timing.particles;
+            same && other.way == against && !matches!(timing.way, Way::Bare | Way::BareUntouched)
+        });
+        let ratio = |of: fn(&Timing) -> f64| {
+            bare.map_or(String::new(), |bare| format!("{:.2}", of(timing) / of(bare)))
+        };
+        let way = match timing.way {
+            Way::Frame => "frame",
+            Way::Bytes => "bytes",
+            Way::Bare => "bare",
+            Way::Untouched => "untouched",
+            Way::BareUntouched => "bare, untouched",
+        };
+        vec![
+            timing.transport.to_owned(),
+            timing.particles.to_string(),
+            way.to_owned(),
+            format!("{:.1}", timing.p50),
+            format!("{:.1}", timing.p99),
+            ratio(|timing| timing.p50),
+            ratio(|timing| timing.p99),
+            format!("{:.0}", timing.rate * 1e-6),
+            format!("{} of {}", timing.arrived, timing.burst),
+        ]
+    });
+    println!("{}", table(header, rows.collect()).trim_fmt());
+    println!(
+        "\n{} messages of each, in turns, from before publishing until received; bare: the middleware alone with the \
+         same bytes; untouched: shared memory sent as it is; too large for a transport: no row; MB/s, arrived: of \
+         messages published as fast as they go",
+        args.messages
+    );
+    Ok(())
+}
