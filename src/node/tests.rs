@@ -215,7 +215,7 @@ fn a_flooding_stream_costs_the_others_nothing() {
     let transports = Transports::new(TransportOptions::new("flood"));
     let [input, output, status] = ["/in", "/out", "/status"].map(Link::memory);
     let publisher = |link, kind| transports.publisher(link, kind, Reliability::Block).unwrap();
-    let mut read = transports.subscriber(&input, ParticleFrame::TYPE).unwrap();
+    let read = transports.subscriber(&input, ParticleFrame::TYPE).unwrap();
     let mut predicted = transports.subscriber(&output, ParticleFrame::TYPE).unwrap();
     let [mut fast, mut slow] = [(); 2].map(|()| publisher(&input, ParticleFrame::TYPE));
     let mut outputs = [Outputs::new(
@@ -229,11 +229,10 @@ fn a_flooding_stream_costs_the_others_nothing() {
     thread::scope(|scope| {
         let (queue, stop) = (&queue, &stop);
         let (node, outputs, control) = (&mut node, &mut outputs[..], &control);
-        let presence = &mut presence;
         let driving = scope.spawn(move || {
             // Dropped at the end, so that the flood has nobody left to wait for.
             let mut read = read;
-            drive(node, presence, &mut *read, outputs, queue, control, stop)
+            drive(node, "node", &mut *read, outputs, queue, control, stop)
         });
         scope.spawn(move || {
             for sequence in 0.. {
@@ -264,7 +263,9 @@ fn a_flooding_stream_costs_the_others_nothing() {
         }
         stop.store(true, Ordering::Relaxed);
         // The node may be waiting for somebody to read its predictions.
-        while predicted.receive(Duration::from_millis(100)).unwrap().is_some() {}
+        while !driving.is_finished() {
+            predicted.receive(Duration::from_millis(20)).unwrap();
+        }
     });
     let lost = queue.dropped_by_stream();
     assert_eq!(lost.keys().collect::<Vec<_>>(), [&0], "{lost:?}");

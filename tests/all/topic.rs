@@ -21,7 +21,7 @@ fn topics_are_listed_with_their_types_and_told_about() {
         assert!(told.starts_with("Type: eddy_msgs/msg/ParticleFrame\n"), "{told}");
         let memory = told.lines().find(|line| line.starts_with("Shared memory: "));
         let expected =
-            (transport == "shm").then_some("Shared memory: 16.4 MB (1 publishers, 0 subscribers)");
+            (transport == "shm").then_some("Shared memory: 16.5 MB (1 publishers, 0 subscribers)");
         assert_eq!(memory, expected, "{told}");
         let listed = succeed(["topic", "list", "--from", transport, "--wait", "3"]);
         let line = listed.lines().find(|line| line.starts_with(&link));
