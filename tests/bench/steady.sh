@@ -48,10 +48,11 @@ for transport in "${transports[@]}"; do
         for pid in "$replay" "$node" "$record"; do memory "$pid"; done
         echo
     done
-    # In the order in which messages go, so that each still takes what is under way.
+    # In the order in which messages go, with time for what is under way.
     for pid in "$replay" "$node" "$record"; do
         kill -INT "$pid"
         wait "$pid"
+        sleep 5
     done
     pids=()
     tail -n 1 "$folder/replay.txt" "$folder/node.txt" "$folder/record.txt"
