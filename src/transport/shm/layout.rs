@@ -3,7 +3,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    frame::{Domain, Frame, FrameView, Particle, Particles, Stamp},
+    frame::{Domain, Frame, FrameView, InvalidFrame, Particle, Particles, Stamp},
     msg::{Header, ParticleFrame},
 };
 
@@ -79,10 +79,7 @@ pub(super) fn view<'a>(header: &FrameHeader, particles: &'a [Particle]) -> Frame
 }
 
 /// The frame in shared memory, checked and in memory of its own.
-pub(in crate::transport) fn frame(
-    header: &FrameHeader,
-    particles: &[Particle],
-) -> Result<Frame, InvalidFrame> {
+pub(in crate::transport) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Frame, InvalidFrame> {
     let frame = view(header, particles);
     frame.check()?;
     Ok(frame.to_frame())
@@ -115,7 +112,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::frame::{InvalidFrame, Material};
+    use crate::frame::Material;
 
     #[test]
     fn the_layout_is_the_one_other_programs_were_told() {

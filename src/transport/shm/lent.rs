@@ -97,9 +97,7 @@ pub(super) fn copy(sample: &FrameSample) -> Payload {
 }
 
 fn to_frame(sample: &FrameSample) -> Result<Frame, InvalidFrame> {
-    let frame = layout::view(sample.user_header(), sample.payload());
-    frame.check()?;
-    Ok(frame.to_frame())
+    layout::frame(sample.user_header(), sample.payload())
 }
 
 fn to_cdr(sample: &FrameSample) -> Vec<u8> {
