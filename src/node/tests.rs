@@ -229,10 +229,11 @@ fn a_flooding_stream_costs_the_others_nothing() {
     thread::scope(|scope| {
         let (queue, stop) = (&queue, &stop);
         let (node, outputs, control) = (&mut node, &mut outputs[..], &control);
+        let presence = &mut presence;
         let driving = scope.spawn(move || {
             // Dropped at the end, so that the flood has nobody left to wait for.
             let mut read = read;
-            drive(node, "node", &mut *read, outputs, queue, control, stop)
+            drive(node, presence, &mut *read, outputs, queue, control, stop)
         });
         scope.spawn(move || {
             for sequence in 0.. {

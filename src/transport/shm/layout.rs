@@ -79,7 +79,10 @@ pub(super) fn view<'a>(header: &FrameHeader, particles: &'a [Particle]) -> Frame
 }
 
 /// The frame in shared memory, checked and in memory of its own.
-pub(in crate::transport) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Frame, InvalidFrame> {
+pub(in crate::transport) fn frame(
+    header: &FrameHeader,
+    particles: &[Particle],
+) -> Result<Frame, InvalidFrame> {
     let frame = view(header, particles);
     frame.check()?;
     Ok(frame.to_frame())
