@@ -29,7 +29,7 @@ pub struct Reindexed {
 /// `metadata.yaml`. Each file is replaced as a whole; the records in it stay as they are.
 ///
 /// # Errors
-/// [`BagError::Unfinished`] and damage of a file, which [`recover`](fn@super::recover) is for: nothing is
+/// [`BagError::Unfinished`] and damage of a file, which [`Recovery`](super::Recovery) is for: nothing is
 /// changed then. [`BagError::Io`] when writing failed, [`BagError::Interrupted`] when `watch`, which is
 /// called with the bytes that were read since, wants no more: each file is then the old or the new one.
 pub fn reindex(path: &Path, watch: &mut dyn FnMut(u64) -> bool) -> Result<Reindexed, BagError> {
