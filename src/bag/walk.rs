@@ -18,6 +18,9 @@ use super::{
 /// How much is passed over between two calls of who watches (bytes).
 const WATCHED: u64 = 1 << 20;
 
+/// Length of a data end record (bytes): a checksum.
+const DATA_END_LENGTH: u64 = 4;
+
 /// A run of messages outside chunks ends at this size (bytes), so that reading stays bounded.
 const LOOSE_RUN: u64 = 1 << 20;
 
@@ -99,10 +102,21 @@ impl Builder {
                 }
                 op::FOOTER => {
                     let rest = self.index.size - header.end();
+                    if rest > MAGIC.len() as u64 {
+                        // A wrong byte has made it a footer, and hides what follows.
+                        let expected = "one at the end of the file".to_owned();
+                        self.damaged(header.position, described(&header), expected);
+                    }
                     let expected = "the 8 bytes that end an MCAP file";
                     return Ok((rest < MAGIC.len() as u64).then(|| expected.into()));
                 }
-                op::DATA_END => in_summary = true,
+                op::DATA_END => {
+                    if header.length != DATA_END_LENGTH {
+                        let expected = format!("{DATA_END_LENGTH} bytes");
+                        self.damaged(header.position, described(&header), expected);
+                    }
+                    in_summary = true;
+                }
                 op::STATISTICS if in_summary => self.statistics(&header, records)?,
                 _ if in_summary => {}
                 op::CHUNK => self.chunk(&header, Kind::Chunk, records)?,

@@ -18,10 +18,10 @@ use super::particle_features::State;
 /// Nearness of a wall that ends free flight (cells of level 0).
 const REACH: f32 = 1.5;
 
-/// Speed, as a part of what gravity gives in a frame, below which a body rests.
-const ASLEEP: f32 = 0.125;
+/// Speed of a body's fastest cell, as a part of what gravity gives in a frame, below which the body rests.
+const ASLEEP: f32 = 0.25;
 /// Speed, as such a part, from which on it moves as the network has it.
-const AWAKE: f32 = 0.625;
+const AWAKE: f32 = 1.0;
 
 /// No body.
 const NONE: u32 = u32::MAX;
@@ -47,6 +47,8 @@ struct Body {
     flies: bool,
     /// The part of its predicted motion that it makes.
     awake: f32,
+    /// The largest mean squared speed of a cell, as observed or as predicted.
+    fastest: f64,
     sums: Sums,
     motion: Motion,
 }
@@ -202,13 +204,15 @@ impl Bodies {
     /// Finds what is wrong with each body's prediction from its cells' sums, and whether it rests.
     pub(super) fn join(&mut self, nodes: &Nodes, sums: &[Sums], walls: &Ballistic) {
         for (cell, sums) in nodes.cells().iter().zip(sums) {
-            self.bodies[self.body[cell.nodes[0] as usize] as usize].sums.add(sums);
+            let body = &mut self.bodies[self.body[cell.nodes[0] as usize] as usize];
+            body.sums.add(sums);
+            body.fastest = body.fastest.max(sums.fastest());
         }
         for body in &mut self.bodies {
             body.motion = body.sums.motion();
             // One particle without a number must not take all others with it.
+            body.awake = if body.flies { 1.0 } else { awake(body.fastest, walls) };
             body.flies &= body.motion.is_finite();
-            body.awake = if body.flies { 1.0 } else { body.sums.awake(walls) };
         }
     }
 
@@ -247,6 +251,14 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 #[inline(always)]
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
+}
+
+/// The part of its predicted motion that a body makes whose fastest cell has this mean squared speed: all
+/// where it moves, or nothing pulls it down.
+fn awake(fastest: f64, walls: &Ballistic) -> f32 {
+    let pull = walls.gravity[0].hypot(walls.gravity[1]) * walls.dt;
+    let awake = (fastest.sqrt() as f32 / pull - ASLEEP) / (AWAKE - ASLEEP);
+    if awake.is_finite() { awake.clamp(0.0, 1.0) } else { 1.0 }
 }
 
 impl Motion {
@@ -295,13 +307,9 @@ impl Sums {
         all.zip(others.chain(&other.speeds)).for_each(|(sum, other)| *sum += other);
     }
 
-    /// The part of its predicted motion that a body with such speeds makes: all where it moves, or is not a
-    /// number, or nothing pulls it down.
-    fn awake(&self, walls: &Ballistic) -> f32 {
-        let pull = walls.gravity[0].hypot(walls.gravity[1]) * walls.dt;
-        let fastest = self.speeds[0].max(self.speeds[1]) / self.count.max(1.0);
-        let awake = (fastest.sqrt() as f32 / pull - ASLEEP) / (AWAKE - ASLEEP);
-        if awake.is_finite() { awake.clamp(0.0, 1.0) } else { 1.0 }
+    /// The mean squared speed, as observed or as predicted, whichever is larger.
+    fn fastest(&self) -> f64 {
+        self.speeds[0].max(self.speeds[1]) / self.count.max(1.0)
     }
 
     /// With r, w, p, q for x, v, X, V about their means, and J turning by a right angle: the positions p - angle J r do not

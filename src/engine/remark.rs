@@ -51,7 +51,7 @@ impl fmt::Display for Remark {
             ),
             Self::RestShape { sequence } => write!(
                 f,
-                "joined at sequence {sequence}: jelly and rope are taken to be unstrained there"
+                "joined at sequence {sequence}: jelly and rope are taken to be unstrained there, and keep that shape"
             ),
         }
     }
@@ -124,7 +124,7 @@ mod tests {
             [
                 "domain: found 2 x 1, trained in 1 x 1: walls are taken to be as thick",
                 "spacing of particles: found 0.02000, trained with 0.00781: predictions will be poor",
-                "joined at sequence 57: jelly and rope are taken to be unstrained there",
+                "joined at sequence 57: jelly and rope are taken to be unstrained there, and keep that shape",
             ]
         );
     }

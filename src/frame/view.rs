@@ -117,7 +117,9 @@ impl<'a> Particles<'a> {
 }
 
 impl FrameView<'_> {
-    /// A frame of its own, for as long as the particles are needed.
+    /// A frame of its own, for as long as the particles are needed. A material that is none is liquid: what was
+    /// [checked](Self::check) has none, but whoever wrote the particles may write again, and every list
+    /// must stay as long as the others.
     pub fn to_frame(&self) -> Frame {
         let Self { stream, sequence, stamp, dt, domain, particles } = *self;
         let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
@@ -129,7 +131,9 @@ impl FrameView<'_> {
             domain,
             position: motions().map(|motion| motion.0).collect(),
             velocity: motions().map(|motion| motion.1).collect(),
-            material: particles.materials().collect(),
+            material: (0..particles.len())
+                .map(|particle| particles.material(particle).unwrap_or(Material::Liquid))
+                .collect(),
         }
     }
 
@@ -174,5 +178,27 @@ fn first_not_finite(
     match found {
         None => Ok(()),
         Some((particle, found)) => Err(InvalidFrame::NotFinite { field, particle, found }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_material_that_was_overwritten_leaves_a_frame_with_lists_of_one_length() {
+        let rows =
+            [0, 9, 3].map(|material| Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material });
+        let view = FrameView {
+            stream: 1,
+            sequence: 2,
+            stamp: Stamp(3),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            particles: Particles::Rows(&rows),
+        };
+        assert!(view.check().is_err());
+        let frame = view.to_frame();
+        assert_eq!([frame.position.len(), frame.velocity.len(), frame.material.len()], [3; 3]);
     }
 }

@@ -181,6 +181,30 @@ fn attachments_and_metadata_go_with_the_messages() {
 }
 
 #[test]
+fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off() {
+    let folder = Folder::new();
+    let file = folder.join("bag.mcap");
+    write_with_extras(&file, 0..60);
+    let bytes = fs::read(&file).unwrap();
+    let chunk = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[0].clone();
+    let start = chunk.chunk_start_offset as usize;
+    let after = start + chunk.chunk_length as usize;
+    assert_eq!([bytes[start], bytes[after]], [6, 7], "a chunk, a message index");
+    let summary = bytes.len() - 37 + 9;
+    let end = u64::from_le_bytes(bytes[summary..summary + 8].try_into().unwrap()) as usize;
+    // Without a summary that would tell. 2 ends a file, 15 its data.
+    let footer = [&[2][..], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat();
+    for (place, wrong) in [(start, 2), (after, 15)] {
+        let mut bytes = [&bytes[..end], &footer].concat();
+        bytes[place] = wrong;
+        fs::write(&file, &bytes).unwrap();
+        assert!(reindex(&file, &mut |_| true).is_err(), "opcode {wrong}");
+        assert_eq!(fs::read(&file).unwrap(), bytes);
+        assert_ne!(findings(&file), [""; 0]);
+    }
+}
+
+#[test]
 fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
     let folder = Folder::new();
     let file = folder.join("bag.mcap");

@@ -37,8 +37,8 @@ REACH = 1.5
 AREA_CELL, FULLEST, SURFACE, SWEEPS, OVER, LONGEST = 2, 1.25, 0.5, 20, 1.7, 0.5
 # How far jelly and rope are stretched at most; how often particles are moved to where their neighbours have them.
 STRAIN, RESTORED = 0.03, 5
-# Speeds at which a body rests and from which on it moves freely (what gravity gives in a frame).
-ASLEEP, AWAKE = 0.125, 0.625
+# Speeds of its fastest cell at which a body rests and from which on it moves freely (what gravity gives in a frame).
+ASLEEP, AWAKE = 0.25, 1.0
 # Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
 MARGIN = 4
 
@@ -348,8 +348,10 @@ class ParticleModel(nn.Module):
             lowest, highest = position[own].amin(0), position[own].amax(0)
             touches = (lowest + way.clamp(max=0) < self.lower + reach) | (highest + way.clamp(min=0) > self.upper - reach)
             if touches.any():
-                speeds = [track[own].square().sum(1).mean() for track in (velocity, predicted[1])]
-                fastest = max(speeds).sqrt() / (self.gravity.norm() * self.dt)
+                cells = torch.floor((position[own] - self.corner) / self.cell - 0.5).long()
+                squares = torch.stack([track[own].square().sum(1) for track in (velocity, predicted[1])])
+                fastest = max(squares[:, (cells == cell).all(1)].mean(1).max() for cell in cells.unique(dim=0))
+                fastest = fastest.sqrt() / (self.gravity.norm() * self.dt)
                 awake = ((fastest - ASLEEP) / (AWAKE - ASLEEP)).clamp(0, 1)
                 kept_position[own] = position[own] + awake * (predicted[0][own] - position[own])
                 kept_velocity[own] = awake * predicted[1][own]

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use eddy::{
     node::{Asked, Remote, Service, player_services},
+    ros::RosNode,
     transport::{Link, Served, TransportError, TransportKind, Transports},
 };
 
@@ -14,16 +15,16 @@ pub(super) struct RemoteControl {
 }
 
 impl RemoteControl {
-    /// Offers them on a transport, as those of the node with the full name `node`. `None` when it has no services.
+    /// Offers them on a transport, under the names that they have after remapping. `None` when it has no services.
     pub(super) fn offer(
         transports: &Transports,
         transport: TransportKind,
-        node: &str,
+        ros: &RosNode,
     ) -> Result<Option<Self>, TransportError> {
         let remote = Arc::new(Remote::default());
         let mut services = Vec::new();
-        for Service { name, type_name, handler } in player_services(node, &remote) {
-            let link = Link { transport, topic: name };
+        for Service { name, type_name, handler } in player_services(&ros.full_name(), &remote) {
+            let link = Link { transport, topic: ros.service(&name) };
             services.extend(transports.serve(&link, type_name, handler)?);
         }
         Ok((!services.is_empty()).then_some(Self { remote, _services: services }))

@@ -48,11 +48,12 @@ pub fn run(
     )?;
     // Sessions end with it: it stays until the last message is out.
     let transports = Transports::new(transport_options(ros)?);
-    let control = RemoteControl::offer(&transports, args.to, &ros.full_name())?;
     let mut outputs = Outputs::open(&transports, ros, &args, &bag, &playable)?;
     if !outputs.wait_for(args.wait_for, interrupt)? {
         return Ok(());
     }
+    // Not before there is somebody who does what they ask.
+    let control = RemoteControl::offer(&transports, args.to, ros)?;
     let keyboard = Keyboard::open();
     ensure!(
         keyboard.is_some() || control.is_some() || !args.start_paused,

@@ -44,11 +44,15 @@ where
     topic: Topic<P, H>,
     /// Its memory is made when it is opened: messages that need more get another one.
     publisher: publisher::Publisher<Ipc, [P], H>,
+    /// What it was before: with it would go what readers that have not looked yet were sent.
+    outgrown: Option<publisher::Publisher<Ipc, [P], H>>,
     notifier: Notifier<Ipc>,
     reliability: Reliability,
     patience: Duration,
     /// Whether a reader that came late was told of.
     warned: bool,
+    /// Whether it was said that there was no room.
+    full: bool,
     _cleaner: Cleaner,
 }
 
@@ -81,10 +85,12 @@ where
             link: link.clone(),
             topic,
             publisher,
+            outgrown: None,
             notifier,
             reliability,
             patience,
             warned: false,
+            full: false,
             _cleaner: cleaner,
         };
         // Readers that wait connect now, before the first message.
@@ -112,6 +118,9 @@ where
             let Some(taken) = self.send_once(length, header, &write)? else {
                 // Every message there is room for is with some reader.
                 if self.reliability == Reliability::Drop {
+                    if !std::mem::replace(&mut self.full, true) {
+                        tracing::warn!(link = %self.link, "messages are given up: readers that do not read hold all there is room for");
+                    }
                     return Ok(());
                 }
                 thread::sleep(PAUSE);
@@ -142,7 +151,10 @@ where
         let Self { link, topic, reliability, patience, .. } = self;
         // Twice as much at least: a frame that grows by a particle now and then needs no new room each time.
         let room = length.next_power_of_two();
-        self.publisher = open_publisher(link, topic, room, *reliability, *patience)?;
+        // One at a time: there is room for so many publishers only.
+        self.outgrown = None;
+        let larger = open_publisher(link, topic, room, *reliability, *patience)?;
+        self.outgrown = Some(std::mem::replace(&mut self.publisher, larger));
         tracing::info!(%link, elements = room, "made room for larger messages");
         Ok(())
     }

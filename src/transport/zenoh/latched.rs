@@ -37,6 +37,7 @@ pub(super) struct Kept {
     _token: LivelinessToken,
 }
 
+#[derive(Clone)]
 struct Message {
     payload: ZBytes,
     attachment: [u8; LENGTH],
@@ -51,7 +52,7 @@ impl Kept {
         let (asked, key) = (Arc::clone(&messages), key.to_owned());
         let queryable = session
             .declare_queryable(&place)
-            .callback(move |query| give(&lock(&asked), &key, &query))
+            .callback(move |query| give(&asked, &key, &query))
             .wait()?;
         let token = graph::declare(session, &place)?;
         Ok(Self { messages, depth, _queryable: queryable, _token: token })
@@ -67,12 +68,14 @@ impl Kept {
     }
 }
 
-/// Replies with the newest messages, as many as are wanted.
-fn give(messages: &VecDeque<Message>, key: &str, query: &Query) {
+/// Replies with the newest messages, as many as are wanted. A peer that takes them slowly does not keep the
+/// publisher from adding others.
+fn give(kept: &Mutex<VecDeque<Message>>, key: &str, query: &Query) {
     let most = query.parameters().get("_max").and_then(|most| most.parse().ok());
-    let passed_over = messages.len().saturating_sub(most.unwrap_or(usize::MAX));
-    for Message { payload, attachment, timestamp } in messages.iter().skip(passed_over) {
-        let reply = query.reply(key, payload.clone()).attachment(attachment).timestamp(*timestamp);
+    let mut messages = lock(kept).clone();
+    messages.drain(..messages.len().saturating_sub(most.unwrap_or(usize::MAX)));
+    for Message { payload, attachment, timestamp } in messages {
+        let reply = query.reply(key, payload).attachment(attachment).timestamp(timestamp);
         if let Err(error) = reply.wait() {
             tracing::warn!("{key}: a kept message is not given: {error}");
         }

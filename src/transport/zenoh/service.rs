@@ -107,7 +107,10 @@ impl Desk {
     fn answer(&mut self, query: &Query) {
         let request = query.payload().map(|bytes| bytes.to_bytes()).unwrap_or_default();
         let Some(response) = (self.handler)(&request) else {
-            return refuse(query, "the payload is no request of this service");
+            return refuse(
+                query,
+                "no answer: the payload is no request of this service, or who should answer is busy",
+            );
         };
         // Who sent none, or one of another form, is not ROS and expects none.
         let attachment = query.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()));
