@@ -44,8 +44,6 @@ where
     topic: Topic<P, H>,
     /// Its memory is made when it is opened: messages that need more get another one.
     publisher: publisher::Publisher<Ipc, [P], H>,
-    /// What it was before: with it would go what readers that have not looked yet were sent.
-    outgrown: Option<publisher::Publisher<Ipc, [P], H>>,
     notifier: Notifier<Ipc>,
     reliability: Reliability,
     patience: Duration,
@@ -85,7 +83,6 @@ where
             link: link.clone(),
             topic,
             publisher,
-            outgrown: None,
             notifier,
             reliability,
             patience,
@@ -142,8 +139,8 @@ where
         Err(self.stalled())
     }
 
-    /// Makes sure that there is room for messages of so many elements. What was sent before stays with its
-    /// readers.
+    /// Makes sure that there is room for messages of so many elements. What was sent before stays with
+    /// readers that have looked for messages since this topic was opened; others miss it.
     fn make_room(&mut self, length: usize) -> Result<(), TransportError> {
         if length <= self.publisher.initial_max_slice_len() {
             return Ok(());
@@ -151,10 +148,7 @@ where
         let Self { link, topic, reliability, patience, .. } = self;
         // Twice as much at least: a frame that grows by a particle now and then needs no new room each time.
         let room = length.next_power_of_two();
-        // One at a time: there is room for so many publishers only.
-        self.outgrown = None;
-        let larger = open_publisher(link, topic, room, *reliability, *patience)?;
-        self.outgrown = Some(std::mem::replace(&mut self.publisher, larger));
+        self.publisher = open_publisher(link, topic, room, *reliability, *patience)?;
         tracing::info!(%link, elements = room, "made room for larger messages");
         Ok(())
     }
