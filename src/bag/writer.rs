@@ -56,6 +56,9 @@ impl Default for WriterOptions {
     }
 }
 
+/// Key in `custom_data` of `metadata.yaml`: messages that arrived and are not in the bag.
+const NOT_RECORDED: &str = "eddy_messages_not_recorded";
+
 /// A topic of the bag that gave it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct TopicId(usize);
@@ -140,6 +143,8 @@ pub struct BagWriter {
     channels: Vec<(u16, u64)>,
     /// Messages that no room was left for.
     lost: u64,
+    /// Messages that never came as far as here.
+    not_given: u64,
     custom_data: BTreeMap<String, String>,
     /// A file could not be written on, for want of room; the bag has ended before its time.
     full: bool,
@@ -175,6 +180,7 @@ impl BagWriter {
             topics: Vec::new(),
             channels: Vec::new(),
             lost: 0,
+            not_given: 0,
             custom_data: BTreeMap::new(),
             full: false,
         })
@@ -198,6 +204,12 @@ impl BagWriter {
     /// Has `metadata.yaml` say one more thing.
     pub fn note(&mut self, key: &str, value: String) {
         self.custom_data.insert(key.to_owned(), value);
+    }
+
+    /// Has `metadata.yaml` say that so many messages arrived and were not given to the bag, beside those
+    /// that it could not keep.
+    pub fn note_not_given(&mut self, messages: u64) {
+        self.not_given += messages;
     }
 
     /// Adds a topic with one of our message types, or gives the id it already has.
@@ -414,6 +426,7 @@ impl BagWriter {
     /// [`BagError::Io`] and [`BagError::Format`]. The file then keeps the name `*.active`.
     pub fn finish(self) -> Result<BagSummary, BagError> {
         let Self { part, directory, finished: mut files, mut topics, mut channels, .. } = self;
+        let mut custom_data = self.custom_data;
         let mut lost_here = 0;
         files.push(match part.finish() {
             Ok(file) => file,
@@ -427,15 +440,19 @@ impl BagWriter {
                 file
             }
         });
+        let lost = self.lost + lost_here;
+        if self.not_given + lost > 0 {
+            custom_data.insert(NOT_RECORDED.to_owned(), (self.not_given + lost).to_string());
+        }
         let summary = BagSummary {
             directory,
             messages: files.iter().map(|file| file.messages).sum(),
-            lost: self.lost + lost_here,
+            lost,
             start: files.iter().filter_map(|file| file.start).min(),
             end: files.iter().filter_map(|file| file.end).max(),
             files,
             topics,
-            custom_data: self.custom_data,
+            custom_data,
         };
         metadata::write(&summary)?;
         Ok(summary)

@@ -52,6 +52,11 @@ impl Recorder {
         self.bag.note(key, value);
     }
 
+    /// Has `metadata.yaml` say that so many messages arrived and did not come as far as here.
+    pub fn note_not_given(&mut self, messages: u64) {
+        self.bag.note_not_given(messages);
+    }
+
     /// Writes a message that arrived at `now`, which becomes both its times.
     ///
     /// # Errors

@@ -36,10 +36,7 @@ use intake::{Losses, Received, receive};
 /// How long a wait may last before the end of the recording is looked for.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Key in `custom_data` of `metadata.yaml`: messages that arrived and are not in the bag.
-const NOT_RECORDED: &str = "eddy_messages_not_recorded";
-
-/// Key in `custom_data`: topics that were found and could not be recorded.
+/// Key in `custom_data` of `metadata.yaml`: topics that were found and could not be recorded.
 const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
 
 /// Records until a limit, a failure or a signal; closes the bag in each case.
@@ -83,9 +80,7 @@ pub fn run(
     let clock = Clock::start();
     let terms = Terms { args: &args, clock: &clock, quiet, interrupt };
     let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
-    if losses.total() > 0 {
-        recorder.note(NOT_RECORDED, losses.total().to_string());
-    }
+    recorder.note_not_given(losses.total());
     let failed = search.failed();
     if !failed.is_empty() {
         recorder.note(TOPICS_NOT_RECORDED, failed.keys().cloned().collect::<Vec<_>>().join(" "));
