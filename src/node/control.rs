@@ -3,16 +3,10 @@
 //! The node knows no middleware: services put requests into this queue, on threads of their own, and wait;
 //! the [driver](super::drive) answers between two frames.
 
-use std::{
-    sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel},
-    time::Duration,
-};
+use std::time::Duration;
 
-use super::{InvalidSettings, NodeSettings, SurrogateNode};
-use crate::{msg::services::Parameter, transport::Queue};
-
-/// Requests that may wait.
-const DEPTH: usize = 16;
+use super::{InvalidSettings, NodeSettings, SurrogateNode, requests::Requests};
+use crate::msg::services::Parameter;
 
 /// A request to a running node.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,18 +44,10 @@ pub enum Unanswered {
     },
 }
 
-type Asked = (Request, SyncSender<Result<Answer, Unanswered>>);
-
 /// The way to a running node.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Control {
-    requests: Queue<Asked>,
-}
-
-impl Default for Control {
-    fn default() -> Self {
-        Self { requests: Queue::new(DEPTH) }
-    }
+    requests: Requests<Request, Result<Answer, InvalidSettings>>,
 }
 
 impl Control {
@@ -70,39 +56,37 @@ impl Control {
     /// # Errors
     /// [`Unanswered`] with the node's reason, or when none came.
     pub fn ask(&self, request: Request, patience: Duration) -> Result<Answer, Unanswered> {
-        let (sender, receiver) = sync_channel(1);
-        let silent = Unanswered::Silent { patience };
-        self.requests
-            .push_or_wait((request, sender), Duration::ZERO)
-            .map_err(|_| silent.clone())?;
-        match receiver.recv_timeout(patience) {
-            Ok(answer) => answer,
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Err(silent),
-        }
+        let answer = self.requests.ask(request, patience);
+        Ok(answer.ok_or(Unanswered::Silent { patience })??)
     }
 
-    /// No more questions: who has one that is not answered is told so.
+    /// No more requests: who has one that is not answered is told so.
     pub fn close(&self) {
         self.requests.close();
     }
 
-    /// Answers everything that was asked by now. Returns the parameters that were set.
-    pub fn serve(&self, node: &mut SurrogateNode) -> Vec<Parameter> {
+    /// Answers everything that was asked by now; parameters are set when `follow` can follow them. Returns those
+    /// that were set.
+    pub fn serve(
+        &self,
+        node: &mut SurrogateNode,
+        mut follow: impl FnMut(&mut SurrogateNode, &NodeSettings) -> Result<(), InvalidSettings>,
+    ) -> Vec<Parameter> {
         let mut changed = Vec::new();
-        while let Some((request, asker)) = self.requests.pop(Duration::ZERO) {
+        while let Some(pending) = self.requests.next() {
+            let Some((request, reply)) = pending.begin() else { continue };
             let answer = match request {
                 Request::Settings => Ok(Answer::Settings(node.settings().clone())),
                 Request::Set(parameters) => {
-                    let outcome = node.set(&parameters);
+                    let outcome = node.set_and(&parameters, &mut follow);
                     if outcome.is_ok() {
                         changed.extend(parameters);
                     }
-                    outcome.map(|()| Answer::Set).map_err(Unanswered::from)
+                    outcome.map(|()| Answer::Set)
                 }
                 Request::Reset => Ok(Answer::Forgot(node.reset())),
             };
-            // Nobody to tell it to: the asker's patience has ended.
-            let _ = asker.send(answer);
+            reply.send(answer);
         }
         changed
     }

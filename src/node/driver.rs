@@ -7,8 +7,8 @@ use std::{
 };
 
 use super::{
-    Arrival, CloudTopic, Control, Counters, FrameQueue, Prediction, Refusal, RosTime,
-    SurrogateNode, diagnostics::Monitor,
+    Arrival, CloudTopic, Control, Counters, FrameQueue, InvalidSettings, Prediction, Refusal,
+    RosTime, SurrogateNode, diagnostics::Monitor,
 };
 use crate::{
     clock::Clock,
@@ -91,9 +91,8 @@ pub fn drive(
         let mut reported = clock.now();
         while !receiver.is_finished() {
             work.step();
-            let changed = control.serve(work.node);
+            let changed = work.answer(control);
             if !changed.is_empty() {
-                work.follow_settings();
                 work.tell(changed);
             }
             if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
@@ -226,17 +225,19 @@ impl Work<'_> {
         now
     }
 
-    /// The settings may ask for another time.
-    fn follow_settings(&mut self) {
-        let before = self.now();
-        match self.presence.time.follow(self.node.settings().use_sim_time) {
-            Ok(false) => {}
-            Ok(true) => {
-                self.time = self.presence.time.now(self.sink.clock.now());
-                self.node.shift_time(before, self.time);
+    /// Answers what is asked. Returns the parameters that were set; they may ask for another time.
+    fn answer(&mut self, control: &Control) -> Vec<Parameter> {
+        let mut before = self.now();
+        let Self { node, presence, time, sink, .. } = self;
+        control.serve(node, |node, settings| {
+            let change = presence.time.follow(settings.use_sim_time);
+            if change.map_err(|error| InvalidSettings::Clock { reason: error.to_string() })? {
+                *time = presence.time.now(sink.clock.now());
+                node.shift_time(before, *time);
+                before = *time;
             }
-            Err(error) => tracing::error!("use_sim_time: {error}"),
-        }
+            Ok(())
+        })
     }
 
     /// Says which parameters were set.

@@ -7,13 +7,14 @@
 //! 4. [`queue`]: bounded, between a subscriber and the node.
 //! 5. [`diagnostics`]: counters, rate and latency as a `diagnostic_msgs/DiagnosticArray`.
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
-//! 7. [`control`]: what may be asked of a running node; `parameters`: the table of its settings; `services`: how
-//!    ROS asks it; `ros_time`: what time it is for it; `cloud`: frames for those who look at them.
+//! 7. [`control`]: what may be asked of a running node, `requests` how it waits for an answer; `parameters`: the
+//!    table of its settings; `services`: how ROS asks it; `ros_time`: what time it is for it; `cloud`: frames for
+//!    those who look at them.
 //! 8. `cache`: what waits to be recorded, bounded in bytes.
 //! 9. `recorder`: what arrives into a bag.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
 //!     `timeline` knows rates and pauses, `wish` what the user wants.
-//! 11. `playback`: plays, until told to end; `remote` and `player_services` bring wishes from elsewhere.
+//! 11. `playback`: plays, until told to end; `player_services` brings wishes from elsewhere.
 //! 12. `rate`: how regularly messages arrive.
 
 mod cache;
@@ -30,7 +31,7 @@ mod queue;
 mod rate;
 mod read_ahead;
 mod recorder;
-mod remote;
+mod requests;
 mod ros_time;
 mod services;
 mod settings;
@@ -55,10 +56,10 @@ pub use player_services::player_services;
 pub use queue::FrameQueue;
 pub use rate::{Figures, Rate};
 pub use recorder::Recorder;
-pub use remote::{Asked, Remote};
+pub use requests::{Pending, Reply, Requests};
 pub use ros_time::{OpenClock, RosTime};
 pub use services::{Service, services};
 pub use settings::{InvalidSettings, NodeSettings, Publish};
 pub use step::Prediction;
 pub use surrogate::{Arrival, SurrogateNode, Tell};
-pub use wish::{Outcome, Wish};
+pub use wish::{Asked, Outcome, Remote, Wish};

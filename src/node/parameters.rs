@@ -45,7 +45,7 @@ impl Values {
 }
 
 /// Everything that can be asked of a node, in the order in which it is listed.
-pub const PARAMETERS: [ParameterSpec; 8] = [
+pub static PARAMETERS: [ParameterSpec; 8] = [
     ParameterSpec {
         name: "horizon",
         description: "frames predicted ahead of each observed frame",
@@ -119,9 +119,7 @@ pub const PARAMETERS: [ParameterSpec; 8] = [
 
 /// The parameter of this name.
 pub fn parameter(name: &str) -> Option<&'static ParameterSpec> {
-    /// So that it can be referred to.
-    static TABLE: [ParameterSpec; PARAMETERS.len()] = PARAMETERS;
-    TABLE.iter().find(|spec| spec.name == name)
+    PARAMETERS.iter().find(|spec| spec.name == name)
 }
 
 /// What is more than ROS can tell is its largest number.

@@ -43,11 +43,12 @@ pub trait Stage {
 pub fn play<S: Stage>(player: &mut Player, clock: &Clock, stage: &mut S) -> Result<(), S::Error> {
     while !stage.is_over() {
         for asked in stage.wishes() {
-            let granted = player.wish(asked.wish, clock.now())?;
+            let Some((wish, reply)) = asked.begin() else { continue };
+            let granted = player.wish(wish, clock.now())?;
             if let Some(message) = granted.message {
                 stage.message(message, clock.now())?;
             }
-            asked.answer(granted.outcome);
+            reply.send(granted.outcome);
         }
         if let Some(recorded) = player.tick(clock.now()) {
             stage.clock(recorded)?;

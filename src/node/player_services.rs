@@ -23,11 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The services of the player with the full name `node`, such as `/eddy_replay`, which is asked through `remote`.
 pub fn player_services(node: &str, remote: &Arc<Remote>) -> Vec<Service> {
-    let service = |name: &str, type_name, handler| Service {
-        name: format!("{node}/{name}"),
-        type_name,
-        handler,
-    };
+    let service = |name, type_name, handler| Service::of(node, name, type_name, handler);
     vec![
         service("pause", "rosbag2_interfaces/srv/Pause", answer(remote, pause)),
         service("resume", "rosbag2_interfaces/srv/Resume", answer(remote, resume)),

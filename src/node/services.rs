@@ -33,14 +33,17 @@ pub struct Service {
     pub handler: Handler,
 }
 
+impl Service {
+    /// The service `name` of the node with the full name `node`.
+    pub(super) fn of(node: &str, name: &str, type_name: &'static str, handler: Handler) -> Self {
+        Self { name: format!("{node}/{name}"), type_name, handler }
+    }
+}
+
 /// The services of the node with the full name `node`, such as `/eddy_node`, which is asked through
 /// `control`.
 pub fn services(node: &str, control: &Arc<Control>) -> Vec<Service> {
-    let service = |name: &str, type_name, handler| Service {
-        name: format!("{node}/{name}"),
-        type_name,
-        handler,
-    };
+    let service = |name, type_name, handler| Service::of(node, name, type_name, handler);
     vec![
         service("reset", "std_srvs/srv/Trigger", answer(control, reset)),
         service("get_parameters", "rcl_interfaces/srv/GetParameters", answer(control, get)),

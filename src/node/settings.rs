@@ -77,7 +77,7 @@ pub enum InvalidSettings {
     /// There is none of this name.
     #[error(
         "parameter: found {found}, expected one of {}",
-        PARAMETERS.map(|spec| spec.name).join(", ")
+        PARAMETERS.each_ref().map(|spec| spec.name).join(", ")
     )]
     Unknown {
         /// The name.
@@ -112,6 +112,12 @@ pub enum InvalidSettings {
         found: String,
         /// The words.
         expected: String,
+    },
+    /// There is no simulated time to follow.
+    #[error("use_sim_time: found no /clock ({reason}), expected one to follow")]
+    Clock {
+        /// Why it cannot be subscribed to.
+        reason: String,
     },
     /// It counts at the start only.
     #[error("{field}: found a value for a running node, expected it at the start (read-only)")]

@@ -94,8 +94,21 @@ impl SurrogateNode {
     /// # Errors
     /// [`InvalidSettings`] with the first parameter that cannot be set; then nothing changes.
     pub fn set(&mut self, parameters: &[Parameter]) -> Result<(), InvalidSettings> {
+        self.set_and(parameters, |_, _| Ok(()))
+    }
+
+    /// Sets the parameters and does `then`, which knows the new settings, or neither.
+    ///
+    /// # Errors
+    /// As [`SurrogateNode::set`], and those of `then`; then nothing changes.
+    pub fn set_and(
+        &mut self,
+        parameters: &[Parameter],
+        then: impl FnOnce(&mut Self, &NodeSettings) -> Result<(), InvalidSettings>,
+    ) -> Result<(), InvalidSettings> {
         let mut settings = self.settings.clone();
         parameters.iter().try_for_each(|parameter| settings.set_running(parameter))?;
+        then(self, &settings)?;
         self.settings = settings;
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! What a user may ask of a player, by the keys of rosbag2's player or from elsewhere.
 
+use super::requests::{Pending, Requests};
 use crate::frame::Stamp;
 
 /// What one key goes back or on by (recorded s).
@@ -40,6 +41,12 @@ pub struct Outcome {
     /// Whether it pauses.
     pub paused: bool,
 }
+
+/// The way to a player that plays on another thread.
+pub type Remote = Requests<Wish, Outcome>;
+
+/// A wish that waits for what becomes of it.
+pub type Asked = Pending<Wish, Outcome>;
 
 impl Wish {
     /// The wishes in what a terminal sent: space, right arrow or `n`, up, down, as rosbag2 has them;

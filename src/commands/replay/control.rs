@@ -32,7 +32,7 @@ impl RemoteControl {
 
     /// What was asked for since the last look.
     pub(super) fn wishes(&self) -> Vec<Asked> {
-        self.remote.take()
+        std::iter::from_fn(|| self.remote.next()).collect()
     }
 }
 
