@@ -7,7 +7,8 @@
 //! 4. [`services`], [`playback`]: requests and responses, likewise one struct each.
 //! 5. [`service_type`]: the `.srv` files and their type hashes.
 //! 6. [`convert`]: [`Frame`](crate::frame::Frame) from and to its message.
-//! 7. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
+//! 7. `dds_type`: type names as DDS has them.
+//! 8. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
 //!
 //! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hash come from them,
 //! and a test holds the twins against them.
@@ -15,6 +16,7 @@
 pub mod cdr;
 pub mod cloud;
 mod convert;
+mod dds_type;
 pub mod playback;
 pub mod schema;
 pub mod service_type;
@@ -22,6 +24,7 @@ pub mod services;
 mod twins;
 
 pub use convert::BadFrame;
+pub(crate) use dds_type::{dds_type, ros_type};
 pub use schema::{TypeSupport, UnknownType, type_support};
 pub use service_type::{UnknownService, service_hash};
 pub use twins::{

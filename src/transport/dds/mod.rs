@@ -46,7 +46,7 @@ use ros2_client::dds::rustdds::{
 use super::{
     Handler, Link, Reliability, SeenTopic, TransportError, TransportKind, TransportOptions,
 };
-use crate::msg::TypeSupport;
+use crate::msg::{TypeSupport, dds_type, ros_type};
 use graph::Graph;
 use publisher::DdsPublisher;
 use service::DdsService;
@@ -124,20 +124,6 @@ impl DdsNode {
     }
 }
 
-/// `eddy_msgs/msg/ParticleFrame` is `eddy_msgs::msg::dds_::ParticleFrame_` in DDS.
-fn dds_type(name: &str) -> String {
-    match name.rsplit_once('/') {
-        Some((path, last)) => format!("{}::dds_::{last}_", path.replace('/', "::")),
-        None => name.to_owned(),
-    }
-}
-
-/// The inverse; `None` for what is no type of ROS 2.
-fn ros_type(name: &str) -> Option<String> {
-    let (path, last) = name.strip_suffix('_')?.rsplit_once("::dds_::")?;
-    Some(format!("{}/{last}", path.replace("::", "/")))
-}
-
 /// `std_srvs/srv/Trigger` has the types `std_srvs::srv::dds_::Trigger_Request_` and `..._Response_`.
 fn service_types(name: &str) -> [String; 2] {
     ["Request", "Response"].map(|part| dds_type(&format!("{name}_{part}")))
@@ -151,17 +137,9 @@ fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> Transp
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::msg::{Message, ParticleFrame};
 
     #[test]
-    fn types_are_named_as_ros_names_them_in_dds() {
-        assert_eq!(dds_type(ParticleFrame::TYPE), "eddy_msgs::msg::dds_::ParticleFrame_");
-        assert_eq!(dds_type("std_msgs/msg/String"), "std_msgs::msg::dds_::String_");
-        assert_eq!(
-            ros_type("std_msgs::msg::dds_::String_").as_deref(),
-            Some("std_msgs/msg/String")
-        );
-        assert_eq!(ros_type("HelloWorldData::Msg"), None);
+    fn services_have_a_type_for_each_way() {
         let [request, response] = service_types("std_srvs/srv/Trigger");
         assert_eq!(request, "std_srvs::srv::dds_::Trigger_Request_");
         assert_eq!(response, "std_srvs::srv::dds_::Trigger_Response_");

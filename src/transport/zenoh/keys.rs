@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 use zenoh::session::ZenohId;
 
 use crate::{
-    msg::TypeSupport,
+    msg::{TypeSupport, dds_type, ros_type},
     transport::{Link, Reliability},
 };
 
@@ -96,14 +96,14 @@ impl Endpoint {
         let Node { domain_id, zid, name, .. } = node;
         let namespace = node.mangled_namespace();
         let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
-        let (dds_name, hash) = (dds_name(&support.name), &support.hash);
+        let (type_name, hash) = (dds_type(&support.name), &support.hash);
         let (code, other) = (side.code(), side.others_code());
         Self {
             link: link.clone(),
             type_name: support.name.clone(),
-            key: format!("{domain_id}/{topic}/{dds_name}/{hash}"),
+            key: format!("{domain_id}/{topic}/{type_name}/{hash}"),
             token: format!(
-                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{namespace}/{name}/{mangled}/{dds_name}/{hash}/{qos}"
+                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{namespace}/{name}/{mangled}/{type_name}/{hash}/{qos}"
             ),
             others: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
         }
@@ -119,18 +119,10 @@ fn gid(token: &str) -> [u8; 16] {
     xxhash_rust::xxh3::xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
-/// `std_msgs/msg/String` as DDS names it: `std_msgs::msg::dds_::String_`.
-fn dds_name(ros_name: &str) -> String {
-    let (package, name) = ros_name.rsplit_once('/').unwrap_or(("", ros_name));
-    format!("{}::dds_::{name}_", package.replace('/', "::"))
-}
-
 /// Type, as ROS names it, and hash in the token of an endpoint.
 pub(in crate::transport) fn type_in(token: &str) -> Option<(String, &str)> {
     let mut chunks = token.split('/').skip(10);
-    let (dds_name, hash) = (chunks.next()?, chunks.next()?);
-    let ros_name = dds_name.replace("::dds_::", "::").replace("::", "/");
-    Some((ros_name.trim_end_matches('_').to_owned(), hash))
+    Some((ros_type(chunks.next()?)?, chunks.next()?))
 }
 
 /// The topic in the token of an endpoint.
