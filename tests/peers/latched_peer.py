@@ -29,10 +29,21 @@ import zenoh.ext
 
 import zenoh_peer
 
-# Here we listen; eddy and the sdk dial nobody else.
-with socket.create_server(("127.0.0.1", 0)) as free:
-    PLACE = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-os.environ["ZENOH_CONFIG_OVERRIDE"] = f'listen/endpoints=["tcp/127.0.0.1:0"];connect/endpoints=["{PLACE}"]'
+
+
+def free_place():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def meet(listen, *dial):
+    return f"listen/endpoints={json.dumps([listen])};connect/endpoints={json.dumps(dial)}"
+
+
+# Here we listen, and here eddy does. The sdk dials both: peers that hear of each other by a third do not always connect.
+PLACE, EDDYS = free_place(), free_place()
+os.environ["ZENOH_CONFIG_OVERRIDE"] = meet("tcp/127.0.0.1:0", PLACE, EDDYS)
+EDDY = {**os.environ, "ZENOH_CONFIG_OVERRIDE": meet(EDDYS, PLACE)}
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -126,7 +137,8 @@ def eddy_keeps(eddy, topic, folder):
     peer = Peer(topic)
     write_bag(folder / "latched", peer.store, ["kept", "much later"])
     replay = subprocess.Popen([
-        eddy, "--quiet", "replay", str(folder / "latched"), "--to", "zenoh", "--remap", f"/latched:={topic}"])
+        eddy, "--quiet", "replay", str(folder / "latched"), "--to", "zenoh", "--remap", f"/latched:={topic}"],
+        env=EDDY)
     try:
         deadline = time.monotonic() + TIMEOUT
         while not (tokens := peer.tokens()):
@@ -160,11 +172,12 @@ def eddy_takes(eddy, topic, folder):
     kept = peer.publish("kept")
     link, output = f"zenoh:{topic}", folder / "recorded"
     echo = subprocess.run(
-        [eddy, "--quiet", "topic", "echo", link, "--count", "1"], timeout=TIMEOUT, capture_output=True, text=True)
+        [eddy, "--quiet", "topic", "echo", link, "--count", "1"], timeout=TIMEOUT, capture_output=True, text=True,
+        env=EDDY)
     expect(echo.stdout == "data: kept\n---\n", f"eddy topic echo: found {echo.stdout!r} {echo.stderr!r}")
     subprocess.run([
         eddy, "--quiet", "record", "--regex", f"^{topic}$", "--from", "zenoh", "--max-messages", "1",
-        "--output", str(output)], timeout=TIMEOUT, check=True)
+        "--output", str(output)], timeout=TIMEOUT, check=True, env=EDDY)
     with Reader(output) as reader:
         texts = [peer.text(data) for _, _, data in reader.messages()]
         profiles = [profile for connection in reader.connections for profile in connection.ext.offered_qos_profiles]
