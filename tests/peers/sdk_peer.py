@@ -175,18 +175,21 @@ def node(args, deadline):
 
 def player(args, deadline):
     frames = queue.Queue()
-    subscriber = ROS2Subscriber(args.topic, FRAME, frames.put)
+    subscriber = ROS2Subscriber(args.topic, FRAME, lambda message: frames.put((time.monotonic(), message)))
 
     def service(name, kind):
         return Service(f"/{PLAYER}/{name}", f"rosbag2_interfaces/srv/{kind}", deadline)
 
-    def stamp():
-        """Simulation time of the next frame (ns)."""
+    def arrival():
+        """When the next frame came (s), and its simulation time (ns)."""
         try:
-            message = frames.get(timeout=max(0, deadline - time.monotonic()))
+            came, message = frames.get(timeout=max(0, deadline - time.monotonic()))
         except queue.Empty:
             sys.exit("sdk_peer.py: no frame in time")
-        return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        return came, message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+    def stamp():
+        return arrival()[1]
 
     def nothing():
         time.sleep(0.5)
@@ -215,11 +218,13 @@ def player(args, deadline):
     expect(not go_to(first + 3600 * 10**9), "seek: an hour on was not refused")
     service("resume", "Resume")()
     expect(not is_paused().paused and not play_next().success, "resume: the player still pauses")
-    start, begun = stamp(), time.monotonic()
-    while (now := stamp()) < start + 500_000_000:
-        pass
-    took = time.monotonic() - begun
-    expect(0.9 < took < 2, f"rate 0.5: {(now - start) / 1e9} s took {took} s")
+    begun, start = arrival()
+    ended, now = begun, start
+    while now < start + 500_000_000:
+        ended, now = arrival()
+    took = ended - begun
+    # At half the rate twice as long; a busy machine is late now and then.
+    expect(0.8 < took < 4, f"rate 0.5: {(now - start) / 1e9} s took {took} s")
     service("toggle_paused", "TogglePaused")()
     expect(is_paused().paused, "toggle_paused: the player plays on")
     while not frames.empty():
