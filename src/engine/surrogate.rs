@@ -169,7 +169,11 @@ impl Surrogate {
     }
 
     /// Does `work` for each item, with what steps streams: all threads together for one item, each thread
-    /// on an item of its own for several. What is predicted is the same, bit for bit.
+    /// on an item of its own for several. What is predicted is the same, bit for bit. Each thread keeps room for the
+    /// largest frame that it has stepped.
+    ///
+    /// `work` steps with what it is given: a call of another method of this surrogate that steps, this one included,
+    /// would wait for ever.
     ///
     /// # Panics
     /// Where `work` does, on any thread.

@@ -105,10 +105,10 @@ impl Intake {
         }
     }
 
-    /// Takes a message that was just published.
+    /// Takes a message that was just published, unless its publisher gave it as a kept one before.
     fn take(&self, sample: &Sample) {
         if let Some(attachment) = attachment(sample) {
-            let lost = self.lock().count(&attachment);
+            let Some(lost) = self.lock().count(&attachment) else { return };
             self.lost.fetch_add(lost, Ordering::Relaxed);
         }
         self.queue_up(sample);
@@ -141,35 +141,37 @@ fn attachment(sample: &Sample) -> Option<Attachment> {
 #[derive(Default)]
 struct Gaps(HashMap<[u8; 16], Seen>);
 
-/// The messages of one publisher that have come: those from `first` to `last` as they were published, and
-/// of the ones before, which it had kept, those up to `kept`.
+/// The messages of one publisher that have come: those from `first` to `last`, and of the ones before, which it had
+/// kept, those up to `kept`. Those up to `ahead` came as kept ones before they came as published ones, if ever.
 #[derive(Clone, Copy)]
 struct Seen {
     first: i64,
     last: i64,
     kept: i64,
+    ahead: i64,
 }
 
 impl Gaps {
-    /// Messages that were published between the last one and this one, but never came.
-    fn count(&mut self, message: &Attachment) -> u64 {
+    /// Messages that were published between the last one and this one, but never came. `None` when this one came
+    /// before.
+    fn count(&mut self, message: &Attachment) -> Option<u64> {
         let (seen, is_first) = self.seen(message);
+        if message.sequence <= seen.ahead {
+            return None;
+        }
         let last = std::mem::replace(&mut seen.last, message.sequence);
         if is_first {
-            return 0;
+            return Some(0);
         }
-        u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0)
+        Some(u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0))
     }
 
     /// Whether a message that its publisher kept has not come before. Notes it.
     fn is_new(&mut self, message: &Attachment) -> bool {
         let sequence = message.sequence;
         let (seen, is_first) = self.seen(message);
-        if is_first {
-            return true;
-        }
-        if sequence > seen.last {
-            seen.last = sequence;
+        if is_first || sequence > seen.last {
+            (seen.last, seen.ahead) = (sequence, sequence);
             return true;
         }
         let is_new = seen.kept < sequence && sequence < seen.first;
@@ -186,7 +188,15 @@ impl Gaps {
             self.0.clear();
         }
         let (first, last) = (message.sequence, message.sequence);
-        (self.0.entry(message.gid).or_insert(Seen { first, last, kept: i64::MIN }), is_first)
+        (
+            self.0.entry(message.gid).or_insert(Seen {
+                first,
+                last,
+                kept: i64::MIN,
+                ahead: i64::MIN,
+            }),
+            is_first,
+        )
     }
 }
 
@@ -203,7 +213,7 @@ mod tests {
         let mut gaps = Gaps::default();
         let counts = [(1, 5), (1, 6), (2, 1), (1, 9), (2, 2), (1, 9), (1, 1), (1, 2)]
             .map(|(publisher, sequence)| gaps.count(&message(publisher, sequence)));
-        assert_eq!(counts, [0, 0, 0, 2, 0, 0, 0, 0]);
+        assert_eq!(counts, [0, 0, 0, 2, 0, 0, 0, 0].map(Some));
     }
 
     #[test]
@@ -211,13 +221,23 @@ mod tests {
         let mut gaps = Gaps::default();
         let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(1, sequence));
         assert_eq!([3, 4, 4, 3].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
-        assert_eq!(gaps.count(&message(1, 5)), 0);
+        assert_eq!(gaps.count(&message(1, 5)), Some(0));
         assert_eq!([4, 5, 6, 5].map(|n| kept(&mut gaps, n)), [false, false, true, false]);
         // A message that was just published came first: those before it are still new.
-        assert_eq!(gaps.count(&message(2, 8)), 0);
+        assert_eq!(gaps.count(&message(2, 8)), Some(0));
         let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(2, sequence));
         assert_eq!([6, 7, 8, 6].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
-        assert_eq!(gaps.count(&message(2, 9)), 0);
+        assert_eq!(gaps.count(&message(2, 9)), Some(0));
+    }
+
+    #[test]
+    fn what_came_as_a_kept_message_does_not_come_again_as_a_published_one() {
+        let mut gaps = Gaps::default();
+        assert!(gaps.is_new(&message(1, 3)) && gaps.is_new(&message(1, 4)));
+        let counts = [3, 4, 5, 7].map(|sequence| gaps.count(&message(1, sequence)));
+        assert_eq!(counts, [None, None, Some(0), Some(1)]);
+        assert!(gaps.is_new(&message(1, 8)));
+        assert_eq!([8, 9].map(|sequence| gaps.count(&message(1, sequence))), [None, Some(0)]);
     }
 
     #[test]
