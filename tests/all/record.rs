@@ -304,10 +304,8 @@ fn a_topic_that_cannot_be_had_is_named_and_tried_again_while_the_others_are_reco
 
     drop(passing);
     // Of the type that the recorder may have opened the topic with by now.
-    let (link, status) =
-        (world.link("shm", "passing/status"), cdr::encode(&PredictionStatus::default()));
-    let kind = PredictionStatus::TYPE;
-    let mut again = world.transports.publisher(&link, kind, Reliability::Block).unwrap();
+    let status = cdr::encode(&PredictionStatus::default());
+    let mut again = world.publisher("shm", "passing/status", PredictionStatus::TYPE);
     wait_for_a_subscriber(&*again);
     again.publish_cdr(&status).unwrap();
     good.publish_cdr(&word("three")).unwrap();

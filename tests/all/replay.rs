@@ -80,9 +80,8 @@ fn next(subscriber: &mut dyn Subscriber) -> Vec<u8> {
 fn the_clock_tells_the_recorded_time_beside_the_messages() {
     let world = World::new("replay");
     write_words(&world.bag(), &[0, 300, 600]);
-    let subscribe =
-        |name: &str, of| world.transports.subscriber(&world.link("shm", name), of).unwrap();
-    let (mut words, mut clock) = (subscribe("a", RosString::TYPE), subscribe("clock", Clock::TYPE));
+    let mut words = world.subscriber("shm", "a", RosString::TYPE);
+    let mut clock = world.subscriber("shm", "clock", Clock::TYPE);
     let over = AtomicBool::new(false);
     let told = thread::scope(|scope| {
         let listening = scope.spawn(|| {
@@ -148,19 +147,26 @@ fn terminal() -> (File, File) {
     (File::from(ours), theirs)
 }
 
+/// A player that `setsid` gives a terminal as its own, as a shell gives it to what it runs.
+fn on_a_terminal(inner: &Command, theirs: &File) -> Process {
+    let mut command = Command::new("setsid");
+    command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
+    Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())))
+}
+
+fn modes(terminal: &File) -> LocalModes {
+    tcgetattr(terminal).unwrap().local_modes
+}
+
 #[test]
 fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() {
     let world = World::new("replay");
     // The last message comes after ten minutes, or when it is asked for.
     write_words(&world.bag(), &[0, 300_000, 600_000]);
-    let mut words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
+    let mut words = world.subscriber("shm", "a", RosString::TYPE);
     let (mut ours, theirs) = terminal();
-    let before = tcgetattr(&ours).unwrap().local_modes;
-    // `setsid` gives the player the terminal as its own, as a shell gives it to what it runs.
-    let inner = world.replay("shm", &["--start-paused"]);
-    let mut command = Command::new("setsid");
-    command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
-    let mut player = Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())));
+    let before = modes(&ours);
+    let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
     assert_eq!(
         player.line("space:"),
         "space: pause or go on, right arrow or n: next message, up and down: faster and slower, \
@@ -174,33 +180,20 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     ours.write_all(b" n").unwrap();
     assert_eq!(next(&mut *words), word("600000"));
     assert!(player.wait().success());
-    assert_eq!(tcgetattr(&ours).unwrap().local_modes, before);
+    assert_eq!(modes(&ours), before);
     // All who could still write are gone: reading ends.
-    drop((theirs, command));
+    drop(theirs);
     // Nothing of what was typed was shown.
     let mut shown = Vec::new();
     let _ = ours.read_to_end(&mut shown);
     assert_eq!(String::from_utf8_lossy(&shown), "");
 }
 
-/// A player that has a terminal as its own, as a shell gives it to what it runs.
-fn on_a_terminal(inner: &Command, theirs: &File) -> Process {
-    let mut command = Command::new("setsid");
-    command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
-    let mut player = Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())));
-    player.line("space:");
-    player
-}
-
-fn modes(terminal: &File) -> LocalModes {
-    tcgetattr(terminal).unwrap().local_modes
-}
-
 #[test]
 fn a_stopped_player_gives_the_terminal_back_and_takes_it_again() {
     let world = World::new("replay");
     write_words(&world.bag(), &[0, 300_000]);
-    let mut words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
+    let mut words = world.subscriber("shm", "a", RosString::TYPE);
     let (mut ours, theirs) = terminal();
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
@@ -232,7 +225,7 @@ fn a_player_that_is_ended_by_a_second_signal_leaves_the_terminal_as_before() {
     let times: Vec<i64> = (0..2_000).collect();
     write_words(&world.bag(), &times);
     // It reads nothing: a player that blocks waits for it, and looks at no signal meanwhile.
-    let words = world.transports.subscriber(&world.link("shm", "a"), RosString::TYPE).unwrap();
+    let words = world.subscriber("shm", "a", RosString::TYPE);
     let (ours, theirs) = terminal();
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--rate", "100"]), &theirs);
@@ -275,8 +268,7 @@ fn a_topic_with_two_types_is_played_with_the_one_that_can_be_had() {
         bag.write(topic, stamp, stamp, &word("here")).unwrap();
     }
     bag.finish().unwrap();
-    let link = world.link("zenoh", "a");
-    let mut words = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut words = world.subscriber("zenoh", "a", RosString::TYPE);
     let mut player = Process::start(&mut world.replay("zenoh", &[]));
     assert_eq!(next(&mut *words), word("here"));
     assert!(player.wait().success());
@@ -287,8 +279,7 @@ fn on_zenoh_the_player_does_what_its_services_are_asked() {
     let world = World::new("replay");
     // The last message comes after ten minutes, or when somebody goes there.
     write_words(&world.bag(), &[0, 100, 300_000, 600_000]);
-    let link = world.link("zenoh", "a");
-    let mut words = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut words = world.subscriber("zenoh", "a", RosString::TYPE);
     let mut player = Process::start(&mut world.replay("zenoh", &["--start-paused"]));
     let client = Client::of(world.port, 0);
     let name = |service: &str| format!("/eddy_replay/{service}");
@@ -346,12 +337,11 @@ fn what_was_kept_when_it_was_recorded_is_kept_when_it_is_replayed() {
         bag.write(topic, stamp, stamp, &word(&seconds.to_string())).unwrap();
     }
     bag.finish().unwrap();
-    let link = world.link("zenoh", "a");
-    let mut first = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut first = world.subscriber("zenoh", "a", RosString::TYPE);
     let player = Process::start(&mut world.replay("zenoh", &[]));
     assert_eq!(next(&mut *first), word("0"));
     // The next message is ten minutes away.
-    let mut second = world.transports.subscriber(&link, RosString::TYPE).unwrap();
+    let mut second = world.subscriber("zenoh", "a", RosString::TYPE);
     assert_eq!(next(&mut *second), word("0"));
     player.kill();
 }

@@ -29,7 +29,7 @@ use eddy::{
     transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 
-use crate::support::{DEADLINE, Process, domain, simulate, talking_eddy, unique, wait_for};
+use crate::support::{DEADLINE, Process, World, domain, simulate, talking_eddy, wait_for};
 
 /// Time between two frames of the sample bag.
 const DT: Duration = Duration::from_millis(16);
@@ -41,34 +41,13 @@ fn frames() -> Vec<Frame> {
     reader.frames("/particles").unwrap().map(Result::unwrap).collect()
 }
 
-/// Topics of this test's own on shared memory.
-struct World {
-    prefix: String,
-    transports: Transports,
+/// How the node is started.
+trait Predicting {
+    fn node(&self, arguments: &[&str]) -> Command;
+    fn start(&self, arguments: &[&str]) -> Process;
 }
 
-impl World {
-    fn new() -> Self {
-        let transports = Transports::new(TransportOptions::new("eddy_test"));
-        Self { prefix: format!("/{}", unique("ros")), transports }
-    }
-
-    fn topic(&self, name: &str) -> String {
-        format!("{}/{name}", self.prefix)
-    }
-
-    fn link(&self, name: &str) -> Link {
-        format!("shm:{}", self.topic(name)).parse().unwrap()
-    }
-
-    fn publisher(&self, name: &str, kind: &str) -> Box<dyn Publisher> {
-        self.transports.publisher(&self.link(name), kind, Reliability::Block).unwrap()
-    }
-
-    fn subscriber(&self, name: &str, kind: &str) -> Box<dyn Subscriber> {
-        self.transports.subscriber(&self.link(name), kind).unwrap()
-    }
-
+impl Predicting for World {
     /// A node that reads `particles`, publishes `prediction` and has `clock` and `diagnostics` here.
     fn node(&self, arguments: &[&str]) -> Command {
         let mut command = talking_eddy();
@@ -82,8 +61,8 @@ impl World {
     }
 
     fn start(&self, arguments: &[&str]) -> Process {
-        let mut command = self.node(arguments);
-        Process::start_until(&mut command, &format!("predicting {}", self.link("particles")))
+        let predicting = format!("predicting {}", self.link("shm", "particles"));
+        Process::start_until(&mut self.node(arguments), &predicting)
     }
 }
 
@@ -100,14 +79,14 @@ fn refused(arguments: &[&str]) -> (Option<i32>, String) {
 
 #[test]
 fn names_and_parameters_come_from_the_arguments_and_files_of_ros() {
-    let (world, folder) = (World::new(), tempfile::tempdir().unwrap());
-    let file = folder.path().join("parameters.yaml");
+    let world = World::new("ros");
+    let file = world.folder.path().join("parameters.yaml");
     let text = "/**: {ros__parameters: {horizon: 4, of_another_node: 1}}
 robot1/predictor: {ros__parameters: {publish: all}}";
     fs::write(&file, text).unwrap();
-    let mut diagnostics = world.subscriber("diagnostics", DiagnosticArray::TYPE);
-    let mut status = world.subscriber("prediction/status", PredictionStatus::TYPE);
-    let mut truth = world.publisher("particles", ParticleFrame::TYPE);
+    let mut diagnostics = world.subscriber("shm", "diagnostics", DiagnosticArray::TYPE);
+    let mut status = world.subscriber("shm", "prediction/status", PredictionStatus::TYPE);
+    let mut truth = world.publisher("shm", "particles", ParticleFrame::TYPE);
     let mut node = world.start(&[
         "-r",
         "__node:=predictor",
@@ -171,8 +150,8 @@ fn arguments_of_ros_that_cannot_be_used_are_named() {
 
 #[test]
 fn arguments_of_ros_end_with_two_dashes_and_replay_and_record_take_them() {
-    let (world, folder) = (World::new(), tempfile::tempdir().unwrap());
-    let bag = folder.path().join("bag");
+    let world = World::new("ros");
+    let bag = world.bag();
     let mut record = talking_eddy();
     record.args(["record", "shm:/particles", "--ros-args", "-r"]);
     record.arg(format!("/particles:={}", world.topic("particles")));
@@ -191,12 +170,12 @@ fn arguments_of_ros_end_with_two_dashes_and_replay_and_record_take_them() {
 
 #[test]
 fn a_log_level_is_for_the_node_alone() {
-    let world = World::new();
+    let world = World::new("ros");
     let mut command =
         world.node(&["--log-level", "eddy_node:=debug", "--log-level", "zenoh:=fatal"]);
     let log = tempfile::NamedTempFile::new().unwrap();
     command.stderr(Stdio::from(log.reopen().unwrap()));
-    let mut truth = world.publisher("particles", ParticleFrame::TYPE);
+    let mut truth = world.publisher("shm", "particles", ParticleFrame::TYPE);
     let mut node = Process::start_until(&mut command, "predicting");
     for frame in [&frames()[0], &frames()[0]] {
         truth.publish_frame(frame).unwrap();
@@ -217,10 +196,10 @@ fn tell(clock: &mut dyn Publisher, time: Duration) {
 #[test]
 fn a_free_run_on_simulated_time_goes_with_the_clock_and_pauses_with_it() {
     const OBSERVED: usize = 12;
-    let world = World::new();
-    let mut predictions = world.subscriber("prediction", ParticleFrame::TYPE);
-    let mut truth = world.publisher("particles", ParticleFrame::TYPE);
-    let mut clock = world.publisher("clock", Clock::TYPE);
+    let world = World::new("ros");
+    let mut predictions = world.subscriber("shm", "prediction", ParticleFrame::TYPE);
+    let mut truth = world.publisher("shm", "particles", ParticleFrame::TYPE);
+    let mut clock = world.publisher("shm", "clock", Clock::TYPE);
     let observed = format!("free_run:={OBSERVED}");
     let mut node = world.start(&["-p", "use_sim_time:=true", "-p", &observed]);
     wait_for("the node reads the clock", || (clock.subscribers() == 1).then_some(()));
@@ -257,10 +236,10 @@ fn a_free_run_on_simulated_time_goes_with_the_clock_and_pauses_with_it() {
 #[test]
 fn beside_a_replay_at_half_the_rate_a_free_run_goes_half_as_fast() {
     const RATE: f64 = 0.5;
-    let (world, folder) = (World::new(), tempfile::tempdir().unwrap());
-    simulate(folder.path(), 1, 3.0);
-    let bag = folder.path().join("scene_0000").display().to_string();
-    let mut predictions = world.subscriber("prediction", ParticleFrame::TYPE);
+    let world = World::new("ros");
+    simulate(world.folder.path(), 1, 3.0);
+    let bag = world.folder.path().join("scene_0000").display().to_string();
+    let mut predictions = world.subscriber("shm", "prediction", ParticleFrame::TYPE);
     let mut node = world.start(&["-p", "use_sim_time:=true", "-p", "free_run:=10"]);
     let mut replay = talking_eddy();
     replay.args(["replay", &bag, "--to", "shm", "--wait-for", "1", "--clock", "100"]);
@@ -292,11 +271,11 @@ fn beside_a_replay_at_half_the_rate_a_free_run_goes_half_as_fast() {
 
 #[test]
 fn clouds_hold_the_points_of_the_frames_they_stand_beside() {
-    let world = World::new();
-    let mut observed = world.subscriber("particles/cloud", PointCloud2::TYPE);
-    let mut predicted = world.subscriber("prediction/cloud", PointCloud2::TYPE);
-    let mut predictions = world.subscriber("prediction", ParticleFrame::TYPE);
-    let mut truth = world.publisher("particles", ParticleFrame::TYPE);
+    let world = World::new("ros");
+    let mut observed = world.subscriber("shm", "particles/cloud", PointCloud2::TYPE);
+    let mut predicted = world.subscriber("shm", "prediction/cloud", PointCloud2::TYPE);
+    let mut predictions = world.subscriber("shm", "prediction", ParticleFrame::TYPE);
+    let mut truth = world.publisher("shm", "particles", ParticleFrame::TYPE);
     let mut node = world.start(&["-p", "cloud:=true"]);
     let frames = frames();
     for frame in frames.iter().take(15) {
@@ -318,9 +297,9 @@ fn clouds_hold_the_points_of_the_frames_they_stand_beside() {
 
 #[test]
 fn there_are_no_clouds_unless_they_are_asked_for() {
-    let world = World::new();
+    let world = World::new("ros");
     let mut node = world.start(&[]);
-    let topics = world.transports.topics(world.link("particles").transport).unwrap();
+    let topics = world.transports.topics(world.link("shm", "particles").transport).unwrap();
     let ours: Vec<_> = topics
         .iter()
         .map(|seen| seen.link.topic.as_str())

@@ -13,7 +13,7 @@ use std::{
 use eddy::{
     bag::{BagReader, Survey},
     msg::{Message, RosString, cdr},
-    transport::{Link, Publisher, Reliability, TransportOptions, Transports},
+    transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports},
 };
 use tempfile::TempDir;
 
@@ -216,13 +216,24 @@ impl World {
         self.folder.path().join("bag")
     }
 
+    pub fn topic(&self, name: &str) -> String {
+        format!("{}/{name}", self.prefix)
+    }
+
     pub fn link(&self, transport: &str, name: &str) -> Link {
-        format!("{transport}:{}/{name}", self.prefix).parse().unwrap()
+        format!("{transport}:{}", self.topic(name)).parse().unwrap()
+    }
+
+    pub fn publisher(&self, transport: &str, name: &str, kind: &str) -> Box<dyn Publisher> {
+        self.transports.publisher(&self.link(transport, name), kind, Reliability::Block).unwrap()
+    }
+
+    pub fn subscriber(&self, transport: &str, name: &str, kind: &str) -> Box<dyn Subscriber> {
+        self.transports.subscriber(&self.link(transport, name), kind).unwrap()
     }
 
     /// A publisher of texts.
     pub fn words(&self, transport: &str, name: &str) -> Box<dyn Publisher> {
-        let link = self.link(transport, name);
-        self.transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap()
+        self.publisher(transport, name, RosString::TYPE)
     }
 }
