@@ -1,21 +1,62 @@
-//! The settings in `launch_configs/` are what the program takes.
+//! The files in `launch_configs/` run; those in `launch_configs/scenes` do in `scenes.rs`.
 
 use std::{fs, os::unix::fs::symlink, path::Path};
 
-use eddy::bag::BagReader;
+use eddy::{bag::BagReader, config, launch::Plan};
 
-use crate::support::{Process, fail, talking_eddy, unique};
+use crate::{
+    support::{Process, talking_eddy, unique},
+    train::{stream, write_bag},
+};
 
 fn file(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs");
     folder.join(name).to_str().unwrap().to_owned()
 }
 
-#[test]
-fn the_node_runs_with_its_settings() {
+/// A test for each file.
+macro_rules! files {
+    ($($test:ident: $name:literal => $run:expr,)*) => {
+        $(#[test]
+        fn $test() {
+            $run($name);
+        })*
+
+        const FILES: &[&str] = &[$($name),*];
+    };
+}
+
+files! {
+    the_node_runs_with_its_settings: "node_lookahead.toml" => node,
+    the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => train,
+    the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => train,
+    replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
+        launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
+    },
+    a_robot_with_parameters_and_clouds_runs_from_one_file: "robot1_clouds.toml" => |name| {
+        let topics = [
+            ("/robot1/particles", 20),
+            ("/robot1/particles/cloud", 1),
+            ("/robot1/prediction", 10),
+            ("/robot1/prediction/cloud", 1),
+        ];
+        launch(name, "-", "robot1", &topics);
+    },
+    two_nodes_in_a_row_run_from_one_file: "chain_shm.toml" => |name| {
+        let topics = [("/chain/truth", 20), ("/chain/near", 10), ("/chain/far", 1)];
+        launch(name, "chain", "chain", &topics);
+    },
+    a_free_run_at_the_pace_of_a_clock_runs_from_one_file: "free_run_clock.toml" => |name| {
+        // Of the first five frames come no more than three predictions.
+        let topics = [("/free_run/particles", 20), ("/free_run/prediction", 10)];
+        launch(name, "free_run", "free_run", &topics);
+    },
+}
+
+fn node(name: &str) {
     let prefix = unique("launch");
     let mut command = talking_eddy();
-    command.args(["node", "--config", &file("node_lookahead.toml")]);
+    command.args(["node", "--config", &file(name)]);
     command.args(["--input", &format!("shm:/{prefix}/particles")]);
     command.args(["--output", &format!("shm:/{prefix}/prediction")]);
     let mut node = Process::start_until(&mut command, "predicting shm:");
@@ -23,18 +64,19 @@ fn the_node_runs_with_its_settings() {
     assert!(node.wait().success());
 }
 
-#[test]
-fn training_takes_its_settings() {
+/// Trains until the first signal: to the end it would take days.
+fn train(name: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let output = folder.path().join("model").display().to_string();
-    for settings in ["train_frame.toml", "train_frame_mingru.toml"] {
-        // Settings are read before the data, so the data is what is missing.
-        let config = file(settings);
-        let arguments =
-            ["train", "--config", &config, "--data", "/no/bags/here", "--output", &output];
-        let message = fail(1, arguments);
-        assert!(message.contains("/no/bags/here"), "{settings}: {message}");
-    }
+    let (bag, output) = (folder.path().join("bag"), folder.path().join("model"));
+    write_bag(&bag, &(0..6).map(stream).collect::<Vec<_>>());
+    let mut command = talking_eddy();
+    command.args(["train", "--config", &file(name), "--data", bag.to_str().unwrap()]);
+    command.args(["--output", output.to_str().unwrap()]);
+    let mut training = Process::start_until(&mut command, "frame min");
+    training.interrupt();
+    training.wait();
+    let said = training.rest();
+    assert!(said.contains("interrupted: "), "{said}");
 }
 
 /// Runs a launch file in a folder of its own, which holds what the repository has, until it has ended by itself.
@@ -73,43 +115,22 @@ fn launch(name: &str, place: &str, bag: &str, topics: &[(&str, u64)]) {
     }
 }
 
+/// Files that a launch file hands to what it runs are run with it.
 #[test]
-fn replay_node_and_record_run_from_one_file() {
-    launch("replay_node_record.toml", "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
-}
-
-#[test]
-fn a_robot_with_parameters_and_clouds_runs_from_one_file() {
-    let topics = [
-        ("/robot1/particles", 20),
-        ("/robot1/particles/cloud", 1),
-        ("/robot1/prediction", 10),
-        ("/robot1/prediction/cloud", 1),
-    ];
-    launch("robot1_clouds.toml", "-", "robot1", &topics);
-}
-
-#[test]
-fn two_nodes_in_a_row_run_from_one_file() {
-    let topics = [("/chain/truth", 20), ("/chain/near", 10), ("/chain/far", 1)];
-    launch("chain_shm.toml", "chain", "chain", &topics);
-}
-
-#[test]
-fn a_free_run_at_the_pace_of_a_clock_runs_from_one_file() {
-    // Of the first five frames come no more than three predictions.
-    let topics = [("/free_run/particles", 20), ("/free_run/prediction", 10)];
-    launch("free_run_clock.toml", "free_run", "free_run", &topics);
-}
-
-#[test]
-fn every_launch_file_is_run_by_a_test() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let tests = fs::read_to_string(folder.join("tests/all/launch_configs.rs")).unwrap();
-    for entry in fs::read_dir(folder.join("launch_configs")).unwrap() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        let mentioned = [&tests[..], include_str!("../../launch_configs/robot1_clouds.toml")];
-        let tested = name == "scenes" || mentioned.iter().any(|text| text.contains(&name));
-        assert!(tested, "{name} is run by no test");
+fn every_file_is_run_by_a_test() {
+    let mut run: Vec<String> = FILES.iter().map(|name| (*name).to_owned()).collect();
+    for name in FILES {
+        let text = fs::read_to_string(file(name)).unwrap();
+        let Ok(plan) = config::parse::<Plan>(Path::new(name), &text) else { continue };
+        let arguments = plan.process.iter().flat_map(|process| &process.run);
+        let handed = arguments.filter_map(|argument| argument.strip_prefix("launch_configs/"));
+        run.extend(handed.map(str::to_owned));
     }
+    run.push("scenes".to_owned());
+    run.sort();
+    let entries = fs::read_dir(file("")).unwrap();
+    let mut found: Vec<_> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    found.sort();
+    assert_eq!(found, run);
 }
