@@ -325,6 +325,34 @@ fn a_topic_that_cannot_be_had_is_named_and_tried_again_while_the_others_are_reco
     assert!(metadata.contains("eddy_topics_not_recorded"), "{metadata}");
 }
 
+/// The service of another layout stands for a transport that the topic cannot be had from.
+#[test]
+fn a_topic_that_is_recorded_from_one_transport_is_not_named_as_missing_from_another() {
+    let world = World::new("record");
+    let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
+    let name = format!("eddy{}/status", world.prefix);
+    let name = name.as_str().try_into().unwrap();
+    let _foreign = node.service_builder(&name).publish_subscribe::<u64>().create().unwrap();
+    let regex = format!("^{}/", world.prefix);
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let mut command = world.record(&["--regex", &regex, "--from", "shm,zenoh"]);
+    command.args(["--max-messages", "1"]).stderr(log.reopen().unwrap());
+    let mut recorder = Process::start(&mut command);
+    let warned = format!("shm:{}/status is not recorded", world.prefix);
+    wait_for("the topic cannot be had from shared memory", || {
+        fs::read_to_string(log.path()).unwrap().contains(&warned).then_some(())
+    });
+    let mut publisher = world.publisher("zenoh", "status", PredictionStatus::TYPE);
+    wait_for_a_subscriber(&*publisher);
+    publisher.publish_cdr(&cdr::encode(&PredictionStatus::default())).unwrap();
+    assert!(recorder.wait().success());
+    let said = recorder.rest();
+    assert!(said.contains(&format!("{}/status: 1 messages", world.prefix)), "{said}");
+    assert!(!said.contains("not recorded"), "{said}");
+    let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+    assert!(!metadata.contains("eddy_topics_not_recorded"), "{metadata}");
+}
+
 #[test]
 fn what_makes_no_sense_is_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();

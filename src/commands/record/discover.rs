@@ -35,14 +35,19 @@ pub(super) struct Search {
 pub(super) struct Found {
     /// Names of those that are recorded, or were.
     known: HashSet<String>,
-    /// Those that cannot be recorded, and why.
-    failed: BTreeMap<String, String>,
+    /// Those that cannot be recorded, by name: for each link what is against it.
+    failed: BTreeMap<String, Reasons>,
+    /// Those that were recorded until nothing more could be had from them.
+    ended: Reasons,
 }
+
+/// Links, and why nothing, or nothing more, is recorded from them.
+pub(super) type Reasons = BTreeMap<String, String>;
 
 impl Found {
     /// Those that are recorded by their links.
     pub(super) fn knowing(known: HashSet<String>) -> Self {
-        Self { known, failed: BTreeMap::new() }
+        Self { known, failed: BTreeMap::new(), ended: Reasons::new() }
     }
 }
 
@@ -62,17 +67,31 @@ impl Search {
         }
     }
 
-    /// Counts a topic that cannot be recorded.
+    /// Counts a topic that cannot be recorded from there.
     pub(super) fn fails(&self, link: &Link, error: &dyn std::error::Error) {
-        let known = self.lock().failed.insert(link.to_string(), error.to_string());
+        let mut found = self.lock();
+        let reasons = found.failed.entry(link.topic.clone()).or_default();
+        let known = reasons.insert(link.to_string(), error.to_string());
+        drop(found);
         if known.is_none() {
             tracing::warn!("{link} is not recorded: {error}");
         }
     }
 
-    /// The topics that cannot be recorded, each with the reason.
-    pub(super) fn failed(&self) -> BTreeMap<String, String> {
+    /// Notes a topic that is recorded no longer.
+    pub(super) fn ends(&self, link: &Link, error: &dyn std::error::Error) {
+        tracing::warn!("{link} is recorded no longer: {error}");
+        self.lock().ended.insert(link.to_string(), error.to_string());
+    }
+
+    /// The topics that cannot be recorded from anywhere, by name.
+    pub(super) fn failed(&self) -> BTreeMap<String, Reasons> {
         self.lock().failed.clone()
+    }
+
+    /// The topics that were recorded in part.
+    pub(super) fn ended(&self) -> Reasons {
+        self.lock().ended.clone()
     }
 
     fn look(&self, transport: TransportKind, producer: &Producer<Received>) {
@@ -94,7 +113,7 @@ impl Search {
                 Ok(subscriber) => {
                     let mut found = self.lock();
                     found.known.insert(topic.link.topic.clone());
-                    found.failed.remove(&topic.link.to_string());
+                    found.failed.remove(&topic.link.topic);
                     drop(found);
                     producer.bring(Received::Opened(topic, subscriber), 0, Duration::MAX);
                 }

@@ -22,7 +22,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
-use discover::{Found, Search};
+use discover::{Found, Reasons, Search};
 use eddy::{
     bag::{BagError, BagSummary, BagWriter, Split, TopicChoice, WriterOptions},
     clock::{self, Clock},
@@ -38,6 +38,8 @@ const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Key in `custom_data` of `metadata.yaml`: topics that were found and could not be recorded.
 const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
+/// The same for topics that could be recorded for a part of the time only.
+const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
 
 /// Records until a limit, a failure or a signal; closes the bag in each case.
 pub fn run(
@@ -81,14 +83,20 @@ pub fn run(
     let terms = Terms { args: &args, clock: &clock, quiet, interrupt };
     let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
     recorder.note_not_given(losses.total());
-    let failed = search.failed();
-    if !failed.is_empty() {
-        recorder.note(TOPICS_NOT_RECORDED, failed.keys().cloned().collect::<Vec<_>>().join(" "));
-    }
-    for (link, reason) in failed {
-        println!("not recorded: {link}: {reason}");
-    }
+    let failed = search.failed().into_values().flatten().collect();
+    note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
+    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &search.ended());
     end(recorder, outcome, &losses, clock.now().as_secs_f64())
+}
+
+/// Says of links what was not recorded from them and why, here and in the bag.
+fn note(recorder: &mut Recorder, key: &str, what: &str, links: &Reasons) {
+    if !links.is_empty() {
+        recorder.note(key, links.keys().cloned().collect::<Vec<_>>().join(" "));
+    }
+    for (link, reason) in links {
+        println!("{what}: {link}: {reason}");
+    }
 }
 
 fn check(args: &RecordArgs) -> anyhow::Result<()> {
@@ -265,7 +273,7 @@ fn write(
             }
             // Who asks for a topic by its link wants it; of all topics those that can be had.
             Taken::Item(Received::Failed(link, error)) if !args.links.contains(&link) => {
-                search.fails(&link, &error);
+                search.ends(&link, &error);
             }
             Taken::Item(Received::Failed(_, error)) => failure = Some(Failure::Transport(error)),
             Taken::Nothing => {}
