@@ -113,6 +113,21 @@ pub(super) fn unreadable(error: &std::io::Error) -> String {
 const MOST_OF_ZSTD: u64 = 1 << 15;
 const MOST_OF_LZ4: u64 = 1 << 8;
 
+/// What so many bytes of a chunk can hold at most (bytes).
+fn most_of(header: &ChunkHeader, compressed: u64) -> u64 {
+    let factor = if header.compression == "lz4" { MOST_OF_LZ4 } else { MOST_OF_ZSTD };
+    compressed.saturating_mul(factor)
+}
+
+/// Holds what a chunk claims to contain against its compressed size (bytes).
+fn check_claim(header: &ChunkHeader, compressed: u64) -> Result<(), Fault> {
+    let uncompressed = header.uncompressed;
+    if uncompressed > most_of(header, compressed) {
+        return Err(Fault::Claim { compressed, uncompressed });
+    }
+    Ok(())
+}
+
 /// Why the records of a piece could not be read to its end.
 enum Fault {
     /// The bytes are no records, or fail their checksum.
@@ -167,7 +182,11 @@ fn read_chunk(
             }
             walk(records, on_record)
         }
-        _ => drive(bytes, on_record),
+        Some(header) => {
+            check_claim(&header, bytes.len() as u64)?;
+            drive(bytes, header.uncompressed, on_record)
+        }
+        None => drive(bytes, 0, on_record),
     }
 }
 
@@ -201,13 +220,16 @@ fn read_cut_chunk(
     let outcome = if header.compression.is_empty() {
         walk(&bytes[records..], on_record)
     } else {
-        // The chunk now claims what is there, and no checksum, so that it is read up to the cut.
-        let claim = |value: usize| (value as u64).to_le_bytes();
-        let (length, compressed) = (claim(bytes.len() - body), claim(bytes.len() - records));
-        bytes[1..body].copy_from_slice(&length);
+        // What it claims was of all its bytes. It now claims what is there, and no checksum, so that it is
+        // read up to the cut.
+        let (length, compressed) = ((bytes.len() - body) as u64, (bytes.len() - records) as u64);
+        let uncompressed = header.uncompressed.min(most_of(&header, compressed));
+        bytes[1..body].copy_from_slice(&length.to_le_bytes());
+        bytes[body + 16..body + 24].copy_from_slice(&uncompressed.to_le_bytes());
         bytes[body + 24..body + 28].fill(0);
-        bytes[records - 8..records].copy_from_slice(&compressed);
-        drive(&bytes, &mut on_record)
+        bytes[records - 8..records].copy_from_slice(&compressed.to_le_bytes());
+        check_claim(&header, header.compressed)
+            .and_then(|()| drive(&bytes, uncompressed, &mut on_record))
     };
     match outcome {
         Err(fault @ (Fault::Record(_) | Fault::Claim { .. })) => Err(fault.words()),
@@ -216,24 +238,20 @@ fn read_cut_chunk(
     }
 }
 
-/// Runs MCAP's reader over a compressed chunk.
+/// Runs MCAP's reader over a compressed chunk of so much content (bytes). It takes memory for as much as a record
+/// says it is long: none is longer than the content.
 fn drive(
     bytes: &[u8],
+    uncompressed: u64,
     mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), Fault> {
-    if let Some(header) = bytes.get(HEADER_SIZE as usize..).and_then(ChunkHeader::parse) {
-        let (compressed, uncompressed) = (bytes.len() as u64, header.uncompressed);
-        let most = if header.compression == "lz4" { MOST_OF_LZ4 } else { MOST_OF_ZSTD };
-        if uncompressed / most > compressed {
-            return Err(Fault::Claim { compressed, uncompressed });
-        }
-    }
+    let longest = uncompressed.max(bytes.len() as u64).min(SIZE_LIMIT);
     let mut reader = LinearReader::new_with_options(
         LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
             .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(SIZE_LIMIT as usize),
+            .with_record_length_limit(longest as usize),
     );
     let mut rest = bytes;
     while let Some(event) = reader.next_event() {

@@ -7,7 +7,11 @@ use std::{
     process::Command,
 };
 
-use eddy::bag::{BagError, BagReader, Recovery, Split, reindex};
+use eddy::{
+    bag::{BagError, BagReader, BagWriter, Compression, Recovery, Split, WriterOptions, reindex},
+    frame::Stamp,
+    msg::{Message, RosString},
+};
 use mcap::records::MessageHeader;
 
 use crate::{
@@ -240,6 +244,52 @@ fn work_on_a_file_that_is_read_from_its_start_can_be_ended() {
     let error = Recovery::open(&bag, &mut |_| false).unwrap_err();
     assert!(matches!(error, BagError::Interrupted { .. }), "{error}");
     assert_eq!(folder.names(), ["bag.mcap", "whole.mcap"]);
+}
+
+/// Cuts a file of one chunk of words that compress well, a quarter of it after the other.
+#[test]
+fn a_chunk_that_ends_early_is_told_as_that_in_every_compression() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+        let bag = folder.path().join(format!("{compression:?}"));
+        let options = WriterOptions { compression, chunk_size: 16 << 20, ..Default::default() };
+        let mut writer = BagWriter::create(&bag, options).unwrap();
+        let topic = writer.topic("/words", RosString::TYPE).unwrap();
+        for number in 0..200 {
+            let time = Stamp(number);
+            let text = format!("{number:040000}{}", "!".repeat(number as usize));
+            writer.write(topic, time, time, &word(&text)).unwrap();
+        }
+        let file = writer.finish().unwrap().files[0].path.clone();
+        let whole = messages(&file);
+        let bytes = fs::read(&file).unwrap();
+        let index = &mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
+        let [chunk] = &index[..] else { panic!("{} chunks", index.len()) };
+        let mut most = 0;
+        for quarter in 1..4 {
+            let length = chunk.chunk_start_offset + chunk.chunk_length * quarter / 4;
+            let cut = folder.path().join("cut.mcap");
+            fs::write(&cut, &bytes[..length as usize]).unwrap();
+            let damage = BagReader::open(&cut).unwrap().damage().unwrap();
+            let expected =
+                format!("expected a chunk of {} bytes from byte", chunk.chunk_length - 9);
+            assert!(matches!(damage, BagError::Truncated { .. }), "{compression:?}: {damage}");
+            assert!(damage.to_string().contains(&expected), "{compression:?}: {damage}");
+            let saved = folder.path().join("saved");
+            match recover(&cut, &saved) {
+                Ok(recovered) => assert_eq!(recovered.losses, [damage.to_string()]),
+                Err(error) => assert!(matches!(error, BagError::Nothing { .. }), "{error}"),
+            }
+            if saved.exists() {
+                let kept = messages(&saved);
+                assert_eq!(kept, whole[..kept.len()]);
+                assert!(kept.len() > most, "{compression:?}, {quarter} quarters: {}", kept.len());
+                most = kept.len();
+                fs::remove_dir_all(&saved).unwrap();
+            }
+        }
+        assert!(most >= 50, "{compression:?}: {most}");
+    }
 }
 
 /// Compiles the library that makes a sector of a file unreadable.

@@ -98,6 +98,23 @@ fn bags() {
     keep("mcap", "loose", foreign(&folder.path().join("loose"), loose));
     let bare = mcap::WriteOptions::new().emit_summary_records(false).chunk_size(Some(100));
     keep("mcap", "bare", foreign(&folder.path().join("bare"), bare));
+    keep("mcap", "record_that_claims_too_much", record_that_claims_too_much());
+}
+
+/// A file with a chunk of nine bytes, in which a record says that it is 512 MiB long.
+fn record_that_claims_too_much() -> Vec<u8> {
+    let record = |opcode: u8, body: &[u8]| {
+        [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+    };
+    let content = [&[5][..], &(1_u64 << 29).to_le_bytes()].concat();
+    // A frame of zstd with one block as it is (RFC 8878, 3.1.1).
+    let frame = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 9, 9 << 3 | 1, 0, 0][..], &content].concat();
+    // Two times, size, no checksum.
+    let (times, size, crc) = ([0; 16], 9_u64.to_le_bytes(), [0; 4]);
+    let name = [&4_u32.to_le_bytes()[..], b"zstd"].concat();
+    let length = (frame.len() as u64).to_le_bytes();
+    let chunk = [&times[..], &size, &crc, &name, &length, &frame].concat();
+    [&b"\x89MCAP0\r\n"[..], &record(1, &[0; 8]), &record(6, &chunk)].concat()
 }
 
 /// A file of another program, with an attachment and a metadata record.
