@@ -81,6 +81,14 @@ pub enum BagError {
         /// What should be there.
         expected: String,
     },
+    /// More is wrong with the bag than is said one by one.
+    #[error("{path}: found {faults} more faults, expected none", path = .path.display())]
+    FurtherFaults {
+        /// The bag.
+        path: PathBuf,
+        /// How many.
+        faults: u64,
+    },
     /// The writer of the file format refused.
     #[error("{path}: writing MCAP: {reason}", path = .path.display())]
     Format {

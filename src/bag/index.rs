@@ -17,6 +17,7 @@ use mcap::{
 use super::{
     channel::{Channel, Schema},
     error::BagError,
+    faults::Faults,
     parse,
     record::{self, RecordHeader, Records, SIZE_LIMIT, Step},
     segment::{Kind, Segment},
@@ -64,7 +65,7 @@ pub(super) struct FileIndex {
     pub(super) segments: Vec<Segment>,
     /// Names of the compressions of its chunks; empty for none.
     pub(super) compressions: BTreeSet<String>,
-    pub(super) damage: Option<Damage>,
+    pub(super) damage: Faults<Damage>,
     /// Whether all this is from the file's own summary.
     pub(super) summarized: bool,
     /// How many messages its summary states, if it has one that does.
@@ -164,6 +165,11 @@ impl FileIndex {
         }
     }
 
+    /// What is wrong with it, as errors.
+    pub(super) fn faults(&self) -> impl Iterator<Item = BagError> {
+        self.damage.first().map(|damage| damage.error(&self.path))
+    }
+
     /// How many messages it has.
     pub(super) fn messages(&self) -> u64 {
         self.counts.values().sum()
@@ -188,7 +194,7 @@ impl Builder {
             times: None,
             segments: Vec::new(),
             compressions: BTreeSet::new(),
-            damage: None,
+            damage: Faults::default(),
             summarized: false,
             stated: None,
             extras: Vec::new(),

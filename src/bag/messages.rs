@@ -8,6 +8,7 @@ use mcap::records::Record;
 use super::{
     channel::Channel,
     error::BagError,
+    faults::Faults,
     reader::{ChannelOfFile, Contents},
     segment::Segment,
     walk::unknown_channel,
@@ -46,7 +47,8 @@ pub struct Selection {
 
 /// The messages of a bag in the order of their log time; equal times in the order of the files.
 ///
-/// When a part of the bag is damaged, all messages that are whole come first, then one error.
+/// When parts of the bag are damaged, all messages that are whole come first, then an error for each of the
+/// first parts, then [`BagError::FurtherFaults`] if there are more.
 #[derive(Debug)]
 pub struct Messages {
     contents: Arc<Contents>,
@@ -58,8 +60,8 @@ pub struct Messages {
     pending: VecDeque<Segment>,
     /// Messages of the pieces that were read, in order.
     ready: VecDeque<BagMessage>,
-    /// The first fault met, for the end.
-    fault: Option<BagError>,
+    /// The faults met, for the end.
+    faults: Faults<BagError>,
 }
 
 impl Messages {
@@ -83,8 +85,12 @@ impl Messages {
             .collect();
         pending.sort_by_key(|segment| (segment.first, segment.file, segment.position));
         let (pending, ready) = (pending.into(), VecDeque::new());
-        let fault = contents.damage();
-        Self { contents, wanted, from, until, pending, ready, fault }
+        let mut faults = Faults::default();
+        for file in &contents.files {
+            file.faults().for_each(|fault| faults.add(fault));
+            faults.add_further(file.damage.further());
+        }
+        Self { contents, wanted, from, until, pending, ready, faults }
     }
 
     /// Whether a piece not read yet may hold a message that comes before all that are ready.
@@ -129,8 +135,11 @@ impl Messages {
             // Stable, and quick where both parts are sorted already.
             ready.make_contiguous().sort_by_key(|message| message.log_time);
         }
-        if let Err(error) = outcome {
-            self.fault.get_or_insert(error);
+        match outcome {
+            Ok(()) => {}
+            // The system may give later what it refuses now: that is not to be lost among damage.
+            Err(error @ BagError::Io { .. }) => self.faults.add_first(error),
+            Err(error) => self.faults.add(error),
         }
     }
 }
@@ -149,7 +158,7 @@ impl Iterator for Messages {
         }
         match self.ready.pop_front() {
             Some(message) => Some(Ok(message)),
-            None => self.fault.take().map(Err),
+            None => self.faults.take_next(&self.contents.path).map(Err),
         }
     }
 }

@@ -13,7 +13,7 @@
 //!    beside messages.
 //! 8. `index`: where messages lie in a file: from its summary, or by a `walk` through the file;
 //!    `resync` finds where to go on behind damage.
-//! 9. `segment`: one piece of a file, decompressed and checked.
+//! 9. `segment`: one piece of a file, decompressed and checked; `faults`: what is found wrong.
 //! 10. `messages`: the pieces of all files, merged by time.
 //! 11. `reader`: topics, messages and frames of a bag.
 //! 12. `survey`: everything that can be wrong with a bag.
@@ -30,6 +30,7 @@ mod draft;
 mod edit;
 mod error;
 mod extra;
+mod faults;
 mod index;
 mod layout;
 mod messages;

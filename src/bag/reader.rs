@@ -55,7 +55,7 @@ pub(super) struct ChannelOfFile {
 /// What opening a bag found out.
 #[derive(Debug)]
 pub(super) struct Contents {
-    path: PathBuf,
+    pub(super) path: PathBuf,
     pub(super) files: Vec<FileIndex>,
     /// Sorted by name, then by type.
     pub(super) topics: Vec<TopicInfo>,
@@ -70,7 +70,7 @@ pub(super) struct Contents {
 impl Contents {
     /// The first damage known from opening.
     pub(super) fn damage(&self) -> Option<BagError> {
-        self.files.iter().find_map(|file| Some(file.damage.as_ref()?.error(&file.path)))
+        self.files.iter().flat_map(FileIndex::faults).next()
     }
 }
 
@@ -340,7 +340,7 @@ fn saturated(time: u64) -> Stamp {
 }
 
 /// The frames of a topic. A message that is no usable frame is an [`BagError::Frame`]; the frames
-/// after it follow. Damage of the bag is the last error.
+/// after it follow. Damage of the bag comes last.
 #[derive(Debug)]
 pub struct Frames {
     messages: Messages,

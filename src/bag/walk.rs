@@ -37,8 +37,7 @@ impl Builder {
             Ok(None) => {}
             Ok(Some(expected)) => {
                 let (size, messages) = (self.index.size, self.index.messages());
-                let truncated = Damage::Truncated { size, messages, expected };
-                self.index.damage.get_or_insert(truncated);
+                self.index.damage.add(Damage::Truncated { size, messages, expected });
             }
             Err(WalkError::Io(error)) => return Err(failed(error)),
             Err(WalkError::Bag(error)) => return Err(error),
@@ -168,9 +167,8 @@ impl Builder {
         Ok((!goes_on).then_some(header))
     }
 
-    /// Remembers the first damage.
     fn damaged(&mut self, position: u64, found: String, expected: String) {
-        self.index.damage.get_or_insert(Damage::Corrupt { position, found, expected });
+        self.index.damage.add(Damage::Corrupt { position, found, expected });
     }
 
     fn statistics(

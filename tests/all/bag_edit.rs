@@ -464,7 +464,7 @@ fn damage_between_chunks_without_an_index_costs_what_it_hits() {
         fs::write(folder.join("damaged.mcap"), &bytes).unwrap();
         let saved = folder.join("saved");
         let recovered = recover(&folder.join("damaged.mcap"), &saved).unwrap();
-        assert_eq!(recovered.losses.len(), 1, "{name}: {:?}", recovered.losses);
+        assert!((1..=3).contains(&recovered.losses.len()), "{name}: {:?}", recovered.losses);
         let kept = messages(&saved);
         assert!((50..60).contains(&kept.len()), "{name}: {}", kept.len());
         assert!(kept.iter().all(|message| whole.contains(message)), "{name}");

@@ -19,6 +19,18 @@ use crate::{
     support::{eddy, findings, succeed, word},
 };
 
+/// Where the summary of a whole file starts.
+fn summary_start(bytes: &[u8]) -> usize {
+    let footer = bytes.len() - 37;
+    u64::from_le_bytes(bytes[footer + 9..footer + 17].try_into().unwrap()) as usize
+}
+
+/// A whole file with an end that tells of no summary.
+fn without_summary(bytes: &[u8]) -> Vec<u8> {
+    let footer = [&[2][..], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat();
+    [&bytes[..summary_start(bytes)], &footer].concat()
+}
+
 /// A file whose messages lie in chunks, with one more between the last chunk and the end of the data.
 fn with_a_loose_message(bytes: &[u8]) -> Vec<u8> {
     let footer = bytes.len() - 37;
@@ -194,12 +206,9 @@ fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off()
     let start = chunk.chunk_start_offset as usize;
     let after = start + chunk.chunk_length as usize;
     assert_eq!([bytes[start], bytes[after]], [6, 7], "a chunk, a message index");
-    let summary = bytes.len() - 37 + 9;
-    let end = u64::from_le_bytes(bytes[summary..summary + 8].try_into().unwrap()) as usize;
     // Without a summary that would tell. 2 ends a file, 15 its data.
-    let footer = [&[2][..], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat();
     for (place, wrong) in [(start, 2), (after, 15)] {
-        let mut bytes = [&bytes[..end], &footer].concat();
+        let mut bytes = without_summary(&bytes);
         bytes[place] = wrong;
         fs::write(&file, &bytes).unwrap();
         assert!(reindex(&file, &mut |_| true).is_err(), "opcode {wrong}");
@@ -214,14 +223,7 @@ fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
     let file = folder.join("bag.mcap");
     write_with_extras(&file, 0..60);
     let bytes = fs::read(&file).unwrap();
-    let summary = bytes.len() - 37 + 9;
-    let start = u64::from_le_bytes(bytes[summary..summary + 8].try_into().unwrap()) as usize;
-    // Without its end from the data end record on.
-    fs::write(
-        &file,
-        [&bytes[..start], &[2], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat(),
-    )
-    .unwrap();
+    fs::write(&file, without_summary(&bytes)).unwrap();
     assert_eq!(reindex(&file, &mut |_| true).unwrap().summarized, std::slice::from_ref(&file));
     assert_eq!(extras(&file), (vec![calibration()], vec![about("rosbag2"), about("place")]));
     assert_eq!(findings(&file), [""; 0]);
@@ -290,6 +292,77 @@ fn a_chunk_that_ends_early_is_told_as_that_in_every_compression() {
         }
         assert!(most >= 50, "{compression:?}: {most}");
     }
+}
+
+#[test]
+fn every_damaged_chunk_is_told_and_of_many_the_first_ten_and_how_many_more() {
+    let folder = Folder::new();
+    let times: Vec<u64> = (0..100).collect();
+    write_foreign(&folder.join("long.mcap"), &times, small_chunks());
+    let bytes = fs::read(folder.join("long.mcap")).unwrap();
+    let chunks = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
+    assert!(chunks.len() > 15, "{}", chunks.len());
+    // With the summary, by which chunks are found, and without, when the whole file is walked through.
+    for bare in [false, true] {
+        for damaged in [3, 12] {
+            let mut bytes = bytes.clone();
+            let mut places = Vec::new();
+            // The first ones hold the channels.
+            for chunk in &chunks[chunks.len() - damaged..] {
+                let last = (chunk.chunk_start_offset + chunk.chunk_length) as usize - 5;
+                bytes[last] ^= 0xff;
+                places.push(format!("byte {}: found ", chunk.chunk_start_offset));
+            }
+            if bare {
+                bytes = without_summary(&bytes);
+            }
+            let file = folder.join("damaged.mcap");
+            fs::write(&file, &bytes).unwrap();
+            let recovered = recover(&file, &folder.join("saved")).unwrap();
+            fs::remove_dir_all(folder.join("saved")).unwrap();
+            let (mut losses, path) = (recovered.losses, file.display());
+            if !bare {
+                let stated = losses.pop().unwrap();
+                assert!(stated.ends_with("expected the 100 it states"), "{stated}");
+            }
+            if damaged > 10 {
+                let more = format!("{path}: found {} more faults, expected none", damaged - 10);
+                assert_eq!(losses.pop(), Some(more));
+            }
+            assert_eq!(losses.len(), damaged.min(10), "{losses:?}");
+            for (loss, place) in losses.iter().zip(places) {
+                assert!(loss.starts_with(&format!("{path}: {place}")), "{loss}");
+            }
+        }
+    }
+}
+
+/// The limit is on the memory that the process asks for; the attachments together are more.
+#[cfg(target_os = "linux")]
+#[test]
+fn attachments_of_any_size_together_are_saved_one_after_the_other() {
+    const SIZE: usize = 8 << 20;
+    const ATTACHMENTS: u8 = 20;
+    let folder = Folder::new();
+    let file = folder.join("large.mcap");
+    let mut writer = small_chunks().create(fs::File::create(&file).unwrap()).unwrap();
+    let channel_id = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
+    let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+    writer.write_to_known_channel(&header, b"1").unwrap();
+    for number in 0..ATTACHMENTS {
+        let data = vec![number; SIZE].into();
+        writer.attach(&mcap::Attachment { data, ..calibration() }).unwrap();
+    }
+    writer.finish().unwrap();
+    let saved = folder.join("saved");
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -d 98304; exec \"$@\"", "sh"]).arg(eddy().get_program());
+    command.args(["--quiet", "bag", "recover", file.to_str().unwrap()]);
+    let output = command.args(["-o", saved.to_str().unwrap()]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bag = BagReader::open(&saved).unwrap();
+    assert_eq!(bag.extra_counts(), [usize::from(ATTACHMENTS), 0]);
+    assert!(bag.size() > SIZE as u64 * u64::from(ATTACHMENTS));
 }
 
 /// Compiles the library that makes a sector of a file unreadable.

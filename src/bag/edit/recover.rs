@@ -1,10 +1,14 @@
 //! What can be read of a damaged bag.
 
-use std::path::{Path, PathBuf};
+use std::{
+    cell::RefCell,
+    path::{Path, PathBuf},
+};
 
 use super::{CopyOptions, copy};
 use crate::bag::{
-    error::BagError, index::FileIndex, layout, metadata, reader::BagReader, writer::BagSummary,
+    error::BagError, faults::Faults, index::FileIndex, layout, metadata, reader::BagReader,
+    writer::BagSummary,
 };
 
 /// A bag of which every message that can be read will be saved: a directory, whatever its
@@ -12,7 +16,8 @@ use crate::bag::{
 #[derive(Debug)]
 pub struct Recovery {
     bag: BagReader,
-    losses: Vec<String>,
+    /// Of files that are no MCAP files.
+    losses: Faults<BagError>,
     /// Messages that the bag has by what its files and its `metadata.yaml` say.
     stated: u64,
 }
@@ -22,7 +27,8 @@ pub struct Recovery {
 pub struct Recovered {
     /// The new bag.
     pub bag: BagSummary,
-    /// What was wrong with the old one, one sentence each; empty when nothing of it is missing.
+    /// What was wrong with the old one, one sentence each; empty when nothing of it is missing. Of many
+    /// faults the first ten, and how many more there were.
     pub losses: Vec<String>,
 }
 
@@ -34,14 +40,11 @@ impl Recovery {
     /// [`BagError::Io`] when the system refuses a file; bytes that the disk cannot read are none, but a
     /// loss. [`BagError::NotABag`], [`BagError::Interrupted`].
     pub fn open(path: &Path, watch: &mut dyn FnMut(u64) -> bool) -> Result<Self, BagError> {
-        let (mut losses, mut files) = (Vec::new(), Vec::<FileIndex>::new());
+        let (mut losses, mut files) = (Faults::default(), Vec::<FileIndex>::new());
         for file in layout::mcap_files(path)? {
             match FileIndex::open_watched(&file, files.len(), watch) {
-                Ok(index) => {
-                    losses.extend(index.damage.as_ref().map(|d| d.error(&file).to_string()));
-                    files.push(index);
-                }
-                Err(error @ BagError::Magic { .. }) => losses.push(error.to_string()),
+                Ok(index) => files.push(index),
+                Err(error @ BagError::Magic { .. }) => losses.add(error),
                 Err(error) => return Err(error),
             }
         }
@@ -80,35 +83,34 @@ impl Recovery {
     /// [`BagError::Nothing`] when there is no message to keep, otherwise as
     /// [`extract`](fn@super::extract).
     pub fn save(self, output: &Path, options: CopyOptions<'_>) -> Result<Recovered, BagError> {
-        let Self { bag, losses: known, stated } = self;
-        let mut losses = Vec::new();
-        let mut lose = |damage: BagError| {
-            let damage = damage.to_string();
-            if !known.contains(&damage) {
-                losses.push(damage);
-            }
-        };
-        let mut extras = Vec::new();
-        for extra in bag.extras() {
-            match extra {
-                // What the system refuses now it may give later: this is no loss to accept.
-                Ok(_) | Err(BagError::Io { .. }) => extras.push(extra),
-                Err(damage) => lose(damage),
-            }
-        }
-        let readable = bag.messages().filter_map(|message| match message {
-            Ok(_) | Err(BagError::Io { .. }) => Some(message),
-            Err(damage) => {
-                lose(damage);
-                None
-            }
-        });
-        let saved = copy(output, bag.channels(), extras, readable, options)?;
-        let mut losses: Vec<String> = known.iter().cloned().chain(losses).collect();
+        let Self { bag, losses, stated } = self;
+        // Noted while both iterators are in use.
+        let losses = RefCell::new(losses);
+        let extras = bag.extras().filter_map(|extra| kept(extra, &losses));
+        let messages = bag.messages().filter_map(|message| kept(message, &losses));
+        let saved = copy(output, bag.channels(), extras, messages, options)?;
+        let mut losses = losses.into_inner();
+        let mut losses: Vec<String> = std::iter::from_fn(|| losses.take_next(bag.path()))
+            .map(|fault| fault.to_string())
+            .collect();
         if saved.messages < stated {
             let (path, found) = (bag.path().display(), saved.messages);
             losses.push(format!("{path}: found {found} messages, expected the {stated} it states"));
         }
         Ok(Recovered { bag: saved, losses })
     }
+}
+
+/// What goes into the new bag; damage does not, and is noted.
+fn kept<T>(
+    found: Result<T, BagError>,
+    losses: &RefCell<Faults<BagError>>,
+) -> Option<Result<T, BagError>> {
+    match found {
+        // What the system refuses now it may give later: this is no loss to accept.
+        Ok(_) | Err(BagError::Io { .. }) => return Some(found),
+        Err(BagError::FurtherFaults { faults, .. }) => losses.borrow_mut().add_further(faults),
+        Err(damage) => losses.borrow_mut().add(damage),
+    }
+    None
 }

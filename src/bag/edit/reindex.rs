@@ -60,8 +60,7 @@ fn open(files: &[PathBuf], watch: &mut Watch<'_>) -> Result<Vec<FileIndex>, BagE
         .enumerate()
         .map(|(number, file)| FileIndex::open_watched(file, number, watch))
         .collect::<Result<_, _>>()?;
-    let damage = |index: &FileIndex| Some(index.damage.as_ref()?.error(&index.path));
-    indexes.iter().find_map(damage).map_or(Ok(()), Err)?;
+    indexes.iter().flat_map(FileIndex::faults).next().map_or(Ok(()), Err)?;
     Ok(indexes)
 }
 
