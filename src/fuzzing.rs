@@ -10,7 +10,9 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    bag::{BagReader, CopyOptions, Recovery, Selection, Survey, WriterOptions, extract, reindex},
+    bag::{
+        BagReader, CopyOptions, Recovery, Reindexing, Selection, Survey, WriterOptions, extract,
+    },
     checkpoint::{Architecture, Checkpoint},
     config::{self, Overrides},
     engine::Surrogate,
@@ -133,7 +135,8 @@ fn bag(bytes: &[u8]) {
             assert_eq!(bag.messages().filter(Result::is_ok).count() as u64, saved.bag.messages);
         }
     }
-    if reindex(&file, &mut |_| true).is_ok() {
+    let reindexing = Reindexing::open(&file, &mut |_| true);
+    if reindexing.and_then(|reindexing| reindexing.save(&mut |_| true)).is_ok() {
         let bag = BagReader::open(&file).expect("what was indexed is a bag");
         assert!(bag.damage().is_none(), "what was indexed is whole: {:?}", bag.damage());
     }

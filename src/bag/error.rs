@@ -163,6 +163,16 @@ pub enum BagError {
         /// The bag that was not written, or the file that was being read.
         path: PathBuf,
     },
+    /// The user wanted no more when some files of a bag had been replaced.
+    #[error("{path}: interrupted after {summarized} of {expected} files: they have a summary now, the other files and metadata.yaml are as they were", path = .path.display())]
+    PartlyReindexed {
+        /// The bag.
+        path: PathBuf,
+        /// How many files have a summary now that had none.
+        summarized: usize,
+        /// How many had none.
+        expected: usize,
+    },
     /// A file is still being written, or was left so.
     #[error("{path}: found a file that was never closed, expected finished files", path = .path.display())]
     Unfinished {

@@ -26,6 +26,9 @@ use super::{
 /// Called with the number of bytes that were passed over; `false` ends the work.
 pub(super) type Watch<'a> = dyn FnMut(u64) -> bool + 'a;
 
+/// How much is passed over between two calls of who watches (bytes).
+pub(super) const WATCHED: u64 = 1 << 20;
+
 /// What is wrong with a file as far as its index tells.
 #[derive(Clone, Debug)]
 pub(super) enum Damage {
@@ -128,7 +131,9 @@ impl FileIndex {
             let mut records = Records::new(file.try_clone().map_err(failed)?, size, start);
             let found = readable(builder.find_by_summary(&mut records, start)).map_err(failed)?;
             if found == Some(true) {
-                watch(size);
+                if !watch(size) {
+                    return Err(BagError::Interrupted { path: path.into() });
+                }
                 return Ok(builder.index);
             }
             builder = builder.keeping_channels();
@@ -140,13 +145,13 @@ impl FileIndex {
     /// Indexes the file by walking through it, whatever its summary says.
     ///
     /// # Errors
-    /// [`BagError::Io`], [`BagError::Interrupted`].
-    pub(super) fn walk(path: &Path, watch: &mut Watch<'_>) -> Result<Self, BagError> {
+    /// [`BagError::Io`].
+    pub(super) fn walk(path: &Path) -> Result<Self, BagError> {
         let failed = |reason| BagError::Io { path: path.into(), action: "reading", reason };
         let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
         let size = file.metadata().map_err(failed)?.len();
         let records = Records::new(file, size, MAGIC.len() as u64);
-        Builder::new(path, 0, size).by_walking(records, watch)
+        Builder::new(path, 0, size).by_walking(records, &mut |_| true)
     }
 
     /// Takes from the index of a file that was walked through what lies there and behind it.

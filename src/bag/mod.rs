@@ -49,8 +49,8 @@ mod writer;
 
 pub use channel::{Channel, Schema};
 pub use edit::{
-    CopyOptions, InvalidMoment, Moment, Recovered, Recovery, Reindexed, TopicChoice, clouds,
-    extract, merge, reindex, without_cloud,
+    CopyOptions, InvalidMoment, Moment, Recovered, Recovery, Reindexed, Reindexing, TopicChoice,
+    clouds, extract, merge, without_cloud,
 };
 pub use error::BagError;
 pub use layout::find_bags;

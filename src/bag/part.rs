@@ -20,6 +20,7 @@ use super::{
     channel::Channel,
     error::BagError,
     extra::Extra,
+    index::FileIndex,
     layout::ACTIVE,
     summary,
     writer::{Compression, WriterOptions, WrittenFile},
@@ -235,7 +236,8 @@ impl Unclosed {
     pub(super) fn close_in_the_room_there_is(
         self,
     ) -> Result<(WrittenFile, BTreeMap<u16, u64>), BagError> {
-        let index = summary::end_file(&self.active, summary::Chunks::MakeRoom, &mut |_| true)?;
+        let index = FileIndex::walk(&self.active)?;
+        let index = summary::end_file(&self.active, index, summary::Chunks::MakeRoom)?;
         let stamp = |time: u64| Stamp(i64::try_from(time).unwrap_or(i64::MAX));
         let times = index.times.map(|(start, end)| (stamp(start), stamp(end)));
         Ok((self.name(index.messages(), times)?, index.counts))

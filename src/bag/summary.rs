@@ -19,7 +19,7 @@ use super::{
     channel::Schema,
     error::BagError,
     extra::{Extra, ExtraIndex},
-    index::{FileIndex, Watch},
+    index::FileIndex,
     record::{HEADER_SIZE, RecordHeader},
 };
 
@@ -33,19 +33,17 @@ pub(super) enum Chunks {
     MakeRoom,
 }
 
-/// Ends the file after its last whole record. When the disk has no room for the summary, the last
-/// chunks make some, if they may. Gives what the file then holds.
+/// Ends the file, of which `index` tells what a walk through it found, after its last whole record. When the
+/// disk has no room for the summary, the last chunks make some, if they may. Gives what the file then holds.
 ///
 /// # Errors
-/// [`BagError::Io`]; what was whole before is whole after it. [`BagError::Interrupted`] while the file is
-/// read.
+/// [`BagError::Io`]; what was whole before is whole after it.
 pub(super) fn end_file(
     path: &Path,
+    mut index: FileIndex,
     chunks: Chunks,
-    watch: &mut Watch<'_>,
 ) -> Result<FileIndex, BagError> {
     let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
-    let mut index = FileIndex::walk(path, watch)?;
     let extras = index.extras.iter().map(|header| Ok((*header, Extra::read(path, header)?)));
     let extras: Vec<_> = extras
         .map(|extra| extra.map(|(header, extra)| (header, extra.index(&header))))
@@ -58,7 +56,10 @@ pub(super) fn end_file(
         let end = ending(&index, &extras);
         file.set_len(data_end).map_err(failed)?;
         match append(&mut file, data_end, &end) {
-            Ok(()) => return Ok(index),
+            Ok(()) => {
+                index.size += end.len() as u64;
+                return Ok(index);
+            }
             Err(error)
                 if chunks == Chunks::MakeRoom
                     && BagError::is_out_of_room(&error)

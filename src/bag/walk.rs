@@ -9,14 +9,11 @@ use mcap::{
 
 use super::{
     error::BagError,
-    index::{Builder, Damage, FileIndex, Piece, Watch, widened},
+    index::{Builder, Damage, FileIndex, Piece, WATCHED, Watch, widened},
     layout, parse,
     record::{NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
     segment::{Kind, Segment, described, unreadable, wanted_record},
 };
-
-/// How much is passed over between two calls of who watches (bytes).
-const WATCHED: u64 = 1 << 20;
 
 /// Length of a data end record (bytes): a checksum.
 const DATA_END_LENGTH: u64 = 4;
@@ -32,7 +29,8 @@ impl Builder {
         watch: &mut Watch<'_>,
     ) -> Result<FileIndex, BagError> {
         let failed = BagError::io(self.index.path.clone(), "reading");
-        let ended = self.walk(&mut records, watch);
+        let mut watched = 0;
+        let ended = self.walk(&mut records, watch, &mut watched);
         match ended {
             Ok(None) => {}
             Ok(Some(expected)) => {
@@ -42,23 +40,28 @@ impl Builder {
             Err(WalkError::Io(error)) => return Err(failed(error)),
             Err(WalkError::Bag(error)) => return Err(error),
         }
+        if !watch(self.index.size.saturating_sub(watched)) {
+            return Err(BagError::Interrupted { path: self.index.path });
+        }
         Ok(self.index)
     }
 
-    /// Walks to the end. Gives what should have come when the file ends too early.
+    /// Walks to the end; who watches knows of the first `watched` bytes. Gives what should have come when the
+    /// file ends too early.
     fn walk(
         &mut self,
         records: &mut Records,
         watch: &mut Watch<'_>,
+        watched: &mut u64,
     ) -> Result<Option<String>, WalkError> {
         if self.index.size < MAGIC.len() as u64 {
             return Ok(Some("the rest of the 8 bytes that start an MCAP file".into()));
         }
-        let (mut in_summary, mut watched) = (false, 0);
+        let mut in_summary = false;
         loop {
-            let passed = records.position - watched;
+            let passed = records.position - *watched;
             if passed >= WATCHED {
-                watched = records.position;
+                *watched = records.position;
                 if !watch(passed) {
                     let path = self.index.path.clone();
                     return Err(WalkError::Bag(BagError::Interrupted { path }));

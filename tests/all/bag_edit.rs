@@ -12,7 +12,7 @@ use std::{
 use eddy::{
     bag::{
         BagError, BagReader, BagWriter, Channel, Compression, CopyOptions, Recovered, Recovery,
-        Selection, Split, WriterOptions, extract, merge, reindex,
+        Reindexed, Reindexing, Selection, Split, WriterOptions, extract, merge,
     },
     frame::{Frame, Stamp},
     msg::{Message, RosString},
@@ -42,6 +42,10 @@ fn copying(go_on: &mut dyn FnMut() -> bool) -> CopyOptions<'_> {
 
 pub fn recover(path: &Path, output: &Path) -> Result<Recovered, BagError> {
     Recovery::open(path, &mut |_| true)?.save(output, copying(&mut || true))
+}
+
+pub fn reindex(path: &Path) -> Result<Reindexed, BagError> {
+    Reindexing::open(path, &mut |_| true)?.save(&mut |_| true)
 }
 
 /// What another program may have recorded: types we do not know, IDL definitions, its own numbers,
@@ -413,7 +417,7 @@ fn a_split_bag_without_its_metadata_is_reindexed_to_the_same_metadata() {
     let metadata = path.join("metadata.yaml");
     let before = fs::read_to_string(&metadata).unwrap();
     fs::remove_file(&metadata).unwrap();
-    assert!(reindex(&path, &mut |_| true).unwrap().summarized.is_empty());
+    assert!(reindex(&path).unwrap().summarized.is_empty());
     assert_eq!(fs::read_to_string(&metadata).unwrap(), before);
     fs::write(&metadata, "rubbish").unwrap();
     succeed(["bag", "reindex", path.to_str().unwrap()]);
@@ -430,7 +434,7 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
     let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
     write_foreign(&file, &times, bare);
     let (before, size) = (messages(&file), fs::metadata(&file).unwrap().len());
-    assert_eq!(reindex(&bag, &mut |_| true).unwrap().summarized, std::slice::from_ref(&file));
+    assert_eq!(reindex(&bag).unwrap().summarized, std::slice::from_ref(&file));
     assert_eq!(messages(&bag), before);
     assert_eq!(findings(&bag), [""; 0]);
     assert!(fs::metadata(&file).unwrap().len() > size + 1_000);
@@ -442,7 +446,7 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
     let indexed =
         summary.chunk_indexes.iter().filter(|chunk| !chunk.message_index_offsets.is_empty());
     assert!(indexed.count() > 5);
-    assert!(reindex(&bag, &mut |_| true).unwrap().summarized.is_empty());
+    assert!(reindex(&bag).unwrap().summarized.is_empty());
 }
 
 #[test]

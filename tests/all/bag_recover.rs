@@ -8,14 +8,16 @@ use std::{
 };
 
 use eddy::{
-    bag::{BagError, BagReader, BagWriter, Compression, Recovery, Split, WriterOptions, reindex},
+    bag::{
+        BagError, BagReader, BagWriter, Compression, Recovery, Reindexing, Split, WriterOptions,
+    },
     frame::Stamp,
     msg::{Message, RosString},
 };
 use mcap::records::MessageHeader;
 
 use crate::{
-    bag_edit::{Folder, messages, recover, small_chunks, write_foreign, write_split},
+    bag_edit::{Folder, messages, recover, reindex, small_chunks, write_foreign, write_split},
     support::{eddy, findings, succeed, word},
 };
 
@@ -211,7 +213,7 @@ fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off()
         let mut bytes = without_summary(&bytes);
         bytes[place] = wrong;
         fs::write(&file, &bytes).unwrap();
-        assert!(reindex(&file, &mut |_| true).is_err(), "opcode {wrong}");
+        assert!(reindex(&file).is_err(), "opcode {wrong}");
         assert_eq!(fs::read(&file).unwrap(), bytes);
         assert_ne!(findings(&file), [""; 0]);
     }
@@ -224,7 +226,7 @@ fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
     write_with_extras(&file, 0..60);
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, without_summary(&bytes)).unwrap();
-    assert_eq!(reindex(&file, &mut |_| true).unwrap().summarized, std::slice::from_ref(&file));
+    assert_eq!(reindex(&file).unwrap().summarized, std::slice::from_ref(&file));
     assert_eq!(extras(&file), (vec![calibration()], vec![about("rosbag2"), about("place")]));
     assert_eq!(findings(&file), [""; 0]);
 }
@@ -241,11 +243,54 @@ fn work_on_a_file_that_is_read_from_its_start_can_be_ended() {
         passed += bytes;
         passed < 2 << 20
     };
-    let error = reindex(&bag, &mut twice).unwrap_err();
+    let error = Reindexing::open(&bag, &mut twice).unwrap_err();
     assert!(matches!(error, BagError::Interrupted { .. }), "{error}");
     let error = Recovery::open(&bag, &mut |_| false).unwrap_err();
     assert!(matches!(error, BagError::Interrupted { .. }), "{error}");
+    let (mut read, mut copied) = (0, 0);
+    let mut count = |bytes| {
+        read += bytes;
+        true
+    };
+    let reindexing = Reindexing::open(&bag, &mut count).unwrap();
+    let size = fs::metadata(&bag).unwrap().len();
+    assert_eq!((read, reindexing.to_copy()), (size, size), "all of it is read once");
+    let mut twice = |bytes| {
+        copied += bytes;
+        copied < 2 << 20
+    };
+    let error = reindexing.save(&mut twice).unwrap_err();
+    assert!(error.to_string().ends_with("nothing was changed"), "{error}");
     assert_eq!(folder.names(), ["bag.mcap", "whole.mcap"]);
+    assert_eq!(fs::metadata(&bag).unwrap().len(), size);
+}
+
+#[test]
+fn who_ends_the_work_between_two_files_is_told_which_of_them_are_new() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    fs::create_dir(&bag).unwrap();
+    let files = [bag.join("bag_0.mcap"), bag.join("bag_1.mcap")];
+    for (file, start) in files.iter().zip([0, 1_000]) {
+        let times: Vec<u64> = (start..start + 60).collect();
+        let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
+        write_foreign(file, &times, bare);
+    }
+    let before = files.each_ref().map(|file| fs::read(file).unwrap());
+    let mut told = Vec::new();
+    let mut once = |bytes| {
+        told.push(bytes);
+        told.len() < 2
+    };
+    let error = Reindexing::open(&bag, &mut |_| true).unwrap().save(&mut once).unwrap_err();
+    assert_eq!(told, before.each_ref().map(|bytes| bytes.len() as u64));
+    let said = "interrupted after 1 of 2 files: they have a summary now, the other files and metadata.yaml \
+                are as they were";
+    assert!(error.to_string().ends_with(said), "{error}");
+    assert_eq!(fs::read(&files[1]).unwrap(), before[1]);
+    assert!(!bag.join("metadata.yaml").exists());
+    assert_eq!(reindex(&bag).unwrap().summarized, [files[1].clone()]);
+    assert_eq!(findings(&bag), [""; 0]);
 }
 
 /// Cuts a file of one chunk of words that compress well, a quarter of it after the other.

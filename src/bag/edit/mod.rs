@@ -24,7 +24,7 @@ pub use extract::extract;
 pub use merge::merge;
 pub use moment::{InvalidMoment, Moment};
 pub use recover::{Recovered, Recovery};
-pub use reindex::{Reindexed, reindex};
+pub use reindex::{Reindexed, Reindexing};
 
 use std::{path::Path, sync::Arc};
 
