@@ -21,7 +21,10 @@ use std::{
 };
 
 use change::Changer;
-use eddy::fuzzing::{TARGETS, Target};
+use eddy::{
+    checkpoint::Architecture,
+    fuzzing::{TARGETS, Target},
+};
 
 /// Memory that reading an input may take at the same time (bytes), and as a multiple of its length; of MCAP
 /// files, what zstd can make of a byte, twice.
@@ -195,4 +198,14 @@ targets! {
     checkpoints_are_read_whatever_they_are: "checkpoint",
     settings_are_read_whatever_they_are: "toml",
     scenes_are_read_whatever_they_are: "scene",
+}
+
+#[test]
+fn the_corpus_has_networks_of_every_architecture() {
+    let inputs = inputs("checkpoint");
+    for architecture in [Architecture::Frame, Architecture::Particle] {
+        let said = format!("architecture = \"{}\"", architecture.name());
+        let has = |input: &Vec<u8>| String::from_utf8_lossy(input).contains(&said);
+        assert!(inputs.iter().any(has), "{said}");
+    }
 }

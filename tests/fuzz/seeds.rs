@@ -6,6 +6,7 @@ use std::{collections::BTreeMap, fs, path::Path};
 use eddy::{
     bag::{BagWriter, Compression, WriterOptions},
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, Weights, tensor_shapes},
+    engine::Surrogate,
     frame::{Domain, Frame, Material, Stamp},
     msg::{
         Clock, DiagnosticArray, DiagnosticStatus, KeyValue, Message, ParticleFrame,
@@ -166,29 +167,37 @@ fn samples() {
 }
 
 fn checkpoints() {
-    let folder = tempfile::tempdir().unwrap();
-    // The particle model's grid makes it too large to be changed to some effect.
-    let architecture = Architecture::Frame;
     for core in Core::ALL {
         let sizes = Sizes { encoder: 2, hidden: 3, layers: 1, particles: Some(2) };
-        let description = Description::untrained(architecture, core, sizes);
-        let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
-            let values = vec![0.125; shape.iter().product()];
-            (name, Weights { shape, values })
-        });
-        let checkpoint = Checkpoint { tensors: tensors.collect(), description };
-        checkpoint.save(folder.path()).unwrap();
-        let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
-        let bytes = [read("model.toml"), vec![0], read("model.safetensors")].concat();
-        keep("checkpoint", &format!("{core:?}").to_lowercase(), bytes);
+        let description = Description::untrained(Architecture::Frame, core, sizes);
+        untrained(&format!("{core:?}").to_lowercase(), description);
     }
+    let sizes = Sizes { encoder: 1, hidden: 1, layers: 1, particles: None };
+    let mut description = Description::untrained(Architecture::Particle, Core::MinGru, sizes);
+    // With channels of a useful number it would be too large to be changed to some effect.
+    description.surroundings.as_mut().unwrap().channels = [1; 3];
+    untrained("particle", description);
+}
+
+fn untrained(name: &str, description: Description) {
+    let folder = tempfile::tempdir().unwrap();
+    let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
+        let values = vec![0.125; shape.iter().product()];
+        (name, Weights { shape, values })
+    });
+    let checkpoint = Checkpoint { tensors: tensors.collect(), description };
+    checkpoint.save(folder.path()).unwrap();
+    Surrogate::load(&Checkpoint::load(folder.path()).unwrap(), None).unwrap();
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    let bytes = [read("model.toml"), vec![0], read("model.safetensors")].concat();
+    keep("checkpoint", name, bytes);
 }
 
 fn texts() {
     let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("launch_configs");
     let files = |folder: &Path| {
         let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        files.filter(|file| file.is_file()).collect::<Vec<_>>()
+        files.filter(|file| file.extension().is_some_and(|end| end == "toml")).collect::<Vec<_>>()
     };
     for (target, folder) in [("toml", configs.clone()), ("scene", configs.join("scenes"))] {
         for file in files(&folder) {
