@@ -22,6 +22,7 @@ mod record;
 mod replay;
 mod ros;
 mod scenes;
+mod secure;
 mod support;
 mod topic;
 mod train;
