@@ -17,15 +17,10 @@ pub enum BadFrame {
 impl From<&Frame> for ParticleFrame {
     fn from(frame: &Frame) -> Self {
         Self {
-            header: Header::world(frame.stamp),
-            stream: frame.stream,
-            sequence: frame.sequence,
-            dt: frame.dt,
-            lower: frame.domain.lower.to_vec(),
-            upper: frame.domain.upper.to_vec(),
             position: frame.position.as_flattened().to_vec(),
             velocity: frame.velocity.as_flattened().to_vec(),
             material: frame.material.iter().map(|&material| material as u8).collect(),
+            ..frame.without_particles()
         }
     }
 }
@@ -48,8 +43,38 @@ impl TryFrom<&ParticleFrame> for Frame {
 
 impl Frame {
     /// The frame as CDR bytes of its message.
+    ///
+    /// As [`cdr::encode`] writes that, but the particles are copied once and as a whole, not number by number.
     pub fn to_cdr(&self) -> Vec<u8> {
-        cdr::encode(&ParticleFrame::from(self))
+        let mut bytes = cdr::encode(&self.without_particles());
+        // The last three fields are lists, whose lengths are all there is of them here.
+        bytes.truncate(bytes.len() - 3 * size_of::<u32>());
+        let particles = size_of_val(&self.position[..]) + size_of_val(&self.velocity[..]);
+        bytes.reserve_exact(3 * size_of::<u32>() + particles + self.material.len());
+        for vectors in [&self.position, &self.velocity] {
+            let numbers = vectors.as_flattened();
+            bytes.extend((numbers.len() as u32).to_le_bytes());
+            let begin = bytes.len();
+            bytes.resize(begin + size_of_val(numbers), 0);
+            for (to, number) in bytes[begin..].as_chunks_mut().0.iter_mut().zip(numbers) {
+                *to = number.to_le_bytes();
+            }
+        }
+        bytes.extend((self.material.len() as u32).to_le_bytes());
+        bytes.extend(self.material.iter().map(|&material| material as u8));
+        bytes
+    }
+
+    fn without_particles(&self) -> ParticleFrame {
+        ParticleFrame {
+            header: Header::world(self.stamp),
+            stream: self.stream,
+            sequence: self.sequence,
+            dt: self.dt,
+            lower: self.domain.lower.to_vec(),
+            upper: self.domain.upper.to_vec(),
+            ..ParticleFrame::default()
+        }
     }
 
     /// The frame in the CDR bytes of a `ParticleFrame`.
@@ -90,6 +115,8 @@ fn materials(numbers: &[u8]) -> Result<Vec<Material>, InvalidFrame> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::frame::Stamp;
 
@@ -112,6 +139,25 @@ mod tests {
         let frame = Frame::try_from(&message()).unwrap();
         assert_eq!(ParticleFrame::from(&frame), message());
         assert_eq!(Frame::from_cdr(&frame.to_cdr()), Ok(frame));
+    }
+
+    proptest! {
+        #[test]
+        fn frames_have_the_bytes_of_their_messages(
+            stream: u64, sequence: u64, stamp: i64, dt in 1e-6f32..1.0,
+            particles in prop::collection::vec((any::<[i32; 4]>(), 0u8..4), 0..40),
+        ) {
+            let pairs = |first: usize| -> Vec<_> {
+                let pair = |numbers: [i32; 4]| [numbers[first] as f32, numbers[first + 1] as f32];
+                particles.iter().map(|&(numbers, _)| pair(numbers)).collect()
+            };
+            let frame = Frame {
+                stream, sequence, stamp: Stamp(stamp), dt, domain: Domain::UNIT,
+                position: pairs(0), velocity: pairs(2),
+                material: particles.iter().map(|p| Material::try_from(p.1).unwrap()).collect(),
+            };
+            prop_assert_eq!(frame.to_cdr(), cdr::encode(&ParticleFrame::from(&frame)));
+        }
     }
 
     #[test]
