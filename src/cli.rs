@@ -22,8 +22,8 @@ pub use bag::{
     NewBagArgs, RecoverArgs, RenderArgs,
 };
 pub use bench::{
-    BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchNodeArgs, BenchSolverArgs,
-    BenchTrainingArgs, BenchTransportArgs,
+    BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchNodeArgs, BenchReplayArgs,
+    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs,
 };
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 

@@ -6,13 +6,18 @@
 //! 4. [`bag`]: rates of bags that are written and read, losses of a live recording.
 //! 5. [`transport`]: how long a frame is on its way.
 //! 6. [`node`]: what a node adds to its model's time, how many streams it carries.
-//! 7. [`limit`]: what the processor and its memory would allow.
+//! 7. [`replay`]: how late a player's messages are.
+//! 8. [`limit`]: what the processor and its memory would allow.
 
 pub mod bag;
 pub mod inference;
 pub mod limit;
 pub mod node;
 mod particles;
+pub mod replay;
 pub mod solver;
+mod spread;
 pub mod training;
 pub mod transport;
+
+pub use spread::Spread;

@@ -10,7 +10,7 @@ use std::{
 
 use serde::Serialize;
 
-use super::{particles, transport::Stopping};
+use super::{Spread, particles, transport::Stopping};
 use crate::{
     checkpoint::Checkpoint,
     clock::Clock,
@@ -60,15 +60,6 @@ pub enum BenchError {
     /// The node cannot work so.
     #[error(transparent)]
     Settings(#[from] InvalidSettings),
-}
-
-/// Median and 99th percentile of a time (ms).
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Spread {
-    /// Median (ms).
-    pub p50: f64,
-    /// 99th percentile (ms).
-    pub p99: f64,
 }
 
 /// What the node did.
@@ -190,7 +181,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
         frames: plan.streams * each,
         expected,
         predictions: ways.len() as u64,
-        way: spread(ways),
+        way: Spread::of(ways),
         dropped: queue.dropped(),
         received: node.counters().received,
     })
@@ -212,16 +203,7 @@ fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<Spread, Mo
             times.push(clock.now() - begin);
         }
     }
-    Ok(spread(times))
-}
-
-fn spread(mut times: Vec<Duration>) -> Spread {
-    times.sort_unstable();
-    let at = |percent: usize| {
-        let time = times.get(times.len().saturating_sub(1) * percent / 100);
-        time.map_or(f64::NAN, |time| time.as_secs_f64() * 1e3)
-    };
-    Spread { p50: at(50), p99: at(99) }
+    Ok(Spread::of(times))
 }
 
 /// The latency in a report of the node, unless it had nothing to do.

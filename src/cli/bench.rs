@@ -31,6 +31,8 @@ pub enum BenchCommand {
     Transport(BenchTransportArgs),
     /// Runs a node on shared memory: what it adds to its model's time, how many streams it carries.
     Node(BenchNodeArgs),
+    /// Times how late replayed frames are, beside a loop that only sleeps until each is due.
+    Replay(BenchReplayArgs),
     /// Times the writing and reading of bags, and counts what a live recording loses.
     Bag(BenchBagArgs),
 }
@@ -76,6 +78,23 @@ pub struct BenchNodeArgs {
     /// Threads of the engine; as many as there are cores if not given.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench replay`
+#[derive(Debug, Args)]
+pub struct BenchReplayArgs {
+    /// Particles of a frame.
+    #[arg(long, default_value_t = 2500)]
+    pub particles: usize,
+    /// Frames a second.
+    #[arg(long, default_value_t = 250.0)]
+    pub hertz: f64,
+    /// About how long each of the two runs (s).
+    #[arg(long, default_value_t = 15.0)]
+    pub seconds: f64,
     /// Prints JSON instead of a table.
     #[arg(long)]
     pub json: bool,

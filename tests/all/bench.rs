@@ -108,3 +108,15 @@ fn a_benchmark_without_threads_or_time_is_wrong_usage() {
     let message = fail(1, ["bench", "inference", "--seconds", "0"]);
     assert!(message.contains("seconds: found 0, expected more than 0"), "{message}");
 }
+
+#[test]
+fn the_lateness_of_replayed_frames_is_told_beside_that_of_a_timer() {
+    let arguments = ["bench", "replay", "--particles", "100", "--hertz", "500", "--seconds", "0.3"];
+    let json = succeed(arguments.iter().chain(&["--json"]));
+    let report: Value = serde_json::from_str(&json).unwrap();
+    for what in ["replay", "timer"] {
+        let [p50, p99] = ["p50", "p99"].map(|p| report["timing"][what][p].as_f64().unwrap());
+        assert!(0.0 < p50 && p50 <= p99, "{report}");
+    }
+    assert!(fail(1, ["bench", "replay", "--hertz", "0"]).contains("hertz: found 0"));
+}

@@ -15,8 +15,7 @@ use std::{
 };
 
 use eddy::{
-    bag::{BagError, BagMessage, BagReader, BagWriter, Channel, Schema, WriterOptions},
-    clock,
+    bag::{BagWriter, Channel, Schema, WriterOptions},
     frame::Stamp,
     msg::{
         Clock, Message, RosString, Time, TypeSupport, cdr,
@@ -24,7 +23,6 @@ use eddy::{
         services::Empty,
         type_support,
     },
-    node::{Asked, Player, PlayerOptions, Stage, play},
     transport::Subscriber,
 };
 use rustix::{
@@ -355,80 +353,4 @@ fn without_a_terminal_nobody_could_end_the_pause() {
     let arguments = ["replay", bag.to_str().unwrap(), "--to", "shm", "--remap", &remap, "-p"];
     let message = fail(1, arguments);
     assert!(message.contains("--start-paused: found no terminal"), "{message}");
-}
-
-/// Notes how late each message is.
-struct Watch {
-    dues: Vec<Duration>,
-    late: Vec<Duration>,
-    clock: clock::Clock,
-}
-
-impl Stage for Watch {
-    type Error = BagError;
-
-    fn message(&mut self, _: BagMessage, _: Duration) -> Result<(), BagError> {
-        let due = self.dues[self.late.len()];
-        self.late.push(self.clock.now().saturating_sub(due));
-        Ok(())
-    }
-
-    fn clock(&mut self, _: Stamp) -> Result<(), BagError> {
-        Ok(())
-    }
-
-    fn wishes(&mut self) -> Vec<Asked> {
-        Vec::new()
-    }
-
-    fn is_over(&self) -> bool {
-        false
-    }
-}
-
-fn percentile(times: &mut [Duration], percent: usize) -> Duration {
-    times.sort_unstable();
-    times[(times.len() - 1) * percent / 100]
-}
-
-/// Prints, with `--nocapture`, how late messages of 43 KB (2,500 particles) at 250 Hz come, beside a
-/// loop that only sleeps until each is due, one after the other in several turns.
-#[test]
-#[ignore = "a measurement: needs a machine that does nothing else"]
-fn messages_are_as_late_as_a_bare_timer_loop() {
-    const PERIOD: Duration = Duration::from_millis(4);
-    const MESSAGES: u32 = 250;
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("bag");
-    let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
-    let topic = bag.topic("/a", RosString::TYPE).unwrap();
-    for number in 0..MESSAGES {
-        let words: String =
-            (0..43_000).map(|i| char::from(b'!' + ((i * 7 + number) % 90) as u8)).collect();
-        let stamp = Stamp((PERIOD * number).as_nanos() as i64);
-        bag.write(topic, stamp, stamp, &word(&words)).unwrap();
-    }
-    bag.finish().unwrap();
-    let dues: Vec<_> = (0..MESSAGES).map(|number| PERIOD * number).collect();
-    let (mut bare, mut played) = (Vec::new(), Vec::new());
-    for _ in 0..15 {
-        let start = Instant::now();
-        for due in &dues {
-            thread::sleep(due.saturating_sub(start.elapsed()));
-            bare.push(start.elapsed().saturating_sub(*due));
-        }
-        let bag = BagReader::open(&path).unwrap();
-        let mut player = Player::new(&bag, PlayerOptions::default()).unwrap();
-        let clock = clock::Clock::start();
-        let mut watch = Watch { dues: dues.clone(), late: Vec::new(), clock };
-        play(&mut player, &clock, &mut watch).unwrap();
-        played.append(&mut watch.late);
-    }
-    let figures = [50, 99].map(|percent| {
-        let (bare, played) = (percentile(&mut bare, percent), percentile(&mut played, percent));
-        println!("p{percent}: replay {played:?}, bare timer {bare:?}");
-        (bare, played)
-    });
-    let (bare, played) = figures[1];
-    assert!(played <= bare.mul_f64(1.5), "p99: replay {played:?}, bare timer {bare:?}");
 }

@@ -4,6 +4,7 @@ use std::fs;
 
 use anyhow::{Context, ensure};
 use serde::Serialize;
+use tempfile::Builder;
 
 use super::table;
 use crate::{
@@ -36,11 +37,12 @@ pub fn run(args: BenchBagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         "hertz: found {}, expected more than 0",
         args.hertz
     );
-    let directory = args.directory.join(format!("eddy_bench_{}", std::process::id()));
-    fs::create_dir_all(&directory).with_context(|| directory.display().to_string())?;
-    let outcome = measure(&args, &directory, quiet, interrupt);
-    fs::remove_dir_all(&directory).with_context(|| directory.display().to_string())?;
-    let report = outcome?;
+    let at = || args.directory.display().to_string();
+    fs::create_dir_all(&args.directory).with_context(at)?;
+    let directory = Builder::new().prefix("eddy_bench_").tempdir_in(&args.directory);
+    let directory = directory.with_context(at)?;
+    let report = measure(&args, directory.path(), quiet, interrupt)?;
+    directory.close().with_context(at)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
         return Ok(());

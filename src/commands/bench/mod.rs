@@ -3,6 +3,7 @@
 mod bag;
 mod inference;
 mod node;
+mod replay;
 mod solver;
 mod training;
 mod transport;
@@ -21,6 +22,7 @@ pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         BenchCommand::Bag(args) => bag::run(args, quiet, interrupt),
         BenchCommand::Transport(args) => transport::run(args, quiet, interrupt),
         BenchCommand::Node(args) => node::run(args, interrupt),
+        BenchCommand::Replay(args) => replay::run(args, interrupt),
     }
 }
 

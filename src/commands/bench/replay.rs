@@ -1,0 +1,46 @@
+//! `eddy bench replay`: how exactly messages are played.
+
+use anyhow::{Context, ensure};
+use serde::Serialize;
+
+use super::table;
+use crate::{cli::BenchReplayArgs, commands::Interrupt};
+use eddy::bench::replay::{Plan, Timing, time};
+
+/// How often replay and timer have their turn.
+const TURNS: usize = 15;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    particles: usize,
+    hertz: f64,
+    timing: Timing,
+}
+
+/// Plays a bag, and sleeps, in turns.
+pub fn run(args: BenchReplayArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let BenchReplayArgs { particles, hertz, seconds, json } = args;
+    ensure!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
+    ensure!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
+    ensure!(!interrupt.requested(), "interrupted");
+    let folder = tempfile::tempdir().context("a folder for the bag")?;
+    let frames = (seconds * hertz / TURNS as f64).ceil() as u32;
+    let plan = Plan { particles, hertz, frames, turns: TURNS };
+    let timing = time(&folder.path().join("bag"), &plan)?;
+    if json {
+        let report = Report { particles, hertz, timing };
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(());
+    }
+    let rows = [("replay", timing.replay), ("timer", timing.timer)].map(|(what, spread)| {
+        vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
+    });
+    println!("{}", table(["late", "p50 (ms)", "p99 (ms)"], rows.into()).trim_fmt());
+    println!(
+        "\nframes of {particles} particles at {hertz} Hz, {TURNS} turns of {frames} frames; timer: a loop that only \
+         sleeps until each is due; p99 {:.2} times that",
+        timing.replay.p99 / timing.timer.p99
+    );
+    Ok(())
+}
