@@ -83,6 +83,7 @@ impl Survey {
         for message in bag.messages() {
             match message {
                 Ok(message) => survey.check_message(bag, &message),
+                Err(BagError::FurtherFaults { faults, .. }) => survey.further_findings += faults,
                 Err(error) => survey.found(error.to_string()),
             }
             read += 1;

@@ -18,7 +18,7 @@ use crate::{
     transport::Handler,
 };
 
-/// How long a player may take to answer.
+/// How long a player may take to begin with an answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The services of the player with the full name `node`, such as `/eddy_replay`, which is asked through `remote`.

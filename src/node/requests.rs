@@ -45,8 +45,8 @@ impl<R, A> Default for Requests<R, A> {
 }
 
 impl<R, A> Requests<R, A> {
-    /// Asks, and waits `patience` for somebody to begin with it; `None` when nobody did, or there was no room
-    /// for one more. What was given up is not done later.
+    /// Asks, and waits `patience` for somebody to begin with it, then for the answer. `None` when nobody began, or
+    /// there was no room for one more: then it is not done later. Also when who had begun ended without an answer.
     pub fn ask(&self, request: R, patience: Duration) -> Option<A> {
         let (sender, receiver) = sync_channel(1);
         let settled = Arc::new(AtomicBool::new(false));
@@ -59,7 +59,7 @@ impl<R, A> Requests<R, A> {
         }
     }
 
-    /// The oldest request that somebody still waits for.
+    /// The oldest request.
     pub fn next(&self) -> Option<Pending<R, A>> {
         self.waiting.pop(Duration::ZERO)
     }

@@ -20,7 +20,7 @@ use crate::{
     transport::Handler,
 };
 
-/// How long a node may take to answer.
+/// How long a node may take to begin with an answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// A service of a node.

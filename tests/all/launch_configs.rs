@@ -1,6 +1,6 @@
 //! The files in `launch_configs/` run; those in `launch_configs/scenes` do in `scenes.rs`.
 
-use std::{fs, os::unix::fs::symlink, path::Path};
+use std::{collections::BTreeSet, fs, os::unix::fs::symlink, path::Path};
 
 use eddy::{bag::BagReader, config, launch::Plan};
 
@@ -118,7 +118,7 @@ fn launch(name: &str, place: &str, bag: &str, topics: &[(&str, u64)]) {
 /// Files that a launch file hands to what it runs are run with it.
 #[test]
 fn every_file_is_run_by_a_test() {
-    let mut run: Vec<String> = FILES.iter().map(|name| (*name).to_owned()).collect();
+    let mut run: BTreeSet<String> = FILES.iter().map(|name| (*name).to_owned()).collect();
     for name in FILES {
         let text = fs::read_to_string(file(name)).unwrap();
         let Ok(plan) = config::parse::<Plan>(Path::new(name), &text) else { continue };
@@ -126,11 +126,9 @@ fn every_file_is_run_by_a_test() {
         let handed = arguments.filter_map(|argument| argument.strip_prefix("launch_configs/"));
         run.extend(handed.map(str::to_owned));
     }
-    run.push("scenes".to_owned());
-    run.sort();
+    run.insert("scenes".to_owned());
     let entries = fs::read_dir(file("")).unwrap();
-    let mut found: Vec<_> =
+    let found: BTreeSet<_> =
         entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-    found.sort();
     assert_eq!(found, run);
 }

@@ -278,7 +278,7 @@ fn what_waits_in_the_queue_of_a_full_disk_is_counted_as_lost() {
     all_is_counted_on_a_full_disk(Duration::ZERO);
 }
 
-/// At this rate nothing waits: lost is only what the last chunk held.
+/// At this rate hardly anything waits: lost is what the last chunk held.
 #[test]
 fn what_was_in_the_last_chunk_on_a_full_disk_is_counted_as_lost() {
     all_is_counted_on_a_full_disk(Duration::from_millis(2));

@@ -65,7 +65,7 @@ impl Place {
         file
     }
 
-    /// Records a topic for some seconds, or until all frames are there. Gives their number.
+    /// Records a topic until all frames are there.
     fn recorder(&self, name: &str, topic: &str, configuration: &Path) -> Process {
         let mut command = eddy(configuration);
         command.args(["record", &format!("zenoh:{topic}"), "--output"]).arg(self.at(name));
@@ -156,6 +156,12 @@ fn frames_pass_among_those_who_show_certificate_and_password_and_nobody_else_get
             &[("\"tls/", "\"tcp/"), ("protocols: [\"tls\"]", "protocols: [\"tcp\", \"tls\"]")],
         ),
     ];
+    // Who comes later meets a player that plays already: at its first try, before the allowed one has its frames.
+    let nobody = free_port();
+    let mut playing = Process::start_until(
+        &mut place.player(&place.configuration(player, nobody, &[])),
+        "publishing",
+    );
     let mut recorders: Vec<_> = intruders
         .iter()
         .zip(&ports[1..])
@@ -169,11 +175,7 @@ fn frames_pass_among_those_who_show_certificate_and_password_and_nobody_else_get
     let forbidden = format!("{}_forbidden", place.topic);
     recorders.push(("forbidden", place.recorder("forbidden", &forbidden, &allowed)));
 
-    let nobody = free_port();
-    let mut playing = Process::start_until(
-        &mut place.player(&place.configuration(player, nobody, &[])),
-        "publishing",
-    );
+    // Started as the others were, it gets what they did not.
     let allowed = place.configuration(ports[6], player, &[]);
     let mut recorder = place.recorder("allowed", &place.topic, &allowed);
     assert!(recorder.wait().success());

@@ -31,9 +31,9 @@ import zenoh_peer
 
 
 
-def free_place():
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+def free_places():
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        return [f"tcp/127.0.0.1:{free.getsockname()[1]}" for free in (one, other)]
 
 
 def meet(listen, *dial):
@@ -41,7 +41,7 @@ def meet(listen, *dial):
 
 
 # Here we listen, and here eddy does. The sdk dials both: peers that hear of each other by a third do not always connect.
-PLACE, EDDYS = free_place(), free_place()
+PLACE, EDDYS = free_places()
 os.environ["ZENOH_CONFIG_OVERRIDE"] = meet("tcp/127.0.0.1:0", PLACE, EDDYS)
 EDDY = {**os.environ, "ZENOH_CONFIG_OVERRIDE": meet(EDDYS, PLACE)}
 
@@ -155,6 +155,7 @@ def eddy_keeps(eddy, topic, folder):
         # It asks once, and only who it knows by then.
         while topic not in dict(get_topic_names_and_types()):
             expect(time.monotonic() < deadline, "the sdk does not see the replay's publisher")
+            time.sleep(0.05)
         listener = ROS2Subscriber(topic, STRING, heard.put, msg_definition="string data\n", qos=TOKEN_QOS)
         expect(first(heard, "the sdk's subscriber").data == "kept", "the sdk's subscriber: found another message")
         time.sleep(1)

@@ -98,10 +98,12 @@ fn summarize(index: FileIndex, watch: &mut Watch<'_>) -> Result<FileIndex, BagEr
     let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let copy = file.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
     let replaced = copy_watched(&file, &copy, watch)
-        .and_then(|()| summary::end_file(&copy, index, summary::Chunks::Stay))
+        // What the copy holds counts, whatever the old summary told.
+        .and_then(|()| FileIndex::walk(&copy))
+        .and_then(|index| summary::end_file(&copy, index, summary::Chunks::Stay))
         .and_then(|index| {
             fs::rename(&copy, &file).map_err(BagError::io(&file, "replacing the file"))?;
-            Ok(index)
+            Ok(FileIndex { path: file.clone(), ..index })
         });
     if replaced.is_err() {
         // The first error counts.

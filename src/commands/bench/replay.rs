@@ -21,13 +21,16 @@ struct Report {
 /// Plays a bag, and sleeps, in turns.
 pub fn run(args: BenchReplayArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
     let BenchReplayArgs { particles, hertz, seconds, json } = args;
-    ensure!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
-    ensure!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
-    ensure!(!interrupt.requested(), "interrupted");
+    ensure!(
+        (0.0..=3600.0).contains(&seconds) && seconds > 0.0,
+        "seconds: found {seconds}, expected more than 0 and at most 3600"
+    );
+    ensure!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
     let folder = tempfile::tempdir().context("a folder for the bag")?;
     let frames = (seconds * hertz / TURNS as f64).ceil() as u32;
     let plan = Plan { particles, hertz, frames, turns: TURNS };
-    let timing = time(&folder.path().join("bag"), &plan)?;
+    let timing = time(&folder.path().join("bag"), &plan, &|| interrupt.requested())?;
+    ensure!(!interrupt.requested(), "interrupted");
     if json {
         let report = Report { particles, hertz, timing };
         println!("{}", serde_json::to_string_pretty(&report)?);

@@ -87,7 +87,8 @@ pub(super) fn receive(
                 }
             }
             Err(error) => {
-                producer.bring(Received::Failed(link.clone(), error), 0, ROOM_PATIENCE);
+                // It must not get lost: room comes, or the end.
+                producer.bring(Received::Failed(link.clone(), error), 0, Duration::MAX);
                 break;
             }
         }

@@ -2,6 +2,7 @@
 
 use std::{
     collections::HashMap,
+    ops::RangeInclusive,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicU64, Ordering},
@@ -142,21 +143,25 @@ fn attachment(sample: &Sample) -> Option<Attachment> {
 struct Gaps(HashMap<[u8; 16], Seen>);
 
 /// The messages of one publisher that have come: those from `first` to `last`, and of the ones before, which it had
-/// kept, those up to `kept`. Those up to `ahead` came as kept ones before they came as published ones, if ever.
-#[derive(Clone, Copy)]
+/// kept, those up to `kept`. Those in `ahead` came as kept ones before they came as published ones, if ever.
+#[derive(Clone)]
 struct Seen {
     first: i64,
     last: i64,
     kept: i64,
-    ahead: i64,
+    ahead: RangeInclusive<i64>,
 }
+
+/// No sequence.
+const NOTHING: RangeInclusive<i64> = RangeInclusive::new(1, 0);
 
 impl Gaps {
     /// Messages that were published between the last one and this one, but never came. `None` when this one came
     /// before.
     fn count(&mut self, message: &Attachment) -> Option<u64> {
         let (seen, is_first) = self.seen(message);
-        if message.sequence <= seen.ahead {
+        if seen.ahead.contains(&message.sequence) {
+            seen.last = seen.last.max(message.sequence);
             return None;
         }
         let last = std::mem::replace(&mut seen.last, message.sequence);
@@ -171,7 +176,9 @@ impl Gaps {
         let sequence = message.sequence;
         let (seen, is_first) = self.seen(message);
         if is_first || sequence > seen.last {
-            (seen.last, seen.ahead) = (sequence, sequence);
+            let goes_on = seen.ahead.end().checked_add(1) == Some(sequence);
+            let first = if goes_on { *seen.ahead.start() } else { sequence };
+            (seen.last, seen.ahead) = (sequence, first..=sequence);
             return true;
         }
         let is_new = seen.kept < sequence && sequence < seen.first;
@@ -193,7 +200,7 @@ impl Gaps {
                 first,
                 last,
                 kept: i64::MIN,
-                ahead: i64::MIN,
+                ahead: NOTHING,
             }),
             is_first,
         )
@@ -238,6 +245,11 @@ mod tests {
         assert_eq!(counts, [None, None, Some(0), Some(1)]);
         assert!(gaps.is_new(&message(1, 8)));
         assert_eq!([8, 9].map(|sequence| gaps.count(&message(1, sequence))), [None, Some(0)]);
+        // Those that a kept one has overtaken have not come yet.
+        assert_eq!(gaps.count(&message(2, 5)), Some(0));
+        assert!(gaps.is_new(&message(2, 8)));
+        let counts = [6, 7, 8, 9].map(|sequence| gaps.count(&message(2, sequence)));
+        assert_eq!(counts, [Some(0), Some(0), None, Some(0)]);
     }
 
     #[test]

@@ -16,7 +16,10 @@ use std::{
 };
 
 use hiroz::{
-    Builder, MessageTypeInfo, context::ZContextBuilder, msg::SerdeCdrSerdes, msg::ZMessage,
+    Builder, MessageTypeInfo,
+    context::ZContextBuilder,
+    entity::EndpointKind,
+    msg::{SerdeCdrSerdes, ZMessage},
 };
 use serde::{Deserialize, Serialize};
 
@@ -102,25 +105,27 @@ fn run(topic: &str, frames: u64) -> Result<String, String> {
 
     let deadline = Instant::now() + TIMEOUT;
     let graph = context.graph();
-    while !graph.get_node_names().iter().any(|(name, _)| name == "eddy_node")
-        || graph.count(hiroz::entity::EndpointKind::Subscription, &input) < 1
-    {
+    let of_eddy =
+        |kind| graph.get_names_and_types_by_node((String::new(), "eddy_node".to_owned()), kind);
+    let is_in = |found: &[(String, String)], name: &str, kind: &str| {
+        found.iter().any(|(found, its)| found == name && its == kind)
+    };
+    loop {
+        let (reads, writes) =
+            (of_eddy(EndpointKind::Subscription), of_eddy(EndpointKind::Publisher));
+        if is_in(&reads, &input, ParticleFrame::type_name())
+            && is_in(&writes, &output, ParticleFrame::type_name())
+            && is_in(&writes, "/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_")
+        {
+            break;
+        }
         if Instant::now() > deadline {
-            return Err(format!("no eddy_node among {:?}", graph.get_node_names()));
+            let nodes = graph.get_node_names();
+            return Err(format!("among {nodes:?} eddy_node reads {reads:?} and writes {writes:?}"));
         }
         thread::sleep(Duration::from_millis(50));
     }
     let found = graph.get_topic_names_and_types();
-    let expected = [
-        (input.as_str(), ParticleFrame::type_name()),
-        (output.as_str(), ParticleFrame::type_name()),
-        ("/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_"),
-    ];
-    for (name, kind) in expected {
-        if !found.iter().any(|(found, its)| found == name && its == kind) {
-            return Err(format!("no topic {name} of {kind} among {found:?}"));
-        }
-    }
 
     let (mut predictions, mut last) = (0, 0);
     for sequence in 0..frames {
