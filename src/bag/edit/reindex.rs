@@ -72,7 +72,7 @@ impl Reindexing {
         let (mut indexes, mut summarized) = (Vec::new(), Vec::new());
         for mut index in files {
             if !index.summarized {
-                index = match summarize(index, watch) {
+                index = match summarize(&index.path, watch) {
                     Err(BagError::Interrupted { .. }) if !summarized.is_empty() => {
                         let summarized = summarized.len();
                         return Err(BagError::PartlyReindexed { path, summarized, expected });
@@ -93,17 +93,16 @@ impl Reindexing {
 }
 
 /// Writes the summary of a file into a copy, which then takes its place.
-fn summarize(index: FileIndex, watch: &mut Watch<'_>) -> Result<FileIndex, BagError> {
-    let file = index.path.clone();
+fn summarize(file: &Path, watch: &mut Watch<'_>) -> Result<FileIndex, BagError> {
     let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let copy = file.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
-    let replaced = copy_watched(&file, &copy, watch)
+    let replaced = copy_watched(file, &copy, watch)
         // What the copy holds counts, whatever the old summary told.
         .and_then(|()| FileIndex::walk(&copy))
         .and_then(|index| summary::end_file(&copy, index, summary::Chunks::Stay))
         .and_then(|index| {
-            fs::rename(&copy, &file).map_err(BagError::io(&file, "replacing the file"))?;
-            Ok(FileIndex { path: file.clone(), ..index })
+            fs::rename(&copy, file).map_err(BagError::io(file, "replacing the file"))?;
+            Ok(FileIndex { path: file.into(), ..index })
         });
     if replaced.is_err() {
         // The first error counts.
