@@ -14,6 +14,7 @@ use eddy::{
     bag::Compression,
     model::{Architecture, Core, DeviceKind},
     mpm::Law,
+    study::Comparison,
     transport::{Link, Reliability, TransportKind},
 };
 
@@ -67,6 +68,8 @@ pub enum Command {
     Predict(PredictArgs),
     /// Judges checkpoints by free rollouts over bags.
     Eval(EvalArgs),
+    /// Runs the paper's comparisons: data, networks, judgement, one report.
+    Study(StudyArgs),
     /// Runs several of these commands from one file, and restarts what fails.
     Launch(LaunchArgs),
     /// Looks into bags, and makes bags of bags.
@@ -449,6 +452,30 @@ pub enum Rival {
     Mpm,
     /// The truth itself from positions that are off by up to 1e-4: how well anyone could predict.
     Chaos,
+}
+
+/// `eddy study`
+#[derive(Debug, Args)]
+pub struct StudyArgs {
+    /// What is compared.
+    #[arg(value_enum)]
+    pub comparison: Comparison,
+    /// Minutes on two cores: few short scenes, narrow networks, two seeds (the default).
+    #[arg(long, conflicts_with = "paper")]
+    pub quick: bool,
+    /// The paper's: 60 scenes of each preset, its widths, three seeds. Many hours on two cores.
+    #[arg(long)]
+    pub paper: bool,
+    /// A TOML file with what differs from that.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Data, networks, judgements and reports. Comparisons with the same output share data and networks; the same
+    /// command goes on where it was stopped.
+    #[arg(long, short)]
+    pub output: PathBuf,
+    /// Networks that are trained at a time.
+    #[arg(long, default_value_t = NonZeroUsize::MIN)]
+    pub jobs: NonZeroUsize,
 }
 
 /// A time that may be waited for.

@@ -10,7 +10,7 @@
 //! | layer | modules |
 //! |---|---|
 //! | L7 | `cli`, `commands`, `fuzzing` |
-//! | L6 | `bench`, `config`, `launch` |
+//! | L6 | `bench`, `config`, `launch`, `study` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine`, `ros` |
@@ -38,5 +38,6 @@ pub mod msg;
 pub mod node;
 pub mod picture;
 pub mod ros;
+pub mod study;
 pub mod train;
 pub mod transport;

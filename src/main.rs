@@ -57,6 +57,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Node(args) => commands::node::run(args, &ros, quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
+        Command::Study(args) => commands::study::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
         Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),

@@ -115,6 +115,16 @@ pub enum Activation {
 impl Activation {
     /// Every activation, the order of the paper's Fig. 5.
     pub const ALL: [Self; 4] = [Self::Sigmoid, Self::Tanh, Self::Relu, Self::Elu];
+
+    /// The word in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sigmoid => "sigmoid",
+            Self::Tanh => "tanh",
+            Self::Relu => "relu",
+            Self::Elu => "elu",
+        }
+    }
 }
 
 /// How the frame model is told a particle's material.

@@ -10,6 +10,7 @@ pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod simulate;
+pub mod study;
 pub mod topic;
 pub mod train;
 

@@ -170,7 +170,7 @@ fn introduce(config: &TrainConfig, dataset: &Dataset) {
 }
 
 /// What is free where the output is, or will be (bytes).
-fn free_disk(output: &Path) -> anyhow::Result<u64> {
+pub(super) fn free_disk(output: &Path) -> anyhow::Result<u64> {
     let there = output.ancestors().find(|folder| folder.exists()).unwrap_or(".".as_ref());
     let there = if there.as_os_str().is_empty() { ".".as_ref() } else { there };
     fs4::available_space(there).with_context(|| there.display().to_string())

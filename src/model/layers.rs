@@ -47,6 +47,17 @@ impl Linear {
         }
     }
 
+    /// Changes both tensors of a network's layer number `index` as [`Layers::update`] does.
+    pub(crate) fn update(
+        &mut self,
+        index: usize,
+        gradients: &mut Gradients,
+        change: &mut impl FnMut(usize, &mut [f32], &[f32]),
+    ) {
+        update(&mut self.weight, gradients, |values, by| change(2 * index, values, by));
+        update(&mut self.bias, gradients, |values, by| change(2 * index + 1, values, by));
+    }
+
     /// The same for inputs that are side by side, `[R, I]` and `[R, J]`.
     pub(crate) fn beside(&self, left: Tensor<2>, right: Tensor<2>) -> Tensor<2> {
         let Self { weight, bias } = self.clone();
@@ -137,8 +148,7 @@ impl Layers {
         mut change: impl FnMut(usize, &mut [f32], &[f32]),
     ) {
         for (index, linear) in self.linears_mut().into_iter().enumerate() {
-            update(&mut linear.weight, gradients, |values, by| change(2 * index, values, by));
-            update(&mut linear.bias, gradients, |values, by| change(2 * index + 1, values, by));
+            linear.update(index, gradients, &mut change);
         }
     }
 

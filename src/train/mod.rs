@@ -15,11 +15,13 @@
 //!     on after a stop.
 //! 12. `footprint`: memory and disk that a run needs, known before it starts.
 //!
-//! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed.
+//! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed; [`dense`] is the
+//! small network that the paper compares activations with.
 
 mod adam;
 mod batch;
 mod config;
+pub mod dense;
 mod density;
 mod error;
 mod events;
@@ -55,6 +57,7 @@ use crate::{
     frame::Material,
     model::{Ballistic, DeviceKind},
 };
+use config::setting;
 use gradients::{Slope, Task};
 use monitor::{BatchDone, Monitor};
 use state::State;
@@ -278,22 +281,9 @@ fn describe(
     };
     let particles = first.material.len();
     if config.architecture == Architecture::Frame {
-        let streams = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
-        if let Some(other) = streams.clone().find(|stream| stream.material.len() != particles) {
-            return Err(TrainError::Particles {
-                source_file: other.source.clone(),
-                stream: other.id,
-                found: other.material.len(),
-                expected: particles,
-            });
-        }
+        same_particles(dataset, particles)?;
     }
-    let scale = &dataset.normalization;
-    let constant = |&feature: &usize| scale.minimum[feature] >= scale.maximum[feature];
-    if let Some(feature) = (0..4).find(constant) {
-        let found = scale.minimum[feature];
-        return Err(TrainError::Constant { feature: ["x", "y", "vx", "vy"][feature], found });
-    }
+    no_constant_feature(dataset)?;
     // Of every part: in a small set, a material may be in the validation part only.
     let parts = [&dataset.train, &dataset.validation, &dataset.test];
     let streams = parts.into_iter().flatten();
@@ -323,6 +313,33 @@ fn describe(
             ..TrainingSummary::default()
         },
     })
+}
+
+/// Refuses streams that have another number of particles.
+fn same_particles(dataset: &Dataset, particles: usize) -> Result<(), TrainError> {
+    let mut streams = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
+    match streams.find(|stream| stream.material.len() != particles) {
+        None => Ok(()),
+        Some(other) => Err(TrainError::Particles {
+            source_file: other.source.clone(),
+            stream: other.id,
+            found: other.material.len(),
+            expected: particles,
+        }),
+    }
+}
+
+/// Refuses features without a range to be divided by.
+fn no_constant_feature(dataset: &Dataset) -> Result<(), TrainError> {
+    let scale = &dataset.normalization;
+    let constant = |&feature: &usize| scale.minimum[feature] >= scale.maximum[feature];
+    match (0..4).find(constant) {
+        None => Ok(()),
+        Some(feature) => {
+            let found = scale.minimum[feature];
+            Err(TrainError::Constant { feature: ["x", "y", "vx", "vy"][feature], found })
+        }
+    }
 }
 
 fn sampler_for<'a>(

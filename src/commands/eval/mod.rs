@@ -12,7 +12,7 @@ use anyhow::{Context, ensure};
 
 use super::{Interrupt, simulate::memory, surrogate};
 use crate::cli::EvalArgs;
-use eddy::{checkpoint::Checkpoint, dataset, eval::Settings};
+use eddy::{checkpoint::Checkpoint, dataset, eval::{Report, Settings}};
 
 pub(super) use contest::judge_alone;
 
@@ -21,6 +21,15 @@ use survey::Survey;
 
 /// Judges all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    judge(&args, quiet, interrupt).map(|_| ())
+}
+
+/// The same, for who goes on with the report.
+pub(super) fn judge(
+    args: &EvalArgs,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<Report> {
     ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
     ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
     let settings = Settings::full(args.horizon, args.starts);
@@ -32,7 +41,7 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let streams = dataset::load_trajectories(&args.data, memory::available() / 2, &mut |_, _| ())?;
     let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
     let survey = Survey::new(settings, &descriptions, streams)?;
-    let contest = Contest::new(&args, checkpoints, survey, interrupt)?;
+    let contest = Contest::new(args, checkpoints, survey, interrupt)?;
     let report = contest.judge(quiet, interrupt)?;
 
     let folder = &args.output;
@@ -43,5 +52,5 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     );
     println!("{}", report.tables());
     println!("{}", folder.join("report.json").display());
-    Ok(())
+    Ok(report)
 }

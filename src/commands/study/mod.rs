@@ -1,0 +1,172 @@
+//! `eddy study`: the paper's comparisons, from nothing to a report.
+//!
+//! 1. The scenes of every preset are simulated, as `eddy simulate` does.
+//! 2. [`networks`]: what is compared is trained with every seed, some at a time, as `eddy train` does.
+//!    [`curves`]: the same for the dense networks of the activations.
+//! 3. The networks are judged on the scenes that nobody was trained on, as `eddy eval` does.
+//! 4. [`speed`]: how long training steps take.
+//!
+//! What has come to its end is not done again.
+
+mod curves;
+mod networks;
+mod speed;
+
+use std::{
+    fs,
+    path::Path,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use anyhow::{Context, bail};
+use clap::Parser as _;
+
+use super::{Interrupt, eval, simulate};
+use crate::cli::{Cli, Command, StudyArgs};
+use eddy::{
+    config::Overrides,
+    study::{Comparison, Folders, StudyConfig, Variant},
+};
+
+/// Runs a comparison.
+pub fn run(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let study = settings(&args)?;
+    let work = Work {
+        folders: Folders::new(&args.output),
+        comparison: args.comparison,
+        variants: args.comparison.variants(&study),
+        presets: args.comparison.presets(&study),
+        study: &study,
+        jobs: args.jobs.get(),
+        quiet,
+        interrupt,
+        failed: AtomicBool::new(false),
+    };
+    work.simulate()?;
+    match args.comparison {
+        Comparison::Activations => curves::run(&work)?,
+        Comparison::Cores | Comparison::Loss | Comparison::Window => networks::run(&work)?,
+    }
+    if interrupt.requested() {
+        bail!("interrupted: the same command goes on");
+    }
+    work.judge()?;
+    if args.comparison == Comparison::Cores {
+        speed::run(&work)?;
+    }
+    Ok(())
+}
+
+/// A preset's settings, then those of the file.
+fn settings(args: &StudyArgs) -> anyhow::Result<StudyConfig> {
+    let defaults = if args.paper { StudyConfig::paper() } else { StudyConfig::quick() };
+    let named = || match &args.config {
+        Some(file) => file.display().to_string(),
+        None => "command line".to_owned(),
+    };
+    let study = match &args.config {
+        Some(file) => Overrides::read(file)?.over(&defaults)?,
+        None => defaults,
+    };
+    study.check().with_context(named)?;
+    study.dense.check().with_context(named)?;
+    for Variant { config, .. } in args.comparison.variants(&study) {
+        config.check().with_context(named)?;
+    }
+    Ok(study)
+}
+
+/// A comparison on its way.
+struct Work<'a> {
+    folders: Folders,
+    comparison: Comparison,
+    study: &'a StudyConfig,
+    variants: Vec<Variant>,
+    presets: &'a [String],
+    /// Networks that are trained at a time.
+    jobs: usize,
+    quiet: bool,
+    interrupt: &'a Interrupt,
+    /// Whether one of them has failed: the others stop.
+    failed: AtomicBool,
+}
+
+impl Work<'_> {
+    /// Whether what runs is to stop.
+    fn stops(&self) -> bool {
+        self.interrupt.requested() || self.failed.load(Ordering::Relaxed)
+    }
+
+    fn simulate(&self) -> anyhow::Result<()> {
+        for preset in self.presets {
+            let data = &self.study.data;
+            let mut words = command("simulate");
+            words.extend(["--preset".into(), preset.clone()]);
+            words.extend(["--scenes".into(), data.scenes.to_string()]);
+            words.extend(["--seed".into(), data.seed.to_string()]);
+            if let Some(duration) = data.duration {
+                words.extend(["--duration".into(), duration.to_string()]);
+            }
+            words.extend(["--output".into(), in_words(&self.folders.data(preset))]);
+            self.tell(&words.join(" "));
+            let Command::Simulate(args) = Cli::try_parse_from(&words)?.command else {
+                bail!("{}: found another command, expected simulate", words.join(" "));
+            };
+            simulate::run(args, self.quiet, self.interrupt)?;
+        }
+        Ok(())
+    }
+
+    /// Judges every network on each preset.
+    fn judge(&self) -> anyhow::Result<()> {
+        if self.variants.is_empty() {
+            return Ok(());
+        }
+        for preset in self.presets {
+            let mut words = command("eval");
+            words.push("--checkpoint".into());
+            words.extend(self.runs().map(|(variant, seed)| {
+                in_words(&self.folders.run(preset, &variant.name, seed))
+            }));
+            words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
+            words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
+            words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
+            let folder = self.folders.judgement(self.comparison, preset);
+            words.extend(["--output".into(), in_words(&folder)]);
+            self.tell(&words.join(" "));
+            let Command::Eval(args) = Cli::try_parse_from(&words)?.command else {
+                bail!("{}: found another command, expected eval", words.join(" "));
+            };
+            eval::judge(&args, self.quiet, self.interrupt)?;
+        }
+        Ok(())
+    }
+
+    /// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+    fn runs(&self) -> impl Iterator<Item = (&Variant, u64)> {
+        let seeds = self.study.seeds.iter();
+        seeds.flat_map(|&seed| self.variants.iter().map(move |variant| (variant, seed)))
+    }
+
+    fn tell(&self, line: &str) {
+        if !self.quiet {
+            println!("{line}");
+        }
+    }
+}
+
+/// The first words of a command line.
+fn command(name: &str) -> Vec<String> {
+    vec!["eddy".to_owned(), name.to_owned()]
+}
+
+fn in_words(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// Writes a settings file, so that its command line can be given by hand.
+fn write(file: &Path, text: &str) -> anyhow::Result<()> {
+    let folder = file.parent().unwrap_or(Path::new("."));
+    let written = fs::create_dir_all(folder).and_then(|()| fs::write(file, text));
+    written.with_context(|| file.display().to_string())
+}

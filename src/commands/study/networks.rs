@@ -1,0 +1,133 @@
+//! Networks that are trained once with every seed.
+
+use std::{
+    collections::VecDeque,
+    fs,
+    path::PathBuf,
+    sync::{Mutex, PoisonError, atomic::Ordering},
+    thread,
+};
+
+use anyhow::{Context, bail};
+
+use super::{Work, command, in_words, write};
+use crate::commands::{pages, progress_bar, simulate::memory, train::free_disk};
+use eddy::{
+    dataset::Dataset,
+    model::DeviceKind,
+    study::Trained,
+    train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
+};
+
+/// A network with one seed.
+struct Task {
+    /// Its name in what is printed.
+    name: String,
+    config: TrainConfig,
+    output: PathBuf,
+}
+
+/// Trains what is not trained yet.
+pub(super) fn run(work: &Work) -> anyhow::Result<()> {
+    pages::keep_freed();
+    for preset in work.presets {
+        let mut tasks = VecDeque::new();
+        for (variant, seed) in work.runs() {
+            let config = TrainConfig { seed, ..variant.config.clone() };
+            let output = work.folders.run(preset, &variant.name, seed);
+            if Trained::find(&output, &config)?.is_none() {
+                let name = format!("{preset} {} seed {seed}", variant.name);
+                tasks.push_back(Task { name, config, output });
+            }
+        }
+        if tasks.is_empty() {
+            continue;
+        }
+        let data = work.folders.data(preset);
+        let dataset = Dataset::load(&[data], memory::available() / 2, &mut |_, _| ())?;
+        let bar = progress_bar(tasks.len() as u64, "networks", work.quiet);
+        bar.tick();
+        let jobs = work.jobs.min(tasks.len());
+        let memory = memory::available() / jobs as u64;
+        let tasks = Mutex::new(tasks);
+        let next = || tasks.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+        let worker = || -> anyhow::Result<()> {
+            while let Some(task) = next() {
+                if work.stops() {
+                    break;
+                }
+                let outcome = task.run(work, preset, &dataset, memory, jobs);
+                let line = outcome.inspect_err(|_| work.failed.store(true, Ordering::Relaxed))?;
+                bar.suspend(|| work.tell(&line));
+                bar.inc(1);
+            }
+            Ok(())
+        };
+        let outcomes: Vec<anyhow::Result<()>> = thread::scope(|scope| {
+            let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
+            workers
+                .into_iter()
+                .map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p)))
+                .collect()
+        });
+        bar.finish_and_clear();
+        outcomes.into_iter().collect::<anyhow::Result<()>>()?;
+        if work.stops() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+impl Task {
+    /// Trains it, and gives a line about it.
+    fn run(
+        &self,
+        work: &Work,
+        preset: &str,
+        dataset: &Dataset,
+        memory: u64,
+        at_once: usize,
+    ) -> anyhow::Result<String> {
+        let Self { name, config, output } = self;
+        // Beside the folder, as this is made by who trains.
+        let settings = output.with_extension("toml");
+        write(&settings, &toml::to_string(config)?)?;
+        let mut words = command("train");
+        words.extend(["--data".into(), in_words(&work.folders.data(preset))]);
+        words.extend(["--config".into(), in_words(&settings)]);
+        words.extend(["--output".into(), in_words(output), "--resume".into()]);
+        let run = Run {
+            device: DeviceKind::Flex,
+            output,
+            resume: true,
+            machine: Machine { memory, disk: free_disk(output)? },
+            command: words.join(" "),
+            quiet: true,
+            interrupted: &|| work.stops(),
+        };
+        let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
+        if outcome.interrupted {
+            return Ok(format!("{name}: stopped after {} epochs", outcome.epochs.len()));
+        }
+        let Some(best) = outcome.best else { bail!("{name}: found no epoch, expected one") };
+        let trained = Trained {
+            data: dataset.digest.clone(),
+            parameters: best.parameters(),
+            seconds: outcome.seconds,
+            at_once,
+            samples: outcome.samples,
+            config: config.clone(),
+            epochs: outcome.epochs,
+        };
+        trained.save(output)?;
+        // What is needed to go on is three times as large as the network, and not needed any more.
+        let last = output.join(LAST_FOLDER);
+        fs::remove_dir_all(&last).with_context(|| last.display().to_string())?;
+        let best = &best.description.training;
+        Ok(format!(
+            "{name}: {} epochs in {:.0} s, best {} with a validation loss of {:.3}",
+            best.epochs, trained.seconds, best.best_epoch, best.validation_loss
+        ))
+    }
+}

@@ -1,0 +1,152 @@
+//! What a part of a study came to, as a file that says which part it is.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::{
+    checkpoint::Activation,
+    train::{
+        Epoch, TrainConfig,
+        dense::{DenseConfig, DenseCurve},
+    },
+};
+
+/// A network that was trained to its end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trained {
+    /// Digest of the data.
+    pub data: String,
+    /// Numbers that were learned.
+    pub parameters: usize,
+    /// Time of the training, validation included (s).
+    pub seconds: f64,
+    /// Networks that were trained at the same time.
+    pub at_once: usize,
+    /// Windows seen.
+    pub samples: u64,
+    /// How it was trained.
+    pub config: TrainConfig,
+    /// Every epoch.
+    pub epochs: Vec<Epoch>,
+}
+
+/// The learning curve of a dense network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Digest of the data.
+    pub data: String,
+    /// What is behind its layers.
+    pub activation: Activation,
+    /// Seed of its weights and of the order of the data.
+    pub seed: u64,
+    /// How it was trained.
+    pub config: DenseConfig,
+    /// What came out.
+    pub curve: DenseCurve,
+}
+
+/// Why a result is of no use.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultError {
+    /// The file cannot be read or written.
+    #[error("{}: {reason}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        reason: io::Error,
+    },
+    /// It is no result.
+    #[error("{}: found {reason}, expected the result of a training", file.display())]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// Line and column, and what is wrong there.
+        reason: String,
+    },
+    /// It is that of another study.
+    #[error(
+        "{}: found a training with other settings or data, expected those of this study: they go to another --output",
+        file.display()
+    )]
+    Other {
+        /// The file.
+        file: PathBuf,
+    },
+}
+
+/// The name of its file in the folder of a run.
+const TRAINED_FILE: &str = "trained.toml";
+
+impl Trained {
+    /// The result in the folder of a run, if it came to its end.
+    ///
+    /// # Errors
+    /// [`ResultError`], also where it is that of a training with other settings.
+    pub fn find(folder: &Path, config: &TrainConfig) -> Result<Option<Self>, ResultError> {
+        find(folder.join(TRAINED_FILE), |trained: &Self| trained.config == *config)
+    }
+
+    /// Writes it to the folder of its run.
+    ///
+    /// # Errors
+    /// [`ResultError::File`].
+    pub fn save(&self, folder: &Path) -> Result<(), ResultError> {
+        save(folder.join(TRAINED_FILE), self)
+    }
+}
+
+impl Curve {
+    /// The curve in a file, if it came to its end.
+    ///
+    /// # Errors
+    /// [`ResultError`], also where it is that of a training with other settings.
+    pub fn find(file: &Path, config: &DenseConfig) -> Result<Option<Self>, ResultError> {
+        find(file.to_owned(), |curve: &Self| curve.config == *config)
+    }
+
+    /// Writes it to a file.
+    ///
+    /// # Errors
+    /// [`ResultError::File`].
+    pub fn save(&self, file: &Path) -> Result<(), ResultError> {
+        save(file.to_owned(), self)
+    }
+}
+
+fn find<T: DeserializeOwned>(
+    file: PathBuf,
+    is_ours: impl Fn(&T) -> bool,
+) -> Result<Option<T>, ResultError> {
+    let text = match fs::read_to_string(&file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(reason) => return Err(ResultError::File { file, reason }),
+    };
+    match toml::from_str(&text) {
+        Ok(result) if is_ours(&result) => Ok(Some(result)),
+        Ok(_) => Err(ResultError::Other { file }),
+        Err(error) => {
+            let reason = error.to_string().trim_end().replace('\n', " ");
+            Err(ResultError::Damaged { file, reason })
+        }
+    }
+}
+
+/// Whole or not at all.
+fn save(file: PathBuf, result: &impl Serialize) -> Result<(), ResultError> {
+    let text = toml::to_string(result).expect("numbers, words and tables of them are all TOML");
+    let written = || {
+        let folder = file.parent().unwrap_or(Path::new("."));
+        fs::create_dir_all(folder)?;
+        let mut draft = tempfile::NamedTempFile::new_in(folder)?;
+        io::Write::write_all(&mut draft, text.as_bytes())?;
+        draft.persist(&file)?;
+        Ok(())
+    };
+    written().map_err(|reason: io::Error| ResultError::File { file: file.clone(), reason })
+}
