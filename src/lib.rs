@@ -14,7 +14,7 @@
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine`, `ros` |
-//! | L2 | `bag`, `transport`, `model` |
+//! | L2 | `bag`, `model`, `page`, `transport` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
 
@@ -36,6 +36,7 @@ pub mod model;
 pub mod mpm;
 pub mod msg;
 pub mod node;
+pub mod page;
 pub mod picture;
 pub mod ros;
 pub mod train;
