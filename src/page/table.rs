@@ -65,6 +65,23 @@ impl Table {
         self.rows.is_empty()
     }
 
+    /// What it shows.
+    pub fn caption(&self) -> &str {
+        &self.caption
+    }
+
+    /// Titles of the columns, that of the rows' names first.
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// The words of each row, its name first: for a terminal.
+    pub fn rows(&self) -> impl Iterator<Item = Vec<&str>> {
+        self.rows.iter().map(|(name, cells)| {
+            std::iter::once(name).chain(cells).map(|cell| cell.text.as_str()).collect()
+        })
+    }
+
     pub(super) fn markup(&self) -> Markup {
         html! {
             // Scrolls by itself where the page is too narrow.

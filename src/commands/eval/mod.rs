@@ -3,7 +3,9 @@
 //! 1. [`survey`]: the streams, what they have in common, which of them no checkpoint has seen.
 //! 2. [`rivals`]: what the streams were simulated from, for solvers that start from the same frames.
 //! 3. [`contest`]: who is judged; scenes in parallel, then the time of a frame, then the report.
+//! 4. [`compare`]: reports that were written before, side by side.
 
+mod compare;
 mod contest;
 mod rivals;
 mod survey;
@@ -21,6 +23,9 @@ use survey::Survey;
 
 /// Judges all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    if !args.compare.is_empty() {
+        return compare::run(&args.compare, args.output.as_deref());
+    }
     ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
     ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
     let settings = Settings::full(args.horizon, args.starts);
@@ -35,13 +40,14 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let contest = Contest::new(&args, checkpoints, survey, interrupt)?;
     let report = contest.judge(quiet, interrupt)?;
 
-    let folder = &args.output;
+    // Wrong usage without it.
+    let folder = args.output.as_deref().context("--output: found none, expected a folder")?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
     println!(
         "{} free rollouts over {} streams, compared for {} frames, watched for {}",
         report.windows, report.streams, report.horizon, report.reach
     );
     println!("{}", report.tables());
-    println!("{}", folder.join("report.json").display());
+    println!("{}", folder.join("report.html").display());
     Ok(())
 }
