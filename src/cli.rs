@@ -416,14 +416,22 @@ pub struct PredictArgs {
 pub struct EvalArgs {
     /// The checkpoints to judge, side by side; those that differ only in their training count as seeds
     /// of one model.
-    #[arg(long, required = true, num_args = 1..)]
+    #[arg(long, required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags.
-    #[arg(long, required = true, num_args = 1..)]
+    #[arg(long, required_unless_present = "compare", num_args = 1..)]
     pub data: Vec<PathBuf>,
-    /// Where report.json, curves.csv and cost_error.png go.
-    #[arg(long, short)]
-    pub output: PathBuf,
+    /// Where report.html, report.json, curves.csv and cost_error.png go; of a comparison, the HTML file.
+    #[arg(long, short, required_unless_present = "compare")]
+    pub output: Option<PathBuf>,
+    /// Put reports of the same data side by side, folders or their report.json, instead of judging.
+    #[arg(
+        long,
+        value_name = "REPORT",
+        num_args = 2..,
+        conflicts_with_all = ["checkpoint", "data", "horizon", "starts", "rivals", "join_late", "threads"]
+    )]
+    pub compare: Vec<PathBuf>,
     /// Frames of the free rollouts that are compared with the truth; they go on to frame 200 to see
     /// whether they blow up.
     #[arg(long, default_value_t = 100)]

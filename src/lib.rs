@@ -9,12 +9,13 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | L7 | `cli`, `commands`, `fuzzing` |
-//! | L6 | `bench`, `config`, `launch`, `study` |
+//! | L8 | `cli`, `commands`, `fuzzing` |
+//! | L7 | `study` |
+//! | L6 | `bench`, `config`, `launch` |
 //! | L5 | `node`, `train` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine`, `ros` |
-//! | L2 | `bag`, `transport`, `model` |
+//! | L2 | `bag`, `model`, `page`, `transport` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame` |
 
@@ -36,6 +37,7 @@ pub mod model;
 pub mod mpm;
 pub mod msg;
 pub mod node;
+pub mod page;
 pub mod picture;
 pub mod ros;
 pub mod study;

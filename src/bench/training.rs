@@ -2,7 +2,7 @@
 
 use std::{fmt, str::FromStr};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::{
     clock::Clock,
@@ -83,7 +83,7 @@ impl fmt::Display for Step {
 }
 
 /// The time of a step.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
     /// What took it.
     pub what: Part,
@@ -117,6 +117,14 @@ impl Step {
         let Self { part, core, frames, .. } = *self;
         Timing { what: part, core, frames, windows, milliseconds }
     }
+}
+
+/// The paper's table, row by row: the whole network with its window, then the core alone by frames.
+pub fn paper_steps() -> Vec<Step> {
+    let kinds = [(Part::Frame, FRAMES[0])].into_iter().chain(FRAMES.map(|t| (Part::Core, t)));
+    kinds
+        .flat_map(|(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None }))
+        .collect()
 }
 
 /// Multiplications (each with an addition) of a core's matrix products for each layer and frame, in units

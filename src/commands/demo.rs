@@ -259,7 +259,7 @@ fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyho
     let report = judge_alone(node.surrogate(), "demo", streams, settings, &bar)?;
     bar.finish_and_clear();
     report.save(folder)?;
-    println!("report: {}", folder.join("report.json").display());
+    println!("report: {}", folder.join("report.html").display());
     println!("\nfree rollouts from {} frames of this scene:\n{}", report.windows, report.tables());
     Ok(())
 }

@@ -56,6 +56,17 @@ impl Stream {
             && frame.material == self.material
     }
 
+    /// The name of the bag that it was read from.
+    pub fn name(&self) -> String {
+        let stem = self.source.file_stem().unwrap_or(self.source.as_os_str());
+        stem.to_string_lossy().into_owned()
+    }
+
+    /// The materials that occur.
+    pub fn materials(&self) -> Vec<Material> {
+        Material::ALL.into_iter().filter(|material| self.material.contains(material)).collect()
+    }
+
     /// State number `index` as a frame.
     pub fn frame(&self, index: usize) -> Frame {
         let state = &self.states[index];

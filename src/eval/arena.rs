@@ -1,9 +1,9 @@
 //! What is the same for everyone who is judged.
 
-use super::{EvalError, RANGES, window::starts};
+use super::{EvalError, Units, window::starts};
 use crate::{
     checkpoint::{Description, Normalization},
-    dataset::Bounds,
+    dataset::{Bounds, State},
     frame::Domain,
     model::Ballistic,
 };
@@ -51,13 +51,15 @@ pub struct Arena {
     pub domain: Domain,
     /// Distance between neighbouring particles at rest (domain lengths).
     pub spacing: f32,
-    /// What MinMax errors of x, y, vx, vy are divided by.
-    pub ranges: [f64; RANGES],
+    /// What normalised errors are divided by.
+    pub units: Units,
+    /// Mean of x, y, vx, vy in the training of the first model (domain lengths, domain lengths per second).
+    pub mean: [f32; 4],
 }
 
 impl Arena {
-    /// The arena for models of which this is the first: interval, gravity and the ranges of MinMax errors
-    /// are its own. `domain` is that of the streams: a particle model may have been trained in another.
+    /// The arena for models of which this is the first: interval, gravity and the units of normalised
+    /// errors are its own. `domain` is that of the streams: a particle model may have been trained in another.
     pub fn new(
         settings: Settings,
         first: &Description,
@@ -74,8 +76,15 @@ impl Arena {
             ballistic: Ballistic { gravity, dt, lower, upper },
             domain,
             spacing,
-            ranges: ranges(&first.normalization),
+            units: units(&first.normalization),
+            mean: first.normalization.mean,
         }
+    }
+
+    /// So many particles as they were on average in the training.
+    pub(super) fn mean_state(&self, particles: usize) -> State {
+        let [x, y, vx, vy] = self.mean;
+        State { position: vec![[x, y]; particles], velocity: vec![[vx, vy]; particles] }
     }
 
     /// The frames of a stream of `frames` frames from which rollouts start.
@@ -96,8 +105,9 @@ impl Arena {
     }
 }
 
-fn ranges(normalization: &Normalization) -> [f64; RANGES] {
-    std::array::from_fn(|f| {
-        f64::from(normalization.maximum[f] - normalization.minimum[f]).max(f64::EPSILON)
-    })
+fn units(normalization: &Normalization) -> Units {
+    let Normalization { minimum, maximum, standard_deviation, .. } = normalization;
+    let range = |f: usize| f64::from(maximum[f] - minimum[f]).max(f64::EPSILON);
+    let deviation = |f: usize| f64::from(standard_deviation[f]).max(f64::EPSILON);
+    Units { ranges: std::array::from_fn(range), deviations: std::array::from_fn(deviation) }
 }

@@ -1,6 +1,6 @@
 //! What a predicted frame costs.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{Arena, EvalError, Kind, Predictor, chaos};
 use crate::{clock::Clock, dataset::Stream, engine::Surrogate, mpm::Scene};
@@ -12,7 +12,7 @@ const START: f64 = 0.15;
 
 /// The time of a predicted frame on one thread. How many substeps a solver takes depends on the material:
 /// kinds of scenes are timed apart, and count the same.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Mean of the kinds' medians (ms).
     pub p50: f64,
@@ -25,7 +25,7 @@ pub struct Cost {
 }
 
 /// The time of a predicted frame in scenes of one kind.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCost {
     /// The kind.
     pub kind: Kind,
@@ -60,7 +60,7 @@ impl KindCost {
 }
 
 /// Times a predictor on some streams, one frame after the other: as many of each. Models must have
-/// been loaded for one thread. `None` for what takes no time, the truth; kinds of scenes in which a solver
+/// been loaded for one thread. `None` for what takes no time, the truth and the mean; kinds of scenes in which a solver
 /// fails have no time.
 ///
 /// # Errors
@@ -113,7 +113,7 @@ fn add_times(
                 run(times, || matches!(simulation.next_frame(), Ok(Some(_))));
             }
         }
-        Predictor::Truth => {}
+        Predictor::Mean | Predictor::Truth => {}
     }
     Ok(())
 }

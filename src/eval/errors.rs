@@ -1,7 +1,23 @@
 //! Squared errors, summed over windows, for each material and frame ahead.
 
-use super::RANGES;
+use serde::{Deserialize, Serialize};
+
+use super::FEATURES;
 use crate::{dataset::State, frame::Material};
+
+/// What normalised errors of x, y, vx, vy are divided by: two ways of the first checkpoint's training.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Units {
+    /// Range of each feature in the training, for MinMax errors.
+    pub ranges: [f64; FEATURES],
+    /// Standard deviation of each feature in the training, for z-score errors.
+    pub deviations: [f64; FEATURES],
+}
+
+impl Units {
+    /// Nothing is divided.
+    pub const ONE: Self = Self { ranges: [1.0; FEATURES], deviations: [1.0; FEATURES] };
+}
 
 /// Sums over particles and windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -14,6 +30,8 @@ pub struct Errors {
     pub velocity: f64,
     /// Sum over the four features of squared errors in units of each feature's range.
     pub minmax: f64,
+    /// Sum over the four features of squared errors in units of each feature's standard deviation.
+    pub zscore: f64,
 }
 
 impl Errors {
@@ -29,7 +47,12 @@ impl Errors {
 
     /// Mean squared error of the MinMax-normalised features x, y, vx, vy.
     pub fn minmax_mse(&self) -> f64 {
-        self.minmax / (RANGES as f64 * self.count)
+        self.minmax / (FEATURES as f64 * self.count)
+    }
+
+    /// Mean squared error of the features x, y, vx, vy as z-scores.
+    pub fn zscore_mse(&self) -> f64 {
+        self.zscore / (FEATURES as f64 * self.count)
     }
 
     /// Adds the sums of others.
@@ -38,21 +61,21 @@ impl Errors {
         self.position += other.position;
         self.velocity += other.velocity;
         self.minmax += other.minmax;
+        self.zscore += other.zscore;
     }
 }
 
 /// Errors for each frame ahead and each material.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorSums {
-    ranges: [f64; RANGES],
+    units: Units,
     sums: Vec<[Errors; Material::COUNT]>,
 }
 
 impl ErrorSums {
-    /// No errors yet, for `horizon` frames ahead; `ranges` of x, y, vx, vy are what MinMax errors are
-    /// divided by.
-    pub fn new(horizon: usize, ranges: [f64; RANGES]) -> Self {
-        Self { ranges, sums: vec![Default::default(); horizon] }
+    /// No errors yet, for `horizon` frames ahead.
+    pub fn new(horizon: usize, units: Units) -> Self {
+        Self { units, sums: vec![Default::default(); horizon] }
     }
 
     /// Adds one window: predicted and true states, one for each frame ahead. Frames without truth add
@@ -62,12 +85,16 @@ impl ErrorSums {
             for (particle, &kind) in material.iter().enumerate() {
                 let dx = difference(predicted.position[particle], truth.position[particle]);
                 let dv = difference(predicted.velocity[particle], truth.velocity[particle]);
-                let relative = [dx[0], dx[1], dv[0], dv[1]];
+                let errors = [dx[0], dx[1], dv[0], dv[1]];
+                let relative = |units: [f64; FEATURES]| {
+                    errors.iter().zip(units).map(|(e, unit)| (e / unit) * (e / unit)).sum()
+                };
                 sums[kind as usize].add(&Errors {
                     count: 1.0,
                     position: square(dx),
                     velocity: square(dv),
-                    minmax: relative.iter().zip(self.ranges).map(|(e, r)| (e / r) * (e / r)).sum(),
+                    minmax: relative(self.units.ranges),
+                    zscore: relative(self.units.deviations),
                 });
             }
         }
@@ -122,12 +149,14 @@ mod tests {
             position: vec![[0.3, 0.4], [0.0, 0.0]],
             velocity: vec![[0.0, 0.0], [2.0, 0.0]],
         };
-        let mut sums = ErrorSums::new(2, [1.0, 1.0, 4.0, 4.0]);
+        let units = Units { ranges: [1.0, 1.0, 4.0, 4.0], deviations: [0.5; 4] };
+        let mut sums = ErrorSums::new(2, units);
         sums.add(&[Material::Liquid, Material::Rope], &[predicted.clone(), predicted], &[truth]);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-6;
         let liquid = sums.of(Material::Liquid)[0];
         assert!(close(liquid.position_rmse(), 0.5));
         assert!(close(liquid.minmax_mse(), 0.25 / 4.0));
+        assert!(close(liquid.zscore_mse(), 4.0 * 0.25 / 4.0));
         let total = sums.total()[0];
         assert!(close(total.position_rmse(), 0.5 / 2f64.sqrt()));
         assert!(close(total.velocity_rmse(), 2.0 / 2f64.sqrt()));

@@ -1,11 +1,11 @@
 //! What a scene is made of, the heading under which it is judged.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::frame::Material;
 
 /// A kind of scenes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// Liquid alone.

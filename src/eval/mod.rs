@@ -10,7 +10,8 @@
 //! 5. [`scene`]: one scene judged, every predictor from the same frames; [`kind`]: its heading.
 //! 6. [`skill`]: errors against the best baseline, with bootstrap intervals over scenes.
 //! 7. [`cost`]: time of a predicted frame.
-//! 8. [`report`]: all of it as JSON, CSV, tables and a plot.
+//! 8. [`snapshot`]: frames of a rollout beside the true ones, to look at.
+//! 9. [`report`]: all of it as JSON, CSV, tables and a page; several reports side by side.
 //!
 //! Scenes are judged one at a time, so that no more than one is in memory for each thread.
 
@@ -21,34 +22,39 @@ mod cost;
 mod errors;
 mod kind;
 mod measure;
+mod numbers;
 mod predictor;
 mod report;
 mod restart;
 mod rollout;
 mod scene;
 mod skill;
+mod snapshot;
 mod steps;
 mod window;
 
 pub use arena::{Arena, Settings};
 pub use baseline::Baseline;
 pub use cost::{Cost, KindCost, time};
-pub use errors::{ErrorSums, Errors, mean_squared_distance};
+pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
 pub use kind::Kind;
-pub use measure::{BlowUps, FlightSums, Mean, Physics, SHOWN};
+pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN};
 pub use predictor::Predictor;
-pub use report::{Contestant, Entry, Judged, KindCount, Origin, Report, Role};
+pub use report::{
+    Comparison, Contestant, Entry, Judged, KindCount, Origin, Report, ReportError, Role,
+};
 pub use restart::{Restart, Restarted};
 pub use rollout::Rollout;
 pub use scene::{JudgedScene, Tally, judge_scene};
 pub use skill::{Interval, Skills};
+pub use snapshot::{Snapshot, snapshot};
 pub use steps::{OnTheWay, StepSums};
 pub use window::starts;
 
 use crate::{engine::ModelError, mpm::MpmError};
 
-/// Features that MinMax errors have ranges of: x, y, vx, vy.
-const RANGES: usize = 4;
+/// Features that normalised errors are taken of: x, y, vx, vy.
+const FEATURES: usize = 4;
 
 /// Why streams cannot be judged.
 #[derive(Debug, thiserror::Error)]

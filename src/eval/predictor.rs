@@ -22,6 +22,8 @@ pub enum Predictor<'a> {
     JoinedLate(&'a Surrogate),
     /// What learns nothing.
     Baseline(Baseline),
+    /// Every particle as it was on average in the training: what z-score errors are measured by.
+    Mean,
     /// The solver, restarted.
     Restart(Restart),
     /// The truth, slightly displaced.
@@ -84,6 +86,14 @@ impl Predictor<'_> {
             }
             Self::Baseline(baseline) => {
                 Some(roll_out_baseline(baseline, &arena.ballistic, what, each))
+            }
+            Self::Mean => {
+                let state = arena.mean_state(stream.material.len());
+                for (number, &start) in starts.iter().enumerate() {
+                    let observed = &stream.states[start];
+                    each(number, Rollout::collect(observed, reach, || Some(state.clone())));
+                }
+                None
             }
             Self::Restart(restart) => {
                 let scene = scene()?;

@@ -2,11 +2,11 @@
 
 use super::{
     Arena, ErrorSums, EvalError, Kind, Predictor, Rollout,
-    measure::{BlowUps, FlightSums, Flights, Physics, Rest, SHOWN, Window, most_energy},
+    measure::{BlowUps, Bulk, FlightSums, Flights, Physics, Rest, SHOWN, Window, most_energy},
     predictor::{Predicting, RolledOut},
     steps::{OnTheWay, StepSums},
 };
-use crate::{dataset::Stream, mpm::Scene};
+use crate::{dataset::Stream, frame::Material, mpm::Scene};
 
 /// What one predictor came to in one scene, or in several.
 #[derive(Clone, Debug)]
@@ -19,6 +19,8 @@ pub struct Tally {
     pub flight: FlightSums,
     /// Physical measures at each of [`SHOWN`] within the horizon; none where they were not asked for.
     pub physics: Vec<Physics>,
+    /// What all particles have together at each frame ahead; none where measures were not asked for.
+    pub bulk: Vec<Bulk>,
     /// Rollouts.
     pub windows: usize,
     /// Rollouts that blew up.
@@ -31,11 +33,13 @@ impl Tally {
     /// Nothing was predicted yet.
     pub fn new(arena: &Arena) -> Self {
         let shown = SHOWN.into_iter().filter(|&ahead| ahead <= arena.settings.horizon).count();
+        let measured = |frames: usize| if arena.settings.measures { frames } else { 0 };
         Self {
-            errors: ErrorSums::new(arena.settings.horizon, arena.ranges),
+            errors: ErrorSums::new(arena.settings.horizon, arena.units),
             steps: None,
             flight: FlightSums::default(),
-            physics: vec![Physics::default(); if arena.settings.measures { shown } else { 0 }],
+            physics: vec![Physics::default(); measured(shown)],
+            bulk: vec![Bulk::default(); measured(arena.settings.horizon)],
             windows: 0,
             blow_ups: BlowUps::default(),
             failure: None,
@@ -52,6 +56,7 @@ impl Tally {
         }
         self.flight.merge(&other.flight);
         self.physics.iter_mut().zip(&other.physics).for_each(|(sum, other)| sum.merge(other));
+        self.bulk.iter_mut().zip(&other.bulk).for_each(|(sum, other)| sum.merge(other));
         self.windows += other.windows;
         self.blow_ups.merge(&other.blow_ups);
         if self.failure.is_none() {
@@ -65,6 +70,12 @@ impl Tally {
 pub struct JudgedScene {
     /// The stream's number.
     pub id: u64,
+    /// The bag that it was read from.
+    pub name: String,
+    /// The materials that occur.
+    pub materials: Vec<Material>,
+    /// The frames of the stream that rollouts start from, from 0.
+    pub starts: Vec<usize>,
     /// What it is made of.
     pub kind: Kind,
     /// Rollouts of each predictor that have a true frame to be compared with, at each of [`SHOWN`] within
@@ -98,12 +109,15 @@ pub fn judge_scene(
         let last = stream.states.len().saturating_sub(1);
         starts.iter().filter(|&&start| start + ahead <= last).count()
     };
-    let (id, kind) = (stream.id, Kind::of(&stream.material));
+    let kind = Kind::of(&stream.material);
     let shown = SHOWN.into_iter().filter(|&ahead| ahead <= horizon);
     let compared: Vec<usize> = shown.map(compared).collect();
+    let judged = |starts: Vec<usize>, tallies: Vec<Tally>| {
+        let (id, name, materials) = (stream.id, stream.name(), stream.materials());
+        JudgedScene { id, name, materials, starts, kind, compared, tallies }
+    };
     if starts.is_empty() {
-        let tallies = vec![Tally::new(arena); predictors.len()];
-        return Ok(JudgedScene { id, kind, compared, tallies });
+        return Ok(judged(starts, vec![Tally::new(arena); predictors.len()]));
     }
     let rest = arena.settings.measures.then(|| Rest::new(arena, stream));
     let most_energy = most_energy(arena, stream);
@@ -122,6 +136,7 @@ pub fn judge_scene(
             if let Some(rest) = &rest {
                 let sums = &mut tally.physics;
                 window.measure(arena, &stream.material, rest, &rollout.states, sums);
+                window.measure_bulk(arena, &rollout.states, &mut tally.bulk);
             }
             tally.windows += 1;
             window.count_blow_ups(&rollout, &mut tally.blow_ups);
@@ -134,7 +149,7 @@ pub fn judge_scene(
         Ok(tally)
     };
     let tallies = predictors.iter().map(judge).collect::<Result<_, EvalError>>()?;
-    Ok(JudgedScene { id, kind, compared, tallies })
+    Ok(judged(starts, tallies))
 }
 
 #[cfg(test)]

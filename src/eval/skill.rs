@@ -2,9 +2,9 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::{JudgedScene, Kind};
+use super::{JudgedScene, Kind, numbers};
 
 /// Resamples of a bootstrap.
 const RESAMPLES: usize = 1000;
@@ -30,11 +30,13 @@ pub struct Skills {
 }
 
 /// Ends of a 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Lower end.
+    #[serde(deserialize_with = "numbers::one")]
     pub lower: f64,
     /// Upper end.
+    #[serde(deserialize_with = "numbers::one")]
     pub upper: f64,
 }
 

@@ -62,6 +62,24 @@ pub fn write_png(path: &Path, canvas: &Canvas) -> Result<(), PictureError> {
     writer.finish().map_err(|error| of_png(path, error))
 }
 
+/// The bytes of a PNG, as small as they get.
+///
+/// # Errors
+/// A picture without pixels.
+pub fn png_bytes(canvas: &Canvas) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, canvas.width() as u32, canvas.height() as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    let written = encoder.write_header().and_then(|mut writer| {
+        writer.write_image_data(canvas.pixels().as_flattened())?;
+        writer.finish()
+    });
+    written.map_err(io::Error::other)?;
+    Ok(bytes)
+}
+
 /// An animation that is being written. It repeats for ever.
 pub struct Animation {
     path: PathBuf,

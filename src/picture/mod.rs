@@ -15,7 +15,7 @@ mod quantize;
 mod scatter;
 
 pub use canvas::Canvas;
-pub use file::{Animation, Kind, PictureError, write_png};
+pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
 pub use palette::Rgb;
 pub use panel::{Coloring, Painter};
 pub use scatter::{Mark, Scatter, ScatterPoint};

@@ -59,14 +59,20 @@ impl Painter {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width + 2 * MARGIN, height + 2 * MARGIN + LINE);
         canvas.outline(MARGIN - 1, MARGIN - 1, width + 2, height + 2, GREY);
-        let mut inside = Canvas::new(width, height);
-        for particle in 0..frame.len() {
-            let place = self.place(frame.position[particle]);
-            inside.disc(place, self.radius, self.color(frame, particle));
-        }
-        canvas.paste(&inside, MARGIN, MARGIN);
+        canvas.paste(&self.particles(frame), MARGIN, MARGIN);
         let time = format!("t = {:.3} s", frame.stamp.seconds());
         canvas.words(&time, MARGIN, MARGIN + height + 6, BLACK);
+        canvas
+    }
+
+    /// Draws the particles of a frame and nothing else.
+    pub fn particles(&self, frame: &Frame) -> Canvas {
+        let [width, height] = self.extent;
+        let mut canvas = Canvas::new(width, height);
+        for particle in 0..frame.len() {
+            let place = self.place(frame.position[particle]);
+            canvas.disc(place, self.radius, self.color(frame, particle));
+        }
         canvas
     }
 

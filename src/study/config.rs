@@ -132,7 +132,12 @@ impl StudyConfig {
         different("windowed_cores", &self.windowed_cores)?;
         different("activations", &self.activations)?;
         let numbers = [
-            ("data.scenes", self.data.scenes as usize, 3, "at least 3: to learn, to choose, to judge"),
+            (
+                "data.scenes",
+                self.data.scenes as usize,
+                3,
+                "at least 3: to learn, to choose, to judge",
+            ),
             ("judging.horizon", self.judging.horizon, 1, "at least 1"),
             ("judging.starts", self.judging.starts, 1, "at least 1"),
         ];

@@ -11,4 +11,4 @@ mod results;
 
 pub use config::{DataConfig, InvalidStudy, JudgingConfig, StudyConfig};
 pub use plan::{Comparison, Folders, Variant};
-pub use results::{Curve, ResultError, Trained};
+pub use results::{Curve, ResultError, Speed, Trained};

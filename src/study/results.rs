@@ -8,7 +8,9 @@ use std::{
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::{
+    bench::training::Timing,
     checkpoint::Activation,
+    page::Machine,
     train::{
         Epoch, TrainConfig,
         dense::{DenseConfig, DenseCurve},
@@ -18,6 +20,8 @@ use crate::{
 /// A network that was trained to its end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trained {
+    /// Digest of the checkpoint.
+    pub checkpoint: String,
     /// Digest of the data.
     pub data: String,
     /// Numbers that were learned.
@@ -115,6 +119,36 @@ impl Curve {
     /// [`ResultError::File`].
     pub fn save(&self, file: &Path) -> Result<(), ResultError> {
         save(file.to_owned(), self)
+    }
+}
+
+/// How long training steps take.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Speed {
+    /// On which machine.
+    pub machine: Machine,
+    /// Every kind of step.
+    pub steps: Vec<Timing>,
+}
+
+/// The name of its file in the folder of a comparison.
+const SPEED_FILE: &str = "training_speed.toml";
+
+impl Speed {
+    /// The times in the folder of a comparison, if they were taken.
+    ///
+    /// # Errors
+    /// [`ResultError`].
+    pub fn find(folder: &Path) -> Result<Option<Self>, ResultError> {
+        find(folder.join(SPEED_FILE), |_: &Self| true)
+    }
+
+    /// Writes them there.
+    ///
+    /// # Errors
+    /// [`ResultError::File`].
+    pub fn save(&self, folder: &Path) -> Result<(), ResultError> {
+        save(folder.join(SPEED_FILE), self)
     }
 }
 

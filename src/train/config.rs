@@ -437,6 +437,10 @@ impl TrainConfig {
     }
 }
 
-pub(super) fn setting(field: &'static str, found: impl ToString, expected: &'static str) -> TrainError {
+pub(super) fn setting(
+    field: &'static str,
+    found: impl ToString,
+    expected: &'static str,
+) -> TrainError {
     TrainError::Setting { field, found: found.to_string(), expected }
 }

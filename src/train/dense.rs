@@ -141,7 +141,8 @@ pub fn train_dense(
             let left = || (config.epochs - epoch) as usize * batches + batches - batch + 1;
             let windows = sampler.batch(config.batch, left, &mut random)?;
             let [input, target] = scale.frames(&windows, &plain); // [B, 4 N]
-            let loss = error(network.forward(Tensor::from_inner(input)), Tensor::from_inner(target));
+            let loss =
+                error(network.forward(Tensor::from_inner(input)), Tensor::from_inner(target));
             let found: f32 = loss.clone().inner().into_scalar();
             if !found.is_finite() {
                 let windows = super::names(&windows);
@@ -190,8 +191,7 @@ impl Scaling {
         let Normalization { minimum, maximum, mean, .. } = *normalization;
         let each = [0, 1, 2, 3];
         let inverse_range = each.map(|feature| 1.0 / (maximum[feature] - minimum[feature]));
-        let mean =
-            each.map(|feature| (mean[feature] - minimum[feature]) * inverse_range[feature]);
+        let mean = each.map(|feature| (mean[feature] - minimum[feature]) * inverse_range[feature]);
         Self { minimum, inverse_range, mean }
     }
 

@@ -23,7 +23,7 @@ use crate::{
 pub const PARTICLES: usize = 2500;
 
 /// What takes a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
     /// The whole frame model: it observes the frames, predicts the next one, and learns from the mean

@@ -9,7 +9,9 @@ use crate::{
     commands::{Interrupt, pages, progress_bar},
 };
 use eddy::{
-    bench::training::{CORES, FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Step, Timing, products},
+    bench::training::{
+        CORES, FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Step, Timing, paper_steps, products,
+    },
     model::Core,
     train::exercise::{PARTICLES, Part},
 };
@@ -26,7 +28,7 @@ pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyho
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.windows > 0, "windows: found 0, expected at least 1");
     pages::keep_freed();
-    let steps = if args.step.is_empty() { paper() } else { args.step.clone() };
+    let steps = if args.step.is_empty() { paper_steps() } else { args.step.clone() };
     let bar = progress_bar(steps.len() as u64, "steps", quiet);
     let mut timings = Vec::new();
     for step in &steps {
@@ -54,11 +56,6 @@ pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyho
 /// Rows of the table: the whole network with the paper's window, and the core alone by frames.
 fn kinds() -> impl Iterator<Item = (Part, usize)> {
     [(Part::Frame, FRAMES[0])].into_iter().chain(FRAMES.map(|frames| (Part::Core, frames)))
-}
-
-fn paper() -> Vec<Step> {
-    let steps = |(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None });
-    kinds().flat_map(steps).collect()
 }
 
 fn print_timings(timings: &[Timing]) {

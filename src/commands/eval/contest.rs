@@ -17,10 +17,14 @@ use eddy::{
     engine::Surrogate,
     eval::{
         self, Baseline, Contestant, Cost, Judged, JudgedScene, Kind, Origin, Predictor, Report,
-        Role, Settings, chaos, judge_scene,
+        Role, Settings, Snapshot, chaos, judge_scene,
     },
     mpm::Scene,
+    page::Provenance,
 };
+
+/// The most models whose rollouts are shown as pictures.
+const PICTURED_MODELS: usize = 4;
 
 /// Everything that is needed to judge.
 pub(super) struct Contest {
@@ -97,7 +101,8 @@ impl Contest {
         let timed = self.predictors(&self.models[0]).into_iter();
         let costs = timed.map(|predictor| eval::time(arena, predictor, &samples));
         let costs = costs.collect::<Result<_, _>>()?;
-        Ok(self.report(scenes, costs, digest.clone()))
+        let snapshots = self.snapshots(&samples)?;
+        Ok(self.report(scenes, costs, snapshots, digest.clone()))
     }
 
     /// One stream of each kind, to take the time on: the first that is judged.
@@ -113,11 +118,33 @@ impl Contest {
         Kind::ALL.into_iter().filter_map(first).map(cut).collect()
     }
 
+    /// Rollouts to look at: of a few models and the first rival.
+    fn snapshots(
+        &self,
+        samples: &[(Stream, Option<Scene>)],
+    ) -> anyhow::Result<(Vec<usize>, Vec<Snapshot>)> {
+        let all = self.predictors(&self.models[0]);
+        let numbers = |wanted: fn(&Predictor<'_>) -> bool, most: usize| {
+            let found = all.iter().enumerate().filter(move |(_, predictor)| wanted(predictor));
+            found.map(|(number, _)| number).take(most)
+        };
+        let models = numbers(|p| matches!(p, Predictor::Model(_)), PICTURED_MODELS);
+        let chosen: Vec<usize> =
+            models.chain(numbers(|p| matches!(p, Predictor::Restart(_)), 1)).collect();
+        let predictors: Vec<_> = chosen.iter().map(|&number| all[number]).collect();
+        let arena = &self.survey.arena;
+        let take = |(stream, scene): &(Stream, Option<Scene>)| {
+            eval::snapshot(arena, &predictors, stream, scene.as_ref()).transpose()
+        };
+        let snapshots = samples.iter().filter_map(take).collect::<Result<_, _>>()?;
+        Ok((chosen, snapshots))
+    }
+
     /// Everyone, with the models of one thread.
     fn predictors<'a>(&self, models: &'a [Surrogate]) -> Vec<Predictor<'a>> {
         let late = models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
         let rivals = self.rivals.predictors.iter().copied();
-        let baselines = Baseline::ALL.map(Predictor::Baseline);
+        let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
         let models = models.iter().map(Predictor::Model).chain(late);
         models.chain(baselines).chain(rivals).chain([Predictor::Truth]).collect()
     }
@@ -126,6 +153,7 @@ impl Contest {
         &self,
         scenes: Vec<JudgedScene>,
         costs: Vec<Option<Cost>>,
+        snapshots: (Vec<usize>, Vec<Snapshot>),
         data_digest: String,
     ) -> Report {
         let short = short_names(&self.names);
@@ -141,7 +169,8 @@ impl Contest {
         });
         let contestants = contestants.collect();
         let notes = self.rivals.notes.clone();
-        let judged = Judged { contestants, scenes, costs, data_digest, notes };
+        let made = Provenance::here();
+        let judged = Judged { contestants, scenes, costs, data_digest, snapshots, notes, made };
         Report::new(&self.survey.arena, judged)
     }
 }
@@ -156,7 +185,7 @@ pub(in crate::commands) fn judge_alone(
 ) -> anyhow::Result<Report> {
     let Survey { streams, arena, digest } =
         Survey::new(settings, &[surrogate.description()], streams)?;
-    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
     let predictors: Vec<_> =
         std::iter::once(Predictor::Model(surrogate)).chain(baselines).collect();
     let judge = |stream: &Trajectory| {
@@ -167,7 +196,21 @@ pub(in crate::commands) fn judge_alone(
     let scenes = streams.iter().map(judge).collect::<anyhow::Result<Vec<_>>>()?;
     let contestants: Vec<_> = predictors.iter().map(|p| contestant(p, name, name)).collect();
     let costs = vec![None; contestants.len()];
-    let judged = Judged { contestants, scenes, costs, data_digest: digest, notes: Vec::new() };
+    let snapshots = match streams.first() {
+        Some(stream) => {
+            eval::snapshot(&arena, &predictors[..1], &stream.cut(0..stream.frames)?, None)?
+        }
+        None => None,
+    };
+    let judged = Judged {
+        contestants,
+        scenes,
+        costs,
+        data_digest: digest,
+        snapshots: (vec![0], snapshots.into_iter().collect()),
+        notes: Vec::new(),
+        made: Provenance::here(),
+    };
     Ok(Report::new(&arena, judged))
 }
 
@@ -184,6 +227,7 @@ fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant 
             (format!("{short}, joined late"), Role::JoinedLate, Some(origin(surrogate)))
         }
         Predictor::Baseline(baseline) => (baseline.name().to_owned(), Role::Baseline, None),
+        Predictor::Mean => ("mean of the training".to_owned(), Role::Mean, None),
         Predictor::Restart(restart) => (restart.name().to_owned(), Role::Rival, None),
         Predictor::Chaos => (chaos::NAME.to_owned(), Role::Chaos, None),
         Predictor::Truth => ("truth".to_owned(), Role::Truth, None),
@@ -192,7 +236,7 @@ fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant 
 }
 
 /// The last parts of paths, where they differ; else whole paths.
-fn short_names(paths: &[String]) -> Vec<String> {
+pub(super) fn short_names(paths: &[String]) -> Vec<String> {
     let last = |path: &String| {
         let name = std::path::Path::new(path).file_name();
         name.map_or(path.clone(), |name| name.to_string_lossy().into_owned())

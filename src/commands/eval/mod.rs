@@ -3,7 +3,9 @@
 //! 1. [`survey`]: the streams, what they have in common, which of them no checkpoint has seen.
 //! 2. [`rivals`]: what the streams were simulated from, for solvers that start from the same frames.
 //! 3. [`contest`]: who is judged; scenes in parallel, then the time of a frame, then the report.
+//! 4. [`compare`]: reports that were written before, side by side.
 
+mod compare;
 mod contest;
 mod rivals;
 mod survey;
@@ -12,7 +14,11 @@ use anyhow::{Context, ensure};
 
 use super::{Interrupt, simulate::memory, surrogate};
 use crate::cli::EvalArgs;
-use eddy::{checkpoint::Checkpoint, dataset, eval::{Report, Settings}};
+use eddy::{
+    checkpoint::Checkpoint,
+    dataset,
+    eval::{Report, Settings},
+};
 
 pub(super) use contest::judge_alone;
 
@@ -21,15 +27,24 @@ use survey::Survey;
 
 /// Judges all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    judge(&args, quiet, interrupt).map(|_| ())
+    if !args.compare.is_empty() {
+        return compare::run(&args.compare, args.output.as_deref());
+    }
+    // Wrong usage without it.
+    let folder = args.output.as_deref().context("--output: found none, expected a folder")?;
+    let report = judge(&args, quiet, interrupt)?;
+    report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
+    println!(
+        "{} free rollouts over {} streams, compared for {} frames, watched for {}",
+        report.windows, report.streams, report.horizon, report.reach
+    );
+    println!("{}", report.tables());
+    println!("{}", folder.join("report.html").display());
+    Ok(())
 }
 
-/// The same, for who goes on with the report.
-pub(super) fn judge(
-    args: &EvalArgs,
-    quiet: bool,
-    interrupt: &Interrupt,
-) -> anyhow::Result<Report> {
+/// The judgement alone.
+pub(super) fn judge(args: &EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<Report> {
     ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
     ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
     let settings = Settings::full(args.horizon, args.starts);
@@ -42,15 +57,5 @@ pub(super) fn judge(
     let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
     let survey = Survey::new(settings, &descriptions, streams)?;
     let contest = Contest::new(args, checkpoints, survey, interrupt)?;
-    let report = contest.judge(quiet, interrupt)?;
-
-    let folder = &args.output;
-    report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
-    println!(
-        "{} free rollouts over {} streams, compared for {} frames, watched for {}",
-        report.windows, report.streams, report.horizon, report.reach
-    );
-    println!("{}", report.tables());
-    println!("{}", folder.join("report.json").display());
-    Ok(report)
+    contest.judge(quiet, interrupt)
 }

@@ -25,7 +25,9 @@ use super::{Interrupt, eval, simulate};
 use crate::cli::{Cli, Command, StudyArgs};
 use eddy::{
     config::Overrides,
-    study::{Comparison, Folders, StudyConfig, Variant},
+    eval::Report,
+    study::{Comparison, Folders, StudyConfig, Trained, Variant},
+    train::TrainConfig,
 };
 
 /// Runs a comparison.
@@ -117,29 +119,61 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Judges every network on each preset.
+    /// Judges every network on each preset, unless this very judgement is there.
     fn judge(&self) -> anyhow::Result<()> {
         if self.variants.is_empty() {
             return Ok(());
         }
         for preset in self.presets {
+            let folder = self.folders.judgement(self.comparison, preset);
+            if self.is_judged(preset, &folder)? {
+                continue;
+            }
             let mut words = command("eval");
             words.push("--checkpoint".into());
-            words.extend(self.runs().map(|(variant, seed)| {
+            let run = |(variant, seed): (&Variant, u64)| {
                 in_words(&self.folders.run(preset, &variant.name, seed))
-            }));
+            };
+            words.extend(self.runs().map(run));
             words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
             words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
             words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
-            let folder = self.folders.judgement(self.comparison, preset);
             words.extend(["--output".into(), in_words(&folder)]);
             self.tell(&words.join(" "));
             let Command::Eval(args) = Cli::try_parse_from(&words)?.command else {
                 bail!("{}: found another command, expected eval", words.join(" "));
             };
-            eval::judge(&args, self.quiet, self.interrupt)?;
+            let mut report = eval::judge(&args, self.quiet, self.interrupt)?;
+            report.made.command = words.join(" ");
+            report.save(&folder).with_context(|| in_words(&folder))?;
         }
         Ok(())
+    }
+
+    /// Whether the report in `folder` is that of all the networks.
+    fn is_judged(&self, preset: &str, folder: &Path) -> anyhow::Result<bool> {
+        if !folder.exists() {
+            return Ok(false);
+        }
+        let report = Report::load(folder)?;
+        let judged: Vec<_> = report.predictors.iter().filter_map(|p| p.digest.as_ref()).collect();
+        let networks = self.trained(preset)?;
+        let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
+        Ok(report.horizon == self.study.judging.horizon && judged == networks)
+    }
+
+    /// What the networks' training came to, in the order of [`Work::runs`].
+    fn trained(&self, preset: &str) -> anyhow::Result<Vec<(&Variant, Trained)>> {
+        let mut all = Vec::new();
+        for (variant, seed) in self.runs() {
+            let folder = self.folders.run(preset, &variant.name, seed);
+            let config = TrainConfig { seed, ..variant.config.clone() };
+            let trained = Trained::find(&folder, &config)?.with_context(|| {
+                format!("{}: found no trained network, expected one", folder.display())
+            })?;
+            all.push((variant, trained));
+        }
+        Ok(all)
     }
 
     /// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.

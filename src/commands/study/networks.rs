@@ -112,6 +112,7 @@ impl Task {
         }
         let Some(best) = outcome.best else { bail!("{name}: found no epoch, expected one") };
         let trained = Trained {
+            checkpoint: best.digest().to_owned(),
             data: dataset.digest.clone(),
             parameters: best.parameters(),
             seconds: outcome.seconds,

@@ -2,32 +2,29 @@
 
 use super::Work;
 use crate::commands::progress_bar;
-use eddy::{
-    bench::training::{CORES, FRAMES, Step, Timing},
-    model::DeviceKind,
-    train::exercise::Part,
-};
+use eddy::{bench::training::paper_steps, model::DeviceKind, page::Machine, study::Speed};
 
 /// Windows a batch, and about how long each is timed (s).
 const WINDOWS: usize = 16;
 const SECONDS: f64 = 2.0;
 
-/// Times a step of every recurrent core with each of the lengths of a window.
-pub(super) fn run(work: &Work) -> anyhow::Result<Vec<Timing>> {
-    let steps: Vec<Step> = [(Part::Frame, FRAMES[0])]
-        .into_iter()
-        .chain(FRAMES.map(|frames| (Part::Core, frames)))
-        .flat_map(|(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None }))
-        .collect();
-    let bar = progress_bar(steps.len() as u64, "training steps timed", work.quiet);
-    let mut timings = Vec::new();
-    for step in steps {
+/// Times a step of every recurrent core with each of the lengths of a window, unless that was done.
+pub(super) fn run(work: &Work) -> anyhow::Result<()> {
+    let folder = work.folders.report(work.comparison);
+    if Speed::find(&folder)?.is_some() {
+        return Ok(());
+    }
+    let kinds = paper_steps();
+    let bar = progress_bar(kinds.len() as u64, "training steps timed", work.quiet);
+    let mut steps = Vec::new();
+    for step in kinds {
         if work.stops() {
-            break;
+            return Ok(());
         }
-        timings.push(step.time(WINDOWS, SECONDS, DeviceKind::Flex));
+        steps.push(step.time(WINDOWS, SECONDS, DeviceKind::Flex));
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Ok(timings)
+    Speed { machine: Machine::here(), steps }.save(&folder)?;
+    Ok(())
 }

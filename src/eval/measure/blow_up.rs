@@ -1,6 +1,6 @@
 //! Rollouts that blew up, and those that ended far off.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::bulk::kinetic_energy;
 use crate::{
@@ -18,7 +18,7 @@ const LEAST_ERROR: f64 = 0.5;
 const TOO_LIVELY: f64 = 3.0;
 
 /// Rollouts that blew up, and by which sign; one rollout may show both. Beside them those that kept their calm but ended far off.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BlowUps {
     /// Rollouts that diverged or were too lively.
     pub any: usize,

@@ -1,6 +1,41 @@
 //! What all particles have together: kinetic energy, centre of mass.
 
-use crate::eval::errors::square;
+use super::Mean;
+use crate::{dataset::State, eval::errors::square};
+
+/// What all particles have together at one frame ahead, added up over windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bulk {
+    /// Kinetic energy per mass (domain lengths^2 per s^2).
+    pub kinetic_energy: Mean,
+    /// Squared distance of the centre of mass from the true one (domain lengths^2).
+    pub centre: Mean,
+    /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
+    pub outside: Mean,
+}
+
+impl Bulk {
+    /// Adds a predicted state; `centre` is the true one.
+    pub(super) fn add(
+        &mut self,
+        state: &State,
+        centre: [f64; 2],
+        walls: [[f32; 2]; 2],
+        margin: f32,
+    ) {
+        self.kinetic_energy.add(kinetic_energy(&state.velocity), 1.0);
+        let found = mean(state.position.iter());
+        self.centre.add(square([found[0] - centre[0], found[1] - centre[1]]), 1.0);
+        self.outside.add(share_outside(&state.position, walls, margin), 1.0);
+    }
+
+    /// Adds the sums of other windows.
+    pub fn merge(&mut self, other: &Self) {
+        self.kinetic_energy.merge(&other.kinetic_energy);
+        self.centre.merge(&other.centre);
+        self.outside.merge(&other.outside);
+    }
+}
 
 /// Mean of |v|^2 / 2 (domain lengths^2 per s^2): kinetic energy per mass.
 pub(in crate::eval) fn kinetic_energy(velocity: &[[f32; 2]]) -> f64 {

@@ -1,7 +1,7 @@
 //! Physical measures of predicted states beside true ones.
 //!
 //! 1. `density`: where the mass is.
-//! 2. `bulk`: kinetic energy, centre of mass, what is outside the walls.
+//! 2. `bulk`: kinetic energy, centre of mass, what is outside the walls, at every frame ahead.
 //! 3. `flight`: momentum and spin of bodies that nothing touches.
 //! 4. `area`: the area that liquids occupy.
 //! 5. `stretch`: how far rope and jelly are stretched and distorted.
@@ -25,6 +25,7 @@ use crate::{
 
 pub use blow_up::BlowUps;
 pub(super) use blow_up::most_energy;
+pub use bulk::Bulk;
 pub use flight::FlightSums;
 pub(super) use flight::Flights;
 
@@ -148,6 +149,8 @@ pub(super) struct Window<'a> {
     /// shown.
     settled: bool,
     shown: Vec<Shown>,
+    /// Centre of mass of each of the true states (domain lengths).
+    centres: Vec<[f64; 2]>,
 }
 
 /// The truth at one of [`SHOWN`].
@@ -174,7 +177,8 @@ impl<'a> Window<'a> {
         let truth = &stream.states[start + 1..end];
         let tolerance = blow_up::Tolerance::new(arena, observed, truth, most_energy);
         let Some(rest) = rest else {
-            return Self { truth, observed, tolerance, settled: false, shown: Vec::new() };
+            let (shown, centres) = (Vec::new(), Vec::new());
+            return Self { truth, observed, tolerance, settled: false, shown, centres };
         };
         let shown = SHOWN.into_iter().filter(|&ahead| ahead <= truth.len());
         let spacing = f64::from(arena.spacing);
@@ -192,12 +196,21 @@ impl<'a> Window<'a> {
                 liquid_area: liquid_area(arena, &stream.material, state),
             }
         });
-        Self { truth, observed, tolerance, settled, shown: shown.collect() }
+        let centres = truth.iter().map(|state| bulk::mean(state.position.iter())).collect();
+        Self { truth, observed, tolerance, settled, shown: shown.collect(), centres }
     }
 
     /// Counts a rollout if it blew up.
     pub(super) fn count_blow_ups(&self, rollout: &Rollout, sums: &mut BlowUps) {
         self.tolerance.count(rollout, self.truth, sums);
+    }
+
+    /// Adds what predicted particles have together to the sums of each frame ahead.
+    pub(super) fn measure_bulk(&self, arena: &Arena, predicted: &[State], sums: &mut [Bulk]) {
+        let walls = [arena.ballistic.lower, arena.ballistic.upper];
+        for ((state, centre), sums) in predicted.iter().zip(&self.centres).zip(sums) {
+            sums.add(state, *centre, walls, 0.5 * arena.spacing);
+        }
     }
 
     /// Adds the measures of predicted states to those at each of [`SHOWN`].

@@ -1,14 +1,14 @@
 //! Everything about one contestant.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{
-    curves::{Curves, StepCurves},
+    curves::{BulkCurves, Curves, StepCurves},
     measures::{Flight, Measures},
 };
 use crate::{
     checkpoint::Description,
-    eval::{Arena, BlowUps, Cost, Interval, JudgedScene, Kind, Skills, Tally},
+    eval::{Arena, BlowUps, Cost, Interval, JudgedScene, Kind, Skills, Tally, numbers},
     frame::Material,
 };
 
@@ -24,7 +24,7 @@ pub struct Contestant {
 }
 
 /// What a contestant is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
     /// A checkpoint that observed each stream from its first frame on.
@@ -33,6 +33,9 @@ pub enum Role {
     JoinedLate,
     /// A predictor that learns nothing.
     Baseline,
+    /// The training's mean, in every place: the unit of z-score errors. No skill is measured against it, it
+    /// knows nothing of the frames that were observed.
+    Mean,
     /// A solver that knows the law and observes what a model observes.
     Rival,
     /// The truth from slightly displaced positions: nobody can do better for long.
@@ -53,7 +56,7 @@ pub struct Origin {
 }
 
 /// Everything about one contestant; curves have one number a frame ahead.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Entry {
     /// Its name.
     pub name: String,
@@ -69,6 +72,7 @@ pub struct Entry {
     pub blow_ups: BlowUps,
     /// Mean of the skills of all kinds: 1 - squared position error / that of the best baseline at that
     /// frame, both summed over the windows of a kind.
+    #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
     /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
     /// fewer than five scenes.
@@ -79,6 +83,9 @@ pub struct Entry {
     /// Errors of next frames over all scenes; nothing for who cannot continue a stream.
     #[serde(flatten)]
     pub steps: Option<StepCurves>,
+    /// What all particles have together, over all scenes; nothing where no measures were taken.
+    #[serde(flatten)]
+    pub bulk: Option<BulkCurves>,
     /// Physical measures over all scenes, at the frames shown.
     pub measures: Vec<Measures>,
     /// What happens to bodies in free flight; nothing for who predicts no next frame of them.
@@ -92,13 +99,14 @@ pub struct Entry {
 }
 
 /// A contestant in the scenes of one kind.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct KindEntry {
     /// The kind.
     pub kind: Kind,
     /// As in [`Entry`].
     pub blow_ups: BlowUps,
     /// Skill in the scenes of this kind.
+    #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
     /// As in [`Entry`], of this skill.
     pub skill_intervals: Option<Vec<Interval>>,
@@ -157,6 +165,7 @@ impl Entry {
             skill_intervals: skills.intervals(&[number], shown),
             curves: Curves::new(&all.errors.total()),
             steps: all.steps.as_ref().map(StepCurves::new),
+            bulk: BulkCurves::new(&all.bulk),
             measures: measures(&all, shown),
             flight: Flight::new(&all.flight),
             kinds,

@@ -6,17 +6,19 @@ use super::{Entry, Report, curves::Curves, curves::StepCurves};
 use crate::picture::write_png;
 
 /// Everything.
-const JSON: &str = "report.json";
+pub(super) const JSON: &str = "report.json";
 /// Every curve.
 const CSV: &str = "curves.csv";
+/// Everything, for people.
+pub(super) const HTML: &str = "report.html";
 /// What predictors cost and how wrong they are.
 const PLOT: &str = "cost_error.png";
 
 /// The columns of the curves.
-const COLUMNS: &str = "predictor,kind,frame,position_rmse,velocity_rmse,minmax_mse,skill,one_step_rmse,cumulated_rmse";
+const COLUMNS: &str = "predictor,kind,frame,position_rmse,velocity_rmse,minmax_mse,zscore_mse,skill,one_step_rmse,cumulated_rmse";
 
 impl Report {
-    /// Writes `report.json`, `curves.csv` and, where costs were measured, `cost_error.png` into
+    /// Writes `report.json`, `report.html`, `curves.csv` and, where costs were measured, `cost_error.png` into
     /// `folder`, which is made if it is not there.
     ///
     /// # Errors
@@ -25,6 +27,7 @@ impl Report {
         fs::create_dir_all(folder)?;
         let json = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
         fs::write(folder.join(JSON), json + "\n")?;
+        self.page()?.save(&folder.join(HTML))?;
         fs::write(folder.join(CSV), self.curves())?;
         let plot = folder.join(PLOT);
         if fs::exists(&plot)? {
@@ -66,6 +69,7 @@ fn add(
             Some(curves.position_rmse[frame]),
             Some(curves.velocity_rmse[frame]),
             Some(curves.minmax_mse[frame]),
+            Some(curves.zscore_mse[frame]),
             Some(skill),
             steps.map(|steps| steps.one_step_rmse[frame]),
             steps.map(|steps| steps.cumulated_rmse[frame]),

@@ -1,15 +1,15 @@
 //! Networks that differ in nothing but their training: seeds of one model.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{Entry, Role};
 use crate::{
     checkpoint::{Description, Normalization, TrainingSummary},
-    eval::{BlowUps, Interval, Kind, Skills},
+    eval::{BlowUps, Interval, Kind, Skills, numbers},
 };
 
 /// Seeds of one model.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Group {
     /// The model: architecture and core.
     pub name: String,
@@ -27,11 +27,13 @@ pub struct Group {
 }
 
 /// Skill of a group.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct GroupSkill {
     /// Mean over the seeds; one number a frame ahead.
+    #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
     /// Standard deviation of it between the seeds (of the sample); 0 for a single one.
+    #[serde(deserialize_with = "numbers::list")]
     pub spread: Vec<f64>,
     /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
     /// fewer than five scenes.

@@ -1,25 +1,36 @@
-//! What a judgement says: for programs (JSON, CSV) and for people (tables, a plot).
+//! What a judgement says: for programs (JSON, CSV) and for people (tables, a page).
 //!
 //! 1. `curves`: errors and skill over the frames ahead.
 //! 2. `measures`: physical measures as numbers with units.
 //! 3. `entry`: everything about one contestant.
 //! 4. `group`: networks that differ in nothing but their training: mean, spread, interval.
-//! 5. `tables`, `plot`, `files`: how it is shown and kept.
+//! 5. `scenes`: errors scene by scene.
+//! 6. `tables`, `plot`, `page`, `files`: how it is shown and kept.
+//! 7. `read`, `compare`: reports that were written before, side by side.
 
+mod compare;
 mod curves;
 mod entry;
 mod files;
 mod group;
 mod measures;
+mod page;
 mod plot;
+mod read;
+mod scenes;
 mod tables;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+pub use compare::Comparison;
 pub use entry::{Contestant, Entry, Origin, Role};
+pub use read::ReportError;
 
-use super::{Arena, Cost, JudgedScene, Kind, SHOWN, Skills};
+use super::{Arena, Cost, JudgedScene, Kind, SHOWN, Skills, Snapshot, Units};
+use crate::page::Provenance;
 use group::Group;
+use read::FORMAT;
+use scenes::SceneEntry;
 
 /// What was judged.
 #[derive(Clone, Debug)]
@@ -32,14 +43,22 @@ pub struct Judged {
     pub costs: Vec<Option<Cost>>,
     /// Digest of the streams.
     pub data_digest: String,
+    /// Rollouts to look at, of contestants with these numbers.
+    pub snapshots: (Vec<usize>, Vec<Snapshot>),
     /// What has to be said about it, one sentence each.
     pub notes: Vec<String>,
+    /// How it was made.
+    pub made: Provenance,
 }
 
 /// Everything about a judgement, as in `report.json`. Curves have one number a frame ahead; what there
 /// is no number for is `null`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Report {
+    /// Number of the format.
+    pub format: u32,
+    /// How it was made. All the rest is the same whenever the same is judged, but for the time of a frame.
+    pub made: Provenance,
     /// Digest of the judged streams.
     pub data_digest: String,
     /// Judged streams.
@@ -57,6 +76,8 @@ pub struct Report {
     /// Where the walls are in effect: smallest and largest coordinates of any true particle (domain
     /// lengths).
     pub walls: [[f32; 2]; 2],
+    /// What normalised errors are divided by.
+    pub units: Units,
     /// The kinds of scenes that occur, and how many of each.
     pub kinds: Vec<KindCount>,
     /// The frames ahead of measures and intervals.
@@ -68,12 +89,17 @@ pub struct Report {
     pub predictors: Vec<Entry>,
     /// Networks that differ in nothing but their training.
     pub groups: Vec<Group>,
+    /// Errors scene by scene.
+    pub scenes: Vec<SceneEntry>,
+    /// Rollouts to look at, with the names of who predicts; not in `report.json`.
+    #[serde(skip)]
+    pub snapshots: (Vec<String>, Vec<Snapshot>),
     /// What has to be said about it.
     pub notes: Vec<String>,
 }
 
 /// Scenes of a kind.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct KindCount {
     /// The kind.
     pub kind: Kind,
@@ -88,7 +114,11 @@ pub struct KindCount {
 impl Report {
     /// Puts the report of a judgement together.
     pub fn new(arena: &Arena, judged: Judged) -> Self {
-        let Judged { contestants, mut scenes, costs, data_digest, mut notes } = judged;
+        let Judged { contestants, mut scenes, costs, data_digest, snapshots, mut notes, made } =
+            judged;
+        let (shown_in_snapshots, snapshots) = snapshots;
+        let name = |&number: &usize| contestants[number].name.clone();
+        let shown_in_snapshots = shown_in_snapshots.iter().map(name).collect();
         scenes.retain(|scene| scene.windows() > 0);
         let horizon = arena.settings.horizon;
         let baseline = |contestant: &Contestant| contestant.role == Role::Baseline;
@@ -121,6 +151,8 @@ impl Report {
             .collect();
         let groups = Group::all(&predictors, &networks, &skills, &shown);
         Self {
+            format: FORMAT,
+            made,
             data_digest,
             streams: scenes.len(),
             windows: kinds.iter().map(|kind| kind.windows).sum(),
@@ -129,11 +161,14 @@ impl Report {
             dt: arena.ballistic.dt,
             spacing: arena.spacing,
             walls: [arena.ballistic.lower, arena.ballistic.upper],
+            units: arena.units,
             kinds,
             shown,
             compared,
             predictors,
             groups,
+            scenes: scenes.iter().map(SceneEntry::new).collect(),
+            snapshots: (shown_in_snapshots, snapshots),
             notes,
         }
     }

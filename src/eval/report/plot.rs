@@ -11,7 +11,10 @@ impl Report {
     /// logarithmic axes; nothing where no cost was measured.
     pub(super) fn plot(&self) -> Option<Canvas> {
         let ahead = AHEAD.min(self.horizon);
-        let shown = self.predictors.iter().filter(|entry| entry.role != Role::Baseline);
+        let shown = self
+            .predictors
+            .iter()
+            .filter(|entry| !matches!(entry.role, Role::Baseline | Role::Mean));
         let points: Vec<ScatterPoint> = shown
             .filter_map(|entry| {
                 let mark = match entry.role {

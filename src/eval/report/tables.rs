@@ -45,6 +45,7 @@ impl Report {
         add(self.errors("position RMSE (domain lengths)", |e| &e.curves.position_rmse));
         add(self.errors("velocity RMSE (domain lengths/s)", |e| &e.curves.velocity_rmse));
         add(self.errors("MinMax MSE", |e| &e.curves.minmax_mse));
+        add(self.errors("z-score MSE", |e| &e.curves.zscore_mse));
         add(self.steps());
         if self.predictors.iter().any(|entry| !entry.measures.is_empty()) {
             MEASURES.into_iter().for_each(|columns| add(self.measures(columns)));
@@ -108,7 +109,8 @@ impl Report {
         let compared = compared.chain([self.compared[at]]).map(|windows| windows.to_string());
         table.add_row(row("windows with truth".to_owned(), compared.collect()));
         let shown = self.predictors.iter();
-        for entry in shown.filter(|e| !matches!(e.role, Role::Baseline | Role::Truth)) {
+        for entry in shown.filter(|e| !matches!(e.role, Role::Baseline | Role::Mean | Role::Truth))
+        {
             let skills = entry.kinds.iter().map(|kind| skill(kind.skill[ahead - 1]));
             let all = skills.chain([skill(entry.skill[ahead - 1])]);
             table.add_row(row(entry.name.clone(), all.collect()));
@@ -263,6 +265,14 @@ fn interval(intervals: &Option<Vec<Interval>>, at: usize) -> String {
 
 fn deviation(number: f64) -> String {
     shown(number, |x| format!("{x:.2}"))
+}
+
+/// A page's table for a terminal.
+pub(super) fn of_page(of: &crate::page::Table) -> Table {
+    let [_, titles @ ..] = of.header() else { return Table::new() };
+    let mut table = table(std::iter::once(of.caption().to_owned()).chain(titles.iter().cloned()));
+    table.add_rows(of.rows());
+    table
 }
 
 fn table(header: impl IntoIterator<Item = String>) -> Table {

@@ -1,0 +1,215 @@
+//! A page and its sections.
+
+use std::{fs, io, path::Path};
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::{LinePlot, PictureGrid, Provenance, Table};
+
+/// How everything looks, on a screen and on paper.
+const STYLE: &str = include_str!("page.css");
+
+/// A page: a title, what it is about, and sections.
+#[derive(Clone, Debug)]
+pub struct Page {
+    title: String,
+    lead: String,
+    sections: Vec<Section>,
+}
+
+/// A section of a page. Everything is shown in the order in which it was added.
+#[derive(Clone, Debug)]
+pub struct Section {
+    title: String,
+    content: Vec<Markup>,
+}
+
+impl Page {
+    /// A page without sections. `lead` says in a sentence or two what it shows.
+    pub fn new(title: impl Into<String>, lead: impl Into<String>) -> Self {
+        Self { title: title.into(), lead: lead.into(), sections: Vec::new() }
+    }
+
+    /// Appends a section, which is to be filled.
+    pub fn section(&mut self, title: impl Into<String>) -> &mut Section {
+        self.sections.push(Section::new(title.into()));
+        let last = self.sections.len() - 1;
+        &mut self.sections[last]
+    }
+
+    /// The whole page.
+    pub fn html(&self) -> String {
+        let markup = html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    meta name="color-scheme" content="light dark";
+                    meta name="generator" content=(concat!("eddy ", env!("CARGO_PKG_VERSION")));
+                    title { (self.title) }
+                    style { (PreEscaped(STYLE)) }
+                }
+                body {
+                    header {
+                        h1 { (self.title) }
+                        p.lead { (self.lead) }
+                    }
+                    @if self.sections.len() > 1 {
+                        nav aria-label="Contents" {
+                            ol {
+                                @for (number, section) in self.sections.iter().enumerate() {
+                                    li { a href={ "#" (identifier(number)) } { (section.title) } }
+                                }
+                            }
+                        }
+                    }
+                    main {
+                        @for (number, section) in self.sections.iter().enumerate() {
+                            section id=(identifier(number)) {
+                                h2 { (section.title) }
+                                @for part in &section.content { (part) }
+                            }
+                        }
+                    }
+                }
+            }
+        };
+        markup.into_string()
+    }
+
+    /// Writes the page as a file.
+    ///
+    /// # Errors
+    /// What the operating system says.
+    pub fn save(&self, path: &Path) -> io::Result<()> {
+        fs::write(path, self.html())
+    }
+}
+
+/// What links to a section point at.
+fn identifier(number: usize) -> String {
+    format!("section-{}", number + 1)
+}
+
+impl Section {
+    fn new(title: String) -> Self {
+        Self { title, content: Vec::new() }
+    }
+
+    /// A heading within the section.
+    pub fn heading(&mut self, words: &str) -> &mut Self {
+        self.add(html! { h3 { (words) } })
+    }
+
+    /// A paragraph.
+    pub fn paragraph(&mut self, words: &str) -> &mut Self {
+        self.add(html! { p { (words) } })
+    }
+
+    /// Something that a reader should not miss.
+    pub fn note(&mut self, words: &str) -> &mut Self {
+        self.add(html! { p.note { (words) } })
+    }
+
+    /// Lines as they are typed.
+    pub fn code(&mut self, lines: &str) -> &mut Self {
+        self.add(html! { pre { code { (lines) } } })
+    }
+
+    /// A table.
+    pub fn table(&mut self, table: &Table) -> &mut Self {
+        self.add(table.markup())
+    }
+
+    /// Plots, side by side where the page is wide enough. Those that show nothing are left out.
+    pub fn plots(&mut self, plots: &[LinePlot]) -> &mut Self {
+        let figures: Vec<Markup> = plots.iter().filter_map(LinePlot::figure).collect();
+        match figures.is_empty() {
+            true => self,
+            false => self.add(html! { div.plots { @for figure in &figures { (figure) } } }),
+        }
+    }
+
+    /// Pictures in rows and columns.
+    pub fn pictures(&mut self, grid: &PictureGrid) -> &mut Self {
+        self.add(grid.markup())
+    }
+
+    /// Names with what they stand for.
+    pub fn facts(&mut self, facts: &[(String, String)]) -> &mut Self {
+        self.add(html! {
+            dl {
+                @for (name, value) in facts {
+                    div { dt { (name) } dd { (value) } }
+                }
+            }
+        })
+    }
+
+    /// How to make the page again: the command, and what ran it.
+    pub fn provenance(&mut self, made: &Provenance) -> &mut Self {
+        self.code(&made.command).facts(&made.facts())
+    }
+
+    /// A part that is folded away until a reader opens it; on paper it is open.
+    pub fn folded(&mut self, summary: &str, fill: impl FnOnce(&mut Self)) -> &mut Self {
+        let mut inner = Self::new(String::new());
+        fill(&mut inner);
+        self.add(html! {
+            details { summary { (summary) } @for part in &inner.content { (part) } }
+        })
+    }
+
+    fn add(&mut self, part: Markup) -> &mut Self {
+        self.content.push(part);
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every character that HTML has a meaning for.
+    const EVIL: &str = r#"<script>alert('x')</script> & "y""#;
+
+    #[test]
+    fn whatever_is_written_stays_text() {
+        let mut page = Page::new(EVIL, EVIL);
+        let section = page.section(EVIL);
+        section.heading(EVIL).paragraph(EVIL).note(EVIL).code(EVIL);
+        section.facts(&[(EVIL.into(), EVIL.into())]).folded(EVIL, |inner| {
+            inner.paragraph(EVIL);
+        });
+        let mut table = Table::new(EVIL, [EVIL, EVIL]);
+        table.row(EVIL, [EVIL]);
+        section.table(&table);
+        let html = page.html();
+        assert!(!html.contains("<script") && !html.contains("alert('x')</"), "{html}");
+        assert!(html.matches("&lt;script&gt;").count() >= 13, "{html}");
+    }
+
+    #[test]
+    fn a_page_needs_nothing_but_itself() {
+        let mut page = Page::new("a", "b");
+        page.section("c").paragraph("d");
+        page.section("e").note("f");
+        let html = page.html();
+        for word in ["http:", "https:", "src=", "@import", "url(", "<link", "<script"] {
+            assert!(!html.contains(word), "found {word}");
+        }
+        assert!(html.contains(r##"<a href="#section-2">e</a>"##), "{html}");
+        assert!(html.contains(r#"<section id="section-2"><h2>e</h2>"#), "{html}");
+    }
+
+    #[test]
+    fn the_same_page_is_the_same_bytes() {
+        let page = || {
+            let mut page = Page::new("a", "b");
+            page.section("c").plots(&[LinePlot::default()]);
+            page.html()
+        };
+        assert_eq!(page(), page());
+    }
+}

@@ -1,0 +1,285 @@
+//! Named curves on two axes, as SVG.
+
+use std::error::Error;
+
+use maud::{Markup, PreEscaped, html};
+use plotters::{
+    chart::{ChartBuilder, ChartContext},
+    element::Polygon,
+    prelude::{
+        Cartesian2d, DrawingArea, IntoDrawingArea as _, IntoFont as _, LineSeries, SVGBackend,
+    },
+    style::{Color as _, ShapeStyle, TRANSPARENT},
+};
+
+use super::{
+    Axis,
+    scale::Ruler,
+    style::{INK, PALE, Style},
+};
+
+/// Width and height of the drawing (its own units; two are about a pixel on a screen).
+const SIZE: (u32, u32) = (1120, 700);
+/// Height of letters.
+const LETTERS: u32 = 30;
+/// Room for labels: below, and left.
+const LABELS: (u32, u32) = (84, 124);
+/// Half the size of a mark.
+const MARK: f64 = 9.0;
+/// Width of a curve.
+const STROKE: u32 = 4;
+/// Curves of more points have marks at some of them only, about so many.
+const MARKS: usize = 7;
+
+/// A named curve.
+#[derive(Clone, Debug, Default)]
+pub struct Series {
+    /// What it is.
+    pub name: String,
+    /// Its points, in the units of the axes. Those that have no place (NaN, zero on a logarithmic axis) are
+    /// gaps.
+    pub points: Vec<[f64; 2]>,
+    /// An interval around it: x, lower end, upper end.
+    pub band: Vec<[f64; 3]>,
+    /// Whether the points belong to no line.
+    pub scattered: bool,
+}
+
+/// Curves on two axes.
+#[derive(Clone, Debug, Default)]
+pub struct LinePlot {
+    /// Above the picture.
+    pub title: String,
+    /// The horizontal axis.
+    pub x: Axis,
+    /// The vertical axis.
+    pub y: Axis,
+    /// The curves. Their number gives them their style: the same place in two plots looks the same.
+    pub series: Vec<Series>,
+}
+
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Ruler, Ruler>>;
+
+impl Series {
+    /// A curve over 1, 2, 3, ...: numbers for each frame ahead.
+    pub fn ahead(name: impl Into<String>, numbers: &[f64]) -> Self {
+        let point = |(index, &number): (usize, &f64)| [(index + 1) as f64, number];
+        let points = numbers.iter().enumerate().map(point).collect();
+        Self { name: name.into(), points, ..Self::default() }
+    }
+}
+
+impl LinePlot {
+    /// The plot with its title and what the curves are; nothing where no point has a place.
+    pub(super) fn figure(&self) -> Option<Markup> {
+        let svg = self.svg()?;
+        Some(html! {
+            figure.plot {
+                figcaption { (self.title) }
+                (PreEscaped(svg))
+                ul.legend {
+                    @for (number, series) in self.series.iter().enumerate() {
+                        @if self.shows(series) {
+                            li { (Style::of(number).sample(!series.scattered)) (series.name) }
+                        }
+                    }
+                }
+            }
+        })
+    }
+
+    /// The picture alone; nothing where no point has a place.
+    fn svg(&self) -> Option<String> {
+        let points = || self.series.iter().flat_map(|series| self.places(&series.points));
+        let ends_of_bands = || self.series.iter().flat_map(|series| self.band(&series.band));
+        let x = self.x.ends(points().flatten().map(|[x, _]| x))?;
+        let within = points().flatten().map(|[_, y]| y);
+        let y =
+            self.y.ends(within.chain(ends_of_bands().flat_map(|[_, low, high]| [low, high])))?;
+        let mut svg = String::new();
+        // A backend that writes into memory does not fail.
+        self.draw(&mut svg, x, y).ok()?;
+        // The page gives it its size; within a page it needs no namespace.
+        let (_, drawing) = svg.split_once('>')?;
+        let (width, height) = SIZE;
+        let words = format!("{}: {} over {}", self.title, self.y.title, self.x.title);
+        let opening =
+            html! { svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(words) {} };
+        let opening = opening.into_string();
+        Some(opening.strip_suffix("</svg>")?.to_owned() + drawing)
+    }
+
+    fn shows(&self, series: &Series) -> bool {
+        self.places(&series.points).iter().flatten().next().is_some()
+    }
+
+    /// The points along both axes; nothing where one has no place.
+    fn places(&self, points: &[[f64; 2]]) -> Vec<Option<[f64; 2]>> {
+        let place = |&[x, y]: &[f64; 2]| Some([self.x.place(x)?, self.y.place(y)?]);
+        points.iter().map(place).collect()
+    }
+
+    fn band(&self, band: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let place = |&[x, low, high]: &[f64; 3]| {
+            Some([self.x.place(x)?, self.y.place(low)?, self.y.place(high)?])
+        };
+        band.iter().filter_map(place).collect()
+    }
+
+    fn draw(&self, svg: &mut String, x: [f64; 2], y: [f64; 2]) -> Result<(), Box<dyn Error>> {
+        let root: DrawingArea<SVGBackend, _> =
+            SVGBackend::with_string(svg, SIZE).into_drawing_area();
+        let (below, left) = LABELS;
+        let rulers = [self.x.ruler(x), self.y.ruler(y)];
+        let labels = rulers.each_ref().map(Ruler::labels);
+        let [along, up] = rulers;
+        let mut chart = ChartBuilder::on(&root)
+            .margin(8)
+            .margin_right(24)
+            .x_label_area_size(below)
+            .y_label_area_size(left)
+            .build_cartesian_2d(along, up)?;
+        let letters = ("sans-serif", LETTERS).into_font().color(&INK);
+        chart
+            .configure_mesh()
+            .x_labels(labels[0])
+            .y_labels(labels[1])
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(PALE.stroke_width(2))
+            .axis_style(INK.stroke_width(2))
+            .label_style(letters.clone())
+            .axis_desc_style(letters)
+            .x_desc(&self.x.title)
+            .y_desc(&self.y.title)
+            .draw()?;
+        for (number, series) in self.series.iter().enumerate() {
+            self.draw_band(&mut chart, series, Style::of(number))?;
+        }
+        for (number, series) in self.series.iter().enumerate() {
+            self.draw_series(&mut chart, series, number)?;
+        }
+        drop(chart);
+        root.present()?;
+        Ok(())
+    }
+
+    fn draw_band(
+        &self,
+        chart: &mut Chart<'_, '_>,
+        series: &Series,
+        style: Style,
+    ) -> Result<(), Box<dyn Error>> {
+        let band = self.band(&series.band);
+        let lower = band.iter().map(|&[x, low, _]| (x, low));
+        let upper = band.iter().rev().map(|&[x, _, high]| (x, high));
+        let corners: Vec<_> = lower.chain(upper).collect();
+        if band.len() > 1 {
+            chart.draw_series([Polygon::new(corners, style.color.mix(0.15))])?;
+        }
+        Ok(())
+    }
+
+    fn draw_series(
+        &self,
+        chart: &mut Chart<'_, '_>,
+        series: &Series,
+        number: usize,
+    ) -> Result<(), Box<dyn Error>> {
+        let style = Style::of(number);
+        let places = self.places(&series.points);
+        if !series.scattered {
+            for piece in places.split(Option::is_none).filter(|piece| piece.len() > 1) {
+                let line = piece.iter().flatten().map(|&[x, y]| (x, y));
+                chart.draw_series(LineSeries::new(line, style.color.stroke_width(STROKE)))?;
+            }
+        }
+        let fill: ShapeStyle = style.color.filled();
+        // Marks of several curves through the same points are at different ones.
+        let every = if series.scattered { 1 } else { places.len().div_ceil(MARKS).max(1) };
+        let marked = places.iter().skip(number % every).step_by(every).flatten();
+        for &[x, y] in marked {
+            let (x, y) = chart.backend_coord(&(x, y));
+            let corners = style.mark.outline([f64::from(x), f64::from(y)], MARK);
+            let corners = corners.iter().map(|[x, y]| (x.round() as i32, y.round() as i32));
+            let area = chart.plotting_area().strip_coord_spec();
+            let (left, top) = area.get_base_pixel();
+            let corners: Vec<_> = corners.map(|(x, y)| (x - left, y - top)).collect();
+            area.draw(&Polygon::new(corners, fill))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plot(axis: fn(String) -> Axis, points: Vec<[f64; 2]>) -> LinePlot {
+        let series = Series { name: "a < b".into(), points, ..Series::default() };
+        LinePlot {
+            title: "t".into(),
+            x: Axis::linear("frames"),
+            y: axis("error".into()),
+            series: vec![series],
+        }
+    }
+
+    fn figure(axis: fn(String) -> Axis, points: Vec<[f64; 2]>) -> Option<String> {
+        Some(plot(axis, points).figure()?.into_string())
+    }
+
+    /// Every coordinate of a picture is on it.
+    fn is_within(svg: &str) {
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        for list in svg.split("points=\"").skip(1) {
+            let (list, _) = list.split_once('"').unwrap();
+            for number in list.split([',', ' ']).filter(|word| !word.is_empty()) {
+                let number: f64 = number.parse().unwrap();
+                assert!((-20.0..=f64::from(SIZE.0)).contains(&number), "{number} in {list}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_point_that_has_a_place_there_is_no_plot() {
+        for points in [vec![], vec![[1.0, f64::NAN]], vec![[f64::INFINITY, 1.0]]] {
+            assert_eq!(figure(Axis::linear, points.clone()), None);
+            assert_eq!(figure(Axis::logarithmic, points), None);
+        }
+        assert_eq!(figure(Axis::logarithmic, vec![[1.0, 0.0], [2.0, -1.0]]), None);
+    }
+
+    #[test]
+    fn whatever_numbers_there_are_the_picture_holds_them() {
+        for points in [
+            vec![[1.0, 1.0]],
+            vec![[1.0, 0.5], [2.0, f64::NAN], [3.0, 0.25], [4.0, f64::INFINITY]],
+            vec![[1.0, 1e-300], [2.0, 1e-3], [3.0, 0.0]],
+            vec![[0.0, 1e150], [1e-9, 1e150]],
+            vec![[1.0, 7.0], [2.0, 7.0]],
+        ] {
+            for axis in [Axis::linear, Axis::logarithmic] {
+                let svg = figure(axis, points.clone()).unwrap();
+                is_within(&svg);
+                assert!(svg.contains("a &lt; b") && svg.contains("frames"), "{svg}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_gap_splits_a_line_and_a_band_lies_behind_it() {
+        let mut plot = plot(Axis::linear, (0..6).map(|x| [f64::from(x), 1.0]).collect());
+        let lines = |plot: &LinePlot| {
+            let svg = plot.svg().unwrap();
+            svg.matches("<polyline fill=\"none\" opacity=\"1\" stroke=\"#0072B2\"").count()
+        };
+        assert_eq!(lines(&plot), 1);
+        plot.series[0].points[3][1] = f64::NAN;
+        assert_eq!(lines(&plot), 2);
+        plot.series[0].scattered = true;
+        assert_eq!(lines(&plot), 0);
+        assert!(!plot.svg().unwrap().contains("0.15"));
+        plot.series[0].band = vec![[0.0, 0.5, 2.0], [5.0, 0.5, 2.0]];
+        assert!(plot.svg().unwrap().contains("opacity=\"0.15\""));
+    }
+}

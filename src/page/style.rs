@@ -1,0 +1,135 @@
+//! What tells series apart: colour, dashes and marks, each alone enough.
+
+use maud::{Markup, html};
+use plotters::style::RGBColor;
+
+/// Colours of series, from the palette of Okabe and Ito ("Color Universal Design", 2008) without its
+/// yellow, which paper swallows. The first is that of text. `page.css` has the dashes of each, and what stands
+/// for it on a dark screen.
+pub(super) const COLORS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    INK,
+];
+/// Words and axes.
+pub(super) const INK: RGBColor = RGBColor(30, 30, 30);
+/// Lines of a grid.
+pub(super) const PALE: RGBColor = RGBColor(222, 222, 222);
+
+/// The shape of a mark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Mark {
+    Disc,
+    Square,
+    Triangle,
+    Diamond,
+    Cross,
+    Plus,
+    Bar,
+}
+
+const MARKS: [Mark; 7] =
+    [Mark::Disc, Mark::Square, Mark::Triangle, Mark::Diamond, Mark::Cross, Mark::Plus, Mark::Bar];
+
+/// How a series is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Style {
+    /// Its colour, which also stands for its dashes.
+    pub(super) color: RGBColor,
+    /// The shape of its marks.
+    pub(super) mark: Mark,
+}
+
+impl Style {
+    /// The style of series `number`: seven colours, and as many marks, which are shifted by one every
+    /// seven series. 49 series differ.
+    pub(super) fn of(number: usize) -> Self {
+        let (round, place) = (number / COLORS.len(), number % COLORS.len());
+        Self { color: COLORS[place], mark: MARKS[(place + round) % MARKS.len()] }
+    }
+
+    /// As CSS has it.
+    pub(super) fn hex(self) -> String {
+        let RGBColor(red, green, blue) = self.color;
+        format!("#{red:02X}{green:02X}{blue:02X}")
+    }
+
+    /// A piece of the line with a mark on it, for a legend.
+    pub(super) fn sample(self, line: bool) -> Markup {
+        let color = self.hex();
+        let corners: Vec<String> =
+            self.mark.outline([17.0, 7.0], 4.5).iter().map(|[x, y]| format!("{x},{y}")).collect();
+        html! {
+            svg.sample viewBox="0 0 34 14" aria-hidden="true" {
+                @if line {
+                    polyline fill="none" stroke=(color) stroke-width="2" points="0,7 34,7" {}
+                }
+                polygon fill=(color) points=(corners.join(" ")) {}
+            }
+        }
+    }
+}
+
+impl Mark {
+    /// Corners of the mark around a place, in the units of `radius`.
+    pub(super) fn outline(self, [x, y]: [f64; 2], radius: f64) -> Vec<[f64; 2]> {
+        let unit: Vec<[f64; 2]> = match self {
+            // Sixteen corners are round enough for a few pixels.
+            Self::Disc => (0..16)
+                .map(|k| (f64::from(k) / 16.0 * std::f64::consts::TAU).sin_cos())
+                .map(|(sin, cos)| [0.9 * cos, 0.9 * sin])
+                .collect(),
+            Self::Square => vec![[-0.8, -0.8], [0.8, -0.8], [0.8, 0.8], [-0.8, 0.8]],
+            Self::Triangle => vec![[0.0, -1.1], [1.0, 0.8], [-1.0, 0.8]],
+            Self::Diamond => vec![[0.0, -1.2], [0.9, 0.0], [0.0, 1.2], [-0.9, 0.0]],
+            Self::Cross => star(std::f64::consts::FRAC_PI_4),
+            Self::Plus => star(0.0),
+            Self::Bar => vec![[-0.35, -1.2], [0.35, -1.2], [0.35, 1.2], [-0.35, 1.2]],
+        };
+        let round = |number: f64| (10.0 * number).round() / 10.0;
+        unit.into_iter().map(|[a, b]| [round(x + radius * a), round(y + radius * b)]).collect()
+    }
+}
+
+/// A plus with thin arms, turned by `angle` (rad).
+fn star(angle: f64) -> Vec<[f64; 2]> {
+    const ARM: [[f64; 2]; 3] = [[0.3, -0.3], [1.2, -0.3], [1.2, 0.3]];
+    let turned = |quarter: i32| {
+        let (sin, cos) = (angle + f64::from(quarter) * std::f64::consts::FRAC_PI_2).sin_cos();
+        ARM.map(|[x, y]| [x * cos - y * sin, x * sin + y * cos])
+    };
+    (0..4).flat_map(turned).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forty_nine_series_differ_and_seven_do_so_in_colour_and_in_mark() {
+        let all: Vec<Style> = (0..49).map(Style::of).collect();
+        for (number, style) in all.iter().enumerate() {
+            assert!(!all[..number].contains(style), "{number}");
+            let near = &all[number.saturating_sub(6)..number];
+            let same_round = near.iter().skip(6_usize.saturating_sub(number % 7).min(near.len()));
+            for other in same_round {
+                assert!(other.color != style.color && other.mark != style.mark, "{number}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_colour_has_its_dashes_and_its_stand_in_for_the_dark() {
+        let sheet = include_str!("page.css");
+        for number in 0..COLORS.len() {
+            let hex = Style::of(number).hex();
+            let stroke = sheet.matches(&format!("[stroke=\"{hex}\"]")).count();
+            assert!(stroke >= 1, "{hex}: {stroke}");
+            assert!(sheet.contains(&format!("[fill=\"{hex}\"]")), "{hex}");
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Rows of numbers under a caption.
+
+use maud::{Markup, html};
+
+/// A table. Its first column says what a row is about; the others are set to the right.
+#[derive(Clone, Debug)]
+pub struct Table {
+    caption: String,
+    header: Vec<String>,
+    rows: Vec<(Cell, Vec<Cell>)>,
+}
+
+/// A cell of a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cell {
+    text: String,
+    bold: bool,
+}
+
+impl Cell {
+    /// A cell that stands out.
+    pub fn bold(text: impl Into<String>) -> Self {
+        Self { text: text.into(), bold: true }
+    }
+
+    /// A cell for each number, the lowest in bold; `-` for what is no number.
+    pub fn lowest_bold(numbers: &[f64], format: impl Fn(f64) -> String) -> Vec<Self> {
+        let lowest = numbers.iter().copied().fold(f64::INFINITY, f64::min);
+        let cell = |&number: &f64| match number {
+            number if number.is_nan() => "-".into(),
+            number => Self { text: format(number), bold: number == lowest },
+        };
+        numbers.iter().map(cell).collect()
+    }
+}
+
+impl<T: Into<String>> From<T> for Cell {
+    fn from(text: T) -> Self {
+        Self { text: text.into(), bold: false }
+    }
+}
+
+impl Table {
+    /// A table without rows; `header` names every column, that of the rows' names included.
+    pub fn new<T: Into<String>>(
+        caption: impl Into<String>,
+        header: impl IntoIterator<Item = T>,
+    ) -> Self {
+        let header = header.into_iter().map(Into::into).collect();
+        Self { caption: caption.into(), header, rows: Vec::new() }
+    }
+
+    /// Appends a row.
+    pub fn row<C: Into<Cell>>(
+        &mut self,
+        name: impl Into<Cell>,
+        cells: impl IntoIterator<Item = C>,
+    ) -> &mut Self {
+        self.rows.push((name.into(), cells.into_iter().map(Into::into).collect()));
+        self
+    }
+
+    /// Whether there are no rows.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// What it shows.
+    pub fn caption(&self) -> &str {
+        &self.caption
+    }
+
+    /// Titles of the columns, that of the rows' names first.
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// The words of each row, its name first: for a terminal.
+    pub fn rows(&self) -> impl Iterator<Item = Vec<&str>> {
+        self.rows.iter().map(|(name, cells)| {
+            std::iter::once(name).chain(cells).map(|cell| cell.text.as_str()).collect()
+        })
+    }
+
+    pub(super) fn markup(&self) -> Markup {
+        html! {
+            // Scrolls by itself where the page is too narrow.
+            div.table tabindex="0" {
+                table {
+                    caption { (self.caption) }
+                    thead { tr { @for title in &self.header { th scope="col" { (title) } } } }
+                    tbody {
+                        @for (name, cells) in &self.rows {
+                            tr {
+                                th scope="row" { (name.text) }
+                                @for cell in cells {
+                                    td { @if cell.bold { b { (cell.text) } } @else { (cell.text) } }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lowest_numbers_are_bold_and_what_is_no_number_is_a_dash() {
+        let cells = Cell::lowest_bold(&[2.0, f64::NAN, 1.0, 1.0], |x| format!("{x:.1}"));
+        assert_eq!(cells, ["2.0".into(), "-".into(), Cell::bold("1.0"), Cell::bold("1.0")]);
+        assert_eq!(Cell::lowest_bold(&[f64::NAN], |x| x.to_string()), ["-".into()]);
+    }
+
+    #[test]
+    fn a_table_has_its_caption_titles_and_rows() {
+        let mut table = Table::new("speeds", ["what", "ms"]);
+        table.row("slow", [Cell::bold("3")]).row("fast", ["1"]);
+        insta::assert_snapshot!(table.markup().into_string(), @"");
+    }
+}
