@@ -29,8 +29,8 @@ impl Report {
         let caption = format!("Skill, mean of {} kinds of scenes", self.kinds.len());
         let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms a frame"]);
         let compared = self.compared.iter().map(usize::to_string);
-        table.row("rollouts with truth", compared.chain(["", "", ""].map(String::from)));
-        for entry in self.fallible() {
+        table.row("rollouts with truth", compared);
+        for entry in self.skilled() {
             let mut cells = self.words_at_shown(&entry.skill, skill);
             cells.extend(counts(&entry.blow_ups, self.windows));
             cells.push(entry.cost.as_ref().map_or("-".into(), |cost| milliseconds(cost.p50)));
