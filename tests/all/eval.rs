@@ -6,6 +6,8 @@ use eddy::{
     bench::inference::Case,
     checkpoint::{Checkpoint, Core, Description},
     dataset,
+    eval::Report,
+    page::Provenance,
 };
 use serde_json::Value;
 use tempfile::TempDir;
@@ -346,7 +348,7 @@ fn what_is_no_report_is_named_with_what_was_expected() {
         (value.to_string(), "missing field `horizon`"),
         (of_old, "format: found 1, expected 2"),
         ("{}".to_owned(), "format: found 1, expected 2"),
-        ("[1]".to_owned(), "expected the report.json of `eddy eval`"),
+        ("7".to_owned(), "expected the report.json of `eddy eval`"),
     ] {
         fs::write(&file, text).unwrap();
         let message = fail(1, ["eval", "--compare", &a, &file]);
@@ -383,4 +385,13 @@ fn the_same_judgement_is_the_same_report_but_for_its_date_and_times() {
         (report.to_string(), fs::read_to_string(Path::new(output).join("curves.csv")).unwrap())
     };
     assert!(read(&first) == read(&second));
+
+    let load = || Report::load(Path::new(&first)).unwrap();
+    let page = |report: &Report| report.page().unwrap().html();
+    let (same, mut other) = (page(&load()), load());
+    assert!(page(&load()) == same);
+    other.made = Provenance::default();
+    let other = page(&other);
+    let before = |html: &str| html.split_once("How to make this again</h2>").unwrap().0.to_owned();
+    assert!(before(&other) == before(&same) && other != same);
 }
