@@ -41,15 +41,15 @@ pub enum BagCommand {
     Merge(MergeArgs),
     /// Copies some topics of a bag into a new one.
     Filter(FilterArgs),
-    /// Copies a bag with its frames also as sensor_msgs/PointCloud2, on TOPIC/cloud, which RViz and
-    /// Foxglove draw.
+    /// As `export --cloud`.
+    #[command(hide = true)]
     Cloud(CloudArgs),
     /// Writes metadata.yaml anew, and the summaries that files lack, from the messages that are there.
     Reindex {
         /// The bag: a directory with MCAP files, or one of them.
         bag: PathBuf,
     },
-    /// Writes the frames of bags as files of other programs.
+    /// Writes the frames of bags as files of other programs, or as point clouds beside them.
     Export(ExportArgs),
     /// Writes the trajectories of other programs' files as bags, one a stream.
     Import(ImportArgs),
@@ -140,8 +140,15 @@ pub struct ExportArgs {
     #[arg(required = true)]
     pub bags: Vec<PathBuf>,
     /// What to write.
-    #[arg(long, short, value_enum)]
-    pub format: ExportFormat,
+    #[arg(long, short, value_enum, required_unless_present = "cloud")]
+    pub format: Option<ExportFormat>,
+    /// Copy a bag with its frames also as sensor_msgs/PointCloud2, on TOPIC/cloud, which Foxglove, RViz
+    /// and Rerun draw.
+    #[arg(long, conflicts_with_all = ["format", "topic", "stream", "frames"])]
+    pub cloud: bool,
+    /// How chunks of the bag with the clouds are compressed [default: as in the bag that is read].
+    #[arg(long, value_enum, requires = "cloud")]
+    pub compression: Option<CompressionArg>,
     /// A path where nothing is yet; named after the bag if not given. A file for csv, otherwise a directory; npz (of one stream) and gns write a lone file when the name ends in .npz.
     #[arg(long, short)]
     pub output: Option<PathBuf>,

@@ -17,6 +17,9 @@ use eddy::{
 pub struct BenchArgs {
     #[command(subcommand)]
     pub command: BenchCommand,
+    /// Also writes the tables, with curves, as a page of its own.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub html: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]

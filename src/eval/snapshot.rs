@@ -24,8 +24,11 @@ pub struct Snapshot {
     pub predicted: Vec<Vec<Frame>>,
 }
 
-/// Lets predictors roll out from one frame of a stream: the second that rollouts start from when it is
-/// judged, by which things have begun to meet, or the only one. `None` where none has truth up to the horizon.
+/// Where in a stream a rollout is looked at, about: things have begun to meet by then.
+const START: f64 = 0.15;
+
+/// Lets predictors roll out from one frame of a stream, of those that rollouts start from when it is judged:
+/// the one after about 15 % of it. `None` where none has truth up to the horizon.
 ///
 /// # Errors
 /// As [`judge_scene`](super::judge_scene).
@@ -38,7 +41,9 @@ pub fn snapshot(
     let horizon = arena.settings.horizon;
     let starts = arena.starts(stream.states.len());
     let whole = |start: &&usize| **start + horizon < stream.states.len();
-    let Some(&start) = starts.iter().take(2).filter(whole).next_back() else { return Ok(None) };
+    let wanted = (START * stream.states.len() as f64) as usize;
+    let nearest = starts.iter().filter(whole).min_by_key(|start| start.abs_diff(wanted));
+    let Some(&start) = nearest else { return Ok(None) };
     let ahead: Vec<usize> = SHOWN.into_iter().filter(|&ahead| ahead <= horizon).collect();
     let (flights, starts) = (Flights::default(), [start]);
     let reach = ahead.last().copied().unwrap_or(1);

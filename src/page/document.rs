@@ -122,12 +122,12 @@ impl Section {
         self.add(table.markup())
     }
 
-    /// Plots, side by side where the page is wide enough. Those that show nothing are left out.
+    /// Plots, side by side where the page is wide enough. Those that show nothing are left out; what the
+    /// curves are is said once if it is the same for all.
     pub fn plots(&mut self, plots: &[LinePlot]) -> &mut Self {
-        let figures: Vec<Markup> = plots.iter().filter_map(LinePlot::figure).collect();
-        match figures.is_empty() {
-            true => self,
-            false => self.add(html! { div.plots { @for figure in &figures { (figure) } } }),
+        match LinePlot::figures(plots) {
+            Some(figures) => self.add(figures),
+            None => self,
         }
     }
 

@@ -15,7 +15,7 @@ use plotters::{
 use super::{
     Axis,
     scale::Ruler,
-    style::{INK, PALE, Style},
+    style::{AXIS, INK, PALE, Style},
 };
 
 /// Width and height of the drawing (its own units; two are about a pixel on a screen).
@@ -26,8 +26,6 @@ const LETTERS: u32 = 30;
 const LABELS: (u32, u32) = (84, 124);
 /// Half the size of a mark.
 const MARK: f64 = 9.0;
-/// Width of a curve.
-const STROKE: u32 = 4;
 /// Curves of more points have marks at some of them only, about so many.
 const MARKS: usize = 7;
 
@@ -70,22 +68,42 @@ impl Series {
 }
 
 impl LinePlot {
-    /// The plot with its title and what the curves are; nothing where no point has a place.
-    pub(super) fn figure(&self) -> Option<Markup> {
-        let svg = self.svg()?;
-        Some(html! {
-            figure.plot {
-                figcaption { (self.title) }
-                (PreEscaped(svg))
-                ul.legend {
-                    @for (number, series) in self.series.iter().enumerate() {
-                        @if self.shows(series) {
-                            li { (Style::of(number).sample(!series.scattered)) (series.name) }
+    /// Plots side by side, each with its title. What the curves are is said once if all have the same;
+    /// nothing where no point has a place.
+    pub(super) fn figures(plots: &[Self]) -> Option<Markup> {
+        let drawn: Vec<(&Self, String)> =
+            plots.iter().filter_map(|plot| Some((plot, plot.svg()?))).collect();
+        let legends: Vec<String> =
+            drawn.iter().map(|(plot, _)| plot.legend().into_string()).collect();
+        let same = legends.len() > 1 && legends.iter().all(|legend| *legend == legends[0]);
+        let shared = legends.first().filter(|_| same);
+        (!drawn.is_empty()).then(|| {
+            html! {
+                @if let Some(legend) = shared { (PreEscaped(legend)) }
+                div.plots {
+                    @for ((plot, svg), legend) in drawn.iter().zip(&legends) {
+                        figure.plot {
+                            figcaption { (plot.title) }
+                            (PreEscaped(svg))
+                            @if !same { (PreEscaped(legend)) }
                         }
                     }
                 }
             }
         })
+    }
+
+    /// What the curves are.
+    fn legend(&self) -> Markup {
+        html! {
+            ul.legend {
+                @for (number, series) in self.series.iter().enumerate() {
+                    @if self.shows(series) {
+                        li { (Style::of(number).sample(!series.scattered)) (series.name) }
+                    }
+                }
+            }
+        }
     }
 
     /// The picture alone; nothing where no point has a place.
@@ -146,7 +164,7 @@ impl LinePlot {
             .y_labels(labels[1])
             .light_line_style(TRANSPARENT)
             .bold_line_style(PALE.stroke_width(2))
-            .axis_style(INK.stroke_width(2))
+            .axis_style(AXIS.stroke_width(2))
             .label_style(letters.clone())
             .axis_desc_style(letters)
             .x_desc(&self.x.title)
@@ -190,7 +208,7 @@ impl LinePlot {
         if !series.scattered {
             for piece in places.split(Option::is_none).filter(|piece| piece.len() > 1) {
                 let line = piece.iter().flatten().map(|&[x, y]| (x, y));
-                chart.draw_series(LineSeries::new(line, style.color.stroke_width(STROKE)))?;
+                chart.draw_series(LineSeries::new(line, style.color.stroke_width(style.width)))?;
             }
         }
         let fill: ShapeStyle = style.color.filled();
@@ -225,7 +243,7 @@ mod tests {
     }
 
     fn figure(axis: fn(String) -> Axis, points: Vec<[f64; 2]>) -> Option<String> {
-        Some(plot(axis, points).figure()?.into_string())
+        Some(LinePlot::figures(&[plot(axis, points)])?.into_string())
     }
 
     /// Every coordinate of a picture is on it.
@@ -264,6 +282,19 @@ mod tests {
                 assert!(svg.contains("a &lt; b") && svg.contains("frames"), "{svg}");
             }
         }
+    }
+
+    #[test]
+    fn what_curves_are_is_said_once_if_it_is_the_same_for_all_plots() {
+        let points = || vec![[1.0, 1.0], [2.0, 2.0]];
+        let mut plots = [plot(Axis::linear, points()), plot(Axis::linear, points())];
+        let legends = |plots: &[LinePlot]| {
+            let html = LinePlot::figures(plots).unwrap().into_string();
+            html.matches("class=\"legend\"").count()
+        };
+        assert_eq!(legends(&plots), 1);
+        plots[1].series[0].name = "another".into();
+        assert_eq!(legends(&plots), 2);
     }
 
     #[test]

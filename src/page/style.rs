@@ -15,8 +15,10 @@ pub(super) const COLORS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     INK,
 ];
-/// Words and axes.
+/// Words.
 pub(super) const INK: RGBColor = RGBColor(30, 30, 30);
+/// Axes.
+pub(super) const AXIS: RGBColor = RGBColor(90, 90, 90);
 /// Lines of a grid.
 pub(super) const PALE: RGBColor = RGBColor(222, 222, 222);
 
@@ -42,6 +44,8 @@ pub(super) struct Style {
     pub(super) color: RGBColor,
     /// The shape of its marks.
     pub(super) mark: Mark,
+    /// Width of its line (the drawing's units): the first seven are wider.
+    pub(super) width: u32,
 }
 
 impl Style {
@@ -49,7 +53,8 @@ impl Style {
     /// seven series. 49 series differ.
     pub(super) fn of(number: usize) -> Self {
         let (round, place) = (number / COLORS.len(), number % COLORS.len());
-        Self { color: COLORS[place], mark: MARKS[(place + round) % MARKS.len()] }
+        let mark = MARKS[(place + round) % MARKS.len()];
+        Self { color: COLORS[place], mark, width: if round == 0 { 4 } else { 2 } }
     }
 
     /// As CSS has it.
@@ -66,7 +71,7 @@ impl Style {
         html! {
             svg.sample viewBox="0 0 34 14" aria-hidden="true" {
                 @if line {
-                    polyline fill="none" stroke=(color) stroke-width="2" points="0,7 34,7" {}
+                    polyline fill="none" stroke=(color) stroke-width=(self.width / 2) points="0,7 34,7" {}
                 }
                 polygon fill=(color) points=(corners.join(" ")) {}
             }

@@ -92,10 +92,13 @@ impl Table {
                     tbody {
                         @for (name, cells) in &self.rows {
                             tr {
-                                th scope="row" { (name.text) }
+                                th scope="row" {
+                                    @if name.bold { b { (name.text) } } @else { (name.text) }
+                                }
                                 @for cell in cells {
                                     td { @if cell.bold { b { (cell.text) } } @else { (cell.text) } }
                                 }
+                                @for _ in cells.len() + 1..self.header.len() { td {} }
                             }
                         }
                     }
@@ -119,7 +122,18 @@ mod tests {
     #[test]
     fn a_table_has_its_caption_titles_and_rows() {
         let mut table = Table::new("speeds", ["what", "ms"]);
-        table.row("slow", [Cell::bold("3")]).row("fast", ["1"]);
-        insta::assert_snapshot!(table.markup().into_string(), @"");
+        table.row("slow", [Cell::bold("3")]).row("fast", ["1"]).row("none", [""; 0]);
+        assert_eq!(
+            table.rows().collect::<Vec<_>>(),
+            [vec!["slow", "3"], vec!["fast", "1"], vec!["none"]]
+        );
+        let expected = concat!(
+            r#"<div class="table" tabindex="0"><table><caption>speeds</caption><thead><tr>"#,
+            r#"<th scope="col">what</th><th scope="col">ms</th></tr></thead><tbody>"#,
+            r#"<tr><th scope="row">slow</th><td><b>3</b></td></tr>"#,
+            r#"<tr><th scope="row">fast</th><td>1</td></tr>"#,
+            r#"<tr><th scope="row">none</th><td></td></tr></tbody></table></div>"#,
+        );
+        assert_eq!(table.markup().into_string(), expected);
     }
 }

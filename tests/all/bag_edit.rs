@@ -483,7 +483,7 @@ fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("clouds");
     let new = output.to_str().unwrap();
-    succeed(["bag", "cloud", "bags/sample", "--output", new]);
+    succeed(["bag", "export", "--cloud", "bags/sample", "--output", new]);
     assert_eq!(findings(&output), Vec::<String>::new());
     let (clouds, others): (Vec<_>, Vec<_>) =
         messages(&output).into_iter().partition(|(topic, ..)| topic == "/particles/cloud");
@@ -496,6 +496,11 @@ fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
         assert!(cloud.4 == expected, "frame {}", frame.1);
     }
     let again = folder.path().join("again");
+    let both = ["bag", "export", "--cloud", "bags/sample", "bags/sample"];
+    assert!(fail(1, both).contains("--cloud: found 2 bags, expected one"));
+    assert!(fail(2, ["bag", "export", "bags/sample"]).contains("--format"));
+    let csv = ["bag", "export", "--cloud", "--format", "csv", "bags/sample"];
+    assert!(fail(2, csv).contains("--cloud"));
     let message = fail(1, ["bag", "cloud", new, "--output", again.to_str().unwrap()]);
     assert!(message.contains("found no topic of eddy_msgs/msg/ParticleFrame"), "{message}");
 }

@@ -2,7 +2,10 @@
 
 use serde_json::Value;
 
-use crate::support::{fail, succeed};
+use crate::{
+    eval::is_a_page_of_its_own,
+    support::{fail, succeed},
+};
 
 #[test]
 fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
@@ -12,7 +15,15 @@ fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
     let header = ["model", "core", "weights", "floor, 2", "engine, 1", "engine, 2", "flex"];
     assert!(header.iter().all(|title| table.contains(title)), "{table}");
 
-    let json = succeed(arguments.iter().chain(&quickly).chain(&["--json"]));
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("bench.html");
+    let html = ["--html", page.to_str().unwrap()];
+    let json = succeed(arguments.iter().chain(&quickly).chain(&["--json"]).chain(&html));
+    let text = std::fs::read_to_string(&page).unwrap();
+    is_a_page_of_its_own(&text);
+    for words in ["eddy bench inference", "bench inference --particles 30", "Machine"] {
+        assert!(text.contains(words), "{words}");
+    }
     let report: Value = serde_json::from_str(&json).unwrap();
     let timings = report["timings"].as_array().unwrap();
     let named = |timing: &Value| format!("{} {}", timing["architecture"], timing["engine"]);
@@ -67,7 +78,13 @@ fn bags_are_timed_and_what_was_written_is_removed() {
 #[test]
 fn frames_on_their_way_are_timed_beside_the_middleware_alone() {
     let arguments = ["bench", "transport", "--transport", "shm,zenoh", "--particles", "100"];
-    let json = succeed(arguments.iter().chain(&["--messages", "5", "--json"]));
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("bench.html");
+    let html = ["--html", page.to_str().unwrap()];
+    let json = succeed(arguments.iter().chain(&["--messages", "5", "--json"]).chain(&html));
+    let text = std::fs::read_to_string(&page).unwrap();
+    is_a_page_of_its_own(&text);
+    assert!(text.contains("<svg viewBox") && text.contains("zenoh, bytes"), "{text}");
     let report: Value = serde_json::from_str(&json).unwrap();
     let timings = report["timings"].as_array().unwrap();
     let named = |timing: &Value| format!("{} {}", timing["transport"], timing["way"]);

@@ -6,6 +6,8 @@ use eddy::{
     bench::inference::Case,
     checkpoint::{Checkpoint, Core, Description},
     dataset,
+    eval::Report,
+    page::Provenance,
 };
 use serde_json::Value;
 use tempfile::TempDir;
@@ -26,6 +28,34 @@ fn report(folder: &TempDir) -> Value {
 fn names(report: &Value) -> Vec<&str> {
     let predictors = report["predictors"].as_array().unwrap();
     predictors.iter().map(|predictor| predictor["name"].as_str().unwrap()).collect()
+}
+
+/// A page is whole, its tags are closed, and it asks nobody for anything.
+pub fn is_a_page_of_its_own(html: &str) {
+    for word in ["http://", "https://", "@import", "url(", "<link", "<script", "<iframe", "srcset"]
+    {
+        assert!(!html.contains(word), "found {word}");
+    }
+    assert_eq!(html.matches("src=").count(), html.matches("src=\"data:").count());
+    assert!(!html.contains("NaN") && !html.contains("inf "), "numbers that are none");
+    let mut open = Vec::new();
+    let rest = html.strip_prefix("<!DOCTYPE html>").unwrap();
+    for tag in rest.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').unwrap();
+        let name = tag.trim_start_matches('/').split([' ', '\n', '/']).next().unwrap();
+        match tag.starts_with('/') {
+            true => assert_eq!(open.pop(), Some(name), "</{name}>"),
+            // Those have no end.
+            false if ["meta", "img"].contains(&name) || tag.ends_with('/') => {}
+            false => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "not closed: {open:?}");
+    // Where links lead to is there.
+    for link in html.split("href=\"#").skip(1) {
+        let (target, _) = link.split_once('"').unwrap();
+        assert!(html.contains(&format!("id=\"{target}\"")), "{target}");
+    }
 }
 
 /// The shipped checkpoint, changed, under another name.
@@ -58,6 +88,7 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
         "persistence",
         "constant velocity",
         "ballistic with walls",
+        "mean of the training",
         "MPM restarted",
         "MPM restarted, half the substeps",
         "MPM restarted, half the grid",
@@ -68,10 +99,10 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     assert_eq!((&report["windows"], &report["reach"]), (&Value::from(2), &Value::from(200)));
     let skill = |number: usize| report["predictors"][number]["skill"][4].as_f64().unwrap();
     assert_eq!(skill(0), skill(1), "the same weights");
-    assert!(skill(7) > 0.5, "the restarted solver knows the law: {}", skill(7));
-    assert!(skill(10) > 0.99, "a small displacement is forgiven for five frames: {}", skill(10));
-    assert_eq!(skill(11), 1.0, "the truth makes no error");
-    for number in [0, 7, 10] {
+    assert!(skill(8) > 0.5, "the restarted solver knows the law: {}", skill(8));
+    assert!(skill(11) > 0.99, "a small displacement is forgiven for five frames: {}", skill(11));
+    assert_eq!(skill(12), 1.0, "the truth makes no error");
+    for number in [0, 8, 11] {
         let cost = report["predictors"][number]["cost"]["p50"].as_f64().unwrap();
         assert!(cost > 0.0, "{number}");
     }
@@ -82,10 +113,44 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     assert!(group["skill_intervals"].is_null(), "one scene says nothing about others");
     assert!(group["ms"].as_f64().unwrap() > 0.0);
     assert_eq!(report["compared"], serde_json::json!([2, 1]));
-    let cost = &report["predictors"][7]["cost"];
+    let cost = &report["predictors"][8]["cost"];
     assert_eq!(cost["kinds"][0]["p50"], cost["p50"], "one kind");
     let plot = fs::read(folder.path().join("report/cost_error.png")).unwrap();
     assert!(plot.starts_with(b"\x89PNG"));
+
+    let scene = &report["scenes"][0];
+    assert_eq!(
+        (&scene["id"], &scene["errors"].as_array().unwrap().len()),
+        (&0.into(), &expected.len())
+    );
+    let of = |what: &str, number: usize| -> f64 {
+        report["predictors"][number][what][4].as_f64().unwrap()
+    };
+    // The only scene is all there is.
+    assert_eq!(scene["errors"][2]["zscore_mse"][4], report["predictors"][2]["zscore_mse"][4]);
+    assert_eq!(of("kinetic_energy", 0), of("kinetic_energy", 1));
+    assert_eq!(of("centre_rmse", 12), 0.0);
+    assert!(of("kinetic_energy", 12) > 0.0 && of("zscore_mse", 7) > 0.0);
+
+    let html = fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    is_a_page_of_its_own(&html);
+    for words in [
+        "Scene by scene: the paper&#39;s Tables 2 and 3",
+        "MinMax MSE, mean of frames 1 to 5",
+        "One step, steps added up, free rollout",
+        "What physics asks for",
+        "Kinetic energy per mass",
+        "Truth and prediction",
+        "Time of a frame",
+        "How to make this again",
+        "--rivals mpm,chaos --join-late",
+        report["data_digest"].as_str().unwrap(),
+        report["predictors"][1]["digest"].as_str().unwrap(),
+    ] {
+        assert!(html.contains(words) || html.contains(&words.replace("&#39;", "'")), "no {words}");
+    }
+    // Truth, two models and a solver, one and five frames ahead.
+    assert_eq!(html.matches("<img src=\"data:image/png;base64,").count(), 4 * 2);
 
     let csv = fs::read_to_string(folder.path().join("report/curves.csv")).unwrap();
     let header = csv.lines().next().unwrap().split(',').count();
@@ -130,7 +195,7 @@ fn without_a_manifest_there_are_no_rivals_and_that_is_said() {
     for words in ["no rivals", "scene_0000", "manifest.json"] {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }
-    assert_eq!(names(&report(&folder)).len(), 5);
+    assert_eq!(names(&report(&folder)).len(), 6);
 }
 
 #[test]
@@ -226,4 +291,107 @@ fn streams_shorter_than_the_horizon_are_named_with_what_is_needed() {
     simulate(&folder.path().join("truth"), 1, 0.1);
     let message = fail(1, ["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output]);
     assert!(message.contains("the longest has 6 frames, expected at least"), "{message}");
+}
+
+/// Judges the shipped checkpoint, quickly.
+fn judge(data: &str, output: &str, horizon: &str) {
+    let arguments = ["eval", "--checkpoint", SHIPPED, "--data", data, "--output", output];
+    succeed(arguments.into_iter().chain(["--horizon", horizon, "--starts", "1"]));
+}
+
+#[test]
+fn reports_of_the_same_data_are_compared_and_what_differs_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let [data, other, a, b, c, html] =
+        ["truth", "other", "a", "b", "c", "compared.html"].map(|name| path(&folder, name));
+    simulate(&folder.path().join("truth"), 1, 0.2);
+    succeed(["simulate", "--scenes", "1", "--seed", "9", "--duration", "0.2", "--output", &other]);
+    judge(&data, &a, "5");
+    judge(&data, &b, "3");
+    let file = path(&folder, "b/report.json");
+    let printed = succeed(["eval", "--compare", &a, &file, "--output", &html]);
+    for words in [
+        "The horizons differ, the shortest is what is compared: 5 frames in a, 3 frames in b",
+        "particle-mingru (a)",
+        "particle-mingru (b)",
+        "Position RMSE over that of particle-mingru (a)",
+        "1.000",
+    ] {
+        assert!(printed.contains(words), "`{words}` is not in: {printed}");
+    }
+    assert!(!printed.contains("frame 5"), "{printed}");
+    let page = fs::read_to_string(&html).unwrap();
+    is_a_page_of_its_own(&page);
+    assert!(page.contains("The horizons differ") && page.contains("eval --compare"), "{page}");
+
+    judge(&other, &c, "3");
+    let message = fail(1, ["eval", "--compare", &a, &c]);
+    assert!(
+        message.contains("data_digest: found ") && message.contains("expected the same"),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_is_no_report_is_named_with_what_was_expected() {
+    let folder = tempfile::tempdir().unwrap();
+    let [data, a] = ["truth", "a"].map(|name| path(&folder, name));
+    simulate(&folder.path().join("truth"), 1, 0.2);
+    judge(&data, &a, "2");
+    let whole = fs::read_to_string(path(&folder, "a/report.json")).unwrap();
+    let file = path(&folder, "broken.json");
+    let mut value: Value = serde_json::from_str(&whole).unwrap();
+    value.as_object_mut().unwrap().remove("horizon");
+    let of_old = whole.replacen("\"format\": 2", "\"format\": 1", 1);
+    for (text, words) in [
+        (whole[..whole.len() / 2].to_owned(), "EOF while parsing"),
+        (value.to_string(), "missing field `horizon`"),
+        (of_old, "format: found 1, expected 2"),
+        ("{}".to_owned(), "format: found 1, expected 2"),
+        ("7".to_owned(), "expected the report.json of `eddy eval`"),
+    ] {
+        fs::write(&file, text).unwrap();
+        let message = fail(1, ["eval", "--compare", &a, &file]);
+        assert!(message.contains("broken.json") && message.contains(words), "{message}");
+    }
+    let message = fail(1, ["eval", "--compare", &a, &path(&folder, "nowhere")]);
+    assert!(message.contains("nowhere"), "{message}");
+    let message = fail(2, ["eval", "--compare", &a]);
+    assert!(message.contains("--compare"), "{message}");
+    let message = fail(2, ["eval", "--compare", &a, &a, "--horizon", "3"]);
+    assert!(message.contains("--horizon"), "{message}");
+}
+
+#[test]
+fn the_same_judgement_is_the_same_report_but_for_its_date_and_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let [data, first, second] = ["truth", "first", "second"].map(|name| path(&folder, name));
+    simulate(&folder.path().join("truth"), 1, 0.2);
+    let read = |output: &str| {
+        judge(&data, output, "3");
+        let text = fs::read_to_string(Path::new(output).join("report.json")).unwrap();
+        let mut report: Value = serde_json::from_str(&text).unwrap();
+        let report_made = report["made"].take();
+        assert!(report_made["machine"]["cores"].as_u64().unwrap() > 0, "{report_made}");
+        for kind in ["predictors", "groups"] {
+            for entry in report[kind].as_array_mut().unwrap() {
+                for time in ["cost", "ms"] {
+                    if let Some(value) = entry.get_mut(time) {
+                        value.take();
+                    }
+                }
+            }
+        }
+        (report.to_string(), fs::read_to_string(Path::new(output).join("curves.csv")).unwrap())
+    };
+    assert!(read(&first) == read(&second));
+
+    let load = || Report::load(Path::new(&first)).unwrap();
+    let page = |report: &Report| report.page().unwrap().html();
+    let (same, mut other) = (page(&load()), load());
+    assert!(page(&load()) == same);
+    other.made = Provenance::default();
+    let other = page(&other);
+    let before = |html: &str| html.split_once("How to make this again</h2>").unwrap().0.to_owned();
+    assert!(before(&other) == before(&same) && other != same);
 }

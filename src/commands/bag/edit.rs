@@ -1,12 +1,12 @@
 //! `eddy bag cut`, `merge`, `filter` and `cloud`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, anyhow, ensure};
 
-use super::{report, watch, writer_options};
+use super::{export::stem, report, watch, writer_options};
 use crate::{
-    cli::{CloudArgs, CutArgs, FilterArgs, MergeArgs, NewBagArgs},
+    cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
     commands::{Interrupt, progress_bar},
 };
 use eddy::{
@@ -77,6 +77,16 @@ pub fn cloud(args: &CloudArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
         clouds(&bag, output, options)
     })
+}
+
+/// As [`cloud`], with what `export` was given.
+pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let stem = stem(&args.bags);
+    let ExportArgs { bags, output, compression, .. } = args;
+    let [bag] = <[PathBuf; 1]>::try_from(bags)
+        .map_err(|bags| anyhow!("--cloud: found {} bags, expected one", bags.len()))?;
+    let output = output.unwrap_or_else(|| PathBuf::from(format!("{stem}_cloud")));
+    cloud(&CloudArgs { bag, new: NewBagArgs { output, compression } }, quiet, interrupt)
 }
 
 /// Opens a bag that must be whole.

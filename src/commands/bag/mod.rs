@@ -34,6 +34,7 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         BagCommand::Reindex { bag } => reindex::run(&bag, quiet, interrupt),
         BagCommand::Info { bag } => info::run(&bag, quiet),
         BagCommand::Check { bag } => check::run(&bag, quiet),
+        BagCommand::Export(args) if args.cloud => edit::export_cloud(args, quiet, interrupt),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),
         BagCommand::Import(args) => import::run(args, quiet, interrupt),
         BagCommand::Render(args) => render::run(args, quiet, interrupt),

@@ -1,12 +1,12 @@
 //! `eddy bench bag`: how fast bags are written and read.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use anyhow::{Context, ensure};
 use serde::Serialize;
 use tempfile::Builder;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchBagArgs,
     commands::{Interrupt, progress_bar},
@@ -30,7 +30,12 @@ struct Report {
 }
 
 /// Measures every compression.
-pub fn run(args: BenchBagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchBagArgs,
+    quiet: bool,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(
         args.hertz.is_finite() && args.hertz > 0.0,
@@ -43,10 +48,6 @@ pub fn run(args: BenchBagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let directory = directory.with_context(at)?;
     let report = measure(&args, directory.path(), quiet, interrupt)?;
     directory.close().with_context(at)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-        return Ok(());
-    }
     let header = ["compression", "write (MB/s)", "read (MB/s)", "size", "published", "recorded"];
     let rows = report.timings.iter().map(|timing| {
         vec![
@@ -58,19 +59,20 @@ pub fn run(args: BenchBagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
             timing.recorded.to_string(),
         ]
     });
-    println!("{}", table(header, rows.collect()).trim_fmt());
-    println!(
-        "\nframes of {} particles; published at {} Hz; the disk alone: {:.0} MB/s",
+    let note = format!(
+        "frames of {} particles; published at {} Hz; the disk alone: {:.0} MB/s",
         report.particles,
         report.hertz,
         report.disk / 1e6
     );
-    Ok(())
+    let (title, tables) = ("eddy bench bag", vec![table("Bags", header, rows)]);
+    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
+    sheet.show(&report, args.json, html)
 }
 
 fn measure(
     args: &BenchBagArgs,
-    directory: &std::path::Path,
+    directory: &Path,
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<Report> {

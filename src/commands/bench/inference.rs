@@ -1,11 +1,11 @@
 //! `eddy bench inference`: how long the prediction of a frame takes.
 
-use std::num::NonZeroUsize;
+use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::ensure;
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchInferenceArgs,
     commands::{Interrupt, progress_bar},
@@ -42,7 +42,12 @@ impl Floor {
 }
 
 /// Times frames.
-pub fn run(args: BenchInferenceArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchInferenceArgs,
+    quiet: bool,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.particles > 0, "particles: found 0, expected at least 1");
     let mut engines: Vec<_> = args.threads.iter().map(|&threads| Engine::Own(threads)).collect();
@@ -65,16 +70,12 @@ pub fn run(args: BenchInferenceArgs, quiet: bool, interrupt: &Interrupt) -> anyh
         floors.extend(args.threads.iter().map(|&threads| Floor::measure(case.weights(), threads)));
     }
     bar.finish_and_clear();
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&Report { floors, timings })?);
-    } else {
-        print(&timings, &floors, engines.len(), args.threads.len());
-    }
-    Ok(())
+    let sheet = sheet(&timings, &floors, engines.len(), args.threads.len());
+    sheet.show(&Report { floors, timings }, args.json, html)
 }
 
 /// A row for each network: `engines` timings and `threads` floors each.
-fn print(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) {
+fn sheet(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) -> Sheet {
     let mut header = vec!["model".to_owned(), "core".to_owned(), "weights".to_owned()];
     header.extend(floors.iter().take(threads).map(|floor| format!("floor, {}", floor.threads)));
     header.extend(timings.iter().take(engines).map(|timing| match timing.threads {
@@ -92,18 +93,23 @@ fn print(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) {
         row.extend(timings.iter().map(|timing| format!("{:.2} / {:.2}", timing.p50, timing.p99)));
         row
     });
-    println!("{}", table(header, rows.collect()).trim_fmt());
-    println!(
-        "\nms a frame, median / 99th percentile, one stream of {} particles; engine: by threads; \
+    let note = format!(
+        "ms a frame, median / 99th percentile, one stream of {} particles; engine: by threads; \
          floor: reading the weights once, by threads",
         timings[0].particles
     );
-    for floor in &floors[..threads] {
-        println!(
+    let rates = floors[..threads].iter().map(|floor| {
+        format!(
             "the {} weights are read at {:.1} GB/s by {} threads",
             timings[0].core.name(),
             floor.rate * 1e-9,
             floor.threads
-        );
+        )
+    });
+    Sheet {
+        title: "eddy bench inference",
+        tables: vec![table("Time of a predicted frame", header, rows)],
+        plots: Vec::new(),
+        notes: std::iter::once(note).chain(rates).collect(),
     }
 }

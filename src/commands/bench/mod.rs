@@ -4,36 +4,25 @@ mod bag;
 mod inference;
 mod node;
 mod replay;
+mod sheet;
 mod solver;
 mod training;
 mod transport;
 
-use comfy_table::{CellAlignment, Table, presets};
-
 use super::Interrupt;
 use crate::cli::{BenchArgs, BenchCommand};
+use sheet::{Sheet, table};
 
 /// Runs one of the benchmarks.
 pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let html = args.html.as_deref();
     match args.command {
-        BenchCommand::Solver(args) => solver::run(args, quiet, interrupt),
-        BenchCommand::Inference(args) => inference::run(args, quiet, interrupt),
-        BenchCommand::Training(args) => training::run(args, quiet, interrupt),
-        BenchCommand::Bag(args) => bag::run(args, quiet, interrupt),
-        BenchCommand::Transport(args) => transport::run(args, quiet, interrupt),
-        BenchCommand::Node(args) => node::run(args, interrupt),
-        BenchCommand::Replay(args) => replay::run(args, interrupt),
+        BenchCommand::Solver(args) => solver::run(args, quiet, html, interrupt),
+        BenchCommand::Inference(args) => inference::run(args, quiet, html, interrupt),
+        BenchCommand::Training(args) => training::run(args, quiet, html, interrupt),
+        BenchCommand::Bag(args) => bag::run(args, quiet, html, interrupt),
+        BenchCommand::Transport(args) => transport::run(args, quiet, html, interrupt),
+        BenchCommand::Node(args) => node::run(args, html, interrupt),
+        BenchCommand::Replay(args) => replay::run(args, html, interrupt),
     }
-}
-
-/// A table of numbers without lines.
-fn table<T: ToString>(header: impl IntoIterator<Item = T>, rows: Vec<Vec<String>>) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(header.into_iter().map(|title| title.to_string()));
-    table.add_rows(rows);
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table
 }

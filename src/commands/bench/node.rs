@@ -1,9 +1,11 @@
 //! `eddy bench node`: what a node adds to its model's time, and how many streams it carries.
 
+use std::path::Path;
+
 use anyhow::ensure;
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchNodeArgs,
     commands::{Interrupt, surrogate},
@@ -24,7 +26,7 @@ struct Report {
 }
 
 /// Runs the node for a while.
-pub fn run(args: BenchNodeArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(args: BenchNodeArgs, html: Option<&Path>, interrupt: &Interrupt) -> anyhow::Result<()> {
     let BenchNodeArgs { streams, particles, hertz, seconds, together, threads, .. } = args;
     ensure!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
     ensure!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
@@ -35,11 +37,6 @@ pub fn run(args: BenchNodeArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
     let plan = Plan { streams, particles, hertz, seconds, together, threads };
     let timing = time(&checkpoint, &plan)?;
     let overhead = timing.node.p50 / timing.model.p50 - 1.0;
-    if args.json {
-        let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
-        println!("{}", serde_json::to_string_pretty(&report)?);
-        return Ok(());
-    }
     let rows = [
         ("the model alone", timing.model),
         ("received to published", timing.node),
@@ -48,9 +45,8 @@ pub fn run(args: BenchNodeArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
     let rows = rows.map(|(what, spread)| {
         vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
     });
-    println!("{}", table(["", "p50 (ms)", "p99 (ms)"], rows.into()).trim_fmt());
-    println!(
-        "\n{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: the node adds \
+    let note = format!(
+        "{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: the node adds \
          {:.0} % to the model's time; {} frames, {} came, {} were dropped by the node, {} of {} predictions came",
         timing.threads,
         100.0 * overhead,
@@ -60,5 +56,9 @@ pub fn run(args: BenchNodeArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
         timing.predictions,
         timing.expected,
     );
-    Ok(())
+    let table = table("Time of a frame", ["", "p50 (ms)", "p99 (ms)"], rows);
+    let (title, tables) = ("eddy bench node", vec![table]);
+    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
+    let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
+    sheet.show(&report, args.json, html)
 }

@@ -1,9 +1,11 @@
 //! `eddy bench replay`: how exactly messages are played.
 
+use std::path::Path;
+
 use anyhow::{Context, ensure};
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{cli::BenchReplayArgs, commands::Interrupt};
 use eddy::bench::replay::{Plan, Timing, time};
 
@@ -19,7 +21,11 @@ struct Report {
 }
 
 /// Plays a bag, and sleeps, in turns.
-pub fn run(args: BenchReplayArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchReplayArgs,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     let BenchReplayArgs { particles, hertz, seconds, json } = args;
     ensure!(
         (0.0..=3600.0).contains(&seconds) && seconds > 0.0,
@@ -31,19 +37,16 @@ pub fn run(args: BenchReplayArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
     let plan = Plan { particles, hertz, frames, turns: TURNS };
     let timing = time(&folder.path().join("bag"), &plan, &|| interrupt.requested())?;
     ensure!(!interrupt.requested(), "interrupted");
-    if json {
-        let report = Report { particles, hertz, timing };
-        println!("{}", serde_json::to_string_pretty(&report)?);
-        return Ok(());
-    }
     let rows = [("replay", timing.replay), ("timer", timing.timer)].map(|(what, spread)| {
         vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
     });
-    println!("{}", table(["late", "p50 (ms)", "p99 (ms)"], rows.into()).trim_fmt());
-    println!(
-        "\nframes of {particles} particles at {hertz} Hz, {TURNS} turns of {frames} frames; timer: a loop that only \
+    let note = format!(
+        "frames of {particles} particles at {hertz} Hz, {TURNS} turns of {frames} frames; timer: a loop that only \
          sleeps until each is due; p99 {:.2} times that",
         timing.replay.p99 / timing.timer.p99
     );
-    Ok(())
+    let table = table("How late frames are", ["late", "p50 (ms)", "p99 (ms)"], rows);
+    let (title, tables) = ("eddy bench replay", vec![table]);
+    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
+    sheet.show(&Report { particles, hertz, timing }, json, html)
 }

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use anyhow::{Context, anyhow, bail, ensure};
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchSolverArgs,
     commands::{Interrupt, progress_bar},
@@ -19,6 +19,7 @@ use eddy::{
     dataset::TRUTH_TOPIC,
     mpm::{GRAVITY, Law, Materials},
     msg::{Message, ParticleFrame},
+    page::{Axis, LinePlot, Series},
 };
 
 /// What `--json` prints.
@@ -34,7 +35,12 @@ struct SolverReport {
 }
 
 /// Times the cases.
-pub fn run(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchSolverArgs,
+    quiet: bool,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     let chosen = CASES
         .into_iter()
         .filter(|(particles, _)| args.particles.is_empty() || args.particles.contains(particles));
@@ -71,15 +77,11 @@ pub fn run(args: BenchSolverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow:
         }
     }
     bar.finish_and_clear();
-    if args.json {
-        let Materials { stiffness, .. } = Materials::default();
-        let (law, gravity, compared) = (args.law, GRAVITY, COMPARED);
-        let report = SolverReport { law, stiffness, gravity, compared, limits, timings };
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print_timings(&timings, &limits);
-    }
-    Ok(())
+    let sheet = sheet(&timings, &limits);
+    let Materials { stiffness, .. } = Materials::default();
+    let (law, gravity, compared) = (args.law, GRAVITY, COMPARED);
+    let report = SolverReport { law, stiffness, gravity, compared, limits, timings };
+    sheet.show(&report, args.json, html)
 }
 
 /// Writes the bag that other programs start from and are compared with.
@@ -102,7 +104,7 @@ fn keep(case: &Case, output: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn print_timings(timings: &[Timing], limits: &[Limit]) {
+fn sheet(timings: &[Timing], limits: &[Limit]) -> Sheet {
     let header = ["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"];
     let rows = timings.iter().map(|timing| {
         vec![
@@ -114,14 +116,32 @@ fn print_timings(timings: &[Timing], limits: &[Limit]) {
             format!("{:.0} %", 100.0 * timing.share_of_limit),
         ]
     });
-    let table = table(header, rows.collect());
-    println!("{}", table.trim_fmt());
-    println!("\nliquid, snow and jelly in equal parts; the fastest of 5 rounds");
-    for Limit { threads, operations, bytes } in limits {
-        println!(
+    let first = "liquid, snow and jelly in equal parts; the fastest of 5 rounds".to_owned();
+    let limit = |Limit { threads, operations, bytes }: &Limit| {
+        format!(
             "limit, {threads} threads: {:.0} G operations/s in vectors, {:.1} GB/s of memory",
             operations * 1e-9,
             bytes * 1e-9
-        );
+        )
+    };
+    let series = limits.iter().map(|&Limit { threads, .. }| {
+        let of = timings.iter().filter(|timing| timing.threads == threads);
+        Series {
+            name: format!("{threads} threads"),
+            points: of.map(|t| [t.particles as f64, t.nanoseconds_per_particle]).collect(),
+            ..Series::default()
+        }
+    });
+    let plot = LinePlot {
+        title: "A substep by particles".into(),
+        x: Axis::logarithmic("particles"),
+        y: Axis::linear("time of a particle (ns)"),
+        series: series.collect(),
+    };
+    Sheet {
+        title: "eddy bench solver",
+        tables: vec![table("Substeps of the Material Point Method", header, rows)],
+        plots: vec![plot],
+        notes: std::iter::once(first).chain(limits.iter().map(limit)).collect(),
     }
 }

@@ -1,9 +1,11 @@
 //! `eddy bench training`: how long training steps take.
 
+use std::path::Path;
+
 use anyhow::ensure;
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchTrainingArgs,
     commands::{Interrupt, pages, progress_bar},
@@ -13,6 +15,7 @@ use eddy::{
         CORES, FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Step, Timing, paper_steps, products,
     },
     model::Core,
+    page::{Axis, LinePlot, Series, Table},
     train::exercise::{PARTICLES, Part},
 };
 
@@ -24,7 +27,12 @@ struct Report {
 }
 
 /// Times the steps.
-pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchTrainingArgs,
+    quiet: bool,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.windows > 0, "windows: found 0, expected at least 1");
     pages::keep_freed();
@@ -38,19 +46,19 @@ pub fn run(args: BenchTrainingArgs, quiet: bool, interrupt: &Interrupt) -> anyho
     }
     bar.finish_and_clear();
     let threads = std::thread::available_parallelism()?.get();
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&Report { threads, steps: timings })?);
-        return Ok(());
-    }
-    print_timings(&timings);
-    if args.step.is_empty() {
-        print_ratios(&timings);
-    }
-    println!(
-        "\nmedian of a step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
+    let mut tables = vec![times(&timings)];
+    let mut notes = vec![format!(
+        "median of a step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
          encoder 256, two layers of 1250; an epoch as in the paper's Table 4: {PAPER_SAMPLES} windows"
-    );
-    Ok(())
+    )];
+    if args.step.is_empty() {
+        tables.push(ratios(&timings));
+        let rival =
+            "PyTorch: 2.15, eager, two cores of an Intel Xeon, by tests/peers/torch_speed.py";
+        notes.insert(0, rival.to_owned());
+    }
+    let sheet = Sheet { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
+    sheet.show(&Report { threads, steps: timings }, args.json, html)
 }
 
 /// Rows of the table: the whole network with the paper's window, and the core alone by frames.
@@ -58,7 +66,7 @@ fn kinds() -> impl Iterator<Item = (Part, usize)> {
     [(Part::Frame, FRAMES[0])].into_iter().chain(FRAMES.map(|frames| (Part::Core, frames)))
 }
 
-fn print_timings(timings: &[Timing]) {
+fn times(timings: &[Timing]) -> Table {
     let header = ["what", "core", "frames", "windows", "ms/step", "ms/sample", "s/epoch"];
     let rows = timings.iter().map(|timing| {
         let sample = timing.milliseconds / timing.windows as f64;
@@ -72,11 +80,11 @@ fn print_timings(timings: &[Timing]) {
             format!("{:.0}", 1e-3 * sample * f64::from(PAPER_SAMPLES)),
         ]
     });
-    println!("{}", table(header, rows.collect()).trim_fmt());
+    table("Training steps", header, rows)
 }
 
 /// The paper's claim, beside what the products alone would give.
-fn print_ratios(timings: &[Timing]) {
+fn ratios(timings: &[Timing]) -> Table {
     let time = |what, core, frames| {
         let of =
             |timing: &&Timing| (timing.what, timing.core, timing.frames) == (what, core, frames);
@@ -101,6 +109,26 @@ fn print_ratios(timings: &[Timing]) {
     }
     rows.push(row);
     let header = ["what", "frames", "LSTM/minLSTM", "PyTorch", "GRU/minGRU", "PyTorch"];
-    println!("\n{}", table(header, rows).trim_fmt());
-    println!("PyTorch: 2.15, eager, two cores of an Intel Xeon, by tests/peers/torch_speed.py");
+    table("Classic cores by minimal ones", header, rows)
+}
+
+/// The core alone by the length of the window.
+fn plot(timings: &[Timing]) -> LinePlot {
+    let mut series: Vec<Series> = Vec::new();
+    for timing in timings.iter().filter(|timing| timing.what == Part::Core) {
+        let name = timing.core.name();
+        let point = [timing.frames as f64, timing.milliseconds / timing.windows as f64];
+        match series.iter_mut().find(|series| series.name == name) {
+            Some(series) => series.points.push(point),
+            None => {
+                series.push(Series { name: name.into(), points: vec![point], ..Series::default() });
+            }
+        }
+    }
+    LinePlot {
+        title: "The core alone: time of a sample".into(),
+        x: Axis::logarithmic("frames of a window"),
+        y: Axis::logarithmic("time of a sample (ms)"),
+        series,
+    }
 }

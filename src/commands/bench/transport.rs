@@ -1,14 +1,19 @@
 //! `eddy bench transport`: how long a frame is on its way.
 
+use std::path::Path;
+
 use anyhow::ensure;
 use serde::Serialize;
 
-use super::table;
+use super::{Sheet, table};
 use crate::{
     cli::BenchTransportArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy::bench::transport::{Timing, Way, time};
+use eddy::{
+    bench::transport::{Timing, Way, time},
+    page::{Axis, LinePlot, Series},
+};
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -17,7 +22,12 @@ struct Report {
 }
 
 /// Times every transport with every number of particles.
-pub fn run(args: BenchTransportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn run(
+    args: BenchTransportArgs,
+    quiet: bool,
+    html: Option<&Path>,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     ensure!(args.messages > 0, "messages: found 0, expected at least 1");
     ensure!(!args.particles.contains(&0), "particles: found 0, expected at least 1");
     let cases = args.transport.len() * args.particles.len();
@@ -31,10 +41,6 @@ pub fn run(args: BenchTransportArgs, quiet: bool, interrupt: &Interrupt) -> anyh
         }
     }
     bar.finish_and_clear();
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&Report { timings })?);
-        return Ok(());
-    }
     let header = [
         "transport",
         "particles",
@@ -55,17 +61,10 @@ pub fn run(args: BenchTransportArgs, quiet: bool, interrupt: &Interrupt) -> anyh
         let ratio = |of: fn(&Timing) -> f64| {
             bare.map_or(String::new(), |bare| format!("{:.2}", of(timing) / of(bare)))
         };
-        let way = match timing.way {
-            Way::Frame => "frame",
-            Way::Bytes => "bytes",
-            Way::Bare => "bare",
-            Way::Untouched => "untouched",
-            Way::BareUntouched => "bare, untouched",
-        };
         vec![
             timing.transport.to_owned(),
             timing.particles.to_string(),
-            way.to_owned(),
+            name(timing.way).to_owned(),
             format!("{:.1}", timing.p50),
             format!("{:.1}", timing.p99),
             ratio(|timing| timing.p50),
@@ -74,12 +73,43 @@ pub fn run(args: BenchTransportArgs, quiet: bool, interrupt: &Interrupt) -> anyh
             format!("{} of {}", timing.arrived, timing.burst),
         ]
     });
-    println!("{}", table(header, rows.collect()).trim_fmt());
-    println!(
-        "\n{} messages of each, in turns, from before publishing until received; bare: the middleware alone with the \
+    let note = format!(
+        "{} messages of each, in turns, from before publishing until received; bare: the middleware alone with the \
          same bytes; untouched: shared memory sent as it is; too large for a transport: no row; MB/s, arrived: of \
          messages published as fast as they go",
         args.messages
     );
-    Ok(())
+    let (title, tables) =
+        ("eddy bench transport", vec![table("Frames on their way", header, rows)]);
+    let sheet = Sheet { title, tables, plots: vec![plot(&timings)], notes: vec![note] };
+    sheet.show(&Report { timings }, args.json, html)
+}
+
+fn name(way: Way) -> &'static str {
+    match way {
+        Way::Frame => "frame",
+        Way::Bytes => "bytes",
+        Way::Bare => "bare",
+        Way::Untouched => "untouched",
+        Way::BareUntouched => "bare, untouched",
+    }
+}
+
+/// Medians over the size of a frame, a curve for each way on each transport.
+fn plot(timings: &[Timing]) -> LinePlot {
+    let mut series: Vec<Series> = Vec::new();
+    for timing in timings {
+        let name = format!("{}, {}", timing.transport, name(timing.way));
+        let point = [timing.particles as f64, timing.p50];
+        match series.iter_mut().find(|series| series.name == name) {
+            Some(series) => series.points.push(point),
+            None => series.push(Series { name, points: vec![point], ..Series::default() }),
+        }
+    }
+    LinePlot {
+        title: "From before publishing until received, median".into(),
+        x: Axis::logarithmic("particles"),
+        y: Axis::logarithmic("time (µs)"),
+        series,
+    }
 }

@@ -160,18 +160,22 @@ impl Comparison {
         let curve = |caption: &str, of: fn(&Entry) -> &Vec<f64>| {
             self.over_frames(caption, |row, ahead| error(at(of(row.entry), ahead)).into())
         };
-        let mut tables = vec![
-            self.over_frames("Skill, mean of kinds", |row, ahead| {
-                skill(at(&row.entry.skill, ahead)).into()
-            }),
-            self.over_frames("95 % interval of it, over scenes", |row, ahead| {
+        let mut tables =
+            vec![self.over_frames("Skill, mean of kinds", |row, ahead| match row.entry.role {
+                Role::Mean => "-".into(),
+                _ => skill(at(&row.entry.skill, ahead)).into(),
+            })];
+        if self.rows().iter().any(|row| row.entry.skill_intervals.is_some()) {
+            tables.push(self.over_frames("95 % interval of it, over scenes", |row, ahead| {
                 let place = row.report.shown.iter().position(|&shown| shown == ahead);
                 let intervals = row.entry.skill_intervals.as_ref();
                 place.map_or("-".into(), |place| super::page::between(intervals, place)).into()
-            }),
+            }));
+        }
+        tables.extend([
             curve("Position RMSE (domain lengths)", |e| &e.curves.position_rmse),
             curve("Velocity RMSE (domain lengths/s)", |e| &e.curves.velocity_rmse),
-        ];
+        ]);
         if self.same_units {
             tables.push(curve("MinMax MSE", |e| &e.curves.minmax_mse));
             tables.push(curve("z-score MSE", |e| &e.curves.zscore_mse));

@@ -78,7 +78,8 @@ impl Report {
         let compared = self.compared.iter().map(usize::to_string).collect();
         table.add_row(row("windows with truth".to_owned(), compared));
         let ms = |ms: Option<f64>| ms.map_or(String::new(), |ms| format!("{ms:.3}"));
-        for entry in self.predictors.iter().filter(|entry| entry.role != Role::Truth) {
+        let skilled = |entry: &&Entry| !matches!(entry.role, Role::Mean | Role::Truth);
+        for entry in self.predictors.iter().filter(skilled) {
             let mut row = row(entry.name.clone(), self.at_shown(&entry.skill, skill));
             row.extend(counts(&entry.blow_ups, self.windows));
             row.push(ms(entry.cost.as_ref().map(|cost| cost.p50)));

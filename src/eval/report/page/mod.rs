@@ -79,6 +79,11 @@ impl Report {
         self.predictors.iter().filter(|entry| entry.role != Role::Truth)
     }
 
+    /// Those whose skill says something.
+    fn skilled(&self) -> impl Iterator<Item = &Entry> {
+        self.fallible().filter(|entry| entry.role != Role::Mean)
+    }
+
     /// A table with a column for each frame shown, and further ones.
     fn frame_table(&self, caption: &str, further: &[&str]) -> Table {
         let frames = self.shown.iter().map(|ahead| format!("frame {ahead}"));
@@ -121,11 +126,16 @@ pub(super) fn shown(number: f64, format: impl Fn(f64) -> String) -> String {
 }
 
 pub(super) fn skill(number: f64) -> String {
-    shown(number, |x| format!("{x:+.3}"))
+    shown(number, |x| if x.abs() < 100.0 { format!("{x:+.3}") } else { format!("{x:+.0}") })
 }
 
 pub(super) fn error(number: f64) -> String {
-    shown(number, |x| format!("{x:.2e}"))
+    shown(number, |x| match x.abs() {
+        // As many digits, but no exponent where it can be read without.
+        0.01..10.0 => format!("{x:.4}"),
+        0.0 => "0".to_owned(),
+        _ => format!("{x:.2e}"),
+    })
 }
 
 pub(super) fn percent(number: f64) -> String {

@@ -19,6 +19,9 @@ const PLOT_SCENES: usize = 6;
 /// An error of single scenes: its name, and which it is.
 type Error = (&'static str, fn(&SceneErrors) -> &Vec<f64>);
 
+/// What a table has of an error curve.
+type Take = fn(&[f64]) -> f64;
+
 /// All of them.
 const ERRORS: [Error; 3] = [
     ("MinMax MSE", |errors| &errors.minmax_mse),
@@ -100,7 +103,7 @@ impl Report {
     ) {
         let frames = self.paper_frames();
         let columns = self.columns();
-        let blocks: [(String, fn(&[f64]) -> f64); 2] = [
+        let blocks: [(String, Take); 2] = [
             (format!("{name}, mean of frames 1 to {frames}"), mean),
             (format!("{name} at frame {frames}"), last),
         ];

@@ -1,12 +1,16 @@
 //! Density, kinetic energy, centre of mass, what is outside.
 
 use super::{
-    super::measures::Measures, Entry, Report, error, frames_ahead, of_errors, percent, shown,
+    super::{curves::BulkCurves, measures::Measures},
+    Entry, Report, error, frames_ahead, of_errors, percent, shown,
 };
 use crate::page::{Axis, LinePlot, Section, Series, Table};
 
 /// How a measure is shown: its name with its unit, which it is, in what form.
 type Column = (&'static str, fn(&Measures) -> f64, fn(f64) -> String);
+
+/// A curve of what all particles have together.
+type Curve = fn(&BulkCurves) -> &Vec<f64>;
 
 /// Measures of every scene.
 const COMMON: [Column; 4] = [
@@ -47,7 +51,7 @@ impl Report {
             y: Axis::linear("share of the mass"),
             series: density.collect(),
         }];
-        let curves: [(&str, Axis, fn(&super::super::curves::BulkCurves) -> &Vec<f64>); 3] = [
+        let curves: [(&str, Axis, Curve); 3] = [
             ("Kinetic energy per mass", Axis::linear("K (lengths²/s²)"), |b| &b.kinetic_energy),
             ("Centre of mass", of_errors("RMSE (domain lengths)"), |b| &b.centre_rmse),
             ("Outside the walls", Axis::linear("share of the particles"), |b| &b.outside),

@@ -1,9 +1,9 @@
 //! Who is how good, and what has to be said about it.
 
-use super::{super::group::GroupSkill, Report, between, frames_ahead, milliseconds, skill};
+use super::{super::group::GroupSkill, Report, Role, between, frames_ahead, milliseconds, skill};
 use crate::{
     eval::BlowUps,
-    page::{Axis, LinePlot, Section, Table},
+    page::{Axis, LinePlot, Section, Series, Table},
 };
 
 impl Report {
@@ -29,8 +29,8 @@ impl Report {
         let caption = format!("Skill, mean of {} kinds of scenes", self.kinds.len());
         let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms a frame"]);
         let compared = self.compared.iter().map(usize::to_string);
-        table.row("rollouts with truth", compared.chain(["", "", ""].map(String::from)));
-        for entry in self.fallible() {
+        table.row("rollouts with truth", compared);
+        for entry in self.skilled() {
             let mut cells = self.words_at_shown(&entry.skill, skill);
             cells.extend(counts(&entry.blow_ups, self.windows));
             cells.push(entry.cost.as_ref().map_or("-".into(), |cost| milliseconds(cost.p50)));
@@ -40,10 +40,12 @@ impl Report {
     }
 
     fn skill_plot(&self) -> LinePlot {
-        let series = self
-            .fallible()
-            .map(|entry| self.banded(&entry.name, &entry.skill, entry.skill_intervals.as_ref()));
-        // Below -1 the difference between wrong and more wrong would hide all others.
+        let series = self.fallible().map(|entry| match entry.role {
+            Role::Mean => Series::default(),
+            _ => self.banded(&entry.name, &entry.skill, entry.skill_intervals.as_ref()),
+        });
+        // Below -1 the difference between wrong and more wrong would hide all others. The training's mean
+        // keeps its place: styles are the same in every plot.
         let series = series.map(|mut series| {
             series.points.iter_mut().filter(|[_, y]| *y < -1.0).for_each(|[_, y]| *y = f64::NAN);
             series.band.retain(|[_, low, _]| *low >= -1.0);
