@@ -16,7 +16,7 @@
 //! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `transport`, `model` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
-//! | L0 | `frame` |
+//! | L0 | `frame`, `near` |
 
 pub mod bag;
 pub mod bench;
@@ -35,6 +35,7 @@ pub mod launch;
 pub mod model;
 pub mod mpm;
 pub mod msg;
+pub mod near;
 pub mod node;
 pub mod picture;
 pub mod ros;
