@@ -50,7 +50,8 @@ pub fn in_folder(path: &Path, error: io::Error) -> io::Error {
 
 /// What is there instead of the first part of the path that is not.
 fn neighbour(path: &Path) -> Option<String> {
-    let missing = path.ancestors().take_while(|part| !part.exists()).last()?;
+    let gone = |part: &&Path| !part.as_os_str().is_empty() && !part.exists();
+    let missing = path.ancestors().take_while(gone).last()?;
     let folder = missing.parent()?;
     let inside = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let mut names: Vec<String> = fs::read_dir(inside)
