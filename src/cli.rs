@@ -2,11 +2,13 @@
 
 mod bag;
 mod bench;
+mod examples;
 mod topic;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 use regex::Regex;
 
 use crate::commands::simulate;
@@ -78,6 +80,36 @@ pub enum Command {
     Topic(TopicArgs),
     /// Measures what this machine carries.
     Bench(BenchArgs),
+    /// Prints a script that completes commands, options and values in a shell.
+    Completions(CompletionsArgs),
+    /// Writes manual pages, one a command.
+    Man(ManArgs),
+}
+
+/// Everything that can be typed, with examples at the end of each command's long help.
+pub fn command() -> clap::Command {
+    examples::added(Cli::command())
+}
+
+impl Cli {
+    /// What was typed; ends the process with help, or with what is wrong.
+    pub fn read() -> Self {
+        Self::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit())
+    }
+}
+
+/// `eddy completions`
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    /// The shell; the script goes to standard output.
+    pub shell: Shell,
+}
+
+/// `eddy man`
+#[derive(Debug, Args)]
+pub struct ManArgs {
+    /// Where the pages go: eddy.1, eddy-node.1, eddy-bag-cut.1, ...
+    pub output: PathBuf,
 }
 
 /// What ROS 2 gives to its nodes on the command line.

@@ -9,6 +9,8 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 use toml::{Table, Value};
 
+use crate::near;
+
 /// Why a settings file is of no use.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -56,12 +58,15 @@ pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigEr
     table(file, text)?;
     toml::from_str(text).map_err(|error| ConfigError::Key {
         file: file.to_owned(),
-        reason: error.to_string().trim_end().to_owned(),
+        reason: near::in_toml(error.to_string().trim_end()),
     })
 }
 
 fn read(file: &Path) -> Result<String, ConfigError> {
-    fs::read_to_string(file).map_err(|reason| ConfigError::Read { file: file.to_owned(), reason })
+    fs::read_to_string(file).map_err(|reason| ConfigError::Read {
+        file: file.to_owned(),
+        reason: near::in_folder(file, reason),
+    })
 }
 
 fn table(file: &Path, text: &str) -> Result<Table, ConfigError> {
@@ -120,6 +125,7 @@ impl Overrides {
     fn key_error(&self, error: &toml::de::Error, key: &str) -> ConfigError {
         let separator = if key.is_empty() { "" } else { ": " };
         let reason = format!("{key}{separator}{}", error.to_string().trim_end().replace('\n', " "));
+        let reason = near::in_toml(&reason);
         ConfigError::Key { file: self.file.clone(), reason }
     }
 }
@@ -180,6 +186,7 @@ mod tests {
         let message = over("[loss]\nvelocty = 1.0").unwrap_err();
         assert!(message.starts_with("./settings.toml: unknown field `velocty`"), "{message}");
         assert!(message.contains("expected `velocity` or `density`"), "{message}");
+        assert!(message.ends_with("did you mean velocity?"), "{message}");
     }
 
     #[test]

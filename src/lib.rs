@@ -17,7 +17,7 @@
 //! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `model`, `page`, `transport` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
-//! | L0 | `frame` |
+//! | L0 | `frame`, `near` |
 
 pub mod bag;
 pub mod bench;
@@ -36,6 +36,7 @@ pub mod launch;
 pub mod model;
 pub mod mpm;
 pub mod msg;
+pub mod near;
 pub mod node;
 pub mod page;
 pub mod picture;

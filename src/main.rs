@@ -5,7 +5,7 @@ mod commands;
 
 use std::{io, process::ExitCode};
 
-use clap::{CommandFactory, Parser, error::ErrorKind};
+use clap::error::ErrorKind;
 use eddy::ros::{RosArguments, RosNode};
 use tracing_subscriber::EnvFilter;
 
@@ -20,7 +20,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 const FAILED: u8 = 1;
 
 fn main() -> ExitCode {
-    match run(Cli::parse()) {
+    match run(Cli::read()) {
         Ok(code) => code,
         Err(error) => {
             #[expect(
@@ -38,7 +38,7 @@ fn main() -> ExitCode {
 /// Who the command is to ROS; ends with wrong usage when its arguments cannot be used.
 fn ros_node(command: &Command) -> RosNode {
     let arguments = RosArguments::parse(command.ros_args());
-    let usage = |error| Cli::command().error(ErrorKind::ValueValidation, error).exit();
+    let usage = |error| cli::command().error(ErrorKind::ValueValidation, error).exit();
     arguments.unwrap_or_else(usage).node(command.node_name())
 }
 
@@ -62,6 +62,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
+        Command::Completions(args) => commands::completions::run(&args),
+        Command::Man(args) => commands::completions::man(&args, quiet),
     }
     .map(|()| ExitCode::SUCCESS)
 }

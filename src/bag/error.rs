@@ -2,7 +2,10 @@
 
 use std::{io, path::PathBuf};
 
-use crate::msg::{BadFrame, UnknownType};
+use crate::{
+    msg::{BadFrame, UnknownType},
+    near,
+};
 
 /// Why a bag could not be written or read. Paths name the bag or the file in it that is concerned.
 #[derive(Debug, thiserror::Error)]
@@ -110,7 +113,7 @@ pub enum BagError {
         expected: String,
     },
     /// The bag does not have the topic.
-    #[error("{path}: topic: found {found}, expected {topic}", path = .path.display())]
+    #[error("{path}: topic: found {found}, expected {topic}{hint}", path = .path.display(), hint = near::hint(topic, found.split([' ', ','])))]
     NoTopic {
         /// The bag.
         path: PathBuf,
@@ -212,6 +215,6 @@ impl BagError {
         action: &'static str,
     ) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();
-        move |reason| Self::Io { path, action, reason }
+        move |reason| Self::Io { reason: near::in_folder(&path, reason), path, action }
     }
 }

@@ -5,7 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::CheckpointError;
-use crate::frame::{Domain, Material};
+use crate::{
+    frame::{Domain, Material},
+    near,
+};
 
 /// Version of the checkpoint format. It goes up when a file of the old form would be misread.
 pub const FORMAT_VERSION: u32 = 1;
@@ -335,7 +338,7 @@ pub(super) fn render(description: &Description) -> String {
 pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointError> {
     let syntax = |error: toml::de::Error| CheckpointError::Description {
         file: file.to_owned(),
-        reason: error.to_string().trim_end().to_owned(),
+        reason: near::in_toml(error.to_string().trim_end()),
     };
     let table: toml::Table = text.parse().map_err(syntax)?;
     let version = table.get("format_version").and_then(toml::Value::as_integer);

@@ -23,6 +23,7 @@ use safetensors::{
 };
 
 use super::{CheckpointError, Weights};
+use crate::near;
 
 /// Name of the description within the directory.
 pub const DESCRIPTION_FILE: &str = "model.toml";
@@ -75,7 +76,10 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
     let description =
         if half_renamed(directory) { new_description } else { directory.join(DESCRIPTION_FILE) };
     let weights = directory.join(WEIGHTS_FILE);
-    let failed = |file: &Path, reason| CheckpointError::Read { file: file.to_owned(), reason };
+    let failed = |file: &Path, reason| CheckpointError::Read {
+        file: file.to_owned(),
+        reason: near::in_folder(file, reason),
+    };
     let text = fs::read_to_string(&description).map_err(|reason| failed(&description, reason))?;
     let bytes = fs::read(&weights).map_err(|reason| failed(&weights, reason))?;
     Ok((text, bytes))

@@ -11,6 +11,7 @@ use eddy::{
     dataset::TRUTH_TOPIC,
     exchange::{ExportFormat, ImportFormat},
     frame::Material,
+    near,
 };
 
 /// `eddy bag`
@@ -187,7 +188,10 @@ pub struct ImportArgs {
 
 fn material(word: &str) -> Result<Material, String> {
     let named = Material::ALL.into_iter().find(|material| material.name() == word);
-    named.ok_or_else(|| format!("found {word}, expected liquid, snow, jelly or rope"))
+    named.ok_or_else(|| {
+        let hint = near::hint(word, Material::ALL.map(Material::name));
+        format!("found {word}, expected liquid, snow, jelly or rope{hint}")
+    })
 }
 
 /// `eddy bag render`
@@ -210,9 +214,10 @@ pub struct RenderArgs {
     /// Longer side of the domain in the pictures (pixels) [default: 240 in the strip, 480 in the animation].
     #[arg(long, value_parser = clap::value_parser!(u32).range(16..=4096))]
     pub size: Option<u32>,
-    /// The topic with the frames.
-    #[arg(long, default_value = TRUTH_TOPIC)]
-    pub topic: String,
+    /// The topics with the frames. Several are drawn side by side: frames of the same sequence number as
+    /// those of the first one.
+    #[arg(long, default_values = [TRUTH_TOPIC], num_args = 1..)]
+    pub topic: Vec<String>,
     /// The stream [default: the one with the lowest number].
     #[arg(long)]
     pub stream: Option<u64>,

@@ -2,6 +2,7 @@
 
 pub mod bag;
 pub mod bench;
+pub mod completions;
 pub mod demo;
 pub mod eval;
 pub mod launch;

@@ -78,7 +78,7 @@ impl Player {
     /// Plays `bag`, from the first call of [`Player::poll`] on.
     ///
     /// # Errors
-    /// [`PlayerError::Option`], [`PlayerError::Nothing`] when no message is selected,
+    /// [`PlayerError::Option`], [`PlayerError::Topic`], [`PlayerError::Nothing`] when no message is selected,
     /// [`PlayerError::Bag`] when a damaged bag has none.
     pub fn new(bag: &BagReader, options: PlayerOptions) -> Result<Self, PlayerError> {
         options.check()?;
@@ -89,11 +89,8 @@ impl Player {
             .flatten()
             .find(|name| !bag.topics().iter().any(|topic| topic.name == **name))
         {
-            return Err(PlayerError::Option {
-                field: "topics",
-                found: unknown.clone(),
-                expected: "a topic of the bag",
-            });
+            let topics = bag.topics().iter().map(|topic| topic.name.clone()).collect();
+            return Err(PlayerError::Topic { found: unknown.clone(), topics });
         }
         let begin = bag.start().ok_or_else(nothing)?.0;
         let begin = begin.saturating_add(Stamp::from_seconds(options.start_offset).0);

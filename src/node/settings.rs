@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use serde::Deserialize;
 
 use super::parameters::PARAMETERS;
+use crate::near;
 
 /// Which of the frames up to the horizon are published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
@@ -76,8 +77,9 @@ impl Default for NodeSettings {
 pub enum InvalidSettings {
     /// There is none of this name.
     #[error(
-        "parameter: found {found}, expected one of {}",
-        PARAMETERS.each_ref().map(|spec| spec.name).join(", ")
+        "parameter: found {found}, expected one of {}{}",
+        PARAMETERS.each_ref().map(|spec| spec.name).join(", "),
+        near::hint(found, PARAMETERS.each_ref().map(|spec| spec.name))
     )]
     Unknown {
         /// The name.

@@ -56,12 +56,28 @@ impl Painter {
 
     /// Draws a frame: the domain with its particles, below it the time.
     pub fn panel(&self, frame: &Frame) -> Canvas {
+        self.titled(Some(frame), &format!("t = {:.3} s", frame.stamp.seconds()))
+    }
+
+    /// Draws frames of one instant side by side, below each its title and the time; where there is no
+    /// frame, the domain is empty.
+    pub fn beside<'a>(&self, frames: impl Iterator<Item = (&'a str, &'a Option<Frame>)>) -> Canvas {
+        let panel = |(title, frame): (&str, &Option<Frame>)| {
+            let time = frame.as_ref().map(|frame| format!("  t = {:.3} s", frame.stamp.seconds()));
+            self.titled(frame.as_ref(), &format!("{title}{}", time.unwrap_or_default()))
+        };
+        row(&frames.map(panel).collect::<Vec<_>>())
+    }
+
+    /// Draws a frame with words below it.
+    fn titled(&self, frame: Option<&Frame>, words: &str) -> Canvas {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width + 2 * MARGIN, height + 2 * MARGIN + LINE);
         canvas.outline(MARGIN - 1, MARGIN - 1, width + 2, height + 2, GREY);
-        canvas.paste(&self.particles(frame), MARGIN, MARGIN);
-        let time = format!("t = {:.3} s", frame.stamp.seconds());
-        canvas.words(&time, MARGIN, MARGIN + height + 6, BLACK);
+        if let Some(frame) = frame {
+            canvas.paste(&self.particles(frame), MARGIN, MARGIN);
+        }
+        canvas.words(words, MARGIN, MARGIN + height + 6, BLACK);
         canvas
     }
 
@@ -84,22 +100,14 @@ impl Painter {
         }
     }
 
-    /// A frame with the legend below it.
-    pub fn picture(&self, frame: &Frame) -> Canvas {
-        below(&self.panel(frame), &self.legend())
+    /// A panel with the legend below it.
+    pub fn picture(&self, panel: &Canvas) -> Canvas {
+        below(panel, &self.legend())
     }
 
     /// Frames side by side with the legend below them.
     pub fn strip(&self, panels: &[Canvas]) -> Canvas {
-        let width = panels.iter().map(Canvas::width).sum();
-        let height = panels.iter().map(Canvas::height).max().unwrap_or(0);
-        let mut row = Canvas::new(width, height);
-        let mut left = 0;
-        for panel in panels {
-            row.paste(panel, left, 0);
-            left += panel.width();
-        }
-        below(&row, &self.legend())
+        below(&row(panels), &self.legend())
     }
 
     /// Where a position is (pixels); the second axis points up.
@@ -121,6 +129,19 @@ impl Painter {
             }
         }
     }
+}
+
+/// Pictures side by side.
+fn row(panels: &[Canvas]) -> Canvas {
+    let width = panels.iter().map(Canvas::width).sum();
+    let height = panels.iter().map(Canvas::height).max().unwrap_or(0);
+    let mut row = Canvas::new(width, height);
+    let mut left = 0;
+    for panel in panels {
+        row.paste(panel, left, 0);
+        left += panel.width();
+    }
+    row
 }
 
 fn below(picture: &Canvas, legend: &Canvas) -> Canvas {
@@ -195,6 +216,18 @@ mod tests {
         let [x, y] = find(&panel, palette::of_material(Material::Rope)).unwrap();
         // The topmost pixel of a disc of radius 4 around (150, 25).
         assert!(x.abs_diff(MARGIN + 150) <= 2 && y.abs_diff(MARGIN + 21) <= 1, "{x}, {y}");
+    }
+
+    #[test]
+    fn frames_stand_side_by_side_and_one_that_is_missing_leaves_its_place_empty() {
+        let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
+        let [there, missing] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
+        let both = painter.beside([("/a", &missing), ("/b", &there)].into_iter());
+        let panel = painter.panel(there.as_ref().unwrap());
+        assert_eq!((both.width(), both.height()), (2 * panel.width(), panel.height()));
+        let color = palette::of_share(1.0);
+        let [alone, beside] = [&panel, &both].map(|canvas| find(canvas, color).unwrap());
+        assert_eq!(beside, [alone[0] + panel.width(), alone[1]]);
     }
 
     #[test]

@@ -204,7 +204,7 @@ impl TrainConfig {
         }
     }
 
-    /// `docs/particle_model.md` says what was tried.
+    /// `docs/src/background/particle_model.md` says what was tried.
     fn particle() -> Self {
         let stage = |share, frames| Stage { share, frames };
         Self {

@@ -4,6 +4,8 @@ use std::{fmt, str::FromStr};
 
 use serde::Deserialize;
 
+use crate::near;
+
 /// The ways a message can travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum TransportKind {
@@ -68,14 +70,18 @@ pub enum InvalidLink {
         found: String,
     },
     /// The transport is unknown.
-    #[error("link transport: found `{found}`, expected memory, shm, zenoh or dds")]
+    #[error(
+        "link transport: found `{found}`, expected memory, shm, zenoh or dds{}",
+        near::hint(found, TransportKind::ALL.map(TransportKind::name))
+    )]
     Transport {
         /// The word before the colon.
         found: String,
     },
     /// The topic is no absolute ROS 2 name.
     #[error(
-        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit)"
+        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit){}",
+        meant(found)
     )]
     Topic {
         /// The word after the colon.
@@ -132,6 +138,13 @@ impl FromStr for Link {
     }
 }
 
+/// For a topic that lacks nothing but its slash.
+fn meant(topic: &str) -> String {
+    let absolute = format!("/{topic}");
+    let alone = is_absolute_name(&absolute);
+    if alone { format!("; did you mean {absolute}?") } else { String::new() }
+}
+
 /// ROS 2 topic names, https://design.ros2.org/articles/topic_and_service_names.html.
 pub(crate) fn is_absolute_name(topic: &str) -> bool {
     topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_name_token))
@@ -159,6 +172,8 @@ mod tests {
         let message = |text: &str| text.parse::<Link>().unwrap_err().to_string();
         assert!(message("/particles").starts_with("link: found `/particles`"));
         assert!(message("tcp:/particles").starts_with("link transport: found `tcp`"));
+        assert!(message("zneoh:/particles").ends_with("; did you mean zenoh?"));
+        assert!(message("shm:particles").ends_with("; did you mean /particles?"));
         for topic in ["particles", "/", "/a//b", "/9lives", "/a b", "/a/"] {
             assert!(message(&format!("shm:{topic}")).starts_with("link topic: found"), "{topic}");
         }

@@ -517,6 +517,9 @@ fn pictures_are_what_their_names_say() {
     assert_eq!(moving.info().animation_control.unwrap().num_frames, 6);
     let still = render("still.png", &["--stream", "0"]);
     assert!(fs::metadata(still).unwrap().len() > 1000);
+    let beside = render("beside.png", &["--topic", "/particles", "/particles", "--frames", "3"]);
+    let beside = png::Decoder::new(std::io::BufReader::new(fs::File::open(beside).unwrap()));
+    assert_eq!(beside.read_info().unwrap().info().width, 2 * 3 * 260);
     let out = folder.path().join("other");
     let [bag, out] = [&bag, &out].map(|path| path.to_str().unwrap());
     let error = fail(1, ["bag", "render", bag, "--output", out, "--rate", "0"]);

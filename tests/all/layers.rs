@@ -7,7 +7,7 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 15] = [
+const CONFINED: [(&str, &[&str]); 18] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
@@ -15,6 +15,9 @@ const CONFINED: [(&str, &[&str]); 15] = [
     ("ros2_client", &["transport/dds"]),
     ("rustdds", &["transport/dds"]),
     ("comfy_table", &["eval", "commands"]),
+    ("clap_complete", &["cli", "commands"]),
+    ("clap_mangen", &["commands"]),
+    ("strsim", &["near"]),
     ("npyz", &["exchange"]),
     ("zip", &["exchange"]),
     ("hdf5", &["exchange"]),

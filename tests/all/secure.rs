@@ -1,4 +1,4 @@
-//! `docs/secure_zenoh.json5` as it stands there: who has no certificate, no password or no permission gets
+//! `docs/src/how-to/secure_zenoh.json5` as it stands there: who has no certificate, no password or no permission gets
 //! nothing through.
 
 use std::{
@@ -39,7 +39,8 @@ impl Place {
         }
         write("users.txt", "robot:change me\n".to_owned());
         let topic = format!("/{}", unique("secure"));
-        let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/secure_zenoh.json5");
+        let example =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/src/how-to/secure_zenoh.json5");
         let example = fs::read_to_string(example)
             .unwrap()
             .replace("/etc/eddy", folder.path().to_str().unwrap())

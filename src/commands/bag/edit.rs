@@ -16,6 +16,7 @@ use eddy::{
     },
     frame::Stamp,
     msg::{Message, ParticleFrame},
+    near,
 };
 
 /// Copies a part of the time of a bag.
@@ -55,7 +56,8 @@ pub fn filter(args: FilterArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::R
     let known = |name: &str| bag.topics().iter().any(|topic| topic.name == name);
     if let Some(unknown) = args.topics.iter().find(|name| !known(name)) {
         let topics: Vec<_> = bag.topics().iter().map(|topic| topic.name.as_str()).collect();
-        anyhow::bail!("--topics: found {unknown}, expected one of {}", topics.join(", "));
+        let hint = near::hint(unknown, topics.iter().copied());
+        anyhow::bail!("--topics: found {unknown}, expected one of {}{hint}", topics.join(", "));
     }
     let all = args.topics.is_empty() && args.regex.is_empty();
     let choice = TopicChoice { names: args.topics, regex: args.regex, exclude: args.exclude, all };

@@ -1,6 +1,9 @@
 //! `eddy bag render`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    iter,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{bail, ensure};
 
@@ -11,7 +14,7 @@ use crate::{
 };
 use eddy::{
     exchange::{Choice, ExchangeError, Output, Streams, Track},
-    frame::Material,
+    frame::{Frame, Material},
     picture::{Animation, Canvas, Coloring, Kind, Painter, write_png},
 };
 
@@ -31,30 +34,36 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         "rate: found {}, expected a positive number",
         args.rate
     );
-    let choice = Choice {
-        bags: vec![args.bag.clone()],
-        topic: args.topic.clone(),
-        stream: args.stream,
-        frames: None,
-    };
     // Refused before anything is read.
     let is_folder = strip_and_animation(&args.output).is_none();
     let output =
         if is_folder { Output::directory(&args.output) } else { Output::new(&args.output) }?;
-    let streams = find_streams(&choice, quiet, interrupt)?;
-    let Some(track) = streams.tracks().first() else { bail!("{}: no stream", args.bag.display()) };
+    let find = |topic: &String| {
+        let (bags, topic) = (vec![args.bag.clone()], topic.clone());
+        find_streams(&Choice { bags, topic, stream: args.stream, frames: None }, quiet, interrupt)
+    };
+    let sides = args.topic.iter().map(find).collect::<Result<Vec<_>, _>>()?;
+    let Some((streams, track)) = first_track(&sides) else {
+        bail!("{}: no stream", args.bag.display())
+    };
     let wanted = strip_and_animation(&args.output).unwrap_or((true, Some(Kind::Gif)));
     let names = if is_folder {
         [output.place().join("strip.png"), output.place().join("animation.gif")]
     } else {
         [output.place().to_owned(), output.place().to_owned()]
     };
-    draw(&args, &streams, track, wanted, names, quiet, interrupt)?;
+    draw(&args, &sides, track, wanted, names, quiet, interrupt)?;
     output.finish()?;
     let others = streams.tracks().len() - 1;
     let others = if others > 0 { format!(" ({others} more in the bag)") } else { String::new() };
     println!("stream {}{others}: {}", track.stream, args.output.display());
     Ok(())
+}
+
+/// The stream that is drawn: the first one of the first topic.
+fn first_track(sides: &[Streams]) -> Option<(&Streams, &Track)> {
+    let streams = sides.first()?;
+    Some((streams, streams.tracks().first()?))
 }
 
 /// Whether a lone file of this name is a strip, and which animation; `None` for a directory.
@@ -67,10 +76,10 @@ fn strip_and_animation(path: &Path) -> Option<(bool, Option<Kind>)> {
     }
 }
 
-/// Reads the stream and draws the frames that are shown.
+/// Reads the stream, on each topic, and draws the frames that are shown.
 fn draw(
     args: &RenderArgs,
-    streams: &Streams,
+    sides: &[Streams],
     track: &Track,
     (strip, animation): (bool, Option<Kind>),
     [strip_file, animation_file]: [PathBuf; 2],
@@ -88,16 +97,22 @@ fn draw(
     let mut panels: Vec<Canvas> = Vec::new();
     let mut film = None;
     let bar = progress_bar(track.frames as u64, "frames", quiet);
-    for (index, frame) in streams.frames_of(track)?.enumerate() {
-        let frame = frame?;
+    let mut sides =
+        sides.iter().map(|side| Side::of(side, track)).collect::<Result<Vec<_>, _>>()?;
+    for index in 0..track.frames {
+        let Some(frames) = together(&mut sides)? else { break };
+        let view = |painter: &Painter| match &frames[..] {
+            [Some(frame)] => painter.panel(frame),
+            _ => painter.beside(args.topic.iter().map(String::as_str).zip(&frames)),
+        };
         if interrupt.requested() {
             return Err(ExchangeError::Interrupted.into());
         }
         if in_strip.binary_search(&index).is_ok() {
-            panels.push(small.panel(&frame));
+            panels.push(view(&small));
         }
         if let Some(kind) = animation.filter(|_| in_animation.binary_search(&index).is_ok()) {
-            let picture = large.picture(&frame);
+            let picture = large.picture(&view(&large));
             let size = (picture.width(), picture.height());
             if film.is_none() {
                 film = Some(Animation::create(
@@ -118,6 +133,44 @@ fn draw(
     }
     film.map_or(Ok(()), Animation::finish)?;
     Ok(())
+}
+
+/// The frames of a stream on one topic, with one that was read too early.
+struct Side {
+    frames: Box<dyn Iterator<Item = Result<Frame, ExchangeError>>>,
+    next: Option<Frame>,
+}
+
+impl Side {
+    /// The stream of `track` on the topic of `streams`.
+    fn of(streams: &Streams, track: &Track) -> Result<Self, ExchangeError> {
+        let same = streams.tracks().iter().find(|other| other.stream == track.stream);
+        let frames: Box<dyn Iterator<Item = _>> = match same {
+            Some(same) => Box::new(streams.frames_of(same)?),
+            None => Box::new(iter::empty()),
+        };
+        Ok(Self { frames, next: None })
+    }
+
+    /// The frame with this sequence number, or nothing if there is none.
+    fn frame(&mut self, sequence: u64) -> Result<Option<Frame>, ExchangeError> {
+        while self.next.as_ref().is_none_or(|frame| frame.sequence < sequence) {
+            self.next = self.frames.next().transpose()?;
+            if self.next.is_none() {
+                break;
+            }
+        }
+        Ok(self.next.take_if(|frame| frame.sequence == sequence))
+    }
+}
+
+/// The first topic's next frame and those of the others that belong to it; nothing at its end.
+fn together(sides: &mut [Side]) -> Result<Option<Vec<Option<Frame>>>, ExchangeError> {
+    let Some((first, others)) = sides.split_first_mut() else { return Ok(None) };
+    let Some(frame) = first.frames.next().transpose()? else { return Ok(None) };
+    let others = others.iter_mut().map(|side| side.frame(frame.sequence));
+    let others = others.collect::<Result<Vec<_>, _>>()?;
+    Ok(Some(iter::once(Some(frame)).chain(others).collect()))
 }
 
 fn coloring(color: Color, track: &Track) -> Coloring {

@@ -11,9 +11,7 @@ use crate::{
     commands::{Interrupt, pages, progress_bar},
 };
 use eddy::{
-    bench::training::{
-        CORES, FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Step, Timing, paper_steps, products,
-    },
+    bench::training::{FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, paper_steps, products},
     model::Core,
     page::{Axis, LinePlot, Series, Table},
     train::exercise::{PARTICLES, Part},

@@ -1,6 +1,6 @@
 //! How a bag is played, and why it cannot be.
 
-use crate::bag::BagError;
+use crate::{bag::BagError, near};
 
 /// How a bag is played.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +47,18 @@ pub enum PlayerError {
         found: String,
         /// What it should be.
         expected: &'static str,
+    },
+    /// The bag does not have a topic.
+    #[error(
+        "topics: found {found}, expected one of {}{}",
+        topics.join(", "),
+        near::hint(found, topics.iter().map(String::as_str))
+    )]
+    Topic {
+        /// The topic asked for.
+        found: String,
+        /// The topics there are.
+        topics: Vec<String>,
     },
     /// The bag has no message to play.
     #[error("{bag}: found no message of the wanted topics and times, expected at least 1")]

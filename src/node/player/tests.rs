@@ -212,7 +212,7 @@ fn options_that_make_no_sense_are_refused() {
         (PlayerOptions { duration: Some(-1.0), ..Default::default() }, "duration: found -1"),
         (
             PlayerOptions { topics: Some(vec!["/b".into()]), ..Default::default() },
-            "topics: found /b, expected a topic of the bag",
+            "topics: found /b, expected one of /a",
         ),
         (PlayerOptions { clock: Some(0.0), ..Default::default() }, "clock: found 0, expected"),
         (PlayerOptions { start_offset: 9.0, ..Default::default() }, "found no message"),

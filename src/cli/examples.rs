@@ -1,0 +1,119 @@
+//! What `--help` shows last: commands to copy, all of which a test runs.
+
+use clap::Command;
+
+/// A command, and its examples.
+const EXAMPLES: &[(&str, &[&str])] = &[
+    ("demo", &["eddy demo", "eddy demo --headless --seconds 4 --output bags/short"]),
+    (
+        "simulate",
+        &[
+            "eddy simulate --preset kinds --scenes 20 --seed 1 --output bags/mm",
+            "eddy simulate --scene launch_configs/scenes/dam_break.toml --output bags/dam",
+            "eddy simulate --preset snowball --publish zenoh:/particles",
+        ],
+    ),
+    (
+        "record",
+        &[
+            "eddy record zenoh:/particles zenoh:/prediction --output bags/live",
+            "eddy record --all --exclude /cloud --output bags/all",
+        ],
+    ),
+    (
+        "replay",
+        &[
+            "eddy replay bags/sample",
+            "eddy replay bags/sample --to shm --rate 0.5",
+            "eddy replay bags/sample --remap /particles:=/truth",
+            "eddy replay bags/sample --loop --clock",
+        ],
+    ),
+    (
+        "train",
+        &[
+            "eddy train --data bags/mm --output checkpoints/mine --epochs 1",
+            "eddy train --data bags/mm --output checkpoints/lstm --core lstm --epochs 1 --seed 1 2",
+        ],
+    ),
+    (
+        "node",
+        &[
+            "eddy node",
+            "eddy node --input shm:/particles --output shm:/prediction --horizon 10 --publish all",
+            "eddy node --checkpoint checkpoints/mine --ros-args -r __ns:=/robot1 -p max_gap:=5",
+        ],
+    ),
+    (
+        "predict",
+        &[
+            "eddy predict --input bags/sample --output bags/predicted",
+            "eddy predict --checkpoint checkpoints/mine --input bags/sample --output bags/ahead --horizon 10",
+        ],
+    ),
+    (
+        "eval",
+        &[
+            "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
+            "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --rivals mpm,chaos",
+        ],
+    ),
+    ("launch", &["eddy launch launch_configs/replay_node_record.toml"]),
+    ("bag info", &["eddy bag info bags/sample"]),
+    ("bag check", &["eddy bag check bags/sample"]),
+    ("bag recover", &["eddy bag recover bags/sample/scene_0000_0.mcap --output bags/recovered"]),
+    (
+        "bag cut",
+        &[
+            "eddy bag cut bags/sample --start 0.2 --duration 0.5 --output bags/part",
+            "eddy bag cut bags/sample --end 0.4 --output bags/beginning",
+        ],
+    ),
+    ("bag merge", &["eddy bag merge bags/sample bags/predicted --output bags/beside"]),
+    ("bag filter", &["eddy bag filter bags/beside --topics /prediction --output bags/only"]),
+    ("bag cloud", &["eddy bag cloud bags/sample --output bags/cloud"]),
+    ("bag reindex", &["eddy bag reindex bags/recovered"]),
+    (
+        "bag export",
+        &[
+            "eddy bag export bags/sample --format npz --output exported",
+            "eddy bag export bags/mm --format gns --output exported_gns",
+        ],
+    ),
+    ("bag import", &["eddy bag import exported --format npz --output bags/imported"]),
+    (
+        "bag render",
+        &[
+            "eddy bag render bags/sample --output sample.gif",
+            "eddy bag render bags/beside --topic /particles /prediction --color speed --output speed.png",
+        ],
+    ),
+    ("topic list", &["eddy topic list", "eddy topic list --from shm,zenoh,dds --wait 5"]),
+    ("topic echo", &["eddy topic echo zenoh:/particles --count 1"]),
+    ("topic hz", &["eddy topic hz zenoh:/prediction --duration 10"]),
+    ("topic info", &["eddy topic info zenoh:/particles"]),
+    ("bench solver", &["eddy bench solver --particles 2500,10000 --threads 1,2"]),
+    ("bench inference", &["eddy bench inference --core mingru,lstm --engine-only"]),
+    ("bench training", &["eddy bench training --step frame:mingru:2 --step core:lstm:16"]),
+    ("bench transport", &["eddy bench transport --transport shm,zenoh --particles 2500"]),
+    ("bench node", &["eddy bench node --streams 16 --hertz 20"]),
+    ("bench replay", &["eddy bench replay --hertz 250 --seconds 15"]),
+    ("bench bag", &["eddy bench bag --seconds 4 --json"]),
+    ("completions", &["source <(eddy completions bash)", "eddy completions zsh > _eddy"]),
+    ("man", &["eddy man man1"]),
+];
+
+/// The command line with the examples at the end of each command's long help.
+pub(super) fn added(command: Command) -> Command {
+    EXAMPLES.iter().fold(command, |command, (path, lines)| {
+        let words: Vec<_> = path.split(' ').collect();
+        under(command, &words, &format!("Examples:\n  {}", lines.join("\n  ")))
+    })
+}
+
+fn under(command: Command, path: &[&str], text: &str) -> Command {
+    match path {
+        [] => command.after_long_help(text.to_owned()),
+        [first, rest @ ..] => command.mut_subcommand(first, |inner| under(inner, rest, text)),
+    }
+}

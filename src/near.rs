@@ -1,0 +1,108 @@
+//! The name that was probably meant, where one is refused.
+
+use std::{fs, io, path::Path};
+
+/// Likeness (Jaro, 0 to 1) above which a name counts as meant: clap's own measure for options and
+/// subcommands.
+const ALIKE: f64 = 0.7;
+
+/// The candidate that is most like `word`, if one is at all.
+pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    candidates
+        .into_iter()
+        .filter(|candidate| *candidate != word)
+        .map(|candidate| (strsim::jaro(word, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > ALIKE)
+        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .map(|(_, candidate)| candidate)
+}
+
+/// What an error adds after "found and expected": `; did you mean NAME?`, or nothing.
+pub fn hint<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
+    nearest(word, candidates).map(ask).unwrap_or_default()
+}
+
+fn ask(name: &str) -> String {
+    format!("; did you mean {name}?")
+}
+
+/// What TOML says of a key or word that it does not know, with the one that was probably meant.
+pub fn in_toml(reason: &str) -> String {
+    // serde: "unknown field `a`, expected one of `b`, `c`" (also "unknown variant").
+    let meant = reason.lines().find(|line| line.contains("unknown ")).and_then(|line| {
+        let (_, words) = line.split_once("unknown ")?;
+        let mut names = words.split('`').skip(1).step_by(2);
+        nearest(names.next()?, names)
+    });
+    format!("{reason}{}", meant.map(ask).unwrap_or_default())
+}
+
+/// What the system says of a path; of one that does not exist, with the one that was probably meant.
+pub fn in_folder(path: &Path, error: io::Error) -> io::Error {
+    if error.kind() != io::ErrorKind::NotFound {
+        return error;
+    }
+    match neighbour(path) {
+        Some(meant) => io::Error::new(error.kind(), format!("{error}{}", ask(&meant))),
+        None => error,
+    }
+}
+
+/// What is there instead of the first part of the path that is not.
+fn neighbour(path: &Path) -> Option<String> {
+    let gone = |part: &&Path| !part.as_os_str().is_empty() && !part.exists();
+    let missing = path.ancestors().take_while(gone).last()?;
+    let folder = missing.parent()?;
+    let inside = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut names: Vec<String> = fs::read_dir(inside)
+        .ok()?
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
+    names.sort();
+    let name = nearest(missing.file_name()?.to_str()?, names.iter().map(String::as_str))?;
+    Some(folder.join(name).display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_name_is_meant_and_none_where_all_are_far() {
+        let transports = ["memory", "shm", "zenoh", "dds"];
+        assert_eq!(nearest("zneoh", transports), Some("zenoh"));
+        assert_eq!(nearest("sbm", transports), Some("shm"));
+        assert_eq!(nearest("tcp", transports), None);
+        assert_eq!(hint("/partcles", ["/prediction", "/particles"]), "; did you mean /particles?");
+        assert_eq!(hint("xyz", ["/prediction", "/particles"]), "");
+    }
+
+    #[test]
+    fn toml_s_words_are_understood() {
+        let said = "TOML parse error at line 1\n  |\nunknown field `epoch`, expected one of `core`, `epochs`\n";
+        assert_eq!(in_toml(said), format!("{said}; did you mean epochs?"));
+        assert_eq!(
+            in_toml("unknown field `abc`, expected `xyz`"),
+            "unknown field `abc`, expected `xyz`"
+        );
+        assert_eq!(in_toml("missing field `abc`"), "missing field `abc`");
+    }
+
+    #[test]
+    fn a_path_that_is_missing_has_a_neighbour() {
+        let folder = tempfile::tempdir().unwrap();
+        let there = folder.path().join("scenes");
+        fs::create_dir(&there).unwrap();
+        let missing = || io::Error::from(io::ErrorKind::NotFound);
+        let said = in_folder(&folder.path().join("scnes/model.toml"), missing());
+        assert_eq!(said.kind(), io::ErrorKind::NotFound);
+        assert!(
+            said.to_string().ends_with(&format!("; did you mean {}?", there.display())),
+            "{said}"
+        );
+        let alone = in_folder(&folder.path().join("other"), missing());
+        assert_eq!(alone.to_string(), missing().to_string());
+        let locked = in_folder(&there, io::Error::from(io::ErrorKind::PermissionDenied));
+        assert_eq!(locked.kind(), io::ErrorKind::PermissionDenied);
+    }
+}

@@ -1,0 +1,235 @@
+//! A folder that begins as a clone, and a shell in it.
+
+use std::{
+    fs::{self, File},
+    io::Read as _,
+    os::unix::fs::symlink,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use tempfile::TempDir;
+
+use super::{
+    root,
+    tables::{CHEAPER, NOT_HERE},
+};
+use crate::support::{domain, free_port, unique};
+
+/// Programs besides eddy that pages may use: those of every Unix.
+const SHELL: &[&str] = &["cat", "cp", "ls", "mkdir", "rm", "source"];
+
+/// No command takes longer.
+const DEADLINE: Duration = Duration::from_secs(120);
+
+/// Settings that make an epoch short.
+const QUICK: &str = "\
+unroll = [{ share = 1.0, frames = 2 }]
+windows.per_epoch = 16
+windows.batch = 8
+validation.horizon = 5
+validation.starts = 1
+";
+
+/// A folder that begins as a clone, and a shell in it.
+pub struct World {
+    folder: TempDir,
+    domain: u16,
+    topic: String,
+    ports: [u16; 2],
+    started: usize,
+}
+
+/// A command that runs.
+struct Running {
+    line: String,
+    child: Child,
+    output: PathBuf,
+}
+
+impl World {
+    /// A folder with what a clone has, and eddy on the path.
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["bags/sample", "checkpoints/particle-mingru", "launch_configs"] {
+            copy(&root().join(name), &folder.path().join(name));
+        }
+        fs::create_dir(folder.path().join(".bin")).unwrap();
+        symlink(env!("CARGO_BIN_EXE_eddy"), folder.path().join(".bin/eddy")).unwrap();
+        let topic = unique("documented");
+        let world =
+            Self { folder, domain: domain(), topic, ports: [free_port(), free_port()], started: 0 };
+        world.save("quick.toml", QUICK);
+        world.shrink();
+        world
+    }
+
+    /// Makes the files of settings as cheap as [`CHEAPER`] makes commands.
+    fn shrink(&self) {
+        for entry in fs::read_dir(self.at("launch_configs")).unwrap() {
+            let file = entry.unwrap().path();
+            if file.extension().is_none_or(|extension| extension != "toml") {
+                continue;
+            }
+            let text = fs::read_to_string(&file).unwrap();
+            let mut table: toml::Table = text.parse().unwrap();
+            if table.contains_key("architecture") {
+                let quick: toml::Table = QUICK.parse().unwrap();
+                for (key, value) in quick {
+                    match (table.get_mut(&key), value) {
+                        (Some(toml::Value::Table(there)), toml::Value::Table(new)) => {
+                            there.extend(new)
+                        }
+                        (_, value) => drop(table.insert(key, value)),
+                    }
+                }
+                fs::write(&file, table.to_string()).unwrap();
+            } else {
+                fs::write(&file, text.replace("shm:/", &format!("shm:/{}/", self.topic))).unwrap();
+            }
+        }
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Writes a file, as the reader does.
+    pub fn save(&self, name: &str, text: &str) {
+        let path = self.at(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+
+    /// Runs commands, each after the end of the one before; what has no end is ended.
+    pub fn one_after_another(&mut self, place: &str, lines: &[String]) {
+        for line in lines {
+            let Some(mut running) = self.start(place, line) else { continue };
+            if endless(line) {
+                wait(place, "says something", &mut running, |running| !running.said().is_empty());
+                running.interrupt();
+            }
+            running.ends_well(place);
+        }
+    }
+
+    /// Runs commands beside each other until the last one has ended, then ends the others.
+    pub fn together(&mut self, place: &str, lines: &[String]) {
+        let started = lines.iter().filter_map(|line| self.start(place, line));
+        let mut running: Vec<_> = started.collect();
+        let Some(mut last) = running.pop() else { return };
+        if endless(&last.line) {
+            wait(place, "says something", &mut last, |last| !last.said().is_empty());
+            last.interrupt();
+        }
+        last.ends_well(place);
+        while let Some(mut other) = running.pop() {
+            wait(place, "says something", &mut other, |other| {
+                !other.said().is_empty() || other.child.try_wait().unwrap().is_some()
+            });
+            if other.child.try_wait().unwrap().is_none() {
+                other.interrupt();
+            }
+            other.ends_well(place);
+        }
+    }
+
+    /// Starts a command, unless it is none for this place.
+    fn start(&mut self, place: &str, line: &str) -> Option<Running> {
+        if NOT_HERE.iter().any(|(command, _)| *command == line) {
+            return None;
+        }
+        let cheap = self.cheaper(line);
+        let program = cheap.split(' ').find(|word| !word.contains('=')).unwrap_or_default();
+        assert!(
+            program == "eddy" || SHELL.contains(&program),
+            "{place}: `{line}`: found {program}, expected eddy, one of {SHELL:?}, or an entry of NOT_HERE"
+        );
+        self.started += 1;
+        let output = self.at(&format!(".output{}", self.started));
+        let file = File::create(&output).unwrap();
+        let path = std::env::var("PATH").unwrap();
+        let mut bash = Command::new("bash");
+        bash.args(["-c", &cheap]).current_dir(self.folder.path());
+        bash.env("PATH", format!("{}:{path}", self.at(".bin").display()));
+        bash.env("HOME", self.folder.path()).env("ROS_DOMAIN_ID", self.domain.to_string());
+        bash.stdin(Stdio::null()).stdout(file.try_clone().unwrap()).stderr(file);
+        Some(Running { line: cheap, child: bash.spawn().unwrap(), output })
+    }
+
+    fn cheaper(&self, line: &str) -> String {
+        let changed =
+            CHEAPER.iter().fold(line.to_owned(), |line, (from, to, _)| line.replace(from, to));
+        let [port, other_port] = self.ports.map(|port| port.to_string());
+        let changed = changed.replace("{topic}", &self.topic);
+        changed.replace("{port}", &port).replace("{other_port}", &other_port)
+    }
+}
+
+impl Running {
+    /// What it has printed.
+    fn said(&self) -> String {
+        let mut said = Vec::new();
+        File::open(&self.output).unwrap().read_to_end(&mut said).unwrap();
+        String::from_utf8_lossy(&said).into_owned()
+    }
+
+    /// Asks it to end, as Ctrl-C does: bash has made way for a lone command.
+    fn interrupt(&self) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    }
+
+    fn ends_well(&mut self, place: &str) {
+        wait(place, "ends", self, |running| running.child.try_wait().unwrap().is_some());
+        let status = self.child.wait().unwrap();
+        assert!(status.success(), "{place}: `{}`: {status}\n{}", self.line, self.said());
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn wait(
+    place: &str,
+    what: &str,
+    running: &mut Running,
+    mut done: impl FnMut(&mut Running) -> bool,
+) {
+    let start = Instant::now();
+    while !done(running) {
+        let late = start.elapsed() > DEADLINE;
+        assert!(!late, "{place}: waited until `{}` {what}:\n{}", running.line, running.said());
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Whether a command runs until it is told to end.
+fn endless(line: &str) -> bool {
+    let has = |word: &str| line.split(' ').any(|other| other == word);
+    let bounded = ["--stop-after", "--max-messages", "--count", "--duration", "--help"];
+    let lasting = has("node") && !has("bench")
+        || has("record")
+        || has("echo")
+        || has("hz")
+        || has("replay") && has("--loop");
+    lasting && !bounded.into_iter().any(has)
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to.join(entry.file_name()));
+        } else {
+            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! The other pages: commands, messages, checkpoints, diagnostics.
+
+use std::{fs, path::Path};
+
+use eddy::{
+    checkpoint::{Checkpoint, tensor_shapes},
+    model::{Architecture, Core},
+    msg::{
+        services::{ParameterKind, ParameterValue},
+        type_support,
+    },
+    node::{Counters, NodeSettings, PARAMETERS, ParameterSpec, Values},
+};
+
+use super::{
+    configuration::{Row, rows, table},
+    root,
+    source::Source,
+};
+use crate::{shell, support::succeed};
+
+/// `--help` of every command.
+pub fn commands() -> String {
+    let mut text = "# Commands\n\nWhat `--help` says of each; `-h` is shorter.\n".to_owned();
+    let global = ["  -q, --quiet", "      --log-level", "  -h, --help", "  -V, --version"];
+    for words in shell::commands() {
+        let help = succeed(words.iter().map(String::as_str).chain(["--help"]));
+        let name = [&["eddy".to_owned()], words.as_slice()].concat().join(" ");
+        // What every command has stands with the first.
+        let help = if words.is_empty() { help } else { without(&help, &global) };
+        text.push_str(&format!("\n## {name}\n\n```text\n{}\n```\n", help.trim_end()));
+    }
+    text
+}
+
+/// Help without some options.
+fn without(help: &str, options: &[&str]) -> String {
+    let mut kept = String::new();
+    let mut leaving_out = false;
+    for line in help.lines() {
+        let begins = line.trim_start().starts_with('-') && !line.starts_with("           ");
+        if begins {
+            leaving_out = options.iter().any(|option| line.starts_with(option));
+        } else if !line.is_empty() && !line.starts_with("      ") {
+            leaving_out = false;
+        }
+        if !leaving_out {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    kept
+}
+
+/// The `.msg` files, and frames in shared memory.
+pub fn messages() -> String {
+    let mut text = "# Messages\n\n\
+        `msgs/eddy_msgs` is an ament package with eddy's own two. Type hashes are those of ROS 2 (RIHS01), by which nodes on \
+        rmw_zenoh find each other.\n"
+        .to_owned();
+    for name in ["ParticleFrame", "PredictionStatus"] {
+        let file = root().join(format!("msgs/eddy_msgs/msg/{name}.msg"));
+        let definition = fs::read_to_string(file).unwrap();
+        let full = format!("eddy_msgs/msg/{name}");
+        let hash = &type_support(&full).unwrap().hash;
+        text.push_str(&format!("\n## {full}\n\n`{hash}`\n\n```text\n{definition}```\n"));
+    }
+    text.push_str("\n## Of ROS 2\n\n| type | type hash |\n|---|---|\n");
+    let mut standard = Vec::new();
+    collect(&root().join("msgs/standard"), &mut standard);
+    standard.sort();
+    for name in standard {
+        if let Ok(known) = type_support(&name) {
+            text.push_str(&format!("| `{name}` | `{}` |\n", known.hash));
+        }
+    }
+    let shm = Source::of(&["transport/shm/layout.rs", "frame/view.rs", "frame.rs"]);
+    for (item, name, what) in [
+        (
+            "FrameHeader",
+            "eddy::FrameHeader",
+            "The user header of a frame on shm (iceoryx2), `repr(C)`, 48 bytes.",
+        ),
+        ("Particle", "eddy::Particle", "An element of its payload, a slice; `repr(C)`, 20 bytes."),
+    ] {
+        text.push_str(&format!("\n## {name}\n\n{what}\n\n| field | type | |\n|---|---|---|\n"));
+        for field in &shm.item(item).members {
+            text.push_str(&format!("| `{}` | `{}` | {} |\n", field.name, field.kind, field.docs));
+        }
+    }
+    text
+}
+
+/// The names of types in a folder such as `msgs/standard`.
+fn collect(folder: &Path, names: &mut Vec<String>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            collect(&path, names);
+        } else {
+            let name = path.strip_prefix(root().join("msgs/standard")).unwrap().with_extension("");
+            names.push(name.to_str().unwrap().to_owned());
+        }
+    }
+}
+
+/// `model.toml`, and the tensors of each network.
+pub fn checkpoint() -> String {
+    let source = Source::of(&["checkpoint/description.rs", "frame.rs"]);
+    let shipped = Checkpoint::shipped().unwrap();
+    let mut keys = rows(&source, source.item("Description"), "");
+    let version = shipped.description.format_version;
+    keys[0].docs = format!("Version of the format: {version}.");
+    let mut text = format!(
+        "# Checkpoint\n\nA directory with `model.toml`, which says what the network is, and `model.safetensors`, its weights: f32, in \
+         PyTorch's layout [out, in].\n\n## model.toml\n\n{}",
+        table(&keys)
+    );
+    for architecture in [Architecture::Particle, Architecture::Frame] {
+        for core in [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm, Core::Mlp] {
+            let mut description = shipped.description.clone();
+            (description.architecture, description.core) = (architecture, core);
+            let mut sizes = description.sizes.clone();
+            if architecture == Architecture::Frame {
+                (sizes.encoder, sizes.hidden, sizes.layers) = (256, 1250, 1);
+                sizes.particles = Some(2500);
+                description.surroundings = None;
+            }
+            description.sizes = sizes;
+            let name = [architecture.name(), core.name()].join(" model, ");
+            text.push_str(&format!(
+                "\n## Tensors: {name}\n\n{}\n\n| tensor | shape |\n|---|---|\n",
+                widths(&description.sizes)
+            ));
+            for (tensor, shape) in tensor_shapes(&description) {
+                text.push_str(&format!("| `{tensor}` | {shape:?} |\n"));
+            }
+        }
+    }
+    text
+}
+
+fn widths(sizes: &eddy::checkpoint::Sizes) -> String {
+    let particles =
+        sizes.particles.map_or(String::new(), |particles| format!(", {particles} particles"));
+    format!("Here with encoder {}, hidden {}, one layer{particles}.", sizes.encoder, sizes.hidden)
+}
+
+/// What a parameter may be.
+pub fn values(spec: &ParameterSpec) -> String {
+    match &spec.values {
+        Values::Bool => "true or false".to_owned(),
+        Values::Integer(range) if *range.end() == i64::MAX => format!("{} and more", range.start()),
+        Values::Integer(range) => format!("{} to {}", range.start(), range.end()),
+        Values::Word(words) => words.join(", "),
+    }
+}
+
+/// A parameter's value.
+pub fn value(value: &ParameterValue) -> String {
+    match value.kind() {
+        Ok(ParameterKind::Bool) => value.bool_value.to_string(),
+        Ok(ParameterKind::Integer) => value.integer_value.to_string(),
+        _ => value.string_value.clone(),
+    }
+}
+
+/// Counters, levels, parameters.
+pub fn diagnostics() -> String {
+    let source = Source::of(&["node/counters.rs"]);
+    let docs = |name: &str| {
+        let member = source.item("Counters").members.iter().find(|member| member.name == name);
+        member.unwrap_or_else(|| panic!("{name} is no field of Counters")).docs.clone()
+    };
+    let row =
+        |key: &str, docs: String| Row { key: key.to_owned(), values: "count".to_owned(), docs };
+    let counters = Counters::default();
+    let counted = counters.named().map(|(name, _)| row(name, docs(name)));
+    let mut text = format!(
+        "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. Its level is \
+         ERROR when a prediction was not finite since the last one, WARN when a frame was refused (the message says why) or lost, and OK \
+         otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
+         | `rate (1/s)` | number | Predictions a second, since the last message. |\n\
+         | `latency p50 (ms)` | number | Median time from a frame's arrival to its predictions' publication. |\n\
+         | `latency p99 (ms)` | number | 99th percentile of it. |\n\
+         | `model` | text | Digest of the checkpoint. |\n{}\
+         | `dropped_from_queue, by stream` | text | {} Only where there are any: those that lost most, eight at most. |\n",
+        table(&counted).split_once("|---|---|---|\n").unwrap().1,
+        docs("dropped_by_stream"),
+    );
+    text.push_str("\n## Parameters\n\nEach is also a key of `[node]` in a settings file.\n\n| parameter | values | default | |\n|---|---|---|---|\n");
+    let defaults = NodeSettings::default();
+    for spec in &PARAMETERS {
+        let read_only = if spec.read_only { "; read-only once the node runs" } else { "" };
+        let default = value(&spec.get(&defaults));
+        text.push_str(&format!(
+            "| `{}` | {} | {default} | {}{read_only} |\n",
+            spec.name,
+            values(spec),
+            spec.description
+        ));
+    }
+    text
+}

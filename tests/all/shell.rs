@@ -1,0 +1,152 @@
+//! What a shell and a reader of manuals are given, and what the program says of a name that is nearly right.
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File},
+    path::Path,
+    process::Command,
+};
+
+use crate::support::{eddy, fail, succeed};
+
+/// What bash offers after `words`, whose last one is being typed.
+fn completed(words: &[&str]) -> Vec<String> {
+    let script = r#"
+        source <("$EDDY" completions bash)
+        COMP_WORDS=("$@") COMP_CWORD=$(($# - 1))
+        _eddy eddy "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"
+        printf '%s\n' "${COMPREPLY[@]}"
+    "#;
+    let mut bash = Command::new("bash");
+    bash.args(["-euc", script, "bash"]).args(words).env("EDDY", env!("CARGO_BIN_EXE_eddy"));
+    let output = bash.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect()
+}
+
+/// The commands below `path`, as its help lists them.
+fn listed(path: &[&str]) -> Vec<String> {
+    let help = succeed(path.iter().copied().chain(["--help"]));
+    let Some((_, list)) = help.split_once("\nCommands:\n") else { return Vec::new() };
+    let names = list.lines().take_while(|line| line.starts_with("  "));
+    let names = names.filter(|line| !line.starts_with("   "));
+    let names = names.filter_map(|line| line.split_whitespace().next());
+    names.filter(|name| *name != "help").map(str::to_owned).collect()
+}
+
+/// Every command with its words, those that only hold others too.
+pub(crate) fn commands() -> BTreeSet<Vec<String>> {
+    let mut all = BTreeSet::new();
+    let mut open = vec![Vec::new()];
+    while let Some(path) = open.pop() {
+        let words: Vec<_> = path.iter().map(String::as_str).collect();
+        for name in listed(&words) {
+            open.push([path.as_slice(), &[name]].concat());
+        }
+        all.insert(path);
+    }
+    all
+}
+
+#[test]
+fn bash_completes_commands_options_and_values() {
+    assert_eq!(completed(&["eddy", "sim"]), ["simulate"]);
+    assert_eq!(completed(&["eddy", "bag", "re"]), ["recover", "reindex", "render"]);
+    assert_eq!(completed(&["eddy", "node", "--hor"]), ["--horizon"]);
+    assert_eq!(completed(&["eddy", "train", "--core", "min"]), ["minlstm", "mingru"]);
+    assert_eq!(completed(&["eddy", "simulate", "--preset", "snow"]), ["snowball"]);
+}
+
+#[test]
+fn every_shell_has_a_script_that_knows_every_command() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = succeed(["completions", shell]);
+        for command in commands() {
+            let name = command.last().map_or("eddy", String::as_str);
+            assert!(script.contains(name), "{shell} does not know {name}");
+        }
+    }
+}
+
+#[test]
+fn a_script_that_cannot_be_printed_is_an_error() {
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    let output = eddy().args(["completions", "bash"]).stdout(full).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("cannot print the script: No space left"), "{said}");
+}
+
+#[test]
+fn every_command_has_a_manual_page_with_its_options_and_examples() {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(["man".as_ref(), folder.path().as_os_str()]);
+    let mut pages = BTreeSet::new();
+    for command in commands() {
+        let name = [&["eddy".to_owned()], command.as_slice()].concat().join("-");
+        let page = fs::read_to_string(folder.path().join(format!("{name}.1"))).unwrap();
+        assert!(page.contains(&format!(".TH {name} 1 ")), "{name}: no title");
+        for section in ["NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS"] {
+            assert!(page.contains(&format!(".SH {section}")), "{name}: no {section}");
+        }
+        pages.insert(format!("{name}.1"));
+    }
+    let written = fs::read_dir(folder.path()).unwrap();
+    let written: BTreeSet<_> =
+        written.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(written, pages);
+    let page = fs::read_to_string(folder.path().join("eddy-node.1")).unwrap();
+    assert!(page.contains(r"\-\-free\-run") && page.contains("Examples:"), "{page}");
+}
+
+/// What is typed, the exit code, and how the error ends.
+const NEARLY: &[(&str, i32, &str)] = &[
+    ("simulat", 2, "tip: a similar subcommand exists: 'simulate'"),
+    ("node --horizn 3", 2, "tip: a similar argument exists: '--horizon'"),
+    ("simulate --preset kindz --output o", 2, "tip: a similar value exists: 'kinds'"),
+    ("train --data d --output o --core mingrru", 2, "tip: a similar value exists: 'mingru'"),
+    ("node --input zneoh:/particles", 2, "; did you mean zenoh?"),
+    ("node --input zenoh:particles", 2, "; did you mean /particles?"),
+    ("replay bags/sample --to znoh", 2, "; did you mean zenoh?"),
+    ("node --ros-args -p horizn:=3", 1, "use_sim_time; did you mean horizon?"),
+    ("replay bags/sample --topics /partcles", 1, "; did you mean /particles?"),
+    ("bag filter bags/sample --topics /partcles --output o", 1, "; did you mean /particles?"),
+    ("bag render bags/sample --topic /partcles --output o.gif", 1, "; did you mean /particles?"),
+    ("bag import i --format npz --output o --material liqiud", 2, "; did you mean liquid?"),
+    ("bag info bags/sampel", 1, "; did you mean bags/sample?"),
+    ("train --data bag/sample --output o", 1, "; did you mean bags?"),
+    (
+        "predict --checkpoint checkpoints/particle-mingr --input bags/sample --output o",
+        1,
+        "; did you mean checkpoints/particle-mingru?",
+    ),
+    ("launch launch_configs/chain_shn.toml", 1, "; did you mean launch_configs/chain_shm.toml?"),
+    ("node --config nearly.toml", 1, "; did you mean horizon?"),
+    (
+        "train --data bags/sample --output o --config nearly_train.toml",
+        1,
+        "; did you mean minlstm?",
+    ),
+];
+
+#[test]
+fn errors_suggest_the_near_miss() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for name in ["bags", "checkpoints", "launch_configs"] {
+        std::os::unix::fs::symlink(root.join(name), folder.path().join(name)).unwrap();
+    }
+    fs::write(folder.path().join("nearly.toml"), "[node]\nhorizn = 3\n").unwrap();
+    fs::write(folder.path().join("nearly_train.toml"), "core = \"minlstn\"\n").unwrap();
+    for (typed, code, said) in NEARLY {
+        let output = eddy().args(typed.split(' ')).current_dir(folder.path()).output().unwrap();
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(*code), "{typed}: {errors}");
+        assert!(errors.contains(said), "{typed}: {errors}");
+    }
+}
+
+#[test]
+fn what_is_far_from_everything_gets_no_suggestion() {
+    assert!(!fail(2, ["node", "--input", "tcp:/particles"]).contains("did you mean"));
+}
