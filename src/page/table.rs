@@ -75,6 +75,24 @@ impl Table {
         &self.header
     }
 
+    /// The table as Markdown, its caption above it.
+    pub fn markdown(&self) -> String {
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+        let escaped = |text: &str| text.replace('|', "\\|");
+        let word = |cell: &Cell| match cell.bold {
+            true => format!("**{}**", escaped(&cell.text)),
+            false => escaped(&cell.text),
+        };
+        let mut text = format!("{}:\n\n", escaped(&self.caption));
+        text.push_str(&line(self.header.iter().map(|title| escaped(title)).collect()));
+        let ruler = (0..self.header.len()).map(|column| if column == 0 { "---" } else { "---:" });
+        text.push_str(&line(ruler.map(str::to_owned).collect()));
+        for (name, cells) in &self.rows {
+            text.push_str(&line([name].into_iter().chain(cells).map(word).collect()));
+        }
+        text
+    }
+
     /// The words of each row, its name first: for a terminal.
     pub fn rows(&self) -> impl Iterator<Item = Vec<&str>> {
         self.rows.iter().map(|(name, cells)| {

@@ -95,6 +95,11 @@ impl Trained {
         find(folder.join(TRAINED_FILE), |trained: &Self| trained.config == *config)
     }
 
+    /// The epoch that the checkpoint is from.
+    pub fn best(&self) -> Option<&Epoch> {
+        self.epochs.iter().rfind(|epoch| epoch.best)
+    }
+
     /// Writes it to the folder of its run.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ mod transport;
 
 use super::Interrupt;
 use crate::cli::{BenchArgs, BenchCommand};
+pub(super) use sheet::printed;
 use sheet::{Sheet, table};
 
 /// Runs one of the benchmarks.

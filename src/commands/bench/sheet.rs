@@ -51,7 +51,7 @@ impl Sheet {
 }
 
 /// A table without lines.
-fn printed(of: &Table) -> String {
+pub(in crate::commands) fn printed(of: &Table) -> String {
     let mut table = Printed::new();
     table.load_style(presets::NOTHING);
     table.set_header(of.header());

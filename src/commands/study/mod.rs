@@ -5,11 +5,13 @@
 //!    [`curves`]: the same for the dense networks of the activations.
 //! 3. The networks are judged on the scenes that nobody was trained on, as `eddy eval` does.
 //! 4. [`speed`]: how long training steps take.
+//! 5. [`report`]: all of it as a page and as Markdown.
 //!
 //! What has come to its end is not done again.
 
 mod curves;
 mod networks;
+mod report;
 mod speed;
 
 use std::{
@@ -56,7 +58,10 @@ pub fn run(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     if args.comparison == Comparison::Cores {
         speed::run(&work)?;
     }
-    Ok(())
+    if interrupt.requested() {
+        bail!("interrupted: the same command goes on");
+    }
+    report::write(&work)
 }
 
 /// A preset's settings, then those of the file.
@@ -101,17 +106,8 @@ impl Work<'_> {
 
     fn simulate(&self) -> anyhow::Result<()> {
         for preset in self.presets {
-            let data = &self.study.data;
-            let mut words = command("simulate");
-            words.extend(["--preset".into(), preset.clone()]);
-            words.extend(["--scenes".into(), data.scenes.to_string()]);
-            words.extend(["--seed".into(), data.seed.to_string()]);
-            if let Some(duration) = data.duration {
-                words.extend(["--duration".into(), duration.to_string()]);
-            }
-            words.extend(["--output".into(), in_words(&self.folders.data(preset))]);
-            self.tell(&words.join(" "));
-            let Command::Simulate(args) = Cli::try_parse_from(&words)?.command else {
+            let words = self.simulation(preset);
+            let Command::Simulate(args) = self.parsed(&words)? else {
                 bail!("{}: found another command, expected simulate", words.join(" "));
             };
             simulate::run(args, self.quiet, self.interrupt)?;
@@ -121,26 +117,13 @@ impl Work<'_> {
 
     /// Judges every network on each preset, unless this very judgement is there.
     fn judge(&self) -> anyhow::Result<()> {
-        if self.variants.is_empty() {
-            return Ok(());
-        }
         for preset in self.presets {
             let folder = self.folders.judgement(self.comparison, preset);
-            if self.is_judged(preset, &folder)? {
+            if self.variants.is_empty() || self.is_judged(preset, &folder)? {
                 continue;
             }
-            let mut words = command("eval");
-            words.push("--checkpoint".into());
-            let run = |(variant, seed): (&Variant, u64)| {
-                in_words(&self.folders.run(preset, &variant.name, seed))
-            };
-            words.extend(self.runs().map(run));
-            words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
-            words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
-            words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
-            words.extend(["--output".into(), in_words(&folder)]);
-            self.tell(&words.join(" "));
-            let Command::Eval(args) = Cli::try_parse_from(&words)?.command else {
+            let words = self.judgement(preset);
+            let Command::Eval(args) = self.parsed(&words)? else {
                 bail!("{}: found another command, expected eval", words.join(" "));
             };
             let mut report = eval::judge(&args, self.quiet, self.interrupt)?;
@@ -148,6 +131,67 @@ impl Work<'_> {
             report.save(&folder).with_context(|| in_words(&folder))?;
         }
         Ok(())
+    }
+
+    /// The command that simulates a preset's scenes.
+    fn simulation(&self, preset: &str) -> Vec<String> {
+        let data = &self.study.data;
+        let mut words = command("simulate");
+        words.extend(["--preset".into(), preset.to_owned()]);
+        words.extend(["--scenes".into(), data.scenes.to_string()]);
+        words.extend(["--seed".into(), data.seed.to_string()]);
+        if let Some(duration) = data.duration {
+            words.extend(["--duration".into(), duration.to_string()]);
+        }
+        words.extend(["--output".into(), in_words(&self.folders.data(preset))]);
+        words
+    }
+
+    /// The command that trains a network with a seed. Its settings are in a file beside its folder.
+    fn training(&self, preset: &str, variant: &Variant, seed: u64) -> Vec<String> {
+        let output = self.folders.run(preset, &variant.name, seed);
+        let mut words = command("train");
+        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
+        words.extend(["--config".into(), in_words(&output.with_extension("toml"))]);
+        words.extend(["--output".into(), in_words(&output), "--resume".into()]);
+        words
+    }
+
+    /// The command that judges a preset's networks.
+    fn judgement(&self, preset: &str) -> Vec<String> {
+        let mut words = command("eval");
+        words.push("--checkpoint".into());
+        let run = |(variant, seed): (&Variant, u64)| {
+            in_words(&self.folders.run(preset, &variant.name, seed))
+        };
+        words.extend(self.runs().map(run));
+        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
+        words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
+        words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
+        let folder = self.folders.judgement(self.comparison, preset);
+        words.extend(["--output".into(), in_words(&folder)]);
+        words
+    }
+
+    /// Every command that this study stands for, in order.
+    fn commands(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for preset in self.presets {
+            lines.push(self.simulation(preset).join(" "));
+            for (variant, seed) in self.runs() {
+                lines.push(self.training(preset, variant, seed).join(" "));
+            }
+            if !self.variants.is_empty() {
+                lines.push(self.judgement(preset).join(" "));
+            }
+        }
+        lines
+    }
+
+    /// Tells a command line, and what it means.
+    fn parsed(&self, words: &[String]) -> anyhow::Result<Command> {
+        self.tell(&words.join(" "));
+        Ok(Cli::try_parse_from(words)?.command)
     }
 
     /// Whether the report in `folder` is that of all the networks.

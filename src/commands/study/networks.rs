@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context, bail};
 
-use super::{Work, command, in_words, write};
+use super::{Work, write};
 use crate::commands::{pages, progress_bar, simulate::memory, train::free_disk};
 use eddy::{
     dataset::Dataset,
@@ -25,6 +25,8 @@ struct Task {
     name: String,
     config: TrainConfig,
     output: PathBuf,
+    /// The command that does the same.
+    command: String,
 }
 
 /// Trains what is not trained yet.
@@ -37,7 +39,8 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             let output = work.folders.run(preset, &variant.name, seed);
             if Trained::find(&output, &config)?.is_none() {
                 let name = format!("{preset} {} seed {seed}", variant.name);
-                tasks.push_back(Task { name, config, output });
+                let command = work.training(preset, variant, seed).join(" ");
+                tasks.push_back(Task { name, config, output, command });
             }
         }
         if tasks.is_empty() {
@@ -56,7 +59,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
                 if work.stops() {
                     break;
                 }
-                let outcome = task.run(work, preset, &dataset, memory, jobs);
+                let outcome = task.run(work, &dataset, memory, jobs);
                 let line = outcome.inspect_err(|_| work.failed.store(true, Ordering::Relaxed))?;
                 bar.suspend(|| work.tell(&line));
                 bar.inc(1);
@@ -84,25 +87,19 @@ impl Task {
     fn run(
         &self,
         work: &Work,
-        preset: &str,
         dataset: &Dataset,
         memory: u64,
         at_once: usize,
     ) -> anyhow::Result<String> {
-        let Self { name, config, output } = self;
+        let Self { name, config, output, command } = self;
         // Beside the folder, as this is made by who trains.
-        let settings = output.with_extension("toml");
-        write(&settings, &toml::to_string(config)?)?;
-        let mut words = command("train");
-        words.extend(["--data".into(), in_words(&work.folders.data(preset))]);
-        words.extend(["--config".into(), in_words(&settings)]);
-        words.extend(["--output".into(), in_words(output), "--resume".into()]);
+        write(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let run = Run {
             device: DeviceKind::Flex,
             output,
             resume: true,
             machine: Machine { memory, disk: free_disk(output)? },
-            command: words.join(" "),
+            command: command.clone(),
             quiet: true,
             interrupted: &|| work.stops(),
         };

@@ -60,7 +60,7 @@ impl SceneEntry {
     }
 
     /// What it is called in tables: its bag, and what it is made of, as the paper calls its scenes.
-    pub(super) fn title(&self) -> String {
+    pub fn title(&self) -> String {
         format!("{} {}", self.name, words(&self.materials))
     }
 }

@@ -1,0 +1,62 @@
+//! What a comparison came to: `report.html`, and `tables.md` for who writes about it.
+
+use anyhow::Context;
+
+use super::{Work, in_words, write as write_text};
+use crate::commands::bench::printed;
+use eddy::{
+    eval::Report,
+    page::Provenance,
+    study::{Comparison, Curve, Networks, Speed, StudyReport},
+};
+
+/// Writes both, and prints the summaries.
+pub(super) fn write(work: &Work) -> anyhow::Result<()> {
+    let folder = work.folders.report(work.comparison);
+    let mut report = StudyReport::new(work.comparison, work.study);
+    for preset in work.presets {
+        match work.comparison {
+            Comparison::Activations => {
+                report.curves(preset, work.study, &curves(work, preset)?);
+            }
+            comparison => {
+                let trained = work.trained(preset)?.into_iter().map(|(_, trained)| trained);
+                let networks = Networks {
+                    comparison,
+                    variants: &work.variants,
+                    seeds: &work.study.seeds,
+                    trained: trained.collect(),
+                    report: Report::load(&work.folders.judgement(comparison, preset))?,
+                };
+                report.networks(preset, work.study, &networks);
+            }
+        }
+    }
+    if let Some(speed) = Speed::find(&folder)? {
+        report.speed(&speed);
+    }
+    for (heading, table) in report.summaries() {
+        println!("\n{heading}: {}\n{}", table.caption(), printed(table));
+    }
+    write_text(&folder.join("tables.md"), &report.markdown())?;
+    let html = folder.join("report.html");
+    let page = report.page(&Provenance::here(), &work.commands());
+    page.save(&html).with_context(|| in_words(&html))?;
+    println!("\n{}", html.display());
+    Ok(())
+}
+
+/// The learning curves of a preset.
+fn curves(work: &Work, preset: &str) -> anyhow::Result<Vec<Curve>> {
+    let mut curves = Vec::new();
+    for &seed in &work.study.seeds {
+        for activation in &work.study.activations {
+            let file = work.folders.curve(preset, activation.name(), seed);
+            let curve = Curve::find(&file, &work.study.dense)?;
+            curves.push(curve.with_context(|| {
+                format!("{}: found no learning curve, expected one", file.display())
+            })?);
+        }
+    }
+    Ok(curves)
+}
