@@ -11,7 +11,7 @@
 //! |---|---|
 //! | L7 | `cli`, `commands`, `fuzzing` |
 //! | L6 | `bench`, `config`, `launch` |
-//! | L5 | `node`, `train` |
+//! | L5 | `node`, `train`, `viewer` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `transport`, `model` |
@@ -40,3 +40,4 @@ pub mod picture;
 pub mod ros;
 pub mod train;
 pub mod transport;
+pub mod viewer;

@@ -16,6 +16,7 @@ pub mod train;
 mod interrupt;
 mod live;
 mod pace;
+mod page;
 mod pages;
 mod surrogate;
 

@@ -7,7 +7,7 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 13] = [
+const CONFINED: [(&str, &[&str]); 15] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
@@ -21,6 +21,8 @@ const CONFINED: [(&str, &[&str]); 13] = [
     ("png", &["picture"]),
     ("gif", &["picture"]),
     ("embedded_graphics", &["picture"]),
+    ("axum", &["viewer"]),
+    ("tokio", &["viewer"]),
 ];
 
 fn source() -> PathBuf {
