@@ -24,7 +24,7 @@ pub use bag::{
 };
 pub use bench::{
     BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchNodeArgs, BenchReplayArgs,
-    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs,
+    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs, BenchViewArgs,
 };
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 

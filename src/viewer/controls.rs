@@ -73,6 +73,24 @@ pub struct State {
     pub free_run: Option<bool>,
 }
 
+/// For what is shown and cannot be controlled.
+#[derive(Clone, Copy, Debug)]
+pub struct NoControls;
+
+impl Controls for NoControls {
+    fn offered(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn act(&self, _: Command) -> Result<String, String> {
+        Err("found nothing that can be controlled".to_owned())
+    }
+
+    fn state(&self) -> State {
+        State::default()
+    }
+}
+
 /// Who does what a page asks for. Both calls may take a while; they come on threads of their own.
 pub trait Controls: Send + Sync {
     /// The [names](Command::name) of what can be asked for.

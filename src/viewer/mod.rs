@@ -24,7 +24,7 @@ mod words;
 
 pub use address::{InvalidAddress, ListenAddress};
 pub use comparison::{Ahead, Comparison, Curves, Pair, Point, Summary};
-pub use controls::{Command, Controls, State};
+pub use controls::{Command, Controls, NoControls, State};
 pub use hub::{Hub, Report};
 pub use server::{Viewer, ViewerError};
 pub use wire::{HEADER, Shown, VERSION, encode};

@@ -27,3 +27,4 @@ mod support;
 mod topic;
 mod train;
 mod transport;
+mod view;

@@ -7,6 +7,7 @@ mod replay;
 mod solver;
 mod training;
 mod transport;
+mod view;
 
 use comfy_table::{CellAlignment, Table, presets};
 
@@ -23,6 +24,7 @@ pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         BenchCommand::Transport(args) => transport::run(args, quiet, interrupt),
         BenchCommand::Node(args) => node::run(args, interrupt),
         BenchCommand::Replay(args) => replay::run(args, interrupt),
+        BenchCommand::View(args) => view::run(args, interrupt),
     }
 }
 

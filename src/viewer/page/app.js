@@ -287,9 +287,9 @@ function show(figures) {
   entries.push(["dropped for this page", count(page.dropped + page.skipped)]);
   entries.push(["pages", count(page.browsers)]);
   entries.push(["drawn here", `${drawnRate.toFixed(0)} /s`]);
-  entries.push(["by", painter?.renderer ?? failure]);
   if (now.hello?.model) entries.push(["model", now.hello.model.slice(0, 12)]);
   rows($("figures"), entries);
+  $("renderer").textContent = painter ? `drawn by ${painter.renderer}` : failure;
   rows($("counters"), (node?.counters ?? []).map(([name, value]) => [name.replaceAll("_", " "), count(value)]));
 
   const pressed = (id, on) => $(id).setAttribute("aria-pressed", String(Boolean(on)));

@@ -86,7 +86,8 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
 
   pen.textAlign = "left";
   let at = MARGIN.left;
-  for (const [name, colour, dashes] of [["model", colours.model, []], [`best baseline${baseline ? `: ${baseline}` : ""}`, colours.baseline, [6, 4]]]) {
+  const best = width > 420 && baseline ? `best baseline: ${baseline}` : "best baseline";
+  for (const [name, colour, dashes] of [["model", colours.model, []], [best, colours.baseline, [6, 4]]]) {
     pen.strokeStyle = colour;
     pen.setLineDash(dashes);
     pen.beginPath();
@@ -98,6 +99,6 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
     pen.fillText(name, at + 28, 13);
     at += 44 + pen.measureText(name).width;
   }
-  const [, model, best] = rows.at(-1);
-  return `error ${model.toExponential(1)}${best == null ? "" : `, best baseline ${best.toExponential(1)}`}`;
+  const [, model, other] = rows.at(-1);
+  return `error ${model.toExponential(1)}${other == null ? "" : `, best baseline ${other.toExponential(1)}`}`;
 }

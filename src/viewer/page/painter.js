@@ -25,7 +25,7 @@ void main() {
 }`;
 
 const FRAGMENT = `#version 300 es
-precision mediump float;
+precision highp float;
 in vec3 colour;
 uniform float size;
 uniform float strength;
@@ -63,6 +63,9 @@ export class Painter {
       }
     }
     gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      throw new Error(gl.getProgramInfoLog(program));
+    }
     gl.useProgram(program);
     this.uniform = Object.fromEntries(
       ["size", "colouring", "materials", "scale", "from", "plain", "strength"]

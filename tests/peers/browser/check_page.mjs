@@ -129,7 +129,7 @@ try {
   await until("a prediction meets its truth", async () => /error/.test(await page.locator("#error-time").getAttribute("aria-label")));
   await sleep(3000);
   await snap(page, "light");
-  console.log(`rate: ${await figure(page, "drawn here")} drawn by ${await figure(page, "by")}`);
+  console.log(`rate: ${await figure(page, "drawn here")}, ${await page.locator("#renderer").textContent()}`);
   assert.ok(parseFloat(await figure(page, "drawn here")) >= 10, "ten a second is enough in software");
 
   // Controls act on the program, not on the picture.
