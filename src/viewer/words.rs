@@ -32,7 +32,11 @@ pub(super) enum Said {
     /// It has drawn a frame: there is room for the next.
     Drawn { drawn: u32 },
     /// It wants to see this stream, the current one if `None`. A string: numbers of JavaScript end at 2^53.
-    Select { select: Option<String> },
+    Select {
+        // Said, if only to say none.
+        #[serde(deserialize_with = "Option::deserialize")]
+        select: Option<String>,
+    },
     /// It wants something done.
     Command(Command),
 }

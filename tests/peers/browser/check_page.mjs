@@ -17,7 +17,7 @@ import { chromium } from "playwright-core";
 const [eddy, pictures] = process.argv.slice(2);
 const work = mkdtempSync(join(tmpdir(), "eddy-browser-"));
 if (pictures) mkdirSync(pictures, { recursive: true });
-const DEADLINE = 60_000;
+const DEADLINE = 30_000;
 
 /** Asks again and again until the answer is truthy. */
 async function until(what, answer, patience = DEADLINE) {
@@ -41,10 +41,12 @@ function freePort() {
 }
 
 let started = 0;
+const children = [];
 /** `eddy demo` with its page on `port`. */
 async function demo(port) {
   const output = join(work, `demo-${started++}`);
   const child = spawn(eddy, ["demo", "--port", String(port), "--output", output], { stdio: ["ignore", "pipe", "inherit"] });
+  children.push(child);
   let printed = "";
   child.stdout.on("data", (bytes) => { printed += bytes; });
   const url = await until("the demo says where its page is", () => {
@@ -185,6 +187,7 @@ try {
     await snap(page, colour);
   }
   await page.locator("#colour").selectOption("material");
+  await page.locator("#colour").blur();
 
   // Light and dark: the same page, other colours.
   const ground = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
@@ -227,7 +230,7 @@ try {
   const tabs = await Promise.all(Array.from({ length: 10 }, () => tab(running.url, { viewport: { width: 700, height: 500 } })));
   await Promise.all(tabs.map(open));
   for (const one of tabs) await draws(one);
-  assert.equal(Number(await figure(tabs[0], "pages")), 11);
+  await until("eleven are counted", async () => (await figure(tabs[0], "pages")) === "11");
   await Promise.all(tabs.map((one) => one.context().close()));
   await until("they are gone", async () => (await figure(page, "pages")) === "1");
   console.log("ten tabs at once");
@@ -251,6 +254,7 @@ try {
   assert.deepEqual(faults, []);
   console.log("no request left the page's origin, nothing was thrown");
 } finally {
+  children.forEach((child) => child.kill("SIGKILL"));
   await browser.close();
   rmSync(work, { recursive: true, force: true });
 }
