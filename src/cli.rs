@@ -18,6 +18,7 @@ use eddy::{
     mpm::Law,
     study::Comparison,
     transport::{Link, Reliability, TransportKind},
+    viewer::ListenAddress,
 };
 
 pub use bag::{
@@ -26,7 +27,7 @@ pub use bag::{
 };
 pub use bench::{
     BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchNodeArgs, BenchReplayArgs,
-    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs,
+    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs, BenchViewArgs,
 };
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
@@ -158,12 +159,16 @@ pub struct LaunchArgs {
 /// `eddy demo`
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// No terminal needed: a plain line every second instead of a live line.
+    /// No page and no terminal needed: one scene, with a plain line every second instead of a live line.
     #[arg(long)]
     pub headless: bool,
-    /// Length of the scene (simulated seconds; it runs in real time).
-    #[arg(long, default_value_t = 8.0)]
-    pub seconds: f64,
+    /// Port of the page, on the loopback interface; 0 takes any that is free.
+    #[arg(long, default_value_t = 8080, conflicts_with = "headless")]
+    pub port: u16,
+    /// End after one scene of so many simulated seconds (it runs in real time) [default: scenes of 8 s, one after the
+    /// other until SIGINT or SIGTERM, of which the first is recorded; only that one with --headless].
+    #[arg(long)]
+    pub seconds: Option<f64>,
     /// Seed of the scene.
     #[arg(long, default_value_t = 3)]
     pub seed: u64,
@@ -333,6 +338,10 @@ pub struct ReplayArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block)]
     pub reliability: Reliability,
+    /// Serve a live page of what is played on this port, address or both [without one: 127.0.0.1:8080]; port 0 takes any
+    /// that is free.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    pub view: Option<ListenAddress>,
     #[command(flatten)]
     pub ros: RosArgs,
 }
@@ -413,6 +422,10 @@ pub struct NodeArgs {
     /// Threads that predict; as many as there are cores if not given.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
+    /// Serve a live page of truth and prediction on this port, address or both [without one: 127.0.0.1:8080]; port 0 takes any
+    /// that is free.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    pub view: Option<ListenAddress>,
     #[command(flatten)]
     pub ros: RosArgs,
 }

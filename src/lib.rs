@@ -12,7 +12,7 @@
 //! | L8 | `cli`, `commands`, `fuzzing` |
 //! | L7 | `study` |
 //! | L6 | `bench`, `config`, `launch` |
-//! | L5 | `node`, `train` |
+//! | L5 | `node`, `train`, `viewer` |
 //! | L4 | `eval`, `exchange` |
 //! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `model`, `page`, `transport` |
@@ -44,3 +44,4 @@ pub mod ros;
 pub mod study;
 pub mod train;
 pub mod transport;
+pub mod viewer;

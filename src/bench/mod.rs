@@ -7,7 +7,8 @@
 //! 5. [`transport`]: how long a frame is on its way.
 //! 6. [`node`]: what a node adds to its model's time, how many streams it carries.
 //! 7. [`replay`]: how late a player's messages are.
-//! 8. [`limit`]: what the processor and its memory would allow.
+//! 8. [`view`]: what the live page costs who is looked at.
+//! 9. [`limit`]: what the processor and its memory would allow.
 
 pub mod bag;
 pub mod inference;
@@ -19,5 +20,6 @@ pub mod solver;
 mod spread;
 pub mod training;
 pub mod transport;
+pub mod view;
 
 pub use spread::Spread;

@@ -36,6 +36,8 @@ pub enum BenchCommand {
     Node(BenchNodeArgs),
     /// Times how late replayed frames are, beside a loop that only sleeps until each is due.
     Replay(BenchReplayArgs),
+    /// What the live page costs who is looked at, and how many frames arrive at a browser.
+    View(BenchViewArgs),
     /// Times the writing and reading of bags, and counts what a live recording loses.
     Bag(BenchBagArgs),
 }
@@ -97,6 +99,23 @@ pub struct BenchReplayArgs {
     pub hertz: f64,
     /// About how long each of the two runs (s).
     #[arg(long, default_value_t = 15.0)]
+    pub seconds: f64,
+    /// Prints JSON instead of a table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench view`
+#[derive(Debug, Args)]
+pub struct BenchViewArgs {
+    /// Particles of a frame.
+    #[arg(long, default_value_t = 100_000)]
+    pub particles: usize,
+    /// Frames a second.
+    #[arg(long, default_value_t = 62.5)]
+    pub hertz: f64,
+    /// About how long each case is timed (s).
+    #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
     /// Prints JSON instead of a table.
     #[arg(long)]

@@ -18,6 +18,7 @@ pub mod train;
 mod interrupt;
 mod live;
 mod pace;
+mod page;
 mod pages;
 mod surrogate;
 

@@ -5,7 +5,11 @@ use std::{path::PathBuf, sync::Arc};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use super::{Interrupt, leaves_the_process, surrogate, transport_options};
+use super::{
+    Interrupt, leaves_the_process,
+    page::{Desk, Page},
+    surrogate, transport_options,
+};
 use crate::cli::NodeArgs;
 use eddy::{
     config,
@@ -19,6 +23,7 @@ use eddy::{
     },
     ros::RosNode,
     transport::{Link, Reliability, Served, TransportError, TransportKind, Transports},
+    viewer::Program,
 };
 
 /// What a configuration file of `eddy node` may say; the command line goes first.
@@ -80,6 +85,21 @@ pub fn run(
     let control = Arc::new(Control::default());
     let _services = serve(&transports, &renamed, ros, &control).context("cannot offer services")?;
 
+    // Its onlooker ends with the outputs, the page after them.
+    let page = args.view.map(|address| {
+        let program = Program {
+            command: "node",
+            title: format!("{} on {input}", ros.full_name()),
+            model: Some(node.surrogate().digest().to_owned()),
+        };
+        let desk = Desk::of_node(Arc::clone(&control));
+        Page::serve(address, node.surrogate().description(), program, desk)
+    });
+    let page = page.transpose().context("--view")?;
+    if let (Some(page), Some(first)) = (&page, outputs.first_mut()) {
+        first.onlookers.push(page.onlooker());
+    }
+
     if !quiet {
         let digest = &node.surrogate().digest()[..12];
         let names: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
@@ -89,6 +109,9 @@ pub fn run(
                 println!("{link} takes {memory}, more for frames of more than 2,560 particles");
             }
         }
+    }
+    if let Some(page) = &page {
+        page.announce();
     }
     let outcome = drive(
         &mut node,

@@ -7,8 +7,8 @@ use std::{
 };
 
 use super::{
-    Arrival, CloudTopic, Control, Counters, FrameQueue, InvalidSettings, Prediction, Refusal,
-    RosTime, SurrogateNode, diagnostics::Monitor,
+    Arrival, CloudTopic, Control, Counters, FrameQueue, InvalidSettings, Onlooker, Prediction,
+    Refusal, RosTime, SurrogateNode, diagnostics::Monitor,
 };
 use crate::{
     clock::Clock,
@@ -39,6 +39,8 @@ pub struct Outputs {
     pub prediction_cloud: Option<CloudTopic>,
     /// Observed frames as points. Likewise one of several outputs has it.
     pub input_cloud: Option<CloudTopic>,
+    /// Those within this process who look at the node. Likewise one of several outputs has them.
+    pub onlookers: Vec<Box<dyn Onlooker>>,
 }
 
 impl Outputs {
@@ -46,7 +48,16 @@ impl Outputs {
     pub fn new(prediction: Box<dyn Publisher>, status: Box<dyn Publisher>) -> Self {
         let (diagnostics, parameter_events) = (None, None);
         let (prediction_cloud, input_cloud) = (None, None);
-        Self { prediction, status, diagnostics, parameter_events, prediction_cloud, input_cloud }
+        let onlookers = Vec::new();
+        Self {
+            prediction,
+            status,
+            diagnostics,
+            parameter_events,
+            prediction_cloud,
+            input_cloud,
+            onlookers,
+        }
     }
 }
 
@@ -252,19 +263,25 @@ impl Work<'_> {
 
     fn report(&mut self) {
         let Self { node, queue, sink, presence, .. } = self;
+        let streams = node.streams();
         let counters = node.counters_mut();
         counters.published = sink.published;
         counters.unpublished = sink.unpublished;
         counters.dropped_from_queue = queue.dropped();
         counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
-        sink.report(presence, counters);
+        sink.report(presence, counters, streams);
     }
 }
 
 impl Sink<'_> {
-    /// Observed frames as points, where somebody wants them.
+    /// Observed frames for those who look, and as points where somebody wants them.
     fn show(&mut self, batch: &[Arrival]) {
+        for onlooker in self.outputs.iter_mut().flat_map(|output| &mut output.onlookers) {
+            for frame in batch.iter().filter_map(|(_, payload)| payload.view()) {
+                onlooker.observed(&frame);
+            }
+        }
         for cloud in self.outputs.iter_mut().filter_map(|output| output.input_cloud.as_mut()) {
             for frame in batch.iter().filter_map(|(_, payload)| payload.view()) {
                 cloud.show(&frame);
@@ -291,10 +308,17 @@ impl Sink<'_> {
         for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
             cloud.show(&prediction.frame.into());
         }
+        for onlooker in self.outputs.iter_mut().flat_map(|output| &mut output.onlookers) {
+            onlooker.predicted(prediction);
+        }
     }
 
-    fn report(&mut self, presence: &Presence, counters: &Counters) {
+    fn report(&mut self, presence: &Presence, counters: &Counters, streams: usize) {
         let now = self.clock.now();
+        let rates = self.monitor.rates(now);
+        for onlooker in self.outputs.iter_mut().flat_map(|output| &mut output.onlookers) {
+            onlooker.reported(&rates, counters, streams);
+        }
         // Diagnostics are named without the slash.
         let name = presence.name.trim_start_matches('/');
         let report = self.monitor.report(now, presence.time.stamp(), name, &self.digest, counters);

@@ -9,7 +9,7 @@
 //! 6. [`driver`]: receives, predicts, publishes, until told to end.
 //! 7. [`control`]: what may be asked of a running node, `requests` how it waits for an answer; `parameters`: the
 //!    table of its settings; `services`: how ROS asks it; `ros_time`: what time it is for it; `cloud`: frames for
-//!    those who look at them.
+//!    those who look at them; [`onlooker`]: who sees them within this process.
 //! 8. `cache`: what waits to be recorded, bounded in bytes.
 //! 9. `recorder`: what arrives into a bag.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
@@ -23,6 +23,7 @@ mod control;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod onlooker;
 mod parameters;
 mod playback;
 mod player;
@@ -49,6 +50,7 @@ pub use cloud::CloudTopic;
 pub use control::{Answer, Control, Request, Unanswered};
 pub use counters::{Counters, Refusal};
 pub use driver::{Outputs, Presence, drive};
+pub use onlooker::Onlooker;
 pub use parameters::{PARAMETERS, ParameterSpec, Values, parameter};
 pub use playback::{Stage, play};
 pub use player::{Due, Granted, Player, PlayerError, PlayerOptions};
@@ -62,4 +64,5 @@ pub use services::{Service, services};
 pub use settings::{InvalidSettings, NodeSettings, Publish};
 pub use step::Prediction;
 pub use surrogate::{Arrival, SurrogateNode, Tell};
+pub use timeline::Timeline;
 pub use wish::{Asked, Outcome, Remote, Wish};

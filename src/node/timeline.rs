@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// Maps the time that passes to the time that is played, both from the start.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Timeline {
+pub struct Timeline {
     /// How much faster than recorded.
     rate: f64,
     paused: bool,
@@ -13,20 +13,23 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    pub(super) fn new(rate: f64) -> Self {
+    /// Runs from the start.
+    pub fn new(rate: f64) -> Self {
         Self { rate, paused: false, anchor: (0.0, 0.0) }
     }
 
-    pub(super) fn rate(&self) -> f64 {
+    /// How much faster than recorded.
+    pub fn rate(&self) -> f64 {
         self.rate
     }
 
-    pub(super) fn is_paused(&self) -> bool {
+    /// Whether it stands still.
+    pub fn is_paused(&self) -> bool {
         self.paused
     }
 
     /// What has been played by `now` (recorded ns).
-    pub(super) fn position(&self, now: Duration) -> f64 {
+    pub fn position(&self, now: Duration) -> f64 {
         let (moment, position) = self.anchor;
         let passed = if self.paused { 0.0 } else { now.as_nanos() as f64 - moment };
         position + passed * self.rate
@@ -34,20 +37,20 @@ impl Timeline {
 
     /// How long it takes from `now` until so much is played (ns); never positive for what is due.
     /// `None` while paused.
-    pub(super) fn until(&self, position: f64, now: Duration) -> Option<f64> {
+    pub fn until(&self, position: f64, now: Duration) -> Option<f64> {
         let (moment, played) = self.anchor;
         (!self.paused).then(|| moment + (position - played) / self.rate - now.as_nanos() as f64)
     }
 
     /// Always possible: `true`.
-    pub(super) fn set_paused(&mut self, paused: bool, now: Duration) -> bool {
+    pub fn set_paused(&mut self, paused: bool, now: Duration) -> bool {
         self.jump(self.position(now), now);
         self.paused = paused;
         true
     }
 
     /// `false`, and nothing changes, unless the rate is a positive number.
-    pub(super) fn set_rate(&mut self, rate: f64, now: Duration) -> bool {
+    pub fn set_rate(&mut self, rate: f64, now: Duration) -> bool {
         let possible = rate.is_finite() && rate > 0.0;
         if possible {
             self.jump(self.position(now), now);
@@ -57,7 +60,7 @@ impl Timeline {
     }
 
     /// Goes on from there.
-    pub(super) fn jump(&mut self, position: f64, now: Duration) {
+    pub fn jump(&mut self, position: f64, now: Duration) {
         self.anchor = (now.as_nanos() as f64, position);
     }
 }

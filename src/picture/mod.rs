@@ -16,6 +16,6 @@ mod scatter;
 
 pub use canvas::Canvas;
 pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
-pub use palette::Rgb;
+pub use palette::{Rgb, of_material as material_color, scale as scale_colors};
 pub use panel::{Coloring, Painter};
 pub use scatter::{Mark, Scatter, ScatterPoint};

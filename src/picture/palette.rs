@@ -13,7 +13,7 @@ pub(super) const BLACK: Rgb = [30; 3];
 
 /// Colour of a material, from the palette of Okabe and Ito ("Color Universal Design", 2008). The
 /// shades differ in lightness too.
-pub(super) fn of_material(material: Material) -> Rgb {
+pub fn of_material(material: Material) -> Rgb {
     match material {
         Material::Liquid => [0, 114, 178],
         Material::Snow => [86, 180, 233],
@@ -34,6 +34,11 @@ const VIRIDIS: [Rgb; 9] = [
     [170, 220, 50],
     [253, 231, 37],
 ];
+
+/// The colours of a scale, in equal steps from its lower end to its upper.
+pub fn scale() -> &'static [Rgb] {
+    &VIRIDIS
+}
 
 /// Colour of a share of the top speed, 0 to 1: equal steps look equally large.
 pub(super) fn of_share(share: f32) -> Rgb {

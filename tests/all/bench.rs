@@ -127,6 +127,19 @@ fn a_benchmark_without_threads_or_time_is_wrong_usage() {
 }
 
 #[test]
+fn frames_arrive_at_every_browser_that_reads_and_nobody_waits_for_one_that_does_not() {
+    let arguments = ["bench", "view", "--particles", "1000", "--hertz", "50", "--seconds", "0.5"];
+    let rows: Value = serde_json::from_str(&succeed(arguments.iter().chain(&["--json"]))).unwrap();
+    for row in rows.as_array().unwrap() {
+        let [published, arrived] =
+            ["published", "arrived"].map(|what| row["timing"][what].as_f64());
+        assert!(published.unwrap() > 5.0, "{row}");
+        assert_eq!(arrived.is_some_and(|arrived| arrived > 1.0), row["readers"] != 0, "{row}");
+    }
+    assert!(fail(1, ["bench", "view", "--particles", "0"]).contains("particles: found 0"));
+}
+
+#[test]
 fn the_lateness_of_replayed_frames_is_told_beside_that_of_a_timer() {
     let arguments = ["bench", "replay", "--particles", "100", "--hertz", "500", "--seconds", "0.3"];
     let json = succeed(arguments.iter().chain(&["--json"]));

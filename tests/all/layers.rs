@@ -7,7 +7,7 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 18] = [
+const CONFINED: [(&str, &[&str]); 20] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
     ("zenoh", &["transport/zenoh"]),
@@ -26,6 +26,8 @@ const CONFINED: [(&str, &[&str]); 18] = [
     ("embedded_graphics", &["picture"]),
     ("maud", &["page"]),
     ("plotters", &["page"]),
+    ("axum", &["viewer"]),
+    ("tokio", &["viewer"]),
 ];
 
 fn source() -> PathBuf {

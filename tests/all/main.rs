@@ -31,3 +31,4 @@ mod support;
 mod topic;
 mod train;
 mod transport;
+mod view;

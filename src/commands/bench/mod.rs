@@ -8,6 +8,7 @@ mod sheet;
 mod solver;
 mod training;
 mod transport;
+mod view;
 
 use super::Interrupt;
 use crate::cli::{BenchArgs, BenchCommand};
@@ -25,5 +26,6 @@ pub fn run(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         BenchCommand::Transport(args) => transport::run(args, quiet, html, interrupt),
         BenchCommand::Node(args) => node::run(args, html, interrupt),
         BenchCommand::Replay(args) => replay::run(args, html, interrupt),
+        BenchCommand::View(args) => view::run(args, html, interrupt),
     }
 }

@@ -3,10 +3,12 @@
 //! 1. [`outputs`]: a publisher for every topic, and one for the clock.
 //! 2. [`keyboard`]: what the user wants, where standard input is a terminal.
 //! 3. [`control`]: what others want, where the transport has services.
+//! 4. [`screen`]: what the live page shows of it.
 
 mod control;
 mod keyboard;
 mod outputs;
+mod screen;
 
 use anyhow::{bail, ensure};
 use indicatif::HumanCount;
@@ -23,6 +25,7 @@ use eddy::{
 };
 use keyboard::Keyboard;
 use outputs::Outputs;
+use screen::Screen;
 
 /// Publishes the bag's messages until its end or a signal.
 pub fn run(
@@ -54,10 +57,12 @@ pub fn run(
     }
     // Not before there is somebody who does what they ask.
     let control = RemoteControl::offer(&transports, args.to, ros)?;
+    let screen = args.view.map(|address| Screen::open(address, &bag)).transpose()?;
     let keyboard = Keyboard::open();
     ensure!(
-        keyboard.is_some() || control.is_some() || !args.start_paused,
-        "--start-paused: found no terminal on standard input and no services on {}, expected either to go on from",
+        keyboard.is_some() || control.is_some() || screen.is_some() || !args.start_paused,
+        "--start-paused: found no terminal on standard input, no services on {} and no --view, expected one of them \
+         to go on from",
         args.to
     );
     if keyboard.is_some() && !quiet {
@@ -67,7 +72,7 @@ pub fn run(
         );
     }
     let clock = Clock::start();
-    let mut theatre = Theatre { outputs: &mut outputs, keyboard, control, interrupt };
+    let mut theatre = Theatre { outputs: &mut outputs, keyboard, control, screen, interrupt };
     play(&mut player, &clock, &mut theatre)?;
     drop(theatre);
     if !quiet {
@@ -93,6 +98,7 @@ struct Theatre<'a> {
     outputs: &'a mut Outputs,
     keyboard: Option<Keyboard>,
     control: Option<RemoteControl>,
+    screen: Option<Screen>,
     interrupt: &'a Interrupt,
 }
 
@@ -104,7 +110,11 @@ impl Stage for Theatre<'_> {
         message: eddy::bag::BagMessage,
         _: std::time::Duration,
     ) -> anyhow::Result<()> {
-        self.outputs.publish(&message)
+        self.outputs.publish(&message)?;
+        if let Some(screen) = &mut self.screen {
+            screen.show(&message);
+        }
+        Ok(())
     }
 
     fn clock(&mut self, recorded: eddy::frame::Stamp) -> anyhow::Result<()> {
@@ -115,6 +125,7 @@ impl Stage for Theatre<'_> {
         let typed = self.keyboard.as_mut().map(Keyboard::wishes).unwrap_or_default();
         let mut wishes: Vec<Asked> = typed.into_iter().map(Asked::from).collect();
         wishes.extend(self.control.iter().flat_map(RemoteControl::wishes));
+        wishes.extend(self.screen.iter().flat_map(Screen::wishes));
         wishes
     }
 

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     cli::SimulateArgs,
-    commands::{Interrupt, leaves_the_process, pace, wait_for_subscribers},
+    commands::{Interrupt, leaves_the_process, pace::Pace, wait_for_subscribers},
 };
 use eddy::{
     clock::Clock,
@@ -53,15 +53,16 @@ pub(super) fn run(
             archive.map(|archive| Recording::begin(archive, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
-        let whole = pace::run(&mut simulation, rate, stop, |frame, simulation| {
-            outlet.publish(frame)?;
-            if let Some(recording) = &mut recording {
-                recording.add(frame, simulation.energy())?;
-            }
-            frames += 1;
-            Ok(())
-        })
-        .with_context(|| name.clone())?;
+        let whole = Pace::steady(rate)
+            .run(&mut simulation, stop, |frame, simulation| {
+                outlet.publish(frame)?;
+                if let Some(recording) = &mut recording {
+                    recording.add(frame, simulation.energy())?;
+                }
+                frames += 1;
+                Ok(())
+            })
+            .with_context(|| name.clone())?;
         if !quiet {
             let real = clock.now().as_secs_f64();
             let simulated = f64::from(frames) * f64::from(scene.start.scene.frames.interval);

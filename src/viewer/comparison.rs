@@ -1,0 +1,441 @@
+//! Pairs truth and prediction of the same instant, and measures them beside the trivial baselines.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+};
+
+use crate::{
+    checkpoint::Description,
+    dataset::State,
+    eval::{Baseline, mean_squared_distance},
+    frame::{Domain, Frame},
+    model::Ballistic,
+};
+
+/// Pairs that errors are averaged over for each number of frames ahead: a second of the usual 16 ms.
+const AVERAGED: usize = 62;
+/// Points of the curve over time.
+const POINTS: usize = 375;
+/// Frames that wait for their counterpart, at most; of large ones as many as fit [`WAITING_BYTES`].
+const WAITING: usize = 256;
+const WAITING_BYTES: usize = 64 << 20;
+/// Bytes of a particle in a frame: position, velocity, material.
+const PARTICLE_BYTES: usize = 17;
+/// Particles times frames that baselines are rolled out for one pair, at most.
+const ROLLED: usize = 4_000_000;
+/// Particles of all rollouts that are kept to go on with.
+const KEPT: usize = 1_000_000;
+/// Numbers of frames ahead that errors are kept for, and for how many pairs after the last of their own.
+const LENGTHS: usize = 512;
+const FRESH: u64 = 620;
+/// A sequence so far before the last one begins the stream anew, as for the node.
+const RESTART: u64 = 16;
+
+/// How a prediction came to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ahead {
+    /// Sequence of the last observed frame.
+    pub source: u64,
+    /// Frames predicted ahead of it; 0 if nobody said.
+    pub frames: u32,
+    /// Whether the model is fed with its own output.
+    pub free: bool,
+}
+
+/// Truth and prediction of one instant.
+#[derive(Clone, Debug)]
+pub struct Pair {
+    /// What was observed.
+    pub truth: Arc<Frame>,
+    /// What was predicted for it.
+    pub predicted: Arc<Frame>,
+    /// How.
+    pub ahead: Ahead,
+    /// Root mean square distance of the two (domain lengths).
+    pub error: f64,
+    /// The same of the best trivial baseline lately, unless it is unknown or too dear.
+    pub baseline: Option<(Baseline, f64)>,
+}
+
+/// Mean errors of the last second, of predictions so many frames ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Frames ahead.
+    pub frames: u32,
+    /// Root mean square of the position errors (domain lengths).
+    pub error: f64,
+    /// The best trivial baseline and the same of it.
+    pub baseline: Option<(Baseline, f64)>,
+}
+
+/// One instant of the curve over time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Simulation time (s).
+    pub time: f64,
+    /// Of the model (domain lengths).
+    pub error: f64,
+    /// Of the best baseline (domain lengths).
+    pub baseline: Option<f64>,
+}
+
+/// What a page draws below the frames.
+#[derive(Clone, Debug, Default)]
+pub struct Curves {
+    /// Errors as time passes.
+    pub time: Vec<Point>,
+    /// Errors by frames ahead.
+    pub ahead: Vec<Summary>,
+}
+
+/// Squared errors of one pair: the model's, and each baseline's.
+#[derive(Clone, Copy, Debug)]
+struct Squared {
+    model: f64,
+    baselines: Option<[f64; Baseline::ALL.len()]>,
+}
+
+/// The last errors of one number of frames ahead.
+#[derive(Debug, Default)]
+struct Recent {
+    errors: VecDeque<Squared>,
+    /// The count of pairs when it was used last.
+    used: u64,
+}
+
+/// The baselines' rollouts from one observed frame, as far as they were needed.
+#[derive(Debug)]
+struct Rollout {
+    source: u64,
+    reached: u32,
+    states: [State; Baseline::ALL.len()],
+}
+
+/// Compares the predictions of one stream with its truth, whichever of the two comes first.
+#[derive(Debug)]
+pub struct Comparison {
+    gravity: [f32; 2],
+    /// The domain that walls were seen in, and where.
+    domain: Domain,
+    walls: [[f32; 2]; 2],
+    stream: Option<u64>,
+    truths: BTreeMap<u64, Arc<Frame>>,
+    /// By sequence and frames ahead.
+    waiting: BTreeMap<(u64, u32), (Arc<Frame>, Ahead)>,
+    rollouts: VecDeque<Rollout>,
+    recent: BTreeMap<u32, Recent>,
+    time: VecDeque<Point>,
+    pairs: u64,
+    last: Option<u32>,
+}
+
+impl Comparison {
+    /// Gravity and walls of the baselines are those of a model.
+    pub fn new(model: &Description) -> Self {
+        let Ballistic { gravity, lower, upper, .. } = Ballistic::of(model);
+        Self::within(gravity, model.domain, [lower, upper])
+    }
+
+    /// The same baselines, nothing seen.
+    pub fn anew(&self) -> Self {
+        Self::within(self.gravity, self.domain, self.walls)
+    }
+
+    fn within(gravity: [f32; 2], domain: Domain, walls: [[f32; 2]; 2]) -> Self {
+        Self {
+            gravity,
+            domain,
+            walls,
+            stream: None,
+            truths: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            rollouts: VecDeque::new(),
+            recent: BTreeMap::new(),
+            time: VecDeque::new(),
+            pairs: 0,
+            last: None,
+        }
+    }
+
+    /// The truth of an instant. Returns the pair with what was predicted farthest ahead for it.
+    pub fn truth(&mut self, frame: Arc<Frame>) -> Option<Pair> {
+        self.follow(&frame);
+        bound(&mut self.truths, frame.len());
+        let sequence = frame.sequence;
+        self.truths.insert(sequence, Arc::clone(&frame));
+        // What lies before will not be observed any more.
+        let later = self.waiting.split_off(&(sequence, 0));
+        let mut waiting = std::mem::replace(&mut self.waiting, later);
+        self.waiting.append(&mut waiting.split_off(&(sequence.saturating_sub(RESTART), 0)));
+        let due: Vec<_> =
+            self.waiting.range((sequence, 0)..=(sequence, u32::MAX)).map(|(&key, _)| key).collect();
+        let mut farthest = None;
+        for key in due {
+            let Some((predicted, ahead)) = self.waiting.remove(&key) else { continue };
+            farthest = self.compare(&frame, predicted, ahead).or(farthest);
+        }
+        farthest
+    }
+
+    /// A prediction. Returns the pair if the truth was there already.
+    pub fn prediction(&mut self, frame: Arc<Frame>, ahead: Ahead) -> Option<Pair> {
+        self.follow(&frame);
+        if let Some(truth) = self.truths.get(&frame.sequence) {
+            let truth = Arc::clone(truth);
+            return self.compare(&truth, frame, ahead);
+        }
+        if self.waiting.len() >= room(frame.len()) {
+            // Those that are due next are those that will be shown next.
+            self.waiting.pop_last();
+        }
+        self.waiting.insert((frame.sequence, ahead.frames), (frame, ahead));
+        None
+    }
+
+    /// Forgets what does not belong to the stream that `frame` belongs to, or to its new beginning.
+    fn follow(&mut self, frame: &Frame) {
+        let last = self.truths.last_key_value().map(|(&sequence, frame)| (sequence, frame.len()));
+        let anew = last.is_some_and(|(sequence, particles)| {
+            frame.sequence.saturating_add(RESTART) < sequence || particles != frame.len()
+        });
+        if anew || self.stream != Some(frame.stream) {
+            *self = Self { stream: Some(frame.stream), ..self.anew() };
+        }
+    }
+
+    fn compare(&mut self, truth: &Arc<Frame>, predicted: Arc<Frame>, ahead: Ahead) -> Option<Pair> {
+        if truth.len() != predicted.len() {
+            return None;
+        }
+        let model = mean_squared_distance(&predicted.position, &truth.position);
+        let baselines = self.baselines(truth, ahead);
+        self.pairs += 1;
+        self.last = Some(ahead.frames);
+        if !self.recent.contains_key(&ahead.frames) && self.recent.len() >= LENGTHS {
+            let oldest = self.recent.iter().min_by_key(|(_, recent)| recent.used);
+            let oldest = oldest.map(|(&frames, _)| frames);
+            oldest.and_then(|frames| self.recent.remove(&frames));
+        }
+        let recent = self.recent.entry(ahead.frames).or_default();
+        recent.used = self.pairs;
+        recent.errors.push_back(Squared { model, baselines });
+        if recent.errors.len() > AVERAGED {
+            recent.errors.pop_front();
+        }
+        let best = recent.best().map(|(best, _)| best);
+        let baseline = best.zip(baselines).map(|(best, all)| (best, all[best as usize].sqrt()));
+        let error = model.sqrt();
+        let time = truth.stamp.seconds();
+        let point = Point { time, error, baseline: baseline.map(|(_, error)| error) };
+        // Of several predictions of one instant the curve has that from farthest away.
+        if self.time.back().is_some_and(|last| last.time >= time) {
+            self.time.pop_back();
+        }
+        self.time.push_back(point);
+        if self.time.len() > POINTS {
+            self.time.pop_front();
+        }
+        Some(Pair { truth: Arc::clone(truth), predicted, ahead, error, baseline })
+    }
+
+    /// The squared errors of the baselines from the same observed frame.
+    fn baselines(&mut self, truth: &Frame, ahead: Ahead) -> Option<[f64; Baseline::ALL.len()]> {
+        if ahead.frames == 0 {
+            return None;
+        }
+        let step = self.step(truth);
+        let found = self
+            .rollouts
+            .iter()
+            .position(|rollout| rollout.source == ahead.source && rollout.reached <= ahead.frames);
+        let mut rollout = match found.and_then(|place| self.rollouts.remove(place)) {
+            Some(rollout) => rollout,
+            None => {
+                let source = self.truths.get(&ahead.source)?;
+                let state = || State {
+                    position: source.position.clone(),
+                    velocity: source.velocity.clone(),
+                };
+                Rollout { source: ahead.source, reached: 0, states: Baseline::ALL.map(|_| state()) }
+            }
+        };
+        let frames = (ahead.frames - rollout.reached) as usize;
+        if frames.saturating_mul(truth.len()) > ROLLED {
+            return None;
+        }
+        for (baseline, state) in Baseline::ALL.into_iter().zip(&mut rollout.states) {
+            (0..frames).for_each(|_| baseline.step(state, &step));
+        }
+        rollout.reached = ahead.frames;
+        let errors =
+            rollout.states.each_ref().map(|s| mean_squared_distance(&s.position, &truth.position));
+        self.rollouts.push_back(rollout);
+        let kept = (KEPT / truth.len().max(1)).clamp(1, 64);
+        while self.rollouts.len() > kept {
+            self.rollouts.pop_front();
+        }
+        Some(errors)
+    }
+
+    /// The ballistic step in the frame's domain: walls are as thick as in the model's.
+    fn step(&self, frame: &Frame) -> Ballistic {
+        let [lower, upper] = self.walls;
+        let (seen, domain) = (self.domain, frame.domain);
+        let moved = |wall: [f32; 2], from: [f32; 2], to: [f32; 2]| {
+            [0, 1].map(|axis| wall[axis] + (to[axis] - from[axis]))
+        };
+        Ballistic {
+            gravity: self.gravity,
+            dt: frame.dt,
+            lower: moved(lower, seen.lower, domain.lower),
+            upper: moved(upper, seen.upper, domain.upper),
+        }
+    }
+
+    /// The mean errors of the last second, as many frames ahead as the last pair.
+    pub fn summary(&self) -> Option<Summary> {
+        let frames = self.last?;
+        self.recent.get(&frames)?.summary(frames)
+    }
+
+    /// The simulation time of the last observed frame.
+    pub fn now(&self) -> Option<f64> {
+        self.truths.last_key_value().map(|(_, frame)| frame.stamp.seconds())
+    }
+
+    /// The last observed frame.
+    pub(super) fn last_truth(&self) -> Option<&Arc<Frame>> {
+        self.truths.last_key_value().map(|(_, frame)| frame)
+    }
+
+    /// The curves.
+    pub fn curves(&self) -> Curves {
+        let fresh = self.recent.iter().filter(|(_, recent)| recent.used + FRESH > self.pairs);
+        Curves {
+            time: self.time.iter().copied().collect(),
+            ahead: fresh.filter_map(|(&frames, recent)| recent.summary(frames)).collect(),
+        }
+    }
+}
+
+impl Recent {
+    /// The baseline with the smallest mean of squared errors, and that mean.
+    fn best(&self) -> Option<(Baseline, f64)> {
+        let known = || self.errors.iter().filter_map(|squared| squared.baselines);
+        let count = known().count();
+        let mean = |which: usize| known().map(|all| all[which]).sum::<f64>() / count as f64;
+        let means = Baseline::ALL.into_iter().enumerate().map(|(i, one)| (one, mean(i)));
+        means.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| count > 0)
+    }
+
+    fn summary(&self, frames: u32) -> Option<Summary> {
+        let count = self.errors.len();
+        let mean = self.errors.iter().map(|squared| squared.model).sum::<f64>() / count as f64;
+        let baseline = self.best().map(|(best, mean)| (best, mean.sqrt()));
+        (count > 0).then(|| Summary { frames, error: mean.sqrt(), baseline })
+    }
+}
+
+/// How many frames of so many particles are kept.
+fn room(particles: usize) -> usize {
+    (WAITING_BYTES / (PARTICLE_BYTES * particles.max(1))).clamp(2, WAITING)
+}
+
+/// Makes room for one more: the oldest goes.
+fn bound(frames: &mut BTreeMap<u64, Arc<Frame>>, particles: usize) {
+    while frames.len() >= room(particles) {
+        frames.pop_first();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Material, Stamp};
+
+    const DT: f32 = 0.016;
+
+    /// One particle that falls freely from rest, seen `sequence` frames later.
+    fn falling(sequence: u64, off: f32) -> Arc<Frame> {
+        let time = sequence as f32 * DT;
+        Arc::new(Frame {
+            stream: 1,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: vec![[0.5, 0.9 - 4.9 * time * time + off]],
+            velocity: vec![[0.0, -9.8 * time]],
+            material: vec![Material::Liquid],
+        })
+    }
+
+    fn comparison() -> Comparison {
+        Comparison::within([0.0, -9.8], Domain::UNIT, [[0.05; 2], [0.95; 2]])
+    }
+
+    fn ahead(source: u64, frames: u32) -> Ahead {
+        Ahead { source, frames, free: false }
+    }
+
+    #[test]
+    fn a_prediction_meets_the_truth_of_its_instant_whichever_comes_first() {
+        let mut comparison = comparison();
+        assert!(comparison.truth(falling(0, 0.0)).is_none());
+        assert!(comparison.prediction(falling(1, 0.01), ahead(0, 1)).is_none());
+        let pair = comparison.truth(falling(1, 0.0)).unwrap();
+        assert!((pair.error - 0.01).abs() < 1e-6, "{pair:?}");
+        assert!(comparison.truth(falling(2, 0.0)).is_none());
+        let late = comparison.prediction(falling(2, 0.02), ahead(1, 1)).unwrap();
+        assert!((late.error - 0.02).abs() < 1e-6, "{late:?}");
+        let summary = comparison.summary().unwrap();
+        let mean = ((0.01f64.powi(2) + 0.02f64.powi(2)) / 2.0).sqrt();
+        assert!((summary.error - mean).abs() < 1e-6, "{summary:?}");
+    }
+
+    #[test]
+    fn the_best_baseline_of_a_fall_is_the_ballistic_one_however_far_ahead() {
+        let mut comparison = comparison();
+        for sequence in 0..12 {
+            if sequence >= 5 {
+                comparison.prediction(falling(sequence, 0.01), ahead(sequence - 5, 5));
+            }
+            comparison.truth(falling(sequence, 0.0));
+        }
+        let summary = comparison.summary().unwrap();
+        assert_eq!(summary.frames, 5);
+        let (best, error) = summary.baseline.unwrap();
+        assert_eq!(best, Baseline::Ballistic);
+        assert!(error < 1e-5, "{error}");
+    }
+
+    #[test]
+    fn a_free_run_goes_on_from_the_frame_it_observed_last() {
+        let mut comparison = comparison();
+        comparison.truth(falling(0, 0.0));
+        for sequence in 1..20 {
+            let free = Ahead { source: 0, frames: sequence as u32, free: true };
+            comparison.truth(falling(sequence, 0.0));
+            let pair = comparison.prediction(falling(sequence, 0.001), free).unwrap();
+            assert!(pair.baseline.unwrap().1 < 1e-5, "{pair:?}");
+        }
+        assert_eq!(comparison.rollouts.len(), 1, "one rollout that goes on");
+        assert_eq!(comparison.curves().ahead.len(), 19);
+        assert_eq!(comparison.curves().time.len(), 19);
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_another_stream_begins_anew() {
+        let mut comparison = comparison();
+        for sequence in 0..2_000 {
+            comparison.prediction(falling(sequence + 1_000, 0.0), ahead(sequence, 1_000));
+            comparison.truth(falling(sequence, 0.0));
+        }
+        assert!(comparison.waiting.len() <= WAITING && comparison.truths.len() <= WAITING);
+        let other = Frame { stream: 2, ..(*falling(7, 0.0)).clone() };
+        comparison.truth(Arc::new(other));
+        assert_eq!((comparison.truths.len(), comparison.waiting.len()), (1, 0));
+        assert_eq!(room(100_000), 39);
+    }
+}

@@ -1,0 +1,39 @@
+// A shown frame as the server sends it: the layout is described in the program's `viewer::wire`.
+
+const VERSION = 1;
+const HEADER = 96;
+
+/** The frame in an ArrayBuffer, or null for what is none. Offsets are in bytes, for the graphics card. */
+export function read(buffer) {
+  const view = new DataView(buffer);
+  if (buffer.byteLength < HEADER || view.getUint8(0) !== 0x45 || view.getUint8(1) !== 0x44
+    || view.getUint8(2) !== 0x59 || view.getUint8(3) !== VERSION) return null;
+  const flags = view.getUint32(4, true);
+  const particles = view.getUint32(8, true);
+  if (buffer.byteLength < HEADER + 12 * particles) return null;
+  const f32 = (at) => view.getFloat32(at, true);
+  const side = (number) => ({
+    there: (flags & (1 << number)) !== 0,
+    sequence: view.getBigUint64(24 + 8 * number, true),
+    stamp: view.getFloat64(40 + 8 * number, true),
+    place: HEADER + 4 * particles * number,
+    speed: HEADER + 8 * particles + particles * number,
+  });
+  return {
+    buffer,
+    particles,
+    pair: (flags & 4) !== 0,
+    free: (flags & 8) !== 0,
+    ahead: view.getUint32(12, true),
+    stream: view.getBigUint64(16, true).toString(),
+    lower: [f32(56), f32(60)],
+    upper: [f32(64), f32(68)],
+    topSpeed: f32(72),
+    error: f32(76),
+    baseline: f32(80),
+    truth: side(0),
+    prediction: side(1),
+    errors: HEADER + 10 * particles,
+    materials: HEADER + 11 * particles,
+  };
+}

@@ -1,0 +1,141 @@
+// Draws particles with WebGL 2: the bytes that came are what the graphics card gets.
+
+const VERTEX = `#version 300 es
+layout(location = 0) in vec2 place;     // 0 to 1 across the domain
+layout(location = 1) in float speed;    // 0 to 1 of the top speed
+layout(location = 2) in float error;    // 0 to 1, logarithmic
+layout(location = 3) in uint material;
+uniform float size;
+uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
+uniform vec3 materials[4];
+uniform vec3 scale[9];
+uniform float from;                     // where the scale begins: its dark end is lost on a dark ground
+uniform vec3 plain;
+out vec3 colour;
+vec3 shade(float share) {
+  float at = mix(from, 1.0, clamp(share, 0.0, 1.0)) * 8.0;
+  int below = min(int(at), 7);
+  return mix(scale[below], scale[below + 1], at - float(below));
+}
+void main() {
+  gl_Position = vec4(2.0 * place - 1.0, 0.0, 1.0);
+  gl_PointSize = size;
+  colour = colouring == 0 ? materials[min(material, 3u)]
+    : colouring == 1 ? shade(speed) : colouring == 2 ? shade(error) : plain;
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 colour;
+uniform float size;
+uniform float strength;
+out vec4 pixel;
+void main() {
+  float edge = 0.5 * size * (1.0 - length(2.0 * gl_PointCoord - 1.0));
+  float cover = size < 3.0 ? 1.0 : clamp(edge + 0.5, 0.0, 1.0);
+  pixel = vec4(colour, 1.0) * (strength * cover);
+}`;
+
+const COLOURINGS = ["material", "speed", "error", "plain"];
+// Particles fill about so much of the domain when they lie still.
+const FILLED = 0.22;
+
+export class Painter {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.gl = canvas.getContext("webgl2", { antialias: false, alpha: true, premultipliedAlpha: true });
+    if (!this.gl) throw new Error("this browser has no WebGL 2");
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => this.prepare());
+    this.prepare();
+  }
+
+  prepare() {
+    const gl = this.gl;
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
+        throw new Error(gl.getShaderInfoLog(shader));
+      }
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      throw new Error(gl.getProgramInfoLog(program));
+    }
+    gl.useProgram(program);
+    this.uniform = Object.fromEntries(
+      ["size", "colouring", "materials", "scale", "from", "plain", "strength"]
+        .map((name) => [name, gl.getUniformLocation(program, name)]));
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    for (let place = 0; place < 4; place++) gl.enableVertexAttribArray(place);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    this.loaded = null;
+    const known = gl.getExtension("WEBGL_debug_renderer_info");
+    this.renderer = gl.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  }
+
+  /** Materials and scale as lists of [red, green, blue], 0 to 255. */
+  colours(materials, scale) {
+    const flat = (colours) => new Float32Array(colours.flat().map((part) => part / 255));
+    this.palette = [flat(materials), flat(scale)];
+  }
+
+  /** Draws `frame` into the panels: each has its element, and layers of a side with colouring, strength, growth. */
+  draw(frame, panels, { ground, plain, dark }) {
+    const { gl, canvas, uniform } = this;
+    if (gl.isContextLost() || !this.palette) return;
+    const box = canvas.getBoundingClientRect();
+    const density = devicePixelRatio || 1;
+    const [width, height] = [box.width, box.height].map((length) => Math.max(1, Math.round(length * density)));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.SCISSOR_TEST);
+    if (frame && this.loaded !== frame) {
+      gl.bufferData(gl.ARRAY_BUFFER, frame.buffer, gl.STREAM_DRAW);
+      this.loaded = frame;
+    }
+    gl.uniform3fv(uniform.materials, this.palette[0]);
+    gl.uniform3fv(uniform.scale, this.palette[1]);
+    gl.uniform1f(uniform.from, dark ? 0.18 : 0);
+    gl.uniform3fv(uniform.plain, plain);
+    for (const { element, layers } of panels) {
+      const rect = element.getBoundingClientRect();
+      if (!rect.width) continue;
+      // Inside the border, and as the domain is shaped.
+      let [left, top, wide, high] = [rect.left - box.left + 1, rect.top - box.top + 1, rect.width - 2, rect.height - 2];
+      if (frame) {
+        const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
+        const fitted = Math.min(wide, high * aspect);
+        left += (wide - fitted) / 2;
+        top += (high - fitted / aspect) / 2;
+        [wide, high] = [fitted, fitted / aspect];
+      }
+      const place = [left, box.height - top - high, wide, high].map((length) => Math.round(length * density));
+      gl.viewport(...place);
+      gl.scissor(...place);
+      gl.clearColor(...ground, 1);
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      if (!frame) continue;
+      const spacing = Math.sqrt(FILLED * place[2] * place[3] / frame.particles);
+      for (const { side, colouring, strength = 1, growth = 1 } of layers) {
+        if (!frame[side].there) continue;
+        const size = Math.min(Math.max(1.15 * growth * spacing, 1.3 * density), 10 * density);
+        gl.uniform1f(uniform.size, size);
+        gl.uniform1f(uniform.strength, strength);
+        gl.uniform1i(uniform.colouring, COLOURINGS.indexOf(colouring));
+        gl.vertexAttribPointer(0, 2, gl.UNSIGNED_SHORT, true, 4, frame[side].place);
+        gl.vertexAttribPointer(1, 1, gl.UNSIGNED_BYTE, true, 1, frame[side].speed);
+        gl.vertexAttribPointer(2, 1, gl.UNSIGNED_BYTE, true, 1, frame.errors);
+        gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_BYTE, 1, frame.materials);
+        gl.drawArrays(gl.POINTS, 0, frame.particles);
+      }
+    }
+  }
+}
