@@ -160,14 +160,16 @@ impl Comparison {
 
     /// The truth of an instant. Returns the pair with what was predicted farthest ahead for it.
     pub fn truth(&mut self, frame: Arc<Frame>) -> Option<Pair> {
-        self.follow(&frame);
+        let last = self.truths.last_key_value().map(|(&sequence, frame)| (sequence, frame.len()));
+        let restarted = last.is_some_and(|(sequence, particles)| {
+            frame.sequence.saturating_add(RESTART) < sequence || particles != frame.len()
+        });
+        self.follow(frame.stream, restarted);
         bound(&mut self.truths, frame.len());
         let sequence = frame.sequence;
         self.truths.insert(sequence, Arc::clone(&frame));
-        // What lies before will not be observed any more.
-        let later = self.waiting.split_off(&(sequence, 0));
-        let mut waiting = std::mem::replace(&mut self.waiting, later);
-        self.waiting.append(&mut waiting.split_off(&(sequence.saturating_sub(RESTART), 0)));
+        // What lies farther back will not be observed any more.
+        self.waiting = self.waiting.split_off(&(sequence.saturating_sub(RESTART), 0));
         let due: Vec<_> =
             self.waiting.range((sequence, 0)..=(sequence, u32::MAX)).map(|(&key, _)| key).collect();
         let mut farthest = None;
@@ -180,7 +182,8 @@ impl Comparison {
 
     /// A prediction. Returns the pair if the truth was there already.
     pub fn prediction(&mut self, frame: Arc<Frame>, ahead: Ahead) -> Option<Pair> {
-        self.follow(&frame);
+        // A free run may be far behind the truth: only the truth begins anew.
+        self.follow(frame.stream, false);
         if let Some(truth) = self.truths.get(&frame.sequence) {
             let truth = Arc::clone(truth);
             return self.compare(&truth, frame, ahead);
@@ -193,14 +196,10 @@ impl Comparison {
         None
     }
 
-    /// Forgets what does not belong to the stream that `frame` belongs to, or to its new beginning.
-    fn follow(&mut self, frame: &Frame) {
-        let last = self.truths.last_key_value().map(|(&sequence, frame)| (sequence, frame.len()));
-        let anew = last.is_some_and(|(sequence, particles)| {
-            frame.sequence.saturating_add(RESTART) < sequence || particles != frame.len()
-        });
-        if anew || self.stream != Some(frame.stream) {
-            *self = Self { stream: Some(frame.stream), ..self.anew() };
+    /// Forgets what does not belong to this stream, or to its new beginning.
+    fn follow(&mut self, stream: u64, restarted: bool) {
+        if restarted || self.stream != Some(stream) {
+            *self = Self { stream: Some(stream), ..self.anew() };
         }
     }
 

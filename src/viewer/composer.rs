@@ -18,7 +18,9 @@ use crate::{clock::Clock, frame::Frame};
 const PATIENCE: Duration = Duration::from_millis(50);
 /// Time between two looks at the curves.
 const CURVES: Duration = Duration::from_millis(200);
-/// Frames by which a free run and its truth are apart at most while both go on; who is farther behind is not waited for.
+/// Frames of one side without one of the other after which the other is not waited for.
+const ALONE: u32 = 4;
+/// Frames by which a prediction may be away from the truth beside which it is shown, and its own number of frames ahead.
 const APART: u64 = 4;
 /// The top speed falls by this share with every frame that does not reach it, so that colours do not flicker.
 const FORGOTTEN: f32 = 0.002;
@@ -30,6 +32,9 @@ struct Scene {
     comparison: Comparison,
     /// The newest prediction.
     predicted: Option<(Arc<Frame>, Ahead)>,
+    /// Predictions since the last truth, and truths since the last prediction.
+    unobserved: u32,
+    unpredicted: u32,
     top_speed: f32,
     drawn: Duration,
     used: Duration,
@@ -73,36 +78,43 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
 
 impl Scene {
     fn new(comparison: Comparison, now: Duration) -> Self {
-        Self { comparison, predicted: None, top_speed: 0.0, drawn: now, used: now }
+        let (unobserved, unpredicted) = (0, 0);
+        let (predicted, top_speed) = (None, 0.0);
+        Self { comparison, predicted, unobserved, unpredicted, top_speed, drawn: now, used: now }
     }
 
     /// What is shown when the truth came: with the prediction for it; where a free run is on its way to it, nothing yet.
     fn truth(&mut self, frame: Arc<Frame>) -> Option<Shown> {
+        self.unobserved = 0;
+        self.unpredicted = self.unpredicted.saturating_add(1);
         if let Some(pair) = self.comparison.truth(Arc::clone(&frame)) {
             return Some(shown(pair));
         }
-        let newest = self.predicted.as_ref().filter(|(newest, ahead)| {
-            // One of long ago says nothing, nor one of other particles.
-            let reach = APART.saturating_add(u64::from(ahead.frames));
-            newest.len() == frame.len()
-                && newest.sequence.saturating_add(APART) >= frame.sequence
-                && newest.sequence <= frame.sequence.saturating_add(reach)
-        });
-        if newest.is_some_and(|(newest, ahead)| ahead.free && newest.sequence < frame.sequence) {
+        let newest = self.predicted.as_ref().filter(|(newest, _)| newest.len() == frame.len());
+        let behind =
+            |(newest, ahead): &&(Arc<Frame>, Ahead)| ahead.free && newest.sequence < frame.sequence;
+        if newest.filter(behind).is_some() && self.unpredicted <= ALONE {
             return None;
         }
-        Some(Shown { truth: Some(frame), prediction: newest.cloned(), ..Shown::default() })
+        let near = |(newest, ahead): &&(Arc<Frame>, Ahead)| {
+            newest.sequence.abs_diff(frame.sequence) <= APART + u64::from(ahead.frames)
+                && newest.sequence.saturating_add(APART) >= frame.sequence
+        };
+        let prediction = newest.filter(near).cloned();
+        Some(Shown { truth: Some(frame), prediction, ..Shown::default() })
     }
 
     /// What is shown when a prediction came: with its truth, if that was there; without, if no truth is to be expected.
     fn prediction(&mut self, frame: Arc<Frame>, ahead: Ahead) -> Option<Shown> {
+        self.unpredicted = 0;
+        self.unobserved = self.unobserved.saturating_add(1);
         let first = self.predicted.replace((Arc::clone(&frame), ahead)).is_none();
         if let Some(pair) = self.comparison.prediction(Arc::clone(&frame), ahead) {
             return Some(shown(pair));
         }
         let truth = self.comparison.last_truth().cloned();
         let expected = match &truth {
-            Some(truth) => !ahead.free || truth.sequence.saturating_add(APART) >= frame.sequence,
+            Some(_) => !ahead.free || self.unobserved <= ALONE,
             // What it was predicted from comes next, unless nobody records it.
             None => first,
         };
@@ -197,6 +209,24 @@ mod tests {
             });
             assert_eq!(shown.last().unwrap(), Some([Some(8), Some(14)]));
         }
+    }
+
+    #[test]
+    fn a_free_run_far_behind_is_shown_with_the_truth_of_its_instants() {
+        const BEHIND: u64 = 40;
+        let mut scene = scene();
+        for sequence in 0..BEHIND {
+            scene.truth(frame(sequence));
+        }
+        for sequence in 1..100 {
+            let free = Ahead { source: 0, frames: sequence as u32, free: true };
+            let pair = Some([Some(sequence); 2]);
+            assert_eq!(sides(scene.prediction(frame(sequence), free)), pair);
+            assert_eq!(sides(scene.truth(frame(sequence + BEHIND))), None);
+        }
+        // When it ends, the truth goes on alone.
+        let alone = (0..9).map(|more| sides(scene.truth(frame(100 + BEHIND + more))));
+        assert_eq!(alone.last().unwrap(), Some([Some(108 + BEHIND), None]));
     }
 
     #[test]

@@ -304,7 +304,7 @@ impl Visit {
     }
 
     fn hear(&mut self, text: &str) {
-        match serde_json::from_str(text) {
+        match Said::parse(text) {
             Ok(Said::Drawn { drawn }) => {
                 self.credit = self.credit.saturating_add(drawn).min(UNDRAWN);
             }
