@@ -52,6 +52,13 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "study",
+        &[
+            "eddy study cores --output reports/study",
+            "eddy study activations --output reports/study",
+        ],
+    ),
+    (
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",

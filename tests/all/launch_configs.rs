@@ -30,6 +30,7 @@ files! {
     the_node_runs_with_its_settings: "node_lookahead.toml" => node,
     the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => train,
     the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => train,
+    the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
     replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
     },
@@ -62,6 +63,17 @@ fn node(name: &str) {
     let mut node = Process::start_until(&mut command, "predicting shm:");
     node.interrupt();
     assert!(node.wait().success());
+}
+
+/// Simulates until the first signal: to the end it would take an hour.
+fn study(name: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = talking_eddy();
+    command.args(["study", "cores", "--paper", "--config", &file(name)]);
+    command.args(["--output", folder.path().to_str().unwrap()]);
+    let mut study = Process::start_until(&mut command, "eddy simulate --preset fluid --scenes 60");
+    study.interrupt();
+    assert!(!study.wait().success());
 }
 
 /// Trains until the first signal: to the end it would take days.

@@ -27,6 +27,7 @@ mod ros;
 mod scenes;
 mod secure;
 mod shell;
+mod study;
 mod support;
 mod topic;
 mod train;

@@ -1,0 +1,179 @@
+//! `eddy study`: each comparison from nothing to its report, with stops on the way.
+
+use std::{fs, path::Path, time::SystemTime};
+
+use eddy::eval::Report;
+use tempfile::TempDir;
+
+use crate::{
+    eval::is_a_page_of_its_own,
+    support::{Process, fail, succeed, talking_eddy},
+};
+
+/// Small enough for a test; three scenes of each preset.
+const SETTINGS: &str = r#"
+seeds = [1, 2]
+cores = ["mingru", "gru", "mlp"]
+windows = [1, 2]
+density_weights = [0.001, 0.0]
+activations = ["tanh", "elu"]
+
+[data]
+scenes = 3
+duration = 0.6
+
+[training]
+epochs = 2
+
+[training.network]
+encoder = 8
+hidden = 16
+
+[training.windows]
+batch = 4
+per_epoch = 8
+
+[dense]
+width = 8
+epochs = 2
+batch = 4
+per_epoch = 8
+
+[judging]
+horizon = 5
+starts = 1
+"#;
+
+struct Study {
+    folder: TempDir,
+}
+
+impl Study {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("study.toml"), SETTINGS).unwrap();
+        Self { folder }
+    }
+
+    fn arguments(&self, comparison: &str) -> Vec<String> {
+        let path = |name: &str| self.folder.path().join(name).to_str().unwrap().to_owned();
+        let words = ["study", comparison, "--config", &path("study.toml"), "--jobs", "2"];
+        let words = words.map(str::to_owned).into_iter();
+        words.chain(["--output".to_owned(), path("out")]).collect()
+    }
+
+    fn run(&self, comparison: &str) -> String {
+        succeed(self.arguments(comparison))
+    }
+
+    fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.folder.path().join("out").join(name)).unwrap()
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.folder.path().join("out").join(name), text).unwrap();
+    }
+}
+
+fn changed(file: &Path) -> SystemTime {
+    fs::metadata(file).unwrap().modified().unwrap()
+}
+
+#[test]
+fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
+    let study = Study::new();
+    let printed = study.run("cores");
+    assert!(printed.contains("fluid: Free rollouts"), "{printed}");
+    let tables = study.read("cores/tables.md");
+    for words in [
+        "## fluid",
+        "## multi-material",
+        "## Speed of training",
+        "| mingru / gru |",
+        "| gru / mingru |",
+    ] {
+        assert!(tables.contains(words), "{words}: {tables}");
+    }
+    is_a_page_of_its_own(&study.read("cores/report.html"));
+    let report = study.folder.path().join("out/cores/fluid");
+    let judged = Report::load(&report).unwrap();
+    // Three cores with two seeds, then who learns nothing; of three scenes one judges.
+    let names: Vec<&str> = judged.predictors.iter().map(|p| p.name.as_str()).collect();
+    assert!(names[0].ends_with("mingru/seed-1") && names[5].ends_with("mlp/seed-2"), "{names:?}");
+    assert_eq!((judged.streams, judged.horizon), (1, 5));
+    assert!(judged.made.command.starts_with("eddy eval --checkpoint "), "{}", judged.made.command);
+
+    let network = study.folder.path().join("out/runs/fluid/gru/seed-2/model.safetensors");
+    let before = (changed(&network), changed(&report.join("report.json")));
+    study.run("cores");
+    assert_eq!((changed(&network), changed(&report.join("report.json"))), before);
+    assert_eq!(study.read("cores/tables.md"), tables);
+}
+
+#[test]
+fn what_was_trained_otherwise_or_is_damaged_is_not_taken_for_ours() {
+    let study = Study::new();
+    study.run("loss");
+    let tables = study.read("loss/tables.md");
+    assert!(tables.contains("| density weight 0 / density weight 0.001 |"), "{tables}");
+
+    let file = study.folder.path().join("study.toml");
+    fs::write(&file, SETTINGS.replace("hidden = 16", "hidden = 8")).unwrap();
+    let error = fail(1, study.arguments("loss"));
+    assert!(error.contains("trained.toml: found a training with other settings"), "{error}");
+    fs::write(&file, SETTINGS).unwrap();
+    study.write("runs/fluid/mingru/seed-1/trained.toml", "epochs = 1");
+    let error = fail(1, study.arguments("loss"));
+    assert!(error.contains("trained.toml: found ") && error.contains("missing field"), "{error}");
+}
+
+#[test]
+fn a_study_that_was_stopped_goes_on() {
+    let study = Study::new();
+    let mut command = talking_eddy();
+    command.args(study.arguments("window"));
+    // The first network's line: some are trained, others not.
+    let mut process = Process::start_until(&mut command, "fluid mingru");
+    process.interrupt();
+    assert!(!process.wait().success());
+    assert!(!study.folder.path().join("out/window").exists());
+    study.run("window");
+    let tables = study.read("window/tables.md");
+    assert!(tables.contains("| mingru, T = 2 / mingru, T = 1 |"), "{tables}");
+}
+
+#[test]
+fn activations_have_learning_curves_that_a_seed_gives_again() {
+    let study = Study::new();
+    study.run("activations");
+    let tables = study.read("activations/tables.md");
+    for words in ["| tanh |", "| elu |", "| next frame = this frame |"] {
+        assert!(tables.contains(words), "{words}: {tables}");
+    }
+    let [curve, other] = ["elu-1", "elu-2"].map(|name| format!("curves/fluid/{name}.toml"));
+    let first = study.read(&curve);
+    assert_ne!(first, study.read(&other));
+    fs::remove_file(study.folder.path().join("out").join(&curve)).unwrap();
+    study.run("activations");
+    assert_eq!(study.read(&curve), first);
+}
+
+#[test]
+fn settings_that_cannot_be_used_are_refused_before_anything_is_written() {
+    let study = Study::new();
+    let file = study.folder.path().join("study.toml");
+    for (line, words) in [
+        ("seeds = [1, 1]", "seeds: found [1, 1], expected at least one, none of them twice"),
+        ("windows = []", "windows: found [], expected at least one"),
+        ("[data]\nscenes = 2", "data.scenes: found 2, expected at least 3"),
+        ("[training]\narchitecture = \"particle\"", "expected frame: the paper's network"),
+        ("[training.network]\nhidden = 0", "network.hidden: found 0, expected at least 1"),
+        ("[dense]\nwidth = 0", "dense.width: found 0, expected at least 1"),
+        ("color = 1", "unknown field `color`"),
+    ] {
+        fs::write(&file, line).unwrap();
+        let error = fail(1, study.arguments("cores"));
+        assert!(error.contains(words), "{line}: {error}");
+        assert!(!study.folder.path().join("out").exists(), "{line}");
+    }
+}
