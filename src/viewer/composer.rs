@@ -215,7 +215,7 @@ mod tests {
     fn a_free_run_far_behind_is_shown_with_the_truth_of_its_instants() {
         const BEHIND: u64 = 40;
         let mut scene = scene();
-        for sequence in 0..BEHIND {
+        for sequence in 0..=BEHIND {
             scene.truth(frame(sequence));
         }
         for sequence in 1..100 {
