@@ -105,6 +105,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ("bench transport", &["eddy bench transport --transport shm,zenoh --particles 2500"]),
     ("bench node", &["eddy bench node --streams 16 --hertz 20"]),
     ("bench replay", &["eddy bench replay --hertz 250 --seconds 15"]),
+    ("bench view", &["eddy bench view --particles 100000 --seconds 4"]),
     ("bench bag", &["eddy bench bag --seconds 4 --json"]),
     ("completions", &["source <(eddy completions bash)", "eddy completions zsh > _eddy"]),
     ("man", &["eddy man man1"]),

@@ -8,7 +8,7 @@
 //!    same for predictions of the next frame only.
 //! 4. [`measure`]: what physics asks for: mass, energy, momentum, area, stretch, no blow-up.
 //! 5. [`scene`]: one scene judged, every predictor from the same frames; [`kind`]: its heading.
-//! 6. [`skill`]: errors against the best baseline, with bootstrap intervals over scenes.
+//! 6. [`skill`]: errors against the best baseline; [`bootstrap`]: intervals over scenes.
 //! 7. [`cost`]: time of a predicted frame.
 //! 8. [`snapshot`]: frames of a rollout beside the true ones, to look at.
 //! 9. [`report`]: all of it as JSON, CSV, tables and a page; several reports side by side.
@@ -17,6 +17,7 @@
 
 mod arena;
 mod baseline;
+pub mod bootstrap;
 pub mod chaos;
 mod cost;
 mod errors;
@@ -42,6 +43,7 @@ pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN};
 pub use predictor::Predictor;
 pub use report::{
     Comparison, Contestant, Entry, Judged, KindCount, Origin, Report, ReportError, Role,
+    SCENE_FRAMES,
 };
 pub use restart::{Restart, Restarted};
 pub use rollout::Rollout;

@@ -1,19 +1,12 @@
 //! Skill: how much of the squared error of the best trivial predictor is gone.
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{JudgedScene, Kind, numbers};
-
-/// Resamples of a bootstrap.
-const RESAMPLES: usize = 1000;
-/// Seed of the bootstrap: the same scenes give the same intervals.
-const SEED: u64 = 1;
-/// The interval leaves out so much on either side.
-const TAIL: f64 = 0.025;
-/// Fewest scenes of a kind that have an interval.
-const FEWEST: usize = 5;
+use super::{
+    JudgedScene, Kind,
+    bootstrap::{FEWEST, bootstrap},
+    numbers,
+};
 
 /// Squared position errors of the scenes of one kind, one row a scene.
 struct KindErrors {
@@ -80,11 +73,9 @@ impl Skills {
     }
 
     /// 95 % intervals of the mean skill of `predictors` (their mean) at `frames` ahead (from 1), by
-    /// bootstrap over the scenes of each kind (B. Efron, "Bootstrap Methods: Another Look at the
-    /// Jackknife", Annals of Statistics 7(1), 1979; percentiles). Nothing when a kind has fewer than five
-    /// scenes: what was drawn from so few says little about others.
+    /// bootstrap over the scenes of each kind. Nothing when a kind has fewer than five scenes.
     pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Option<Vec<Interval>> {
-        bootstrap(self, &self.kinds, predictors, frames)
+        intervals(self, &self.kinds, predictors, frames)
     }
 
     /// As [`Skills::intervals`], for the scenes of one kind.
@@ -95,7 +86,7 @@ impl Skills {
         frames: &[usize],
     ) -> Option<Vec<Interval>> {
         let at = self.kinds.iter().position(|errors| errors.kind == kind)?;
-        bootstrap(self, &self.kinds[at..=at], predictors, frames)
+        intervals(self, &self.kinds[at..=at], predictors, frames)
     }
 
     /// Skill over the chosen scenes of a kind at frame number `k`.
@@ -108,7 +99,7 @@ impl Skills {
     }
 }
 
-fn bootstrap(
+fn intervals(
     skills: &Skills,
     kinds: &[KindErrors],
     predictors: &[usize],
@@ -117,31 +108,20 @@ fn bootstrap(
     if kinds.is_empty() || kinds.iter().any(|kind| kind.scenes.len() < FEWEST) {
         return None;
     }
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-    let mut drawn: Vec<Vec<f64>> = vec![Vec::with_capacity(RESAMPLES); frames.len()];
-    for _ in 0..RESAMPLES {
-        let choices: Vec<Vec<usize>> = kinds
-            .iter()
-            .map(|kind| {
-                let count = kind.scenes.len();
-                (0..count).map(|_| rng.random_range(0..count)).collect()
-            })
-            .collect();
-        for (&ahead, drawn) in frames.iter().zip(&mut drawn) {
+    let intervals = bootstrap(|draw| {
+        let choices: Vec<Vec<usize>> =
+            kinds.iter().map(|kind| draw.of(kind.scenes.len())).collect();
+        let mean = |&ahead: &usize| {
             let mut sum = 0.0;
             for (kind, chosen) in kinds.iter().zip(&choices) {
                 let of = |&predictor: &usize| skills.skill(kind, chosen, predictor, ahead - 1);
                 sum += predictors.iter().map(of).sum::<f64>();
             }
-            drawn.push(sum / (kinds.len() * predictors.len()) as f64);
-        }
-    }
-    let ends = |mut drawn: Vec<f64>| {
-        drawn.sort_by(f64::total_cmp);
-        let cut = (TAIL * RESAMPLES as f64) as usize;
-        Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] }
-    };
-    Some(drawn.into_iter().map(ends).collect())
+            sum / (kinds.len() * predictors.len()) as f64
+        };
+        frames.iter().map(mean).collect()
+    });
+    Some(intervals)
 }
 
 #[cfg(test)]

@@ -21,6 +21,6 @@ mod table;
 pub use document::{Page, Section};
 pub use grid::{Picture, PictureGrid};
 pub use plot::{LinePlot, Series};
-pub use provenance::{Machine, Provenance};
+pub use provenance::{Machine, Provenance, command_line};
 pub use scale::{Axis, Scale};
 pub use table::{Cell, Table};

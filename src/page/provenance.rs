@@ -41,9 +41,9 @@ impl Provenance {
     /// What is made by this process, now.
     pub fn here() -> Self {
         let words: Vec<String> =
-            env::args_os().map(|word| quoted(&word.to_string_lossy())).collect();
+            env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
         Self {
-            command: words.join(" "),
+            command: command_line(&words),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             date: date(clock::wall().0.div_euclid(1_000_000_000)),
             machine: Machine::here(),
@@ -81,6 +81,11 @@ impl Machine {
             architecture: env::consts::ARCH.to_owned(),
         }
     }
+}
+
+/// Words as a POSIX shell reads them back.
+pub fn command_line(words: &[String]) -> String {
+    words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
 }
 
 /// A word as a POSIX shell reads it back.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     checkpoint::{Activation, Architecture, Core, MaterialInput},
+    eval::SCENE_FRAMES,
     train::{Schedule, TrainConfig, dense::DenseConfig},
 };
 
@@ -31,6 +32,8 @@ pub struct StudyConfig {
     pub training: TrainConfig,
     /// How they are judged.
     pub judging: JudgingConfig,
+    /// About how long each kind of training step is timed in `study cores` (s).
+    pub step_seconds: f64,
 }
 
 /// Which scenes are simulated.
@@ -94,12 +97,13 @@ impl StudyConfig {
             },
             cores: vec![Core::MinGru, Core::MinLstm, Core::Lstm, Core::Gru, Core::Mlp],
             density_weights: vec![0.0, 1e-3, 1e-2],
-            windows: vec![1, 2, 4, 8],
+            windows: vec![1, 2, 4],
             windowed_cores: vec![Core::MinGru],
             activations: Activation::ALL.to_vec(),
-            dense: DenseConfig::paper(100, 30 * 192),
+            dense: DenseConfig::paper(50, 30 * 192),
             training,
             judging: JudgingConfig { horizon: 20, starts: 7 },
+            step_seconds: 2.0,
         }
     }
 
@@ -115,7 +119,7 @@ impl StudyConfig {
         (training.network.encoder, training.network.hidden) = (64, 200);
         (training.windows.batch, training.windows.per_epoch) = (16, 10 * 16);
         (training.epochs, training.patience) = (3, 3);
-        quick.judging.starts = 3;
+        (quick.judging.starts, quick.step_seconds) = (3, 0.2);
         quick
     }
 
@@ -145,6 +149,19 @@ impl StudyConfig {
             if found < least {
                 return Err(InvalidStudy { field, found: found.to_string(), expected });
             }
+        }
+        if !(self.step_seconds > 0.0 && self.step_seconds.is_finite()) {
+            let found = self.step_seconds.to_string();
+            return Err(InvalidStudy {
+                field: "step_seconds",
+                found,
+                expected: "a positive number",
+            });
+        }
+        if self.judging.horizon > SCENE_FRAMES {
+            let found = self.judging.horizon.to_string();
+            let expected = "at most 20: errors of scenes are kept for the paper's 20 frames";
+            return Err(InvalidStudy { field: "judging.horizon", found, expected });
         }
         if self.training.architecture != Architecture::Frame {
             let found = self.training.architecture.name().to_owned();

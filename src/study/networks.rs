@@ -1,19 +1,13 @@
 //! What networks came to on a preset, as tables and plots.
 
-use rand::{RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
-
 use super::{Comparison, Trained, Variant};
 use crate::{
-    eval::{Entry, Interval, Report, Role},
+    eval::{
+        Entry, Interval, Report, Role,
+        bootstrap::{FEWEST, bootstrap},
+    },
     page::{Axis, Cell, LinePlot, Series, Table},
 };
-
-/// Draws of scenes and seeds with replacement, what draws them, and the share of the draws that lie below an
-/// interval, and above.
-const RESAMPLES: usize = 1000;
-const SEED: u64 = 0;
-const TAIL: f64 = 0.025;
 
 /// Networks on one preset: every variant with every seed, all judged on the same scenes.
 pub struct Networks<'a> {
@@ -157,8 +151,9 @@ impl Networks<'_> {
                 let of = |variant| -> Vec<Vec<f64>> {
                     self.places(variant).map(|place| errors(self, place)).collect()
                 };
-                let (ratio, Interval { lower, upper }) = ratio(&of(mine), &of(other));
-                [format!("{ratio:.3}"), format!("{lower:.3} to {upper:.3}")]
+                let (ratio, interval) = ratio(&of(mine), &of(other));
+                let words = |Interval { lower, upper }| format!("{lower:.3} to {upper:.3}");
+                [format!("{ratio:.3}"), interval.map_or("-".to_owned(), words)]
             });
             let [mine, other] = [mine, other].map(|number| &self.variants[number].setting);
             table.row(format!("{mine} / {other}"), cells.collect::<Vec<_>>());
@@ -267,8 +262,8 @@ impl Comparison {
 }
 
 /// Ratio of two variants' means over seeds and scenes, and its interval by bootstrap: the same scenes for both,
-/// seeds for each (B. Efron 1979; percentiles).
-fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Interval) {
+/// seeds for each. Fewer than five scenes have none.
+fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Option<Interval>) {
     let scenes = mine.first().map_or(0, Vec::len);
     let over = |runs: &[Vec<f64>], seeds: &[usize], scenes: &[usize]| {
         mean(seeds.iter().flat_map(|&seed| scenes.iter().map(move |&scene| runs[seed][scene])))
@@ -276,16 +271,14 @@ fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Interval) {
     let all = |count: usize| (0..count).collect::<Vec<_>>();
     let of = |a: &[usize], b: &[usize], c: &[usize]| over(mine, a, c) / over(other, b, c);
     let whole = of(&all(mine.len()), &all(other.len()), &all(scenes));
-    let mut random = ChaCha8Rng::seed_from_u64(SEED);
-    let mut choose = |count: usize| -> Vec<usize> {
-        (0..count).map(|_| random.random_range(0..count)).collect()
-    };
-    let mut drawn: Vec<f64> = (0..RESAMPLES)
-        .map(|_| of(&choose(mine.len()), &choose(other.len()), &choose(scenes)))
-        .collect();
-    drawn.sort_by(f64::total_cmp);
-    let cut = (TAIL * RESAMPLES as f64) as usize;
-    (whole, Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] })
+    if scenes < FEWEST {
+        return (whole, None);
+    }
+    let interval = bootstrap(|draw| {
+        let [a, b, c] = [mine.len(), other.len(), scenes].map(|count| draw.of(count));
+        vec![of(&a, &b, &c)]
+    });
+    (whole, interval.into_iter().next())
 }
 
 /// The mean of what is a number.
@@ -325,13 +318,15 @@ mod tests {
         let twice: Vec<Vec<f64>> =
             other.iter().map(|seed| seed.iter().map(|x| 2.0 * x).collect()).collect();
         let (all, interval) = ratio(&twice, &other);
-        assert_eq!((all, interval), (2.0, Interval { lower: 2.0, upper: 2.0 }));
+        assert_eq!((all, interval), (2.0, Some(Interval { lower: 2.0, upper: 2.0 })));
 
         let mut uneven = twice;
         uneven[0].iter_mut().for_each(|x| *x *= 0.25);
-        let (all, Interval { lower, upper }) = ratio(&uneven, &other);
+        let (all, interval) = ratio(&uneven, &other);
+        let Interval { lower, upper } = interval.unwrap();
         assert_eq!(all, 1.5);
         assert!(lower < 1.0 && upper > 1.9, "{lower} {upper}");
+        assert_eq!(ratio(&[vec![2.0; 4]], &[vec![1.0; 4]]), (2.0, None));
     }
 
     #[test]

@@ -42,7 +42,7 @@ impl StudyReport {
     pub fn networks(&mut self, preset: &str, study: &StudyConfig, networks: &Networks) {
         let windows = &study.training.windows;
         let budget = format!(
-            "Each network took {} steps of Adam with {} windows each.",
+            "Each network took at most {} steps of Adam with {} windows each.",
             study.training.batches() * study.training.epochs as usize,
             windows.batch,
         );
@@ -55,7 +55,7 @@ impl StudyReport {
         section.paragraph(
             "Errors are mean squared differences of x, y, vx, vy, each divided by its range in the training part. Skill is \
              1 - squared position error / that of the best of persistence, constant velocity and ballistic. Intervals \
-             hold 95 % of 1,000 draws of scenes and seeds with replacement.",
+             hold 95 % of 1,000 draws of scenes and seeds with replacement; fewer than five scenes have none.",
         );
         self.tables.extend(tables.into_iter().map(|table| (preset.to_owned(), table)));
     }

@@ -22,8 +22,6 @@ use crate::{
 pub struct Trained {
     /// Digest of the checkpoint.
     pub checkpoint: String,
-    /// Digest of the data.
-    pub data: String,
     /// Numbers that were learned.
     pub parameters: usize,
     /// Time of the training, validation included (s).
@@ -41,8 +39,6 @@ pub struct Trained {
 /// The learning curve of a dense network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// Digest of the data.
-    pub data: String,
     /// What is behind its layers.
     pub activation: Activation,
     /// Seed of its weights and of the order of the data.
@@ -74,7 +70,7 @@ pub enum ResultError {
     },
     /// It is that of another study.
     #[error(
-        "{}: found a training with other settings or data, expected those of this study: they go to another --output",
+        "{}: found a training with other settings, expected those of this study: they go to another --output",
         file.display()
     )]
     Other {

@@ -1,22 +1,22 @@
 //! Learning curves of dense networks, one for each activation and seed.
 
-use rayon::prelude::*;
+use std::collections::VecDeque;
 
 use super::Work;
-use crate::commands::{pages, progress_bar, simulate::memory};
+use crate::commands::{pages, simulate::memory};
 use eddy::{dataset::Dataset, study::Curve, train::dense::train_dense};
 
-/// Computes what is not there yet, side by side.
+/// Computes what is not there yet.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     pages::keep_freed();
     let config = &work.study.dense;
     for preset in work.presets {
-        let mut missing = Vec::new();
+        let mut missing = VecDeque::new();
         for &seed in &work.study.seeds {
             for &activation in &work.study.activations {
                 let file = work.folders.curve(preset, activation.name(), seed);
                 if Curve::find(&file, config)?.is_none() {
-                    missing.push((activation, seed, file));
+                    missing.push_back((activation, seed, file));
                 }
             }
         }
@@ -25,18 +25,14 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         }
         let data = work.folders.data(preset);
         let dataset = Dataset::load(&[data], memory::available() / 2, &mut |_, _| ())?;
-        let bar = progress_bar(missing.len() as u64, "learning curves", work.quiet);
-        missing.into_par_iter().try_for_each(|(activation, seed, file)| -> anyhow::Result<()> {
-            let stops = || work.stops();
-            let curve = train_dense(config, activation, seed, &dataset, &stops)?;
-            if let Some(curve) = curve {
-                let data = dataset.digest.clone();
-                Curve { data, activation, seed, config: config.clone(), curve }.save(&file)?;
-            }
-            bar.inc(1);
-            Ok(())
+        work.each(missing, "learning curves", |(activation, seed, file)| {
+            let curve = train_dense(config, activation, seed, &dataset, &|| work.stops())?;
+            let Some(curve) = curve else { return Ok(None) };
+            let last = curve.epochs.last().map_or(f64::NAN, |epoch| epoch.validation_loss);
+            Curve { activation, seed, config: config.clone(), curve }.save(&file)?;
+            let name = activation.name();
+            Ok(Some(format!("{preset} {name} seed {seed}: a validation loss of {last:.2e}")))
         })?;
-        bar.finish_and_clear();
     }
     Ok(())
 }

@@ -15,19 +15,25 @@ mod report;
 mod speed;
 
 use std::{
+    collections::VecDeque,
     fs,
     path::Path,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
 };
 
 use anyhow::{Context, bail};
 use clap::Parser as _;
 
-use super::{Interrupt, eval, simulate};
+use super::{Interrupt, eval, progress_bar, simulate};
 use crate::cli::{Cli, Command, StudyArgs};
 use eddy::{
     config::Overrides,
     eval::Report,
+    page::command_line,
     study::{Comparison, Folders, StudyConfig, Trained, Variant},
     train::TrainConfig,
 };
@@ -127,7 +133,7 @@ impl Work<'_> {
                 bail!("{}: found another command, expected eval", words.join(" "));
             };
             let mut report = eval::judge(&args, self.quiet, self.interrupt)?;
-            report.made.command = words.join(" ");
+            report.made.command = command_line(&words);
             report.save(&folder).with_context(|| in_words(&folder))?;
         }
         Ok(())
@@ -173,16 +179,16 @@ impl Work<'_> {
         words
     }
 
-    /// Every command that this study stands for, in order.
+    /// Every command that this study stands for, in order; learning curves have none.
     fn commands(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for preset in self.presets {
-            lines.push(self.simulation(preset).join(" "));
+            lines.push(command_line(&self.simulation(preset)));
             for (variant, seed) in self.runs() {
-                lines.push(self.training(preset, variant, seed).join(" "));
+                lines.push(command_line(&self.training(preset, variant, seed)));
             }
             if !self.variants.is_empty() {
-                lines.push(self.judgement(preset).join(" "));
+                lines.push(command_line(&self.judgement(preset)));
             }
         }
         lines
@@ -190,7 +196,7 @@ impl Work<'_> {
 
     /// Tells a command line, and what it means.
     fn parsed(&self, words: &[String]) -> anyhow::Result<Command> {
-        self.tell(&words.join(" "));
+        self.tell(&command_line(words));
         Ok(Cli::try_parse_from(words)?.command)
     }
 
@@ -203,7 +209,7 @@ impl Work<'_> {
         let judged: Vec<_> = report.predictors.iter().filter_map(|p| p.digest.as_ref()).collect();
         let networks = self.trained(preset)?;
         let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
-        Ok(report.horizon == self.study.judging.horizon && judged == networks)
+        Ok(report.made.command == command_line(&self.judgement(preset)) && judged == networks)
     }
 
     /// What the networks' training came to, in the order of [`Work::runs`].
@@ -224,6 +230,41 @@ impl Work<'_> {
     fn runs(&self) -> impl Iterator<Item = (&Variant, u64)> {
         let seeds = self.study.seeds.iter();
         seeds.flat_map(|&seed| self.variants.iter().map(move |variant| (variant, seed)))
+    }
+
+    /// Does tasks, `jobs` at a time, until one fails or all are to stop. What comes out is a line to tell, or nothing
+    /// where a task was stopped.
+    fn each<T: Send>(
+        &self,
+        tasks: VecDeque<T>,
+        what: &str,
+        run: impl Fn(T) -> anyhow::Result<Option<String>> + Sync,
+    ) -> anyhow::Result<()> {
+        let bar = progress_bar(tasks.len() as u64, what, self.quiet);
+        bar.tick();
+        let jobs = self.jobs.min(tasks.len());
+        let tasks = Mutex::new(tasks);
+        let next = || tasks.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+        let worker = || -> anyhow::Result<()> {
+            while let (false, Some(task)) = (self.stops(), next()) {
+                let outcome = run(task);
+                let line = outcome.inspect_err(|_| self.failed.store(true, Ordering::Relaxed))?;
+                if let Some(line) = line {
+                    bar.suspend(|| self.tell(&line));
+                    bar.inc(1);
+                }
+            }
+            Ok(())
+        };
+        let outcomes: Vec<anyhow::Result<()>> = thread::scope(|scope| {
+            let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
+            let join = |worker: thread::ScopedJoinHandle<'_, _>| {
+                worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            workers.into_iter().map(join).collect()
+        });
+        bar.finish_and_clear();
+        outcomes.into_iter().collect()
     }
 
     fn tell(&self, line: &str) {

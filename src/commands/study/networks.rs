@@ -1,20 +1,15 @@
 //! Networks that are trained once with every seed.
 
-use std::{
-    collections::VecDeque,
-    fs,
-    path::PathBuf,
-    sync::{Mutex, PoisonError, atomic::Ordering},
-    thread,
-};
+use std::{collections::VecDeque, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 
 use super::{Work, write};
-use crate::commands::{pages, progress_bar, simulate::memory, train::free_disk};
+use crate::commands::{pages, simulate::memory, train::free_disk};
 use eddy::{
     dataset::Dataset,
     model::DeviceKind,
+    page::command_line,
     study::Trained,
     train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
 };
@@ -39,7 +34,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             let output = work.folders.run(preset, &variant.name, seed);
             if Trained::find(&output, &config)?.is_none() {
                 let name = format!("{preset} {} seed {seed}", variant.name);
-                let command = work.training(preset, variant, seed).join(" ");
+                let command = command_line(&work.training(preset, variant, seed));
                 tasks.push_back(Task { name, config, output, command });
             }
         }
@@ -48,33 +43,9 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         }
         let data = work.folders.data(preset);
         let dataset = Dataset::load(&[data], memory::available() / 2, &mut |_, _| ())?;
-        let bar = progress_bar(tasks.len() as u64, "networks", work.quiet);
-        bar.tick();
-        let jobs = work.jobs.min(tasks.len());
-        let memory = memory::available() / jobs as u64;
-        let tasks = Mutex::new(tasks);
-        let next = || tasks.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
-        let worker = || -> anyhow::Result<()> {
-            while let Some(task) = next() {
-                if work.stops() {
-                    break;
-                }
-                let outcome = task.run(work, &dataset, memory, jobs);
-                let line = outcome.inspect_err(|_| work.failed.store(true, Ordering::Relaxed))?;
-                bar.suspend(|| work.tell(&line));
-                bar.inc(1);
-            }
-            Ok(())
-        };
-        let outcomes: Vec<anyhow::Result<()>> = thread::scope(|scope| {
-            let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
-            workers
-                .into_iter()
-                .map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p)))
-                .collect()
-        });
-        bar.finish_and_clear();
-        outcomes.into_iter().collect::<anyhow::Result<()>>()?;
+        let at_once = work.jobs.min(tasks.len());
+        let memory = memory::available() / at_once as u64;
+        work.each(tasks, "networks", |task| task.run(work, &dataset, memory, at_once))?;
         if work.stops() {
             break;
         }
@@ -83,14 +54,14 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
 }
 
 impl Task {
-    /// Trains it, and gives a line about it.
+    /// Trains it, and gives a line about it; none when it was stopped.
     fn run(
         &self,
         work: &Work,
         dataset: &Dataset,
         memory: u64,
         at_once: usize,
-    ) -> anyhow::Result<String> {
+    ) -> anyhow::Result<Option<String>> {
         let Self { name, config, output, command } = self;
         // Beside the folder, as this is made by who trains.
         write(&output.with_extension("toml"), &toml::to_string(config)?)?;
@@ -105,12 +76,11 @@ impl Task {
         };
         let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
         if outcome.interrupted {
-            return Ok(format!("{name}: stopped after {} epochs", outcome.epochs.len()));
+            return Ok(None);
         }
         let Some(best) = outcome.best else { bail!("{name}: found no epoch, expected one") };
         let trained = Trained {
             checkpoint: best.digest().to_owned(),
-            data: dataset.digest.clone(),
             parameters: best.parameters(),
             seconds: outcome.seconds,
             at_once,
@@ -123,9 +93,9 @@ impl Task {
         let last = output.join(LAST_FOLDER);
         fs::remove_dir_all(&last).with_context(|| last.display().to_string())?;
         let best = &best.description.training;
-        Ok(format!(
+        Ok(Some(format!(
             "{name}: {} epochs in {:.0} s, best {} with a validation loss of {:.3}",
             best.epochs, trained.seconds, best.best_epoch, best.validation_loss
-        ))
+        )))
     }
 }

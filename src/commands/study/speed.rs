@@ -4,9 +4,8 @@ use super::Work;
 use crate::commands::progress_bar;
 use eddy::{bench::training::paper_steps, model::DeviceKind, page::Machine, study::Speed};
 
-/// Windows a batch, and about how long each is timed (s).
+/// Windows a batch.
 const WINDOWS: usize = 16;
-const SECONDS: f64 = 2.0;
 
 /// Times a step of every recurrent core with each of the lengths of a window, unless that was done.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
@@ -21,7 +20,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         if work.stops() {
             return Ok(());
         }
-        steps.push(step.time(WINDOWS, SECONDS, DeviceKind::Flex));
+        steps.push(step.time(WINDOWS, work.study.step_seconds, DeviceKind::Flex));
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -1,8 +1,5 @@
 //! Several reports side by side.
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use super::{
     Entry, Report, ReportError, Role,
     page::{at, error, milliseconds, skill},
@@ -10,17 +7,15 @@ use super::{
     tables::of_page,
 };
 use crate::{
-    eval::Interval,
+    eval::{
+        Interval,
+        bootstrap::{FEWEST, bootstrap},
+    },
     page::{Axis, Cell, LinePlot, Page, Provenance, Series, Table},
 };
 
 /// Frames ahead at which errors are divided: scenes are kept up to the paper's twentieth.
 const DIVIDED: [usize; 3] = [1, 10, 20];
-/// Resamples of a bootstrap, its seed, what is left out on either side, and fewest scenes.
-const RESAMPLES: usize = 1000;
-const SEED: u64 = 1;
-const TAIL: f64 = 0.025;
-const FEWEST: usize = 5;
 
 /// Reports of the same data.
 #[derive(Clone, Debug)]
@@ -33,7 +28,7 @@ pub struct Comparison {
     horizon: usize,
     /// Whether normalised errors have the same units.
     same_units: bool,
-    /// Whether they have the same scenes in the same order.
+    /// Whether they have the same rollouts in the same order.
     same_scenes: bool,
 }
 
@@ -107,11 +102,12 @@ impl Comparison {
         differ("Times of a frame are from other machines", &|report| {
             report.made.machine.processor.clone()
         });
-        let key = |scene: &SceneEntry| (scene.id, scene.name.clone(), scene.kind);
+        let key =
+            |scene: &SceneEntry| (scene.id, scene.name.clone(), scene.kind, scene.starts.clone());
         let keys = |report: &Report| report.scenes.iter().map(key).collect::<Vec<_>>();
         let same_scenes = others.iter().all(|(_, other)| keys(other) == keys(first));
         if !same_scenes {
-            notes.push("The scenes are listed in another order: errors are not divided".to_owned());
+            notes.push("Scenes, or the frames that their rollouts start from, are not the same: errors are not divided".to_owned());
         }
         Ok(Self { reports, notes, horizon, same_units: !other_units, same_scenes })
     }
@@ -301,21 +297,17 @@ fn squared(row: &Row<'_>, ahead: usize) -> Vec<f64> {
 fn ratio(mine: &[f64], first: &[f64]) -> (f64, Option<Interval>) {
     let pairs = mine.iter().zip(first).filter(|(a, b)| a.is_finite() && b.is_finite());
     let pairs: Vec<(f64, f64)> = pairs.map(|(&a, &b)| (a, b)).collect();
-    let of = |chosen: &mut dyn Iterator<Item = usize>| {
-        let (a, b) = chosen.fold((0.0, 0.0), |(a, b), k| (a + pairs[k].0, b + pairs[k].1));
+    let of = |chosen: &[usize]| {
+        let add = |(a, b), &k: &usize| (a + pairs[k].0, b + pairs[k].1);
+        let (a, b) = chosen.iter().fold((0.0, 0.0), add);
         (a / b).sqrt()
     };
-    let all = of(&mut (0..pairs.len()));
+    let all = of(&(0..pairs.len()).collect::<Vec<_>>());
     if pairs.len() < FEWEST {
         return (all, None);
     }
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-    let mut drawn: Vec<f64> = (0..RESAMPLES)
-        .map(|_| of(&mut (0..pairs.len()).map(|_| rng.random_range(0..pairs.len()))))
-        .collect();
-    drawn.sort_by(f64::total_cmp);
-    let cut = (TAIL * RESAMPLES as f64) as usize;
-    (all, Some(Interval { lower: drawn[cut], upper: drawn[RESAMPLES - 1 - cut] }))
+    let interval = bootstrap(|draw| vec![of(&draw.of(pairs.len()))]).pop();
+    (all, interval)
 }
 
 #[cfg(test)]

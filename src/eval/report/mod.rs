@@ -30,7 +30,7 @@ use super::{Arena, Cost, JudgedScene, Kind, SHOWN, Skills, Snapshot, Units};
 use crate::page::Provenance;
 use group::Group;
 use read::FORMAT;
-use scenes::SceneEntry;
+pub use scenes::{SCENE_FRAMES, SceneEntry};
 
 /// What was judged.
 #[derive(Clone, Debug)]

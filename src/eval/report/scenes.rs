@@ -7,8 +7,8 @@ use crate::{
     frame::Material,
 };
 
-/// The paper's rollouts have so many frames.
-pub(super) const PAPER_FRAMES: usize = 20;
+/// Frames ahead for which errors are kept scene by scene: those of the paper's rollouts.
+pub const SCENE_FRAMES: usize = 20;
 
 /// A judged scene.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -73,7 +73,7 @@ pub(super) fn words(materials: &[Material]) -> String {
 
 impl SceneErrors {
     fn new(errors: &[Errors]) -> Self {
-        let errors = &errors[..errors.len().min(PAPER_FRAMES)];
+        let errors = &errors[..errors.len().min(SCENE_FRAMES)];
         let curve = |f: fn(&Errors) -> f64| errors.iter().map(f).collect();
         Self {
             count: curve(|errors| errors.count),

@@ -49,6 +49,24 @@ struct Running {
     output: PathBuf,
 }
 
+/// Settings that make a study short.
+const STUDY: &str = "\
+seeds = [1]
+cores = ['mingru', 'mlp']
+activations = ['elu']
+step_seconds = 0.01
+data.scenes = 3
+data.duration = 0.6
+training.epochs = 1
+training.network.hidden = 16
+training.windows.batch = 4
+training.windows.per_epoch = 4
+dense.epochs = 1
+dense.per_epoch = 32
+judging.horizon = 5
+judging.starts = 1
+";
+
 impl World {
     /// A folder with what a clone has, and eddy on the path.
     pub fn new() -> Self {
@@ -62,6 +80,7 @@ impl World {
         let world =
             Self { folder, domain: domain(), topic, ports: [free_port(), free_port()], started: 0 };
         world.save("quick.toml", QUICK);
+        world.save("study.toml", STUDY);
         world.shrink();
         world
     }

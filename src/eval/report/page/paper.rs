@@ -80,7 +80,7 @@ impl Report {
 
     /// Frames that the tables are about: the paper's twenty, if the horizon is not sooner.
     fn paper_frames(&self) -> usize {
-        super::super::scenes::PAPER_FRAMES.min(self.horizon)
+        super::super::scenes::SCENE_FRAMES.min(self.horizon)
     }
 
     /// Names of those in the tables, with their numbers.
