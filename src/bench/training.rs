@@ -119,9 +119,10 @@ impl Step {
     }
 }
 
-/// The paper's table, row by row: the whole network with its window, then the core alone by frames.
-pub fn paper_steps() -> Vec<Step> {
-    let kinds = [(Part::Frame, FRAMES[0])].into_iter().chain(FRAMES.map(|t| (Part::Core, t)));
+/// The paper's table, row by row: the whole network with its window, then the core alone by `frames`.
+pub fn paper_steps(frames: &[usize]) -> Vec<Step> {
+    let alone = frames.iter().map(|&t| (Part::Core, t));
+    let kinds = [(Part::Frame, FRAMES[0])].into_iter().chain(alone);
     kinds
         .flat_map(|(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None }))
         .collect()

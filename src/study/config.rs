@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    bench::training::FRAMES,
     checkpoint::{Activation, Architecture, Core, MaterialInput},
     eval::SCENE_FRAMES,
     train::{Schedule, TrainConfig, dense::DenseConfig},
@@ -32,7 +33,9 @@ pub struct StudyConfig {
     pub training: TrainConfig,
     /// How they are judged.
     pub judging: JudgingConfig,
-    /// About how long each kind of training step is timed in `study cores` (s).
+    /// Frames a window for which training steps of the cores are timed in `study cores`.
+    pub step_frames: Vec<usize>,
+    /// About how long each of them is timed (s); five steps at least.
     pub step_seconds: f64,
 }
 
@@ -103,6 +106,7 @@ impl StudyConfig {
             dense: DenseConfig::paper(50, 30 * 192),
             training,
             judging: JudgingConfig { horizon: 20, starts: 7 },
+            step_frames: FRAMES.to_vec(),
             step_seconds: 2.0,
         }
     }
@@ -119,7 +123,8 @@ impl StudyConfig {
         (training.network.encoder, training.network.hidden) = (64, 200);
         (training.windows.batch, training.windows.per_epoch) = (16, 10 * 16);
         (training.epochs, training.patience) = (3, 3);
-        (quick.judging.starts, quick.step_seconds) = (3, 0.2);
+        quick.judging.starts = 3;
+        (quick.step_frames, quick.step_seconds) = (vec![2, 16], 0.2);
         quick
     }
 
@@ -135,6 +140,7 @@ impl StudyConfig {
         different("windows", &self.windows)?;
         different("windowed_cores", &self.windowed_cores)?;
         different("activations", &self.activations)?;
+        different("step_frames", &self.step_frames)?;
         let numbers = [
             (
                 "data.scenes",
@@ -143,6 +149,12 @@ impl StudyConfig {
                 "at least 3: to learn, to choose, to judge",
             ),
             ("judging.horizon", self.judging.horizon, 1, "at least 1"),
+            (
+                "step_frames",
+                self.step_frames.iter().copied().min().unwrap_or(0),
+                1,
+                "at least 1 each",
+            ),
             ("judging.starts", self.judging.starts, 1, "at least 1"),
         ];
         for (field, found, least, expected) in numbers {

@@ -18,6 +18,7 @@ windows = [1, 2]
 density_weights = [0.001, 0.0]
 activations = ["tanh", "elu"]
 step_seconds = 0.01
+step_frames = [2]
 
 [data]
 scenes = 3

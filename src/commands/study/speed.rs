@@ -13,7 +13,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     if Speed::find(&folder)?.is_some() {
         return Ok(());
     }
-    let kinds = paper_steps();
+    let kinds = paper_steps(&work.study.step_frames);
     let bar = progress_bar(kinds.len() as u64, "training steps timed", work.quiet);
     let mut steps = Vec::new();
     for step in kinds {

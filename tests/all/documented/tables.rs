@@ -19,6 +19,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("--starts 2", "--starts 1", "one rollout a scene"),
     ("eddy eval", "eddy eval --horizon 20", "the scenes are short"),
     (
+        "eddy eval --horizon 20 --compare",
+        "eddy eval --compare",
+        "it has the horizon of its reports",
+    ),
+    (
         "checkpoints/elsewhere",
         "checkpoints/particle-mingru",
         "no PyTorch here: the shipped one stands for it",

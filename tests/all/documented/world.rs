@@ -55,6 +55,7 @@ seeds = [1]
 cores = ['mingru', 'mlp']
 activations = ['elu']
 step_seconds = 0.01
+step_frames = [2]
 data.scenes = 3
 data.duration = 0.6
 training.epochs = 1
