@@ -105,6 +105,7 @@ fn node(report: &Report) -> Value {
         "rate": report.rate,
         "latency": report.latency.map(|latency| latency.as_secs_f64()),
         "streams": report.streams,
+        "lost": report.lost,
         "counters": counters,
     })
 }

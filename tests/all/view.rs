@@ -11,8 +11,8 @@ use eddy::{
     checkpoint::Checkpoint,
     frame::{Domain, Frame, FrameView, Material, Stamp},
     viewer::{
-        Ahead, Command, Comparison, Controls, HEADER, Hub, ListenAddress, NoControls, Program, State,
-        Viewer,
+        Ahead, Command, Comparison, Controls, HEADER, Hub, ListenAddress, NoControls, Program,
+        State, Viewer,
     },
 };
 use serde_json::{Value, json};
@@ -338,7 +338,7 @@ impl Controls for Slow {
 
 #[test]
 fn what_a_page_asks_for_is_done_in_order_and_what_is_too_much_is_refused() {
-    const ASKED: u32 = 20;
+    const ASKED: u32 = 12;
     let (allow, allowed) = mpsc::channel();
     let slow = Arc::new(Slow { set: Mutex::default(), allowed: Mutex::new(allowed) });
     let (_viewer, _hub, address) = page_of(Arc::clone(&slow) as Arc<dyn Controls>);

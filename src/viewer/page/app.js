@@ -3,7 +3,7 @@
 import { draw as drawChart } from "/chart.js";
 import { read } from "/frame.js";
 import { Link } from "/link.js";
-import { Painter } from "/painter.js";
+import { Painter, scaleStart } from "/painter.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
@@ -18,7 +18,6 @@ const view = { over: false, colour: "material" };
 
 // --- colours
 
-const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
 const probe = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
 /** A colour of the style sheet as numbers from 0 to 1. */
 function numbers(name) {
@@ -150,7 +149,7 @@ function greet(hello) {
 let painter = null;
 let failure = "";
 try {
-  painter = new Painter($("particles"));
+  painter = new Painter($("particles"), () => { now.dirty = true; });
 } catch (error) {
   failure = error.message;
   $("waiting").textContent = `${failure}: particles cannot be drawn`;
@@ -196,7 +195,7 @@ function caption() {
   const when = (side) => (side.there ? `t = ${side.stamp.toFixed(2)} s, frame ${side.sequence}` : "");
   const ahead = frame.ahead ? `, ${frame.ahead} ahead${frame.free ? ", free run" : ""}` : "";
   $("truth").querySelector(".when").textContent = when(truth);
-  const predicted = prediction.there ? when(prediction) + ahead : "warming up";
+  const predicted = prediction.there ? when(prediction) + ahead : now.hello?.model ? "warming up" : "no prediction";
   $("prediction").querySelector(".when").textContent = predicted;
   const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
   $("stage").style.setProperty("--aspect", Math.min(Math.max(aspect, 0.5), 4));
@@ -222,7 +221,7 @@ function drawLegend() {
   if (view.colour === "material") {
     for (const { name, color } of hello.materials) named(css(color), name);
   } else {
-    const from = isDark() ? 0.18 : 0;
+    const from = scaleStart(isDark());
     const at = (share) => {
       const place = (from + (1 - from) * share) * 8;
       const below = Math.min(Math.floor(place), 7);
@@ -238,7 +237,7 @@ function drawLegend() {
     entry.append(high);
     entries.push(entry);
   }
-  if (view.over) named(colour("--ghost") && solid("--ghost"), "truth, below the prediction");
+  if (view.over) named(solid("--ghost"), "truth, below the prediction");
   legend.replaceChildren(...entries);
 }
 
@@ -274,14 +273,13 @@ function show(figures) {
   const observed = rate(figures);
   const span = now.drawn.length > 1 ? now.drawn.at(-1) - now.drawn[0] : 0;
   const drawnRate = span > 0 && performance.now() - now.drawn.at(-1) < 1000 ? (1e3 * (now.drawn.length - 1)) / span : 0;
-  const counted = Object.fromEntries(node?.counters ?? []);
   const entries = [];
   if (now.frame) entries.push(["particles", count(now.frame.particles)]);
   if (observed != null) entries.push(["frames observed", `${observed.toFixed(0)} /s`]);
   if (node) {
     entries.push(["predictions", `${node.rate.toFixed(0)} /s`]);
     entries.push(["latency p50, p99", `${milliseconds(node.latency[0])}, ${milliseconds(node.latency[1])}`]);
-    entries.push(["frames the node lost", count((counted.dropped_from_queue ?? 0) + (counted.lost_in_transport ?? 0) + (counted.missing ?? 0))]);
+    entries.push(["frames the node lost", count(node.lost)]);
     entries.push(["streams", count(node.streams)]);
   } else {
     entries.push(["streams", count(figures.streams.length)]);
