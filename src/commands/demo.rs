@@ -38,7 +38,7 @@ use eddy::{
         SurrogateNode, drive,
     },
     transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
-    viewer::{Comparison, ListenAddress, Program},
+    viewer::{Comparison, Hub, ListenAddress, Program},
 };
 
 /// The node's name in diagnostics.
@@ -94,6 +94,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let transports = Transports::new(TransportOptions::from_env(NAME)?);
     let recorder = Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
     let mut wires = Wires::open(&transports, recorder)?;
+    wires.source.hub = page.as_ref().map(|page| Arc::clone(&page.hub));
     wires.outputs.onlookers.extend(page.as_ref().map(Page::onlooker));
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
     let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
@@ -175,7 +176,7 @@ impl Scenes {
             if !whole || !self.endless {
                 return Ok(whole || number > 1);
             }
-            source.next_scene();
+            source.next_scene(SCENE + number - 1);
             simulation = self.simulation(number)?;
         }
         Ok(true)
@@ -202,6 +203,8 @@ struct Source {
     /// When the scene began, and how far it is: time goes on from scene to scene.
     began: Stamp,
     now: Stamp,
+    /// What the page shows.
+    hub: Option<Arc<Hub>>,
 }
 
 impl Source {
@@ -211,8 +214,12 @@ impl Source {
         Ok(self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: self.now.into() }))?)
     }
 
-    fn next_scene(&mut self) {
+    /// The stream of the scene before has `ended`.
+    fn next_scene(&mut self, ended: u64) {
         self.began = self.now;
+        if let Some(hub) = &self.hub {
+            hub.ended(ended);
+        }
     }
 }
 
@@ -271,6 +278,7 @@ impl Wires {
                 clock: publish("/clock", msg::Clock::TYPE)?,
                 began: Stamp(0),
                 now: Stamp(0),
+                hub: None,
             },
             outputs: Outputs::new(
                 publish("/prediction", ParticleFrame::TYPE)?,

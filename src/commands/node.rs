@@ -85,7 +85,7 @@ pub fn run(
     let control = Arc::new(Control::default());
     let _services = serve(&transports, &renamed, ros, &control).context("cannot offer services")?;
 
-    // Its onlooker ends with the outputs, the page after them.
+    // It ends before the outputs, whose onlooker then speaks to a hub that nobody reads.
     let page = args.view.map(|address| {
         let program = Program {
             command: "node",

@@ -86,6 +86,7 @@ impl Onlooker for NodeOnlooker {
             rate: rates.rate,
             latency: [rates.latency_p50, rates.latency_p99],
             streams,
+            lost: counters.frames_lost(),
             counters: counters.named().to_vec(),
         });
     }

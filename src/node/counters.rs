@@ -123,10 +123,36 @@ impl Counters {
             + self.wrong_particles
     }
 
-    /// Frames that did not arrive, or not in time, and predictions that did not leave.
+    /// Frames that streams lost before the model saw them, none of them twice: a frame that the transport or the queue
+    /// gave up is a gap in its stream, too, so it is the larger of the two counts. Duplicates, frames that came too late
+    /// for their gap, and predictions that did not leave are not among them.
+    pub fn frames_lost(&self) -> u64 {
+        let gaps = self.filled.saturating_add(self.missing);
+        gaps.max(self.dropped_from_queue.saturating_add(self.lost_in_transport))
+    }
+
+    /// Grows whenever a frame did not arrive, or not in time, or a prediction did not leave. One loss may count twice:
+    /// as what dropped it, and as the gap that it left.
     pub fn lost(&self) -> u64 {
         [self.late, self.missing, self.filled, self.dropped_from_queue, self.lost_in_transport]
             .into_iter()
             .fold(self.unpublished, u64::saturating_add)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_that_was_dropped_and_left_a_gap_is_lost_once() {
+        let dropped = Counters { dropped_from_queue: 3, ..Counters::default() };
+        assert_eq!(dropped.frames_lost(), 3, "before its stream goes on");
+        let gap = Counters { filled: 1, missing: 2, ..dropped };
+        assert_eq!(gap.frames_lost(), 3);
+        let elsewhere = Counters { missing: 9, ..gap };
+        assert_eq!(elsewhere.frames_lost(), 10, "those that nobody dropped here");
+        let late = Counters { late: 5, unpublished: 5, ..elsewhere };
+        assert_eq!(late.frames_lost(), 10);
     }
 }

@@ -13,8 +13,9 @@ use crate::{
     model::Ballistic,
 };
 
-/// Pairs that errors are averaged over for each number of frames ahead: a second of the usual 16 ms.
-const AVERAGED: usize = 62;
+/// Simulation time that errors are averaged over for each number of frames ahead (s), and pairs, at most.
+const AVERAGED: f64 = 1.0;
+const AVERAGED_PAIRS: usize = 1024;
 /// Points of the curve over time.
 const POINTS: usize = 375;
 /// Frames that wait for their counterpart, at most; of large ones as many as fit [`WAITING_BYTES`].
@@ -58,7 +59,7 @@ pub struct Pair {
     pub baseline: Option<(Baseline, f64)>,
 }
 
-/// Mean errors of the last second, of predictions so many frames ahead.
+/// Mean errors of predictions so many frames ahead, over the second of simulation time before the last of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Frames ahead.
@@ -92,6 +93,8 @@ pub struct Curves {
 /// Squared errors of one pair: the model's, and each baseline's.
 #[derive(Clone, Copy, Debug)]
 struct Squared {
+    /// Simulation time (s).
+    time: f64,
     model: f64,
     baselines: Option<[f64; Baseline::ALL.len()]>,
 }
@@ -218,14 +221,11 @@ impl Comparison {
         }
         let recent = self.recent.entry(ahead.frames).or_default();
         recent.used = self.pairs;
-        recent.errors.push_back(Squared { model, baselines });
-        if recent.errors.len() > AVERAGED {
-            recent.errors.pop_front();
-        }
+        let time = truth.stamp.seconds();
+        recent.push(Squared { time, model, baselines });
         let best = recent.best().map(|(best, _)| best);
         let baseline = best.zip(baselines).map(|(best, all)| (best, all[best as usize].sqrt()));
         let error = model.sqrt();
-        let time = truth.stamp.seconds();
         let point = Point { time, error, baseline: baseline.map(|(_, error)| error) };
         // Of several predictions of one instant the curve has that from farthest away.
         if self.time.back().is_some_and(|last| last.time >= time) {
@@ -292,7 +292,7 @@ impl Comparison {
         }
     }
 
-    /// The mean errors of the last second, as many frames ahead as the last pair.
+    /// The mean errors of the last second of simulation time, as many frames ahead as the last pair.
     pub fn summary(&self) -> Option<Summary> {
         let frames = self.last?;
         self.recent.get(&frames)?.summary(frames)
@@ -319,6 +319,15 @@ impl Comparison {
 }
 
 impl Recent {
+    /// One more; those from more than a second before, or after, go.
+    fn push(&mut self, squared: Squared) {
+        let old = |first: &Squared| (squared.time - first.time).abs() >= AVERAGED;
+        while self.errors.len() >= AVERAGED_PAIRS || self.errors.front().is_some_and(old) {
+            self.errors.pop_front();
+        }
+        self.errors.push_back(squared);
+    }
+
     /// The baseline with the smallest mean of squared errors, and that mean.
     fn best(&self) -> Option<(Baseline, f64)> {
         let known = || self.errors.iter().filter_map(|squared| squared.baselines);
@@ -407,6 +416,24 @@ mod tests {
         let (best, error) = summary.baseline.unwrap();
         assert_eq!(best, Baseline::Ballistic);
         assert!(error < 1e-5, "{error}");
+    }
+
+    #[test]
+    fn errors_are_averaged_over_a_second_however_many_frames_it_has() {
+        let mut comparison = comparison();
+        for (second, rate, error) in [(0, 62, 0.5), (1, 10, 0.01), (2, 200, 0.02)] {
+            for i in 0..rate {
+                let sequence = second * 1_000 + i;
+                let stamp = Stamp((second * 1_000_000_000 + i * 1_000_000_000 / rate) as i64);
+                let truth = Frame { sequence, stamp, ..(*falling(0, 0.0)).clone() };
+                let position = vec![[0.5, truth.position[0][1] + error]];
+                let predicted = Frame { position, ..truth.clone() };
+                comparison.prediction(Arc::new(predicted), ahead(sequence - i, 1));
+                comparison.truth(Arc::new(truth));
+            }
+            let summary = comparison.summary().unwrap();
+            assert!((summary.error - f64::from(error)).abs() < 1e-6, "{second}: {summary:?}");
+        }
     }
 
     #[test]

@@ -58,7 +58,7 @@ impl Command {
     }
 }
 
-/// How what is controlled is set now; `None` where it has no such thing.
+/// How what is controlled is set now; `None` where it has no such thing, or did not say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct State {
     /// Whether the source pauses.
@@ -71,6 +71,19 @@ pub struct State {
     pub publish_all: Option<bool>,
     /// Whether streams are simulated alone.
     pub free_run: Option<bool>,
+}
+
+impl State {
+    /// This, and where it says nothing what was known `before`.
+    pub(super) fn or(self, before: Self) -> Self {
+        Self {
+            paused: self.paused.or(before.paused),
+            rate: self.rate.or(before.rate),
+            horizon: self.horizon.or(before.horizon),
+            publish_all: self.publish_all.or(before.publish_all),
+            free_run: self.free_run.or(before.free_run),
+        }
+    }
 }
 
 /// For what is shown and cannot be controlled.
@@ -104,4 +117,18 @@ pub trait Controls: Send + Sync {
 
     /// How it is set now.
     fn state(&self) -> State;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_does_not_answer_is_set_as_before() {
+        let before = State { paused: Some(true), horizon: Some(5), ..State::default() };
+        let now = State { paused: Some(false), free_run: Some(true), ..State::default() };
+        let known = State { horizon: Some(5), ..now };
+        assert_eq!(now.or(before), known);
+        assert_eq!(State::default().or(before), before);
+    }
 }

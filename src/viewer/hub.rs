@@ -27,7 +27,7 @@ const WAITING: usize = 8;
 const LISTED: usize = 256;
 /// A stream that was silent for so long makes room as the one that is shown.
 const SILENT: Duration = Duration::from_secs(1);
-/// A stream that was silent for so long is no longer listed.
+/// A stream that was silent for so long, while others were not, is no longer listed, and nobody's choice any more.
 const GONE: Duration = Duration::from_secs(10);
 
 /// A copy of a frame.
@@ -48,6 +48,8 @@ pub struct Report {
     pub latency: [Duration; 2],
     /// Streams that the node keeps.
     pub streams: usize,
+    /// Frames that were lost before the model saw them.
+    pub lost: u64,
     /// Everything it counts, by name.
     pub counters: Vec<(&'static str, u64)>,
 }
@@ -68,11 +70,44 @@ pub struct Hub {
 #[derive(Debug, Default)]
 struct State {
     browsers: Vec<Arc<Mailbox>>,
-    streams: BTreeMap<u64, Duration>,
+    streams: BTreeMap<u64, Seen>,
+    /// When a frame of any stream came last.
+    latest: Duration,
     /// The stream that is shown to who did not choose one.
     current: Option<u64>,
     report: Option<Report>,
     curves: BTreeMap<u64, Arc<Curves>>,
+}
+
+/// What is known of a stream.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// When its last frame came.
+    at: Duration,
+    /// Whether its source said that no more come, but for those that are on their way.
+    ended: bool,
+}
+
+impl State {
+    /// Whether it makes room as the one that is shown.
+    fn is_over(&self, stream: u64) -> bool {
+        let seen = self.streams.get(&stream);
+        seen.is_none_or(|seen| seen.ended || self.latest.saturating_sub(seen.at) > SILENT)
+    }
+
+    /// Forgets streams of which nothing came while others went on; where all pause, all stay.
+    fn forget(&mut self) {
+        let Self { streams, current, latest, browsers, .. } = self;
+        streams.retain(|&stream, seen| {
+            latest.saturating_sub(seen.at) < GONE || *current == Some(stream)
+        });
+        for browser in browsers {
+            let gone = |stream| streams.get(&stream).is_none_or(|seen: &Seen| seen.ended);
+            if browser.stream().is_some_and(gone) {
+                browser.select(None);
+            }
+        }
+    }
 }
 
 impl Default for Hub {
@@ -116,21 +151,29 @@ impl Hub {
         self.lock().report = Some(report);
     }
 
+    /// A stream has ended: the next one is shown to who did not choose another.
+    pub fn ended(&self, stream: u64) {
+        let mut state = self.lock();
+        if let Some(seen) = state.streams.get_mut(&stream) {
+            seen.ended = true;
+        }
+    }
+
     /// Whether a browser wants to see this stream, which is listed from now on.
     fn wants(&self, stream: u64) -> bool {
         let now = self.clock.now();
         let mut state = self.lock();
+        state.latest = now;
         if state.streams.len() >= LISTED {
-            state.streams.retain(|_, seen| now.saturating_sub(*seen) < GONE);
+            state.forget();
         }
         if state.streams.len() < LISTED || state.streams.contains_key(&stream) {
-            state.streams.insert(stream, now);
+            let seen = state.streams.entry(stream).or_insert(Seen { at: now, ended: false });
+            seen.at = now;
         }
-        let silent = |current| {
-            let seen = state.streams.get(&current);
-            seen.is_none_or(|seen| now.saturating_sub(*seen) > SILENT)
-        };
-        if state.current.is_none_or(silent) {
+        // What is still on its way from a stream that ended takes nobody's place.
+        let goes_on = state.streams.get(&stream).is_none_or(|seen| !seen.ended);
+        if goes_on && state.current.is_none_or(|current| state.is_over(current)) {
             state.current = Some(stream);
         }
         let current = state.current;
@@ -190,12 +233,12 @@ impl Hub {
 
     /// The streams that were seen lately, and the one that is shown.
     pub(super) fn streams(&self) -> Vec<u64> {
-        let now = self.clock.now();
         let mut state = self.lock();
-        let State { streams, current, .. } = &mut *state;
-        streams
-            .retain(|&stream, seen| now.saturating_sub(*seen) < GONE || *current == Some(stream));
-        streams.keys().copied().collect()
+        state.forget();
+        let shown = |(&stream, seen): (&u64, &Seen)| {
+            (!seen.ended || state.current == Some(stream)).then_some(stream)
+        };
+        state.streams.iter().filter_map(shown).collect()
     }
 
     pub(super) fn last_report(&self) -> Option<Report> {
@@ -266,6 +309,41 @@ mod tests {
         assert!(
             matches!(hub.next(Duration::ZERO), Some(Copied::Truth(frame)) if frame.stream == 5)
         );
+    }
+
+    #[test]
+    fn a_stream_that_ended_makes_room_at_once_and_is_nobodys_choice() {
+        let hub = Hub::default();
+        let (follower, other) = (hub.join(3).unwrap(), hub.join(3).unwrap());
+        let observe = |stream| hub.observed(&(&frame(stream)).into());
+        let copied = || match hub.next(Duration::ZERO) {
+            Some(Copied::Truth(frame)) => Some(frame.stream),
+            _ => None,
+        };
+        observe(4);
+        other.select(Some(4));
+        assert_eq!(copied(), Some(4));
+        hub.ended(4);
+        // What was on its way is shown, until the next one begins.
+        observe(4);
+        assert_eq!(copied(), Some(4));
+        observe(5);
+        assert_eq!(copied(), Some(5));
+        assert_eq!(hub.streams(), [5]);
+        assert_eq!((follower.stream(), other.stream()), (None, None));
+        observe(4);
+        assert_eq!(copied(), None);
+        assert_eq!(hub.curves(&other).0, Some(5));
+    }
+
+    #[test]
+    fn a_choice_that_was_never_there_is_given_up() {
+        let hub = Hub::default();
+        let browser = hub.join(1).unwrap();
+        hub.observed(&(&frame(4)).into());
+        browser.select(Some(9));
+        assert_eq!(hub.streams(), [4]);
+        assert_eq!(browser.stream(), None);
     }
 
     #[test]

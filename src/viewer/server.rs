@@ -22,7 +22,11 @@ use axum::{
     response::{IntoResponse, Response},
     routing::get,
 };
-use tokio::{runtime, sync::watch, time};
+use tokio::{
+    runtime,
+    sync::{self, mpsc, watch},
+    time,
+};
 
 use super::{
     Command, Comparison, Controls, Hub, ListenAddress, Program, State, composer, gate,
@@ -41,6 +45,8 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const FIGURES: Duration = Duration::from_millis(250);
 /// What a page may say at once (bytes).
 const SAID: usize = 1024;
+/// Commands of one page that wait while another of its own is done.
+const COMMANDS: usize = 4;
 /// How long the end waits for browsers to be told.
 const FAREWELL: Duration = Duration::from_millis(300);
 
@@ -91,6 +97,8 @@ struct House {
     controls: Arc<dyn Controls>,
     /// What the controls were last seen to be.
     state: Mutex<State>,
+    /// Held while they are looked at: what was seen later is not replaced by what was seen before.
+    looking: sync::Mutex<()>,
     /// This run of the program.
     instance: String,
     /// This machine's name.
@@ -126,6 +134,7 @@ impl Viewer {
             program,
             controls,
             state: Mutex::default(),
+            looking: sync::Mutex::default(),
             instance: format!("{}-{}", std::process::id(), clock::wall().0),
             name: sysinfo::System::host_name(),
             stop: stopped,
@@ -238,7 +247,10 @@ async fn connect(Shared(house): Shared<Arc<House>>, upgrade: WebSocketUpgrade) -
         let full = format!("found {BROWSERS} browsers, expected fewer\n");
         return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();
     };
-    let visit = Visit { house, mailbox, credit: UNDRAWN, sent: 0 };
+    let (commands, asked) = mpsc::channel(COMMANDS);
+    // Ends with the visit, whose commands it still does.
+    tokio::spawn(serve_commands(Arc::clone(&house), Arc::clone(&mailbox), asked));
+    let visit = Visit { house, mailbox, commands, credit: UNDRAWN, sent: 0 };
     let upgrade = upgrade.max_message_size(SAID).max_frame_size(SAID);
     upgrade.on_upgrade(move |socket| async move {
         let mut visit = visit;
@@ -252,6 +264,8 @@ async fn connect(Shared(house): Shared<Arc<House>>, upgrade: WebSocketUpgrade) -
 struct Visit {
     house: Arc<House>,
     mailbox: Arc<Mailbox>,
+    /// What it asks for, to be done in this order.
+    commands: mpsc::Sender<Command>,
     /// Frames that it may be sent before it has drawn one.
     credit: u32,
     sent: u64,
@@ -312,37 +326,54 @@ impl Visit {
                 self.mailbox.select(select.and_then(|stream| stream.parse().ok()));
             }
             Ok(Said::Command(command)) => {
-                let (house, mailbox) = (Arc::clone(&self.house), Arc::clone(&self.mailbox));
-                tokio::spawn(act(house, mailbox, command));
+                if self.commands.try_send(command).is_err() {
+                    let busy = Err("still busy with what was asked for before".to_owned());
+                    let state = *self.house.state();
+                    self.mailbox.say(words::outcome(&command, &busy, &state));
+                }
             }
             Err(error) => tracing::debug!("page: found `{text}`, expected a command: {error}"),
         }
     }
 }
 
-/// Does what a page asks for, and tells it.
-async fn act(house: Arc<House>, mailbox: Arc<Mailbox>, command: Command) {
+/// Does what one page asks for, one after the other, and tells it.
+async fn serve_commands(
+    house: Arc<House>,
+    mailbox: Arc<Mailbox>,
+    mut asked: mpsc::Receiver<Command>,
+) {
+    while let Some(command) = asked.recv().await {
+        let outcome = act(&house, command).await;
+        let state = *house.state();
+        mailbox.say(words::outcome(&command, &outcome, &state));
+    }
+}
+
+async fn act(house: &House, command: Command) -> Result<String, String> {
     let controls = Arc::clone(&house.controls);
     let offered = match command {
         // One button, two words.
         Command::Resume => controls.offered().contains(&"pause"),
         _ => controls.offered().contains(&command.name()),
     };
-    let outcome = if offered {
-        let acted = tokio::task::spawn_blocking(move || controls.act(command)).await;
-        acted.unwrap_or_else(|_| Err("it could not be done".to_owned()))
-    } else {
-        Err(format!("found {}, expected one of {}", command.name(), controls.offered().join(", ")))
-    };
+    if !offered {
+        let expected = controls.offered().join(", ");
+        return Err(format!("found {}, expected one of {expected}", command.name()));
+    }
+    let acted = tokio::task::spawn_blocking(move || controls.act(command)).await;
+    // Of what failed a part may be done.
     house.refresh().await;
-    mailbox.say(words::outcome(&command, &outcome));
+    acted.unwrap_or_else(|_| Err("it could not be done".to_owned()))
 }
 
 impl House {
     async fn refresh(&self) {
+        let _looking = self.looking.lock().await;
         let controls = Arc::clone(&self.controls);
-        if let Ok(state) = tokio::task::spawn_blocking(move || controls.state()).await {
-            *self.state() = state;
+        if let Ok(seen) = tokio::task::spawn_blocking(move || controls.state()).await {
+            let mut state = self.state();
+            *state = seen.or(*state);
         }
     }
 

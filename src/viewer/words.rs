@@ -105,6 +105,7 @@ fn node(report: &Report) -> Value {
         "rate": report.rate,
         "latency": report.latency.map(|latency| latency.as_secs_f64()),
         "streams": report.streams,
+        "lost": report.lost,
         "counters": counters,
     })
 }
@@ -120,13 +121,18 @@ fn drawn(Curves { time, ahead }: &Curves) -> Value {
     json!({ "time": time, "ahead": rows, "baseline": best })
 }
 
-/// What became of a command.
-pub(super) fn outcome(command: &Command, outcome: &Result<String, String>) -> String {
+/// What became of a command, and how what is controlled is set since.
+pub(super) fn outcome(
+    command: &Command,
+    outcome: &Result<String, String>,
+    state: &State,
+) -> String {
     let (done, said) = match outcome {
         Ok(said) => (true, said),
         Err(said) => (false, said),
     };
-    json!({ "type": "outcome", "of": command.name(), "done": done, "said": said }).to_string()
+    json!({ "type": "outcome", "of": command.name(), "done": done, "said": said, "state": state })
+        .to_string()
 }
 
 #[cfg(test)]

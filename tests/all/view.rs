@@ -3,14 +3,17 @@
 use std::{
     io::{Read as _, Write as _},
     net::TcpStream,
-    sync::Arc,
+    sync::{Arc, Mutex, mpsc},
     time::{Duration, Instant},
 };
 
 use eddy::{
     checkpoint::Checkpoint,
     frame::{Domain, Frame, FrameView, Material, Stamp},
-    viewer::{Ahead, Comparison, HEADER, Hub, ListenAddress, NoControls, Program, Viewer},
+    viewer::{
+        Ahead, Command, Comparison, Controls, HEADER, Hub, ListenAddress, NoControls, Program,
+        State, Viewer,
+    },
 };
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
@@ -205,6 +208,10 @@ fn ask_http(address: &str, path: &str, fields: &str) -> String {
 
 /// A page on a free port, without a program.
 fn page() -> (Viewer, Arc<Hub>, String) {
+    page_of(Arc::new(NoControls))
+}
+
+fn page_of(controls: Arc<dyn Controls>) -> (Viewer, Arc<Hub>, String) {
     let model = Checkpoint::shipped().unwrap().description;
     let hub = Arc::new(Hub::default());
     let viewer = Viewer::start(
@@ -212,7 +219,7 @@ fn page() -> (Viewer, Arc<Hub>, String) {
         Arc::clone(&hub),
         Comparison::new(&model),
         Program::default(),
-        Arc::new(NoControls),
+        controls,
     );
     let viewer = viewer.unwrap();
     let address = viewer.address().to_string();
@@ -304,6 +311,56 @@ fn a_browser_that_never_reads_costs_frames_and_nothing_else() {
     });
     let (dropped, made) = (&figures["page"]["dropped"], &figures["page"]["shown"]);
     assert!(dropped.as_u64().unwrap() + 5 >= made.as_u64().unwrap(), "{dropped} of {made}");
+}
+
+/// Sets a horizon, each time that the test lets it.
+struct Slow {
+    set: Mutex<Vec<u32>>,
+    allowed: Mutex<mpsc::Receiver<()>>,
+}
+
+impl Controls for Slow {
+    fn offered(&self) -> &'static [&'static str] {
+        &["horizon"]
+    }
+
+    fn act(&self, command: Command) -> Result<String, String> {
+        self.allowed.lock().unwrap().recv_timeout(DEADLINE).unwrap();
+        let Command::Horizon { frames } = command else { return Err(command.name().to_owned()) };
+        self.set.lock().unwrap().push(frames);
+        Ok(String::new())
+    }
+
+    fn state(&self) -> State {
+        State { horizon: self.set.lock().unwrap().last().copied(), ..State::default() }
+    }
+}
+
+#[test]
+fn what_a_page_asks_for_is_done_in_order_and_what_is_too_much_is_refused() {
+    const ASKED: u32 = 12;
+    let (allow, allowed) = mpsc::channel();
+    let slow = Arc::new(Slow { set: Mutex::default(), allowed: Mutex::new(allowed) });
+    let (_viewer, _hub, address) = page_of(Arc::clone(&slow) as Arc<dyn Controls>);
+    let (mut browser, _) = Browser::open(&address);
+    for frames in 1..=ASKED {
+        browser.say(json!({ "do": "horizon", "frames": frames }));
+    }
+    // While the first is not done, four more wait: the others are refused at once.
+    let refused = browser.words("outcome");
+    assert_eq!(refused["done"], false, "{refused}");
+    assert!(refused["said"].as_str().unwrap().starts_with("still busy"), "{refused}");
+    (0..ASKED).for_each(|_| allow.send(()).unwrap());
+    let mut states = Vec::new();
+    for _ in 1..ASKED {
+        let outcome = browser.words("outcome");
+        if outcome["done"] == true {
+            states.push(outcome["state"]["horizon"].as_u64().unwrap() as u32);
+        }
+    }
+    let set = slow.set.lock().unwrap().clone();
+    assert!(set.is_sorted() && set.len() >= 4 && set.len() < ASKED as usize, "{set:?}");
+    assert_eq!(states, set, "every outcome says what is set since");
 }
 
 #[test]

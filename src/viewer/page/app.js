@@ -3,7 +3,7 @@
 import { draw as drawChart } from "/chart.js";
 import { read } from "/frame.js";
 import { Link } from "/link.js";
-import { Painter } from "/painter.js";
+import { Painter, scaleStart } from "/painter.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
@@ -11,13 +11,13 @@ const root = document.documentElement;
 /** What is known now. */
 const now = {
   hello: null, figures: null, frame: null, next: null, undrawn: 0,
+  state: {}, asked: 0, until: 0,
   held: false, steps: 0, dirty: true, drawn: [], offered: new Set(), curves: null,
 };
 const view = { over: false, colour: "material" };
 
 // --- colours
 
-const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
 const probe = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
 /** A colour of the style sheet as numbers from 0 to 1. */
 function numbers(name) {
@@ -68,7 +68,7 @@ const link = new Link({
   opened() {
     clearInterval(counting);
     connection("open", "connected");
-    now.undrawn = 0;
+    now.undrawn = now.asked = 0;
     now.next = null;
   },
   closed(wait) {
@@ -87,6 +87,8 @@ const link = new Link({
     else if (words.type === "outcome") {
       if (!words.done) say(`${words.of.replace("_", " ")}: ${words.said}`);
       else if (words.said) say(words.said);
+      now.asked = Math.max(0, now.asked - 1);
+      if (isSettled()) showState(words.state);
     }
   },
   frame(buffer) {
@@ -147,7 +149,7 @@ function greet(hello) {
 let painter = null;
 let failure = "";
 try {
-  painter = new Painter($("particles"));
+  painter = new Painter($("particles"), () => { now.dirty = true; });
 } catch (error) {
   failure = error.message;
   $("waiting").textContent = `${failure}: particles cannot be drawn`;
@@ -193,7 +195,7 @@ function caption() {
   const when = (side) => (side.there ? `t = ${side.stamp.toFixed(2)} s, frame ${side.sequence}` : "");
   const ahead = frame.ahead ? `, ${frame.ahead} ahead${frame.free ? ", free run" : ""}` : "";
   $("truth").querySelector(".when").textContent = when(truth);
-  const predicted = prediction.there ? when(prediction) + ahead : "warming up";
+  const predicted = prediction.there ? when(prediction) + ahead : now.hello?.model ? "warming up" : "no prediction";
   $("prediction").querySelector(".when").textContent = predicted;
   const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
   $("stage").style.setProperty("--aspect", Math.min(Math.max(aspect, 0.5), 4));
@@ -219,7 +221,7 @@ function drawLegend() {
   if (view.colour === "material") {
     for (const { name, color } of hello.materials) named(css(color), name);
   } else {
-    const from = isDark() ? 0.18 : 0;
+    const from = scaleStart(isDark());
     const at = (share) => {
       const place = (from + (1 - from) * share) * 8;
       const below = Math.min(Math.floor(place), 7);
@@ -235,7 +237,7 @@ function drawLegend() {
     entry.append(high);
     entries.push(entry);
   }
-  if (view.over) named(colour("--ghost") && solid("--ghost"), "truth, below the prediction");
+  if (view.over) named(solid("--ghost"), "truth, below the prediction");
   legend.replaceChildren(...entries);
 }
 
@@ -267,18 +269,17 @@ function rows(list, entries) {
 function show(figures) {
   now.figures = figures;
   now.curves = figures.curves;
-  const { node, page, state } = figures;
+  const { node, page } = figures;
   const observed = rate(figures);
   const span = now.drawn.length > 1 ? now.drawn.at(-1) - now.drawn[0] : 0;
   const drawnRate = span > 0 && performance.now() - now.drawn.at(-1) < 1000 ? (1e3 * (now.drawn.length - 1)) / span : 0;
-  const counted = Object.fromEntries(node?.counters ?? []);
   const entries = [];
   if (now.frame) entries.push(["particles", count(now.frame.particles)]);
   if (observed != null) entries.push(["frames observed", `${observed.toFixed(0)} /s`]);
   if (node) {
     entries.push(["predictions", `${node.rate.toFixed(0)} /s`]);
     entries.push(["latency p50, p99", `${milliseconds(node.latency[0])}, ${milliseconds(node.latency[1])}`]);
-    entries.push(["frames the node lost", count((counted.dropped_from_queue ?? 0) + (counted.lost_in_transport ?? 0) + (counted.missing ?? 0))]);
+    entries.push(["frames the node lost", count(node.lost)]);
     entries.push(["streams", count(node.streams)]);
   } else {
     entries.push(["streams", count(figures.streams.length)]);
@@ -292,6 +293,15 @@ function show(figures) {
   $("renderer").textContent = painter ? `drawn by ${painter.renderer}` : failure;
   rows($("counters"), (node?.counters ?? []).map(([name, value]) => [name.replaceAll("_", " "), count(value)]));
 
+  if (isSettled()) showState(figures.state);
+  streams(figures);
+  drawCurves();
+  if (view.colour === "speed") drawLegend();
+}
+
+/** How the program is set; while commands are on their way, how it will be set. */
+function showState(state) {
+  now.state = state;
   const pressed = (id, on) => $(id).setAttribute("aria-pressed", String(Boolean(on)));
   pressed("pause", state.paused);
   $("pause").textContent = state.paused ? "Go on" : "Pause";
@@ -299,9 +309,6 @@ function show(figures) {
   pressed("publish_all", state.publish_all);
   if (state.horizon != null && document.activeElement !== $("horizon")) $("horizon").value = state.horizon;
   if (state.rate != null && document.activeElement !== $("rate")) choose($("rate"), String(state.rate), `${state.rate.toFixed(2)}×`);
-  streams(figures);
-  drawCurves();
-  if (view.colour === "speed") drawLegend();
 }
 
 /** Selects a value, which becomes an option if it is none. */
@@ -338,7 +345,26 @@ addEventListener("resize", () => { now.dirty = true; drawCurves(); });
 
 // --- what the user wants
 
-const does = (name, more = {}) => link.say({ do: name, ...more });
+const PATIENCE = 7000; // ms: an answer that has not come by then was lost
+/** Whether nothing was asked for that changes what the program says of itself. */
+const isSettled = () => now.asked === 0 || performance.now() > now.until;
+/** Asks for something, after which the program will be set as in `then`. */
+function does(name, more = {}, then = {}) {
+  if (!link.say({ do: name, ...more })) return say("not connected");
+  now.asked += 1;
+  now.until = performance.now() + PATIENCE;
+  showState({ ...now.state, ...then });
+}
+/** Turns on what is off, and off what is on. */
+function toggle(name) {
+  if (!now.offered.has(name)) return;
+  const on = now.state[name];
+  if (on == null) say(`${name.replace("_", " ")}: not known yet whether it is on`);
+  else does(name, { on: !on }, { [name]: !on });
+}
+function pause(paused) {
+  does(paused ? "pause" : "resume", {}, { paused });
+}
 function hold(held) {
   now.held = held;
   now.steps = 0;
@@ -347,26 +373,26 @@ function hold(held) {
 }
 const actions = {
   pause() {
-    if (now.offered.has("pause")) does(now.figures?.state.paused ? "resume" : "pause");
+    if (now.offered.has("pause")) pause(!now.state.paused);
     else hold(!now.held);
   },
   step() {
     if (now.held) now.steps += 1;
     else if (now.offered.has("step")) {
-      if (!now.figures?.state.paused) does("pause");
+      if (!now.state.paused) pause(true);
       does("step");
     }
   },
   reset: () => now.offered.has("reset") && does("reset"),
-  free_run: () => now.offered.has("free_run") && does("free_run", { on: !now.figures?.state.free_run }),
-  publish_all: () => now.offered.has("publish_all") && does("publish_all", { on: !now.figures?.state.publish_all }),
+  free_run: () => toggle("free_run"),
+  publish_all: () => toggle("publish_all"),
   horizon(frames) {
     if (!now.offered.has("horizon")) return;
     const wanted = Math.round(frames);
-    if (wanted >= 1 && wanted <= 10000) does("horizon", { frames: wanted });
+    if (wanted >= 1 && wanted <= 10000) does("horizon", { frames: wanted }, { horizon: wanted });
     else say(`horizon: found ${frames}, expected 1 to 10000`);
   },
-  longer: (by) => actions.horizon(Math.max(1, (now.figures?.state.horizon ?? 1) + by)),
+  longer: (by) => actions.horizon(Math.max(1, (now.state.horizon ?? 1) + by)),
   skip: (seconds) => now.offered.has("skip") && does("skip", { seconds }),
   view() {
     view.over = !view.over;
@@ -394,7 +420,10 @@ $("hold").addEventListener("click", () => actions.pause());
 $("back").addEventListener("click", () => actions.skip(-5));
 $("on").addEventListener("click", () => actions.skip(5));
 $("horizon").addEventListener("change", (event) => actions.horizon(Number(event.target.value)));
-$("rate").addEventListener("change", (event) => does("rate", { rate: Number(event.target.value) }));
+$("rate").addEventListener("change", (event) => {
+  const rate = Number(event.target.value);
+  does("rate", { rate }, { rate });
+});
 $("view").addEventListener("change", () => actions.view());
 $("colour").addEventListener("change", (event) => actions.colour(event.target.value));
 $("stream").addEventListener("change", (event) => link.say({ select: event.target.value || null }));

@@ -41,7 +41,10 @@ export class Link {
     if (this.timer) this.connect();
   }
 
+  /** Whether it is said: without a connection it is not. */
   say(words) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(words));
+    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(words));
+    return true;
   }
 }

@@ -9,7 +9,7 @@ uniform float size;
 uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
 uniform vec3 materials[4];
 uniform vec3 scale[9];
-uniform float from;                     // where the scale begins: its dark end is lost on a dark ground
+uniform float from;                     // where the scale begins
 uniform vec3 plain;
 out vec3 colour;
 vec3 shade(float share) {
@@ -39,14 +39,20 @@ void main() {
 const COLOURINGS = ["material", "speed", "error", "plain"];
 // Particles fill about so much of the domain when they lie still.
 const FILLED = 0.22;
+/** Where the scale begins, from 0 to 1: its dark end is lost on a dark ground. */
+export const scaleStart = (dark) => (dark ? 0.18 : 0);
 
 export class Painter {
-  constructor(canvas) {
+  /** `redraw` is called when what was drawn is gone. */
+  constructor(canvas, redraw) {
     this.canvas = canvas;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: true, premultipliedAlpha: true });
     if (!this.gl) throw new Error("this browser has no WebGL 2");
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => this.prepare());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.prepare();
+      redraw();
+    });
     this.prepare();
   }
 
@@ -103,7 +109,7 @@ export class Painter {
     }
     gl.uniform3fv(uniform.materials, this.palette[0]);
     gl.uniform3fv(uniform.scale, this.palette[1]);
-    gl.uniform1f(uniform.from, dark ? 0.18 : 0);
+    gl.uniform1f(uniform.from, scaleStart(dark));
     gl.uniform3fv(uniform.plain, plain);
     for (const { element, layers } of panels) {
       const rect = element.getBoundingClientRect();
