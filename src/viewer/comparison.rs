@@ -424,7 +424,8 @@ mod tests {
         for (second, rate, error) in [(0, 62, 0.5), (1, 10, 0.01), (2, 200, 0.02)] {
             for i in 0..rate {
                 let sequence = second * 1_000 + i;
-                let stamp = Stamp((second * 1_000_000_000 + i * 1_000_000_000 / rate) as i64);
+                // A second of frames, then one without, so that no window holds two of them.
+                let stamp = Stamp((second * 2_000_000_000 + i * 1_000_000_000 / rate) as i64);
                 let truth = Frame { sequence, stamp, ..(*falling(0, 0.0)).clone() };
                 let position = vec![[0.5, truth.position[0][1] + error]];
                 let predicted = Frame { position, ..truth.clone() };
