@@ -17,8 +17,7 @@ use eddy::{
     model::{Architecture, Core, DeviceKind},
     mpm::Law,
     study::Comparison,
-    transport::{Link, Reliability, TransportKind},
-    viewer::ListenAddress,
+    transport::{Link, ListenAddress, Reliability, TransportKind},
 };
 
 pub use bag::{
@@ -426,6 +425,11 @@ pub struct NodeArgs {
     /// that is free.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     pub view: Option<ListenAddress>,
+    /// Show clouds, status and diagnostics to Foxglove's application, which connects to this port, address or both
+    /// [without one: 127.0.0.1:8765].
+    #[cfg(feature = "foxglove")]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    pub foxglove: Option<ListenAddress<8765>>,
     #[command(flatten)]
     pub ros: RosArgs,
 }
@@ -529,6 +533,9 @@ pub struct StudyArgs {
     /// Networks that are trained at a time.
     #[arg(long, default_value_t = NonZeroUsize::MIN)]
     pub jobs: NonZeroUsize,
+    /// What trains the recurrent networks and takes the timed steps.
+    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
+    pub device: DeviceKind,
 }
 
 /// A time that may be waited for.

@@ -18,7 +18,8 @@ use crate::{
     checkpoint::{Checkpoint, CheckpointError},
     clock::Clock,
     frame::FrameView,
-    viewer::{Ahead, Comparison, Hub, ListenAddress, NoControls, Program, Viewer, ViewerError},
+    transport::ListenAddress,
+    viewer::{Ahead, Comparison, Hub, NoControls, Program, Viewer, ViewerError},
 };
 
 /// What is measured.

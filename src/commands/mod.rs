@@ -16,7 +16,6 @@ pub mod topic;
 pub mod train;
 
 mod interrupt;
-mod live;
 mod pace;
 mod page;
 mod pages;

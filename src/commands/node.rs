@@ -11,6 +11,8 @@ use super::{
     surrogate, transport_options,
 };
 use crate::cli::NodeArgs;
+#[cfg(feature = "foxglove")]
+use eddy::transport::{FoxgloveServer, ListenAddress};
 use eddy::{
     config,
     msg::{
@@ -81,6 +83,8 @@ pub fn run(
         .with_context(|| format!("cannot subscribe to {input}"))?;
     let mut outputs = open(&transports, &links, ros, reliability, node.settings().cloud)
         .context("cannot publish")?;
+    #[cfg(feature = "foxglove")]
+    let foxglove = foxglove(args.foxglove, &links, ros, &mut outputs).context("--foxglove")?;
     let mut presence = presence(&transports, input, ros);
     let control = Arc::new(Control::default());
     let _services = serve(&transports, &renamed, ros, &control).context("cannot offer services")?;
@@ -109,6 +113,10 @@ pub fn run(
                 println!("{link} takes {memory}, more for frames of more than 2,560 particles");
             }
         }
+    }
+    #[cfg(feature = "foxglove")]
+    if let Some(server) = &foxglove {
+        println!("foxglove: ws://{}", server.address());
     }
     if let Some(page) = &page {
         page.announce();
@@ -212,6 +220,31 @@ fn open(
         opened.push(outputs);
     }
     Ok(opened)
+}
+
+/// Serves what there is to look at under the names of the first output, if it is wanted.
+#[cfg(feature = "foxglove")]
+fn foxglove(
+    address: Option<ListenAddress<8765>>,
+    links: &Links,
+    ros: &RosNode,
+    outputs: &mut Vec<Outputs>,
+) -> anyhow::Result<Option<FoxgloveServer>> {
+    let (Some(address), Some(output)) = (address, links.outputs.first()) else { return Ok(None) };
+    let server = FoxgloveServer::start(address, &ros.full_name())?;
+    let publish = |link: &Link, type_name| server.publisher(&link.topic, type_name);
+    let cloud = |link| {
+        publish(&ros.beside(link, "cloud"), PointCloud2::TYPE).map(CloudTopic::new).map(Some)
+    };
+    let status = publish(&ros.beside(output, "status"), PredictionStatus::TYPE)?;
+    outputs.push(Outputs {
+        diagnostics: publish(&output.with_topic("/diagnostics"), DiagnosticArray::TYPE)
+            .map(Some)?,
+        prediction_cloud: cloud(output)?,
+        input_cloud: cloud(&links.input)?,
+        ..Outputs::to_look_at(status)
+    });
+    Ok(Some(server))
 }
 
 /// The node in the graph. Simulated time comes from where the frames come from.

@@ -17,9 +17,9 @@ use eddy::{
         Answer, Control, Counters, NodeSettings, Onlooker, Outcome, Prediction, Publish, Remote,
         Request, Wish, diagnostics::Rates,
     },
+    transport::ListenAddress,
     viewer::{
-        Ahead, Command, Comparison, Controls, Hub, ListenAddress, Program, Report, State, Viewer,
-        ViewerError,
+        Ahead, Command, Comparison, Controls, Hub, Program, Report, State, Viewer, ViewerError,
     },
 };
 

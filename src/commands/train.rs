@@ -31,6 +31,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     for (_, output) in &runs {
         check_output(output, args.resume)?;
     }
+    args.device.check()?;
     let dataset = load(&args, quiet)?;
     if !quiet {
         introduce(&config, &dataset);

@@ -27,8 +27,8 @@ const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The topics that one link of a node publishes on.
 pub struct Outputs {
-    /// Predicted frames.
-    pub prediction: Box<dyn Publisher>,
+    /// Predicted frames. Who only looks has their clouds instead.
+    pub prediction: Option<Box<dyn Publisher>>,
     /// How each prediction came to be.
     pub status: Box<dyn Publisher>,
     /// The state of the node, once a second. One of several outputs on the same transport has it.
@@ -46,6 +46,12 @@ pub struct Outputs {
 impl Outputs {
     /// Predictions and their status, nothing else.
     pub fn new(prediction: Box<dyn Publisher>, status: Box<dyn Publisher>) -> Self {
+        Self { prediction: Some(prediction), ..Self::to_look_at(status) }
+    }
+
+    /// The status of predictions, nothing else.
+    pub fn to_look_at(status: Box<dyn Publisher>) -> Self {
+        let prediction = None;
         let (diagnostics, parameter_events) = (None, None);
         let (prediction_cloud, input_cloud) = (None, None);
         let onlookers = Vec::new();
@@ -294,12 +300,13 @@ impl Sink<'_> {
         prediction.status(latency, &self.digest, &mut self.status);
         cdr::encode_into(&self.status, &mut self.bytes);
         for output in self.outputs.iter_mut() {
-            match output.prediction.publish_frame(prediction.frame) {
-                Ok(()) => self.published += 1,
-                Err(error) => {
+            match output.prediction.as_mut().map(|to| to.publish_frame(prediction.frame)) {
+                Some(Ok(())) => self.published += 1,
+                Some(Err(error)) => {
                     tracing::warn!("{error}");
                     self.unpublished += 1;
                 }
+                None => {}
             }
             log_failure(output.status.publish_cdr(&self.bytes));
         }

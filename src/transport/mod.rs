@@ -9,15 +9,19 @@
 //! 7. `shm`: shared memory, by iceoryx2.
 //! 8. `zenoh`: the wire of ROS 2's rmw_zenoh.
 //! 9. `dds`: the wire of ROS 2's DDS middlewares.
-//! 10. `bare`: middlewares alone, to measure against.
+//! 10. `foxglove`: the wire of Foxglove's application, to look at only; `address`: where such a server listens.
+//! 11. `bare`: middlewares alone, to measure against.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may move frames in a form of its own (shared memory does), so every form of [`Payload`]
 //! must be expected from any topic of frames.
 
+mod address;
 mod bare;
 mod dds;
 pub(crate) mod foreign;
+#[cfg(feature = "foxglove")]
+mod foxglove;
 mod link;
 mod memory;
 mod opener;
@@ -30,6 +34,9 @@ mod zenoh;
 pub(crate) use link::{is_absolute_name, is_name_token};
 pub(crate) use queue::Queue;
 
+#[cfg(feature = "foxglove")]
+pub use self::foxglove::{FoxgloveServer, NotServed};
+pub use address::{InvalidAddress, ListenAddress};
 pub use bare::{BarePair, BarePublisher, BareSubscriber};
 pub use link::{InvalidLink, Link, TransportKind};
 pub use payload::Payload;

@@ -5,6 +5,7 @@ use std::{
     sync::Arc,
 };
 
+use super::curves::{Curves, Point, Recent, Squared, Summary};
 use crate::{
     checkpoint::Description,
     dataset::State,
@@ -13,13 +14,10 @@ use crate::{
     model::Ballistic,
 };
 
-/// Simulation time that errors are averaged over for each number of frames ahead (s), and pairs, at most.
-const AVERAGED: f64 = 1.0;
-const AVERAGED_PAIRS: usize = 1024;
 /// Points of the curve over time.
 const POINTS: usize = 375;
 /// Frames that wait for their counterpart, at most; of large ones as many as fit [`WAITING_BYTES`].
-const WAITING: usize = 256;
+const WAITING: usize = 1024;
 const WAITING_BYTES: usize = 64 << 20;
 /// Bytes of a particle in a frame: position, velocity, material.
 const PARTICLE_BYTES: usize = 17;
@@ -57,54 +55,6 @@ pub struct Pair {
     pub error: f64,
     /// The same of the best trivial baseline lately, unless it is unknown or too dear.
     pub baseline: Option<(Baseline, f64)>,
-}
-
-/// Mean errors of predictions so many frames ahead, over the second of simulation time before the last of them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Summary {
-    /// Frames ahead.
-    pub frames: u32,
-    /// Root mean square of the position errors (domain lengths).
-    pub error: f64,
-    /// The best trivial baseline and the same of it.
-    pub baseline: Option<(Baseline, f64)>,
-}
-
-/// One instant of the curve over time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// Simulation time (s).
-    pub time: f64,
-    /// Of the model (domain lengths).
-    pub error: f64,
-    /// Of the best baseline (domain lengths).
-    pub baseline: Option<f64>,
-}
-
-/// What a page draws below the frames.
-#[derive(Clone, Debug, Default)]
-pub struct Curves {
-    /// Errors as time passes.
-    pub time: Vec<Point>,
-    /// Errors by frames ahead.
-    pub ahead: Vec<Summary>,
-}
-
-/// Squared errors of one pair: the model's, and each baseline's.
-#[derive(Clone, Copy, Debug)]
-struct Squared {
-    /// Simulation time (s).
-    time: f64,
-    model: f64,
-    baselines: Option<[f64; Baseline::ALL.len()]>,
-}
-
-/// The last errors of one number of frames ahead.
-#[derive(Debug, Default)]
-struct Recent {
-    errors: VecDeque<Squared>,
-    /// The count of pairs when it was used last.
-    used: u64,
 }
 
 /// The baselines' rollouts from one observed frame, as far as they were needed.
@@ -192,11 +142,22 @@ impl Comparison {
             return self.compare(&truth, frame, ahead);
         }
         if self.waiting.len() >= room(frame.len()) {
-            // Those that are due next are those that will be shown next.
-            self.waiting.pop_last();
+            self.spare();
         }
         self.waiting.insert((frame.sequence, ahead.frames), (frame, ahead));
         None
+    }
+
+    /// Makes room for one more that waits. Where every frame of a long horizon is predicted, powers of two and the
+    /// farthest make a curve; else those that are due next are those that are shown next.
+    fn spare(&mut self) {
+        let farthest = self.waiting.keys().map(|&(_, frames)| frames).max();
+        let between =
+            |&&(_, frames): &&(u64, u32)| !frames.is_power_of_two() && Some(frames) != farthest;
+        match self.waiting.keys().rev().find(between).copied() {
+            Some(key) => self.waiting.remove(&key),
+            None => self.waiting.pop_last().map(|(_, waiting)| waiting),
+        };
     }
 
     /// Forgets what does not belong to this stream, or to its new beginning.
@@ -315,33 +276,6 @@ impl Comparison {
             time: self.time.iter().copied().collect(),
             ahead: fresh.filter_map(|(&frames, recent)| recent.summary(frames)).collect(),
         }
-    }
-}
-
-impl Recent {
-    /// One more; those from more than a second before, or after, go.
-    fn push(&mut self, squared: Squared) {
-        let old = |first: &Squared| (squared.time - first.time).abs() >= AVERAGED;
-        while self.errors.len() >= AVERAGED_PAIRS || self.errors.front().is_some_and(old) {
-            self.errors.pop_front();
-        }
-        self.errors.push_back(squared);
-    }
-
-    /// The baseline with the smallest mean of squared errors, and that mean.
-    fn best(&self) -> Option<(Baseline, f64)> {
-        let known = || self.errors.iter().filter_map(|squared| squared.baselines);
-        let count = known().count();
-        let mean = |which: usize| known().map(|all| all[which]).sum::<f64>() / count as f64;
-        let means = Baseline::ALL.into_iter().enumerate().map(|(i, one)| (one, mean(i)));
-        means.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| count > 0)
-    }
-
-    fn summary(&self, frames: u32) -> Option<Summary> {
-        let count = self.errors.len();
-        let mean = self.errors.iter().map(|squared| squared.model).sum::<f64>() / count as f64;
-        let baseline = self.best().map(|(best, mean)| (best, mean.sqrt()));
-        (count > 0).then(|| Summary { frames, error: mean.sqrt(), baseline })
     }
 }
 
@@ -464,5 +398,22 @@ mod tests {
         comparison.truth(Arc::new(other));
         assert_eq!((comparison.truths.len(), comparison.waiting.len()), (1, 0));
         assert_eq!(room(100_000), 39);
+    }
+
+    #[test]
+    fn a_long_horizon_of_all_frames_is_seen_to_its_end() {
+        const HORIZON: u32 = 100;
+        let mut comparison = comparison();
+        for source in 0..400 {
+            comparison.truth(falling(source, 0.0));
+            for frames in 1..=HORIZON {
+                let sequence = source + u64::from(frames);
+                comparison.prediction(falling(sequence, 0.001), ahead(source, frames));
+            }
+        }
+        let lengths: Vec<u32> = comparison.curves().ahead.iter().map(|s| s.frames).collect();
+        for expected in [1, 2, 4, 8, 16, 32, 64, HORIZON] {
+            assert!(lengths.contains(&expected), "{expected} of {lengths:?}");
+        }
     }
 }

@@ -11,10 +11,7 @@ use std::{
 
 use axum::body::Bytes;
 
-use super::{
-    comparison::{Ahead, Curves},
-    mailbox::Mailbox,
-};
+use super::{comparison::Ahead, curves::Curves, mailbox::Mailbox};
 use crate::{
     clock::Clock,
     frame::{Frame, FrameView},

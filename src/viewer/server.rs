@@ -29,11 +29,11 @@ use tokio::{
 };
 
 use super::{
-    Command, Comparison, Controls, Hub, ListenAddress, Program, State, composer, gate,
+    Command, Comparison, Controls, Hub, Program, State, composer, gate,
     mailbox::{Mail, Mailbox},
     words::{self, Said},
 };
-use crate::clock;
+use crate::{clock, transport::ListenAddress};
 
 /// Browsers at the same time.
 const BROWSERS: usize = 32;

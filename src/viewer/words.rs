@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 
 use super::{
     Command, Controls, Curves, Hub, Report, State,
-    comparison::Summary,
+    curves::Summary,
     mailbox::Mailbox,
     wire::{LARGEST_ERROR, SMALLEST_ERROR},
 };

@@ -7,9 +7,10 @@ use std::{
 };
 
 /// Crates that may appear in some modules only, and those modules.
-const CONFINED: [(&str, &[&str]); 20] = [
+const CONFINED: [(&str, &[&str]); 21] = [
     ("burn", &["model", "train", "eval"]),
     ("mcap", &["bag"]),
+    ("foxglove", &["transport/foxglove"]),
     ("zenoh", &["transport/zenoh"]),
     ("iceoryx2", &["transport/shm"]),
     ("ros2_client", &["transport/dds"]),

@@ -11,6 +11,8 @@ mod client;
 mod documented;
 mod eval;
 mod exchange;
+#[cfg(feature = "foxglove")]
+mod foxglove;
 mod graph;
 mod hostile;
 mod launch;

@@ -52,6 +52,7 @@ pub fn run(
     ensure!(args.particles > 0, "particles: found 0, expected at least 1");
     let mut engines: Vec<_> = args.threads.iter().map(|&threads| Engine::Own(threads)).collect();
     if !args.engine_only {
+        args.device.iter().try_for_each(|device| device.check())?;
         engines.extend(args.device.iter().map(|&device| Engine::Burn(device)));
     }
     let networks = args.core.len() + 1;

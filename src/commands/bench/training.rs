@@ -33,6 +33,7 @@ pub fn run(
 ) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.windows > 0, "windows: found 0, expected at least 1");
+    args.device.check()?;
     pages::keep_freed();
     let steps = if args.step.is_empty() { paper_steps(&FRAMES) } else { args.step.clone() };
     let bar = progress_bar(steps.len() as u64, "steps", quiet);

@@ -8,10 +8,11 @@ use crate::commands::page::{Desk, Page};
 use eddy::{
     bag::{BagMessage, BagReader},
     checkpoint::Checkpoint,
-    frame::{Frame, FrameView, Stamp},
-    msg::{Message, ParticleFrame, PredictionStatus, StreamState, cdr},
+    frame::{Frame, FrameView},
+    msg::{Message, ParticleFrame, PredictionStatus, cdr},
     node::{Asked, Remote},
-    viewer::{Ahead, ListenAddress, Program},
+    transport::ListenAddress,
+    viewer::{Ahead, Explained, Program},
 };
 
 /// What the name of a topic with predictions ends in.
@@ -23,8 +24,8 @@ pub(super) struct Screen {
     remote: Arc<Remote>,
     /// The topic whose frames are the truth: the first one that has frames and no predictions.
     truth: Option<Arc<str>>,
-    /// A prediction whose status has not been played yet.
-    unexplained: Option<Frame>,
+    /// Predictions and their statuses, if the bag has any.
+    explained: Option<Explained>,
 }
 
 impl Screen {
@@ -40,43 +41,39 @@ impl Screen {
         let truths = bag.topics().iter().filter(|topic| topic.type_name == ParticleFrame::TYPE);
         let truth =
             truths.map(|topic| topic.name.as_str()).find(|name| !name.ends_with(PREDICTION));
-        Ok(Self { page, remote, truth: truth.map(Into::into), unexplained: None })
+        let mut topics = bag.topics().iter();
+        let explained = topics.any(|topic| topic.type_name == PredictionStatus::TYPE);
+        let explained = explained.then(Explained::default);
+        Ok(Self { page, remote, truth: truth.map(Into::into), explained })
     }
 
     /// Shows a message, if it is a frame or says how one was predicted.
     pub(super) fn show(&mut self, message: &BagMessage) {
         if !self.page.hub.is_watched() {
-            self.unexplained = None;
+            self.explained.iter_mut().for_each(Explained::clear);
             return;
         }
         let (topic, kind) = (&*message.topic, &*message.type_name);
         if kind == ParticleFrame::TYPE {
             let Ok(frame) = Frame::from_cdr(&message.data) else { return };
             if topic.ends_with(PREDICTION) {
-                if let Some(before) = self.unexplained.replace(frame) {
-                    // Nobody has said how it was predicted.
-                    self.predicted(&before, Ahead { source: 0, frames: 0, free: false });
+                match &mut self.explained {
+                    Some(explained) => explained.prediction(frame),
+                    None => {
+                        let unknown = Ahead { source: 0, frames: 0, free: false };
+                        self.page.hub.predicted(&frame, unknown);
+                    }
                 }
             } else if self.truth.as_deref() == Some(topic) {
                 self.page.hub.observed(&FrameView::from(&frame));
             }
         } else if kind == PredictionStatus::TYPE {
             let Ok(status) = cdr::decode::<PredictionStatus>(&message.data) else { return };
-            let stamp = Stamp::from(status.header.stamp);
-            let explained =
-                |frame: &mut Frame| frame.stream == status.stream && frame.stamp == stamp;
-            let Some(frame) = self.unexplained.take_if(explained) else { return };
-            let ahead = Ahead {
-                source: status.source_sequence,
-                frames: status.horizon,
-                free: status.state == StreamState::FreeRunning as u8,
-            };
-            self.predicted(&frame, ahead);
+            let explained = self.explained.as_mut().and_then(|joined| joined.status(&status));
+            if let Some((frame, ahead)) = explained {
+                self.page.hub.predicted(&frame, ahead);
+            }
         }
-    }
-
-    fn predicted(&self, frame: &Frame, ahead: Ahead) {
-        self.page.hub.predicted(frame, ahead);
     }
 
     /// What was asked for since the last look.

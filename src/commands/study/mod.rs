@@ -33,6 +33,7 @@ use crate::cli::{Cli, Command, StudyArgs};
 use eddy::{
     config::Overrides,
     eval::Report,
+    model::DeviceKind,
     page::command_line,
     study::{Comparison, Folders, StudyConfig, Trained, Variant},
     train::TrainConfig,
@@ -41,6 +42,7 @@ use eddy::{
 /// Runs a comparison.
 pub fn run(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let study = settings(&args)?;
+    args.device.check()?;
     let work = Work {
         folders: Folders::new(&args.output),
         comparison: args.comparison,
@@ -48,6 +50,7 @@ pub fn run(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         presets: args.comparison.presets(&study),
         study: &study,
         jobs: args.jobs.get(),
+        device: args.device,
         quiet,
         interrupt,
         failed: AtomicBool::new(false),
@@ -98,6 +101,8 @@ struct Work<'a> {
     presets: &'a [String],
     /// Networks that are trained at a time.
     jobs: usize,
+    /// What trains the recurrent networks.
+    device: DeviceKind,
     quiet: bool,
     interrupt: &'a Interrupt,
     /// Whether one of them has failed: the others stop.
@@ -160,6 +165,9 @@ impl Work<'_> {
         words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
         words.extend(["--config".into(), in_words(&output.with_extension("toml"))]);
         words.extend(["--output".into(), in_words(&output), "--resume".into()]);
+        if self.device != DeviceKind::default() {
+            words.extend(["--device".into(), self.device.name().into()]);
+        }
         words
     }
 

@@ -8,7 +8,6 @@ use super::{Work, write};
 use crate::commands::{pages, simulate::memory, train::free_disk};
 use eddy::{
     dataset::Dataset,
-    model::DeviceKind,
     page::command_line,
     study::Trained,
     train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
@@ -66,7 +65,7 @@ impl Task {
         // Beside the folder, as this is made by who trains.
         write(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let run = Run {
-            device: DeviceKind::Flex,
+            device: work.device,
             output,
             resume: true,
             machine: Machine { memory, disk: free_disk(output)? },

@@ -2,7 +2,7 @@
 
 use super::Work;
 use crate::commands::progress_bar;
-use eddy::{bench::training::paper_steps, model::DeviceKind, page::Machine, study::Speed};
+use eddy::{bench::training::paper_steps, page::Machine, study::Speed};
 
 /// Windows a batch.
 const WINDOWS: usize = 16;
@@ -20,7 +20,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         if work.stops() {
             return Ok(());
         }
-        steps.push(step.time(WINDOWS, work.study.step_seconds, DeviceKind::Flex));
+        steps.push(step.time(WINDOWS, work.study.step_seconds, work.device));
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -54,6 +54,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
         "a short look",
     ),
     ("--view 8081", "--view {port}", "ports that nobody else has"),
+    ("--foxglove", "--foxglove 0", "any port that is free"),
     ("--view 8082", "--view {other_port}", "the same"),
     ("eddy study", "eddy study --config study.toml", "few steps of small networks"),
     ("--duration 10", "--duration 1", "a short look"),

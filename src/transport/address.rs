@@ -1,4 +1,4 @@
-//! Where the page is served: `127.0.0.1:8080` unless told otherwise.
+//! Where something is served: on the loopback interface unless told otherwise.
 
 use std::{
     fmt,
@@ -6,12 +6,10 @@ use std::{
     str::FromStr,
 };
 
-/// The port of the page unless told otherwise.
-const PORT: u16 = 8080;
-
-/// An address of this machine with a port; a port alone is one of the loopback interface, 0 any that is free.
+/// An address of this machine with a port, `PORT` unless told otherwise (8080: the live page); a port alone is one of the
+/// loopback interface, 0 any that is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ListenAddress(pub SocketAddr);
+pub struct ListenAddress<const PORT: u16 = 8080>(pub SocketAddr);
 
 /// Why a text is no [`ListenAddress`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -22,20 +20,20 @@ pub struct InvalidAddress {
     found: String,
 }
 
-impl ListenAddress {
+impl<const PORT: u16> ListenAddress<PORT> {
     /// A port of the loopback interface.
     pub fn loopback(port: u16) -> Self {
         Self(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
     }
 }
 
-impl Default for ListenAddress {
+impl<const PORT: u16> Default for ListenAddress<PORT> {
     fn default() -> Self {
         Self::loopback(PORT)
     }
 }
 
-impl FromStr for ListenAddress {
+impl<const PORT: u16> FromStr for ListenAddress<PORT> {
     type Err = InvalidAddress;
 
     fn from_str(text: &str) -> Result<Self, InvalidAddress> {
@@ -54,7 +52,7 @@ impl FromStr for ListenAddress {
     }
 }
 
-impl fmt::Display for ListenAddress {
+impl<const PORT: u16> fmt::Display for ListenAddress<PORT> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
     }
@@ -76,6 +74,8 @@ mod tests {
         ] {
             assert_eq!(text.parse::<ListenAddress>().unwrap().to_string(), expected);
         }
+        let other: ListenAddress<8765> = "0.0.0.0".parse().unwrap();
+        assert_eq!(other.to_string(), "0.0.0.0:8765");
         for text in ["", "robot", "bags/mm", "70000", "1.2.3.4:x"] {
             assert!(text.parse::<ListenAddress>().is_err(), "{text}");
         }

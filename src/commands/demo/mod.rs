@@ -1,7 +1,11 @@
 //! `eddy demo`: the whole job in one process: truth, surrogate, recorder, live page, report.
 
+mod live;
+mod scenes;
+mod watch;
+
 use std::{
-    io::{IsTerminal, Write, stdout},
+    io::{IsTerminal, stdout},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -13,10 +17,14 @@ use std::{
 
 use anyhow::Context;
 
+use self::{
+    live::Live,
+    scenes::{Scenes, Source},
+    watch::{Printer, Recorded, Watch},
+};
 use super::{
     Interrupt,
     eval::judge_alone,
-    live::Live,
     node::summary,
     pace::Pace,
     page::{Desk, Page},
@@ -26,19 +34,17 @@ use super::{
 };
 use crate::cli::DemoArgs;
 use eddy::{
-    bag::{BagSummary, BagWriter, TopicId, WriterOptions},
-    clock::{self, Clock},
-    dataset,
+    bag::{BagWriter, WriterOptions},
+    clock, dataset,
     eval::Settings,
-    frame::{Frame, Stamp},
-    mpm::{self, Preset, Scene, Simulation},
-    msg::{self, Message, ParticleFrame, PredictionStatus, cdr},
+    frame::Stamp,
+    msg::{self, Message, ParticleFrame, PredictionStatus},
     node::{
         Control, FrameQueue, NodeSettings, OpenClock, Outputs, Presence, Recorder, Remote, RosTime,
         SurrogateNode, drive,
     },
-    transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
-    viewer::{Comparison, Hub, ListenAddress, Program},
+    transport::{Link, ListenAddress, Reliability, Subscriber, TransportOptions, Transports},
+    viewer::{Comparison, Program},
 };
 
 /// The node's name in diagnostics.
@@ -47,8 +53,6 @@ const NAME: &str = "eddy_demo";
 const SCENE: u64 = 4;
 /// Length of a scene unless told otherwise (simulated s).
 const SECONDS: f64 = 8.0;
-/// How long the watcher waits for a frame before it looks at everything else.
-const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Runs the demo.
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -144,45 +148,6 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     report(&node, &folder, &bag, quiet)
 }
 
-/// What is simulated, scene after scene.
-struct Scenes {
-    seed: u64,
-    /// Length of each (simulated s).
-    seconds: f64,
-    endless: bool,
-}
-
-impl Scenes {
-    /// The scene of this number; each is a stream of its own.
-    fn simulation(&self, number: u64) -> anyhow::Result<Simulation> {
-        let seed = self.seed.wrapping_add(number);
-        let scene = Scene::generate(Preset::MultiMaterial, seed, SCENE);
-        let scene = Scene { id: SCENE + number, ..scene };
-        let settings = mpm::Settings { duration: Some(self.seconds), ..mpm::Settings::default() };
-        Ok(Simulation::new(scene, &settings)?)
-    }
-
-    /// Plays one after the other. Returns whether the first was whole.
-    fn play(
-        &mut self,
-        first: Simulation,
-        pace: &mut Pace<'_>,
-        ends: impl Fn() -> bool,
-        source: &mut Source,
-    ) -> anyhow::Result<bool> {
-        let mut simulation = first;
-        for number in 1.. {
-            let whole = pace.run(&mut simulation, &ends, |frame, _| source.publish(frame))?;
-            if !whole || !self.endless {
-                return Ok(whole || number > 1);
-            }
-            source.next_scene(SCENE + number - 1);
-            simulation = self.simulation(number)?;
-        }
-        Ok(true)
-    }
-}
-
 /// Where the simulated time comes from, within this process.
 fn simulated_time(transports: Transports) -> OpenClock {
     Box::new(move || transports.subscriber(&Link::memory("/clock"), msg::Clock::TYPE))
@@ -194,66 +159,6 @@ struct Wires {
     input: Box<dyn Subscriber>,
     outputs: Outputs,
     watch: Watch,
-}
-
-/// Where the truth goes, with the time.
-struct Source {
-    truth: Box<dyn Publisher>,
-    clock: Box<dyn Publisher>,
-    /// When the scene began, and how far it is: time goes on from scene to scene.
-    began: Stamp,
-    now: Stamp,
-    /// What the page shows.
-    hub: Option<Arc<Hub>>,
-}
-
-impl Source {
-    fn publish(&mut self, frame: &Frame) -> anyhow::Result<()> {
-        self.truth.publish_frame(frame)?;
-        self.now = Stamp(self.began.0 + frame.stamp.0);
-        Ok(self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: self.now.into() }))?)
-    }
-
-    /// The stream of the scene before has `ended`.
-    fn next_scene(&mut self, ended: u64) {
-        self.began = self.now;
-        if let Some(hub) = &self.hub {
-            hub.ended(ended);
-        }
-    }
-}
-
-/// What is recorded and shown.
-struct Watch {
-    recorder: Option<Recorder>,
-    recorded: Option<BagSummary>,
-    truth: Recorded,
-    prediction: Recorded,
-    status: Recorded,
-}
-
-/// A topic that is recorded as it is received.
-struct Recorded {
-    subscriber: Box<dyn Subscriber>,
-    topic: TopicId,
-}
-
-impl Recorded {
-    /// What comes; it is recorded if it belongs to the first scene.
-    fn receive(
-        &mut self,
-        recorder: &mut Option<Recorder>,
-        timeout: Duration,
-    ) -> anyhow::Result<Option<Payload>> {
-        let payload = self.subscriber.receive(timeout)?;
-        if let (Some(payload), Some(recorder)) = (&payload, recorder)
-            && payload.stream().is_none_or(|stream| stream == SCENE)
-        {
-            recorder.on_message(self.topic, payload.clone(), clock::wall())?;
-            recorder.on_tick(clock::wall())?;
-        }
-        Ok(payload)
-    }
 }
 
 impl Wires {
@@ -285,105 +190,6 @@ impl Wires {
                 publish("/prediction/status", PredictionStatus::TYPE)?,
             ),
         })
-    }
-}
-
-/// How the live line is shown.
-enum Printer {
-    /// One line of a terminal, again and again.
-    Line,
-    /// A new line every second.
-    Lines { quiet: bool },
-}
-
-impl Watch {
-    /// Records and compares until the truth has ended and nothing more comes.
-    fn run(
-        &mut self,
-        mut live: Live,
-        truth_ended: &AtomicBool,
-        printer: Printer,
-    ) -> anyhow::Result<()> {
-        let clock = Clock::start();
-        let interval = match printer {
-            Printer::Line => Duration::from_millis(200),
-            Printer::Lines { .. } => Duration::from_secs(1),
-        };
-        let mut printed = clock.now();
-        loop {
-            let ended = truth_ended.load(Ordering::Relaxed);
-            self.predictions(&mut live)?;
-            while let Some(payload) = self.status.receive(&mut self.recorder, Duration::ZERO)? {
-                let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
-                // What it speaks of was published before.
-                self.predictions(&mut live)?;
-                if status.stream != SCENE {
-                    self.close()?;
-                }
-                live.status(&status);
-            }
-            match self.truth.receive(&mut self.recorder, PATIENCE)? {
-                Some(payload) => live.truth(payload.into_frame()?),
-                None if ended => break,
-                None => {}
-            }
-            if clock.now() - printed >= interval {
-                printed = clock.now();
-                printer.print(&live.line(printed));
-            }
-        }
-        if matches!(printer, Printer::Line) {
-            println!();
-        }
-        Ok(())
-    }
-
-    fn predictions(&mut self, live: &mut Live) -> anyhow::Result<()> {
-        while let Some(payload) = self.prediction.receive(&mut self.recorder, Duration::ZERO)? {
-            live.prediction(payload.into_frame()?);
-        }
-        Ok(())
-    }
-
-    /// Reads and forgets until the truth has ended.
-    fn discard(&mut self, truth_ended: &AtomicBool) {
-        while !truth_ended.load(Ordering::Relaxed) {
-            for topic in [&mut self.prediction, &mut self.status, &mut self.truth] {
-                while let Ok(Some(_)) = topic.subscriber.receive(Duration::ZERO) {}
-            }
-            thread::sleep(PATIENCE);
-        }
-    }
-
-    /// Closes the bag, if it is open.
-    fn close(&mut self) -> anyhow::Result<()> {
-        if let Some(recorder) = self.recorder.take() {
-            self.recorded = Some(recorder.finish()?);
-        }
-        Ok(())
-    }
-
-    /// Records what the node published last, and closes the bag.
-    fn finish(mut self) -> anyhow::Result<BagSummary> {
-        for topic in [&mut self.prediction, &mut self.status] {
-            while topic.receive(&mut self.recorder, Duration::ZERO)?.is_some() {}
-        }
-        self.close()?;
-        self.recorded.context("the bag was closed twice")
-    }
-}
-
-impl Printer {
-    fn print(&self, line: &str) {
-        match self {
-            Self::Line => {
-                print!("\r\x1b[2K{line}");
-                // A terminal that went away is no reason to end.
-                let _ = stdout().flush();
-            }
-            Self::Lines { quiet: false } => println!("{line}"),
-            Self::Lines { quiet: true } => {}
-        }
     }
 }
 

@@ -1,12 +1,12 @@
 //! The demo's live line: rate, latency, and the error of the predictions beside the best baseline's.
 
-use std::{collections::VecDeque, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use eddy::{
     frame::Frame,
-    msg::{PredictionStatus, StreamState},
+    msg::PredictionStatus,
     node::diagnostics::Monitor,
-    viewer::{Ahead, Comparison, Summary},
+    viewer::{Comparison, Explained, Summary},
 };
 
 /// Errors of the best baseline below this mean that nothing moves (domain lengths).
@@ -15,32 +15,26 @@ const AT_REST: f64 = 1e-4;
 /// Compares predictions with the truth as it arrives.
 pub(super) struct Live {
     comparison: Comparison,
-    /// Predictions whose status has not come yet.
-    unexplained: VecDeque<Frame>,
+    explained: Explained,
     monitor: Monitor,
 }
 
 impl Live {
     /// Starts at `now`.
     pub(super) fn start(comparison: Comparison, now: Duration) -> Self {
-        Self { comparison, unexplained: VecDeque::new(), monitor: Monitor::start(now) }
+        Self { comparison, explained: Explained::default(), monitor: Monitor::start(now) }
     }
 
     /// A prediction came.
     pub(super) fn prediction(&mut self, frame: Frame) {
-        self.unexplained.push_back(frame);
+        self.explained.prediction(frame);
     }
 
-    /// How the oldest of these came to be.
+    /// How one of these came to be.
     pub(super) fn status(&mut self, status: &PredictionStatus) {
         let latency = Duration::try_from_secs_f32(status.latency).unwrap_or_default();
         self.monitor.published(1, latency);
-        let ahead = Ahead {
-            source: status.source_sequence,
-            frames: status.horizon,
-            free: status.state == StreamState::FreeRunning as u8,
-        };
-        if let Some(frame) = self.unexplained.pop_front() {
+        if let Some((frame, ahead)) = self.explained.status(status) {
             self.comparison.prediction(Arc::new(frame), ahead);
         }
     }

@@ -1,0 +1,194 @@
+//! A node as Foxglove's application sees it: its WebSocket protocol (`foxglove.sdk.v1`), spoken here from the outside.
+
+use std::{
+    collections::BTreeMap,
+    net::{TcpListener, TcpStream},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Instant,
+};
+
+use eddy::{
+    msg::{DiagnosticArray, Message as _, PointCloud2, PredictionStatus, cdr, cloud::POINT_STEP},
+    transport::{FoxgloveServer, ListenAddress},
+};
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
+
+use crate::support::{DEADLINE, Process, World, eddy, fail, simulate, wait_for};
+
+/// A viewer.
+struct Viewer(WebSocket<TcpStream>);
+
+impl Viewer {
+    fn connect(address: &str) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(DEADLINE)).unwrap();
+        let mut request = format!("ws://{address}").into_client_request().unwrap();
+        let protocol = "foxglove.sdk.v1".parse().unwrap();
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocol);
+        Self(tungstenite::client(request, stream).unwrap().0)
+    }
+
+    /// What the server says in words, until it says `op`.
+    fn said(&mut self, op: &str) -> Value {
+        loop {
+            if let Message::Text(text) = self.0.read().unwrap() {
+                let said: Value = serde_json::from_str(&text).unwrap();
+                if said["op"] == op {
+                    return said;
+                }
+            }
+        }
+    }
+
+    /// The channels by topic, once there are `count`.
+    fn channels(&mut self, count: usize) -> BTreeMap<String, Value> {
+        let mut channels = BTreeMap::new();
+        while channels.len() < count {
+            for channel in self.said("advertise")["channels"].as_array().unwrap() {
+                channels.insert(channel["topic"].as_str().unwrap().to_owned(), channel.clone());
+            }
+        }
+        channels
+    }
+
+    /// Shows a channel, its data as that of subscription `id`.
+    fn subscribe(&mut self, id: u32, channel: &Value) {
+        let subscription = json!({ "id": id, "channelId": channel["id"] });
+        let words = json!({ "op": "subscribe", "subscriptions": [subscription] });
+        self.0.send(Message::text(words.to_string())).unwrap();
+    }
+
+    /// The next message: its subscription, its bytes.
+    fn message(&mut self) -> (u32, Vec<u8>) {
+        const HEAD: usize = 1 + 4 + 8;
+        let deadline = Instant::now() + DEADLINE;
+        while Instant::now() < deadline {
+            match self.0.read().unwrap() {
+                Message::Binary(bytes) if bytes.first() == Some(&1) => {
+                    let id = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+                    return (id, bytes[HEAD..].to_vec());
+                }
+                _ => {}
+            }
+        }
+        panic!("no message within {DEADLINE:?}");
+    }
+}
+
+#[test]
+fn clouds_status_and_diagnostics_of_a_node_are_shown() {
+    let world = World::new("foxglove");
+    simulate(world.folder.path().join("truth").as_path(), 1, 2.0);
+    let bag = world.folder.path().join("truth/scene_0000");
+    let [input, output] = ["particles", "prediction"].map(|name| world.link("shm", name));
+    let mut node = Process::start(eddy().args(["node", "--input", &input.to_string()]).args([
+        "--output",
+        &output.to_string(),
+        "--foxglove",
+        "0",
+    ]));
+    let line = node.line("foxglove: ws://");
+    let address = line.trim().trim_start_matches("foxglove: ws://");
+    let remap = format!("/particles:={}", input.topic);
+    let mut replay = Process::start(eddy().arg("replay").arg(bag).args([
+        "--to",
+        "shm",
+        "--loop",
+        "--remap",
+        &remap,
+        "--wait-for",
+        "1",
+    ]));
+
+    let mut viewer = Viewer::connect(address);
+    assert!(viewer.said("serverInfo")["name"].as_str().unwrap().starts_with('/'));
+    let clouds = [&input, &output].map(|link| format!("{}/cloud", link.topic));
+    let status = format!("{}/status", output.topic);
+    let topics = [&clouds[0], &clouds[1], &status, "/diagnostics"];
+    let types =
+        [PointCloud2::TYPE, PointCloud2::TYPE, PredictionStatus::TYPE, DiagnosticArray::TYPE];
+    let channels = viewer.channels(topics.len());
+    for (number, (topic, type_name)) in (0..).zip(topics.into_iter().zip(types)) {
+        let channel = &channels[topic];
+        assert_eq!(channel["schemaName"], type_name, "{channel}");
+        assert_eq!(
+            (&channel["encoding"], &channel["schemaEncoding"]),
+            (&json!("cdr"), &json!("ros2msg"))
+        );
+        assert!(!channel["schema"].as_str().unwrap().is_empty());
+        viewer.subscribe(number, channel);
+    }
+
+    let mut shown = BTreeMap::new();
+    while shown.len() < topics.len() {
+        let (number, bytes) = viewer.message();
+        shown.insert(number, bytes);
+    }
+    let [observed, predicted] = [0, 1].map(|number| {
+        let cloud: PointCloud2 = cdr::decode(&shown[&number]).unwrap();
+        cloud.width * cloud.height
+    });
+    assert!(observed > 0);
+    assert_eq!(observed, predicted);
+    let status: PredictionStatus = cdr::decode(&shown[&2]).unwrap();
+    assert!(status.horizon == 1 && status.latency > 0.0, "{status:?}");
+    let diagnostics: DiagnosticArray = cdr::decode(&shown[&3]).unwrap();
+    assert_eq!(diagnostics.status[0].message, "predicting");
+
+    for process in [&mut replay, &mut node] {
+        process.interrupt();
+        assert!(process.wait().success());
+    }
+}
+
+#[test]
+fn an_address_that_cannot_be_had_is_named() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let world = World::new("taken");
+    let link = world.link("shm", "a").to_string();
+    let said = fail(1, ["node", "--input", &link, "--output", &link, "--foxglove", &address]);
+    assert!(said.contains(&format!("--foxglove: {address}: found ")), "{said}");
+    assert!(said.contains("expected a free address"), "{said}");
+}
+
+#[test]
+fn a_viewer_that_never_reads_costs_messages_and_nothing_else() {
+    const PARTICLES: usize = 100_000;
+    // More than any buffer of a socket holds.
+    const READ: usize = 50;
+    let server = FoxgloveServer::start(ListenAddress::<8765>::loopback(0), "flood").unwrap();
+    let address = server.address().to_string();
+    let mut publisher = server.publisher("/cloud", PointCloud2::TYPE).unwrap();
+    assert_eq!(publisher.subscribers(), 0, "nobody shows it");
+
+    let mut silent = Viewer::connect(&address);
+    let channel = silent.channels(1)["/cloud"].clone();
+    silent.subscribe(1, &channel);
+    wait_for("it is shown", || (publisher.subscribers() > 0).then_some(()));
+    let mut reader = Viewer::connect(&address);
+    let channel = reader.channels(1)["/cloud"].clone();
+    reader.subscribe(1, &channel);
+
+    let stop = AtomicBool::new(false);
+    let numbers = thread::scope(|scope| {
+        scope.spawn(|| {
+            for number in 0_u32.. {
+                if stop.load(Ordering::Relaxed) {
+                    break;
+                }
+                let mut bytes = vec![0; PARTICLES * POINT_STEP];
+                bytes[..4].copy_from_slice(&number.to_le_bytes());
+                publisher.publish_cdr(&bytes).unwrap();
+            }
+        });
+        let number =
+            |(_, bytes): (u32, Vec<u8>)| u32::from_le_bytes(bytes[..4].try_into().unwrap());
+        let numbers: Vec<u32> = (0..READ).map(|_| number(reader.message())).collect();
+        stop.store(true, Ordering::Relaxed);
+        numbers
+    });
+    assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+}
