@@ -43,7 +43,7 @@ pub use reference::Reference;
 
 pub use crate::checkpoint::{Architecture, Core};
 
-use std::sync::Arc;
+use std::{panic, sync::Arc};
 
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -73,6 +73,19 @@ impl DeviceKind {
         }
     }
 
+    /// Whether it is there.
+    ///
+    /// # Errors
+    /// [`NoDevice`] where the first operation fails, as it does without a driver.
+    pub fn check(self) -> Result<(), NoDevice> {
+        // burn knows no other way to say it than to panic, on a thread of its own, too.
+        let hook = panic::take_hook();
+        panic::set_hook(Box::new(|_| {}));
+        let outcome = panic::catch_unwind(|| Tensor::<1>::zeros([1], &self.device()).into_data());
+        panic::set_hook(hook);
+        outcome.map(|_| ()).map_err(|_| NoDevice { found: self.name() })
+    }
+
     /// The device, without a record for gradients.
     pub(crate) fn device(self) -> Device {
         match self {
@@ -83,6 +96,15 @@ impl DeviceKind {
             Self::Vulkan => Device::vulkan(burn::tensor::DeviceKind::DefaultDevice),
         }
     }
+}
+
+/// What was to compute is not there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "device: found no driver for {found}, expected a device that this machine has, such as flex"
+)]
+pub struct NoDevice {
+    found: &'static str,
 }
 
 /// Positions and velocities of particles at one instant, each `[R, 2]`, in domain lengths and
