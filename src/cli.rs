@@ -20,6 +20,9 @@ use eddy::{
     transport::{Link, ListenAddress, Reliability, TransportKind},
 };
 
+#[cfg(feature = "foxglove")]
+use eddy::transport::FoxgloveAddress;
+
 pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
@@ -429,7 +432,7 @@ pub struct NodeArgs {
     /// [without one: 127.0.0.1:8765].
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
-    pub foxglove: Option<ListenAddress<8765>>,
+    pub foxglove: Option<FoxgloveAddress>,
     #[command(flatten)]
     pub ros: RosArgs,
 }
@@ -533,7 +536,7 @@ pub struct StudyArgs {
     /// Networks that are trained at a time.
     #[arg(long, default_value_t = NonZeroUsize::MIN)]
     pub jobs: NonZeroUsize,
-    /// What trains the recurrent networks and takes the timed steps.
+    /// What trains the networks of cores, loss and window, and takes the timed steps.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
 }

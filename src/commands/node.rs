@@ -12,7 +12,7 @@ use super::{
 };
 use crate::cli::NodeArgs;
 #[cfg(feature = "foxglove")]
-use eddy::transport::{FoxgloveServer, ListenAddress};
+use eddy::transport::{FoxgloveAddress, FoxgloveServer};
 use eddy::{
     config,
     msg::{
@@ -116,7 +116,9 @@ pub fn run(
     }
     #[cfg(feature = "foxglove")]
     if let Some(server) = &foxglove {
-        println!("foxglove: ws://{}", server.address());
+        let beyond = !server.address().ip().is_loopback();
+        let whom = if beyond { " (whoever reaches this address can watch)" } else { "" };
+        println!("foxglove: ws://{}{whom}", server.address());
     }
     if let Some(page) = &page {
         page.announce();
@@ -225,7 +227,7 @@ fn open(
 /// Serves what there is to look at under the names of the first output, if it is wanted.
 #[cfg(feature = "foxglove")]
 fn foxglove(
-    address: Option<ListenAddress<8765>>,
+    address: Option<FoxgloveAddress>,
     links: &Links,
     ros: &RosNode,
     outputs: &mut Vec<Outputs>,
@@ -237,9 +239,9 @@ fn foxglove(
         publish(&ros.beside(link, "cloud"), PointCloud2::TYPE).map(CloudTopic::new).map(Some)
     };
     let status = publish(&ros.beside(output, "status"), PredictionStatus::TYPE)?;
+    let diagnostics = ros.link(&output.with_topic("/diagnostics"));
     outputs.push(Outputs {
-        diagnostics: publish(&output.with_topic("/diagnostics"), DiagnosticArray::TYPE)
-            .map(Some)?,
+        diagnostics: Some(publish(&diagnostics, DiagnosticArray::TYPE)?),
         prediction_cloud: cloud(output)?,
         input_cloud: cloud(&links.input)?,
         ..Outputs::to_look_at(status)

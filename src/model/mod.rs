@@ -46,11 +46,13 @@ pub use crate::checkpoint::{Architecture, Core};
 use std::{panic, sync::Arc};
 
 use burn::tensor::{Device, Tensor, TensorData};
+use serde::{Deserialize, Serialize};
 
 use crate::{checkpoint::Surroundings, frame::Material, kernels::rest::Rest};
 
 /// What computes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum DeviceKind {
     /// burn-flex: this machine's CPU, the default.
     #[default]

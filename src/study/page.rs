@@ -155,8 +155,10 @@ impl StudyReport {
         }
         let section = self.page.section("Speed of training");
         section.table(&table).paragraph(&format!(
-            "The paper's Table 4, by the length of the window; on {} cores of {}.",
-            speed.machine.cores, speed.machine.processor
+            "The paper's Table 4, by the length of the window; on {} cores of {}, device {}.",
+            speed.machine.cores,
+            speed.machine.processor,
+            speed.device.name()
         ));
         self.tables.push(("Speed of training".to_owned(), table));
     }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use crate::{
     bench::training::Timing,
     checkpoint::Activation,
+    model::DeviceKind,
     page::Machine,
     train::{
         Epoch, TrainConfig,
@@ -30,6 +31,9 @@ pub struct Trained {
     pub at_once: usize,
     /// Windows seen.
     pub samples: u64,
+    /// What computed.
+    #[serde(default)]
+    pub device: DeviceKind,
     /// How it was trained.
     pub config: TrainConfig,
     /// Every epoch.
@@ -70,7 +74,7 @@ pub enum ResultError {
     },
     /// It is that of another study.
     #[error(
-        "{}: found a training with other settings, expected those of this study: they go to another --output",
+        "{}: found a training with other settings or on another device, expected those of this study: they go to another --output",
         file.display()
     )]
     Other {
@@ -86,9 +90,15 @@ impl Trained {
     /// The result in the folder of a run, if it came to its end.
     ///
     /// # Errors
-    /// [`ResultError`], also where it is that of a training with other settings.
-    pub fn find(folder: &Path, config: &TrainConfig) -> Result<Option<Self>, ResultError> {
-        find(folder.join(TRAINED_FILE), |trained: &Self| trained.config == *config)
+    /// [`ResultError`], also where it is that of a training with other settings or on another device.
+    pub fn find(
+        folder: &Path,
+        config: &TrainConfig,
+        device: DeviceKind,
+    ) -> Result<Option<Self>, ResultError> {
+        find(folder.join(TRAINED_FILE), |trained: &Self| {
+            trained.config == *config && trained.device == device
+        })
     }
 
     /// The epoch that the checkpoint is from.
@@ -128,6 +138,9 @@ impl Curve {
 pub struct Speed {
     /// On which machine.
     pub machine: Machine,
+    /// What computed.
+    #[serde(default)]
+    pub device: DeviceKind,
     /// Every kind of step.
     pub steps: Vec<Timing>,
 }
@@ -139,9 +152,9 @@ impl Speed {
     /// The times in the folder of a comparison, if they were taken.
     ///
     /// # Errors
-    /// [`ResultError`].
-    pub fn find(folder: &Path) -> Result<Option<Self>, ResultError> {
-        find(folder.join(SPEED_FILE), |_: &Self| true)
+    /// [`ResultError`], also where they are those of another device.
+    pub fn find(folder: &Path, device: DeviceKind) -> Result<Option<Self>, ResultError> {
+        find(folder.join(SPEED_FILE), |speed: &Self| speed.device == device)
     }
 
     /// Writes them there.

@@ -27,12 +27,6 @@ impl<const PORT: u16> ListenAddress<PORT> {
     }
 }
 
-impl<const PORT: u16> Default for ListenAddress<PORT> {
-    fn default() -> Self {
-        Self::loopback(PORT)
-    }
-}
-
 impl<const PORT: u16> FromStr for ListenAddress<PORT> {
     type Err = InvalidAddress;
 

@@ -1,7 +1,7 @@
 //! Topics for Foxglove's application, by the WebSocket server of its SDK: to look at, nothing is received.
 //!
 //! Names, types and bytes are those of ROS 2 and of our bags, so that a layout that was made for one of them shows
-//! the others. Nothing is sent, or encoded, on a topic that nobody shows. A viewer that does not keep up loses the
+//! the others. Nothing is sent on a topic that nobody shows, and of clouds nothing is encoded. A viewer that does not keep up loses the
 //! oldest messages; the publisher never waits for it.
 
 use std::{
@@ -22,6 +22,9 @@ use crate::{
 
 /// Messages of all topics that wait for one viewer: at 100,000 particles, clouds of 38 MB.
 const BACKLOG: usize = 16;
+
+/// Where it listens; the port is the one that Foxglove's application expects.
+pub type FoxgloveAddress = ListenAddress<8765>;
 
 /// Foxglove's server, until it is dropped.
 pub struct FoxgloveServer {
@@ -44,10 +47,7 @@ impl FoxgloveServer {
     ///
     /// # Errors
     /// [`NotServed`] where that address cannot be had.
-    pub fn start<const PORT: u16>(
-        address: ListenAddress<PORT>,
-        name: &str,
-    ) -> Result<Self, NotServed> {
+    pub fn start(address: FoxgloveAddress, name: &str) -> Result<Self, NotServed> {
         let ListenAddress(address) = address;
         let context = Context::new();
         let host = match address.ip() {

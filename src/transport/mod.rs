@@ -35,7 +35,7 @@ pub(crate) use link::{is_absolute_name, is_name_token};
 pub(crate) use queue::Queue;
 
 #[cfg(feature = "foxglove")]
-pub use self::foxglove::{FoxgloveServer, NotServed};
+pub use self::foxglove::{FoxgloveAddress, FoxgloveServer, NotServed};
 pub use address::{InvalidAddress, ListenAddress};
 pub use bare::{BarePair, BarePublisher, BareSubscriber};
 pub use link::{InvalidLink, Link, TransportKind};

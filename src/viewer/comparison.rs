@@ -149,7 +149,8 @@ impl Comparison {
     }
 
     /// Makes room for one more that waits. Where every frame of a long horizon is predicted, powers of two and the
-    /// farthest make a curve; else those that are due next are those that are shown next.
+    /// farthest make a curve, to about 500 frames ahead, of 100,000 particles to 17; else those that are due next
+    /// are those that are shown next.
     fn spare(&mut self) {
         let farthest = self.waiting.keys().map(|&(_, frames)| frames).max();
         let between =

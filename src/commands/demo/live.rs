@@ -6,7 +6,7 @@ use eddy::{
     frame::Frame,
     msg::PredictionStatus,
     node::diagnostics::Monitor,
-    viewer::{Comparison, Explained, Summary},
+    viewer::{Ahead, Comparison, Explained, Summary},
 };
 
 /// Errors of the best baseline below this mean that nothing moves (domain lengths).
@@ -27,14 +27,20 @@ impl Live {
 
     /// A prediction came.
     pub(super) fn prediction(&mut self, frame: Frame) {
-        self.explained.prediction(frame);
+        let joined = self.explained.prediction(frame);
+        self.compare(joined);
     }
 
     /// How one of these came to be.
-    pub(super) fn status(&mut self, status: &PredictionStatus) {
+    pub(super) fn status(&mut self, status: PredictionStatus) {
         let latency = Duration::try_from_secs_f32(status.latency).unwrap_or_default();
         self.monitor.published(1, latency);
-        if let Some((frame, ahead)) = self.explained.status(status) {
+        let joined = self.explained.status(status);
+        self.compare(joined);
+    }
+
+    fn compare(&mut self, joined: Option<(Frame, Ahead)>) {
+        if let Some((frame, ahead)) = joined {
             self.comparison.prediction(Arc::new(frame), ahead);
         }
     }

@@ -73,12 +73,12 @@ impl Watch {
             self.predictions(&mut live)?;
             while let Some(payload) = self.status.receive(&mut self.recorder, Duration::ZERO)? {
                 let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
-                // What it speaks of was published before.
-                self.predictions(&mut live)?;
                 if status.stream != SCENE {
+                    // What was predicted of the first scene was published before.
+                    self.predictions(&mut live)?;
                     self.close()?;
                 }
-                live.status(&status);
+                live.status(status);
             }
             match self.truth.receive(&mut self.recorder, PATIENCE)? {
                 Some(payload) => live.truth(payload.into_frame()?),

@@ -1,6 +1,6 @@
 //! What the live page shows of a bag that is played: frames, and the predictions that were recorded with them.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use anyhow::Context;
 
@@ -24,8 +24,8 @@ pub(super) struct Screen {
     remote: Arc<Remote>,
     /// The topic whose frames are the truth: the first one that has frames and no predictions.
     truth: Option<Arc<str>>,
-    /// Predictions and their statuses, if the bag has any.
-    explained: Option<Explained>,
+    /// By topic of statuses, those of the predictions beside it.
+    explained: BTreeMap<String, Explained>,
 }
 
 impl Screen {
@@ -41,27 +41,30 @@ impl Screen {
         let truths = bag.topics().iter().filter(|topic| topic.type_name == ParticleFrame::TYPE);
         let truth =
             truths.map(|topic| topic.name.as_str()).find(|name| !name.ends_with(PREDICTION));
-        let mut topics = bag.topics().iter();
-        let explained = topics.any(|topic| topic.type_name == PredictionStatus::TYPE);
-        let explained = explained.then(Explained::default);
+        let statuses =
+            bag.topics().iter().filter(|topic| topic.type_name == PredictionStatus::TYPE);
+        let explained = statuses.map(|topic| (topic.name.clone(), Explained::default())).collect();
         Ok(Self { page, remote, truth: truth.map(Into::into), explained })
     }
 
     /// Shows a message, if it is a frame or says how one was predicted.
     pub(super) fn show(&mut self, message: &BagMessage) {
         if !self.page.hub.is_watched() {
-            self.explained.iter_mut().for_each(Explained::clear);
+            self.explained.values_mut().for_each(Explained::clear);
             return;
         }
         let (topic, kind) = (&*message.topic, &*message.type_name);
         if kind == ParticleFrame::TYPE {
             let Ok(frame) = Frame::from_cdr(&message.data) else { return };
             if topic.ends_with(PREDICTION) {
-                match &mut self.explained {
-                    Some(explained) => explained.prediction(frame),
+                match self.explained.get_mut(&format!("{topic}/status")) {
+                    Some(explained) => {
+                        let joined = explained.prediction(frame);
+                        self.predicted(joined);
+                    }
                     None => {
                         let unknown = Ahead { source: 0, frames: 0, free: false };
-                        self.page.hub.predicted(&frame, unknown);
+                        self.predicted(Some((frame, unknown)));
                     }
                 }
             } else if self.truth.as_deref() == Some(topic) {
@@ -69,10 +72,14 @@ impl Screen {
             }
         } else if kind == PredictionStatus::TYPE {
             let Ok(status) = cdr::decode::<PredictionStatus>(&message.data) else { return };
-            let explained = self.explained.as_mut().and_then(|joined| joined.status(&status));
-            if let Some((frame, ahead)) = explained {
-                self.page.hub.predicted(&frame, ahead);
-            }
+            let joined = self.explained.get_mut(topic).and_then(|joined| joined.status(status));
+            self.predicted(joined);
+        }
+    }
+
+    fn predicted(&self, joined: Option<(Frame, Ahead)>) {
+        if let Some((frame, ahead)) = joined {
+            self.page.hub.predicted(&frame, ahead);
         }
     }
 

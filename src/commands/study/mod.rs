@@ -25,7 +25,7 @@ use std::{
     thread,
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use clap::Parser as _;
 
 use super::{Interrupt, eval, progress_bar, simulate};
@@ -42,6 +42,13 @@ use eddy::{
 /// Runs a comparison.
 pub fn run(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let study = settings(&args)?;
+    if args.comparison == Comparison::Activations {
+        ensure!(
+            args.device == DeviceKind::Flex,
+            "--device: found {}, expected flex: dense networks are trained on it",
+            args.device.name()
+        );
+    }
     args.device.check()?;
     let work = Work {
         folders: Folders::new(&args.output),
@@ -101,7 +108,7 @@ struct Work<'a> {
     presets: &'a [String],
     /// Networks that are trained at a time.
     jobs: usize,
-    /// What trains the recurrent networks.
+    /// What trains the networks whose cores, losses or windows are compared.
     device: DeviceKind,
     quiet: bool,
     interrupt: &'a Interrupt,
@@ -226,7 +233,7 @@ impl Work<'_> {
         for (variant, seed) in self.runs() {
             let folder = self.folders.run(preset, &variant.name, seed);
             let config = TrainConfig { seed, ..variant.config.clone() };
-            let trained = Trained::find(&folder, &config)?.with_context(|| {
+            let trained = Trained::find(&folder, &config, self.device)?.with_context(|| {
                 format!("{}: found no trained network, expected one", folder.display())
             })?;
             all.push((variant, trained));

@@ -31,7 +31,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         for (variant, seed) in work.runs() {
             let config = TrainConfig { seed, ..variant.config.clone() };
             let output = work.folders.run(preset, &variant.name, seed);
-            if Trained::find(&output, &config)?.is_none() {
+            if Trained::find(&output, &config, work.device)?.is_none() {
                 let name = format!("{preset} {} seed {seed}", variant.name);
                 let command = command_line(&work.training(preset, variant, seed));
                 tasks.push_back(Task { name, config, output, command });
@@ -84,6 +84,7 @@ impl Task {
             seconds: outcome.seconds,
             at_once,
             samples: outcome.samples,
+            device: work.device,
             config: config.clone(),
             epochs: outcome.epochs,
         };

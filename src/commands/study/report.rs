@@ -32,7 +32,7 @@ pub(super) fn write(work: &Work) -> anyhow::Result<()> {
             }
         }
     }
-    if let Some(speed) = Speed::find(&folder)? {
+    if let Some(speed) = Speed::find(&folder, work.device)? {
         report.speed(&speed);
     }
     for (heading, table) in report.summaries() {

@@ -10,7 +10,7 @@ const WINDOWS: usize = 16;
 /// Times a step of every recurrent core with each of the lengths of a window, unless that was done.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let folder = work.folders.report(work.comparison);
-    if Speed::find(&folder)?.is_some() {
+    if Speed::find(&folder, work.device)?.is_some() {
         return Ok(());
     }
     let kinds = paper_steps(&work.study.step_frames);
@@ -24,6 +24,6 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Speed { machine: Machine::here(), steps }.save(&folder)?;
+    Speed { machine: Machine::here(), device: work.device, steps }.save(&folder)?;
     Ok(())
 }

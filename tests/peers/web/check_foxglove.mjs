@@ -79,7 +79,7 @@ try {
     [`${prefix}/prediction/cloud`]: "sensor_msgs/msg/PointCloud2",
     [`${prefix}/prediction/status`]: "eddy_msgs/msg/PredictionStatus",
   });
-  assert.equal(last.get("/diagnostics").status[0].message, "predicting");
+  assert.equal(last.get("/diagnostics").status[0].name, "eddy_node");
   assert.equal(last.get(`${prefix}/prediction/status`).horizon, 1);
 
   const both = await until("there was truth and prediction of one instant", () =>

@@ -17,7 +17,8 @@ import { chromium } from "playwright-core";
 const [eddy, pictures] = process.argv.slice(2);
 const work = mkdtempSync(join(tmpdir(), "eddy-browser-"));
 if (pictures) mkdirSync(pictures, { recursive: true });
-const DEADLINE = 30_000;
+// Eleven pages that draw in software on two cores take their time.
+const DEADLINE = 120_000;
 
 /** Asks again and again until the answer is truthy. */
 async function until(what, answer, patience = DEADLINE) {
@@ -83,7 +84,7 @@ async function tab(url, options = {}) {
     const ours = message.type() === "error" && !/WebSocket connection/.test(message.text());
     if (ours) faults.push(`complained: ${message.text()}`);
   });
-  await page.goto(url);
+  await page.goto(url, { timeout: DEADLINE });
   return page;
 }
 
