@@ -113,7 +113,7 @@ pub enum BagError {
         expected: String,
     },
     /// The bag does not have the topic.
-    #[error("{path}: topic: found {found}, expected {topic}{hint}", path = .path.display(), hint = near::hint(topic, found.split([' ', ','])))]
+    #[error("{path}: topics: found {found}, expected {topic} among them{hint}", path = .path.display(), hint = near::hint(topic, found.split([' ', ','])))]
     NoTopic {
         /// The bag.
         path: PathBuf,

@@ -57,9 +57,14 @@ pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     if description.exists() {
         return metadata::files(&description, path);
     }
-    let (files, _) = children(path)?;
+    let (files, folders) = children(path)?;
     if files.is_empty() {
-        return Err(not_a_bag("a directory without metadata.yaml and without .mcap files"));
+        let found = "a directory without metadata.yaml and without .mcap files";
+        let bag = folders.iter().find(|folder| folder.join(METADATA).exists());
+        return Err(not_a_bag(&match bag {
+            Some(bag) => format!("{found} (but with bags, such as {})", bag.display()),
+            None => found.to_owned(),
+        }));
     }
     Ok(files)
 }

@@ -64,6 +64,8 @@ pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
 const WAIT_LIMIT: Duration = Duration::from_secs(30);
 /// Time between two looks at how many there are.
 const WAIT_NAP: Duration = Duration::from_millis(20);
+/// How long somebody is waited for without a word.
+const WAIT_UNTOLD: Duration = Duration::from_secs(3);
 
 /// Waits until a topic has `wanted` subscribers. `false` when a signal came first.
 pub(crate) fn wait_for_subscribers(
@@ -73,6 +75,7 @@ pub(crate) fn wait_for_subscribers(
     interrupt: &Interrupt,
 ) -> anyhow::Result<bool> {
     let clock = Clock::start();
+    let mut told = false;
     while publisher.subscribers() < wanted {
         if interrupt.requested() {
             return Ok(false);
@@ -80,6 +83,11 @@ pub(crate) fn wait_for_subscribers(
         if clock.now() > WAIT_LIMIT {
             let found = publisher.subscribers();
             bail!("{link}: found {found} subscribers after 30 s, expected {wanted}");
+        }
+        if !told && clock.now() > WAIT_UNTOLD {
+            told = true;
+            let found = publisher.subscribers();
+            tracing::warn!("{link}: waiting for {wanted} subscribers, {found} so far");
         }
         thread::sleep(WAIT_NAP);
     }

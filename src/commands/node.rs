@@ -179,6 +179,9 @@ impl Links {
             if self.outputs[..index].contains(link) {
                 bail!("output: found {link} twice, expected once");
             }
+            if *link == self.input {
+                bail!("output: found {link}, which is the input, expected another topic");
+            }
         }
         Ok(())
     }

@@ -22,6 +22,10 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const SIMULATED_PATIENCE: Duration = Duration::from_millis(2);
 /// How long messages that had arrived at the end are still taken, and predicted from.
 const LAST_ARRIVALS: Duration = Duration::from_secs(1);
+/// How long nothing may come before it is said.
+const SILENCE: Duration = Duration::from_secs(5);
+/// Time between two words on dropped frames.
+const SLOWNESS_INTERVAL: Duration = Duration::from_secs(10);
 /// Time between two diagnostics.
 const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -104,7 +108,8 @@ pub fn drive(
         let time = presence.time.now(clock.now());
         let sink = Sink { outputs, clock, monitor, digest, status, bytes, published, unpublished };
         let batch = Vec::with_capacity(node.together());
-        let mut work = Work { node, presence, time, queue, lost: &lost, batch, sink };
+        let troubles = Troubles::default();
+        let mut work = Work { node, presence, time, queue, lost: &lost, batch, sink, troubles };
         let mut reported = clock.now();
         while !receiver.is_finished() {
             work.step();
@@ -175,6 +180,37 @@ struct Work<'a> {
     /// Messages that are worked on at once; empty between steps.
     batch: Vec<Arrival>,
     sink: Sink<'a>,
+    troubles: Troubles,
+}
+
+/// What is said to whoever runs the node, and not again and again.
+#[derive(Default)]
+struct Troubles {
+    /// Whether it was said that nothing comes.
+    silence: bool,
+    /// When frames were last said to have been dropped, and how many had been then.
+    dropped: Option<(Duration, u64)>,
+}
+
+impl Troubles {
+    fn look(&mut self, now: Duration, received: u64, dropped: u64) {
+        if received == 0 && now > SILENCE && !self.silence {
+            self.silence = true;
+            tracing::warn!(
+                "no frame has come for {} s: is it the topic, and the transport, that is published?",
+                SILENCE.as_secs()
+            );
+        }
+        let (told, before) = self.dropped.unwrap_or_default();
+        let is_due = self.dropped.is_none() || now - told > SLOWNESS_INTERVAL;
+        if dropped > before && is_due {
+            tracing::warn!(
+                "{} frames came faster than they are predicted from, and were dropped",
+                dropped - before
+            );
+            self.dropped = Some((now, dropped));
+        }
+    }
 }
 
 /// Where predictions go.
@@ -276,6 +312,7 @@ impl Work<'_> {
         counters.dropped_from_queue = queue.dropped();
         counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
+        self.troubles.look(sink.clock.now(), counters.received, counters.dropped_from_queue);
         sink.report(presence, counters, streams);
     }
 }

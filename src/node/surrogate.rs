@@ -1,6 +1,9 @@
 //! Frame in, predictions out.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use super::{
     Counters, InvalidSettings, NodeSettings, Prediction, Refusal,
@@ -40,7 +43,12 @@ pub struct SurrogateNode {
     /// Counted up with every use of a stream: which was used last must not depend on the time.
     uses: u64,
     counters: Counters,
+    /// Streams about which the model's remarks were made: once, however often they begin anew.
+    remarked: BTreeSet<u64>,
 }
+
+/// Streams that are kept in mind beyond those that are tracked.
+const REMARKED: usize = 4096;
 
 /// A frame that is to be stepped.
 struct Waiting {
@@ -61,7 +69,19 @@ impl SurrogateNode {
         let (streams, counters) = (BTreeMap::new(), Counters::default());
         let (ahead, waiting) = (Vec::new(), Vec::new());
         let simulated = None;
-        Ok(Self { surrogate, settings, streams, ahead, waiting, simulated, uses: 0, counters })
+        let remarked = BTreeSet::new();
+        let uses = 0;
+        Ok(Self {
+            surrogate,
+            settings,
+            streams,
+            ahead,
+            waiting,
+            simulated,
+            uses,
+            counters,
+            remarked,
+        })
     }
 
     /// The surrogate that predicts.
@@ -262,8 +282,15 @@ impl SurrogateNode {
     /// A stream whose first frame is `frame`, which it has yet to observe.
     fn begin(&mut self, frame: &Frame) -> Result<(), Refusal> {
         let memory = self.surrogate.start(frame)?;
+        if self.remarked.len() >= REMARKED {
+            self.remarked.clear();
+        }
+        let is_new = self.remarked.insert(frame.stream);
         for remark in self.surrogate.remarks(frame) {
-            tracing::warn!("stream {}: {remark}", frame.stream);
+            match is_new {
+                true => tracing::warn!("stream {}: {remark}", frame.stream),
+                false => tracing::debug!("stream {}: {remark}", frame.stream),
+            }
         }
         let track = StreamTrack {
             memory,

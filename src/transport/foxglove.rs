@@ -36,7 +36,7 @@ pub struct FoxgloveServer {
 
 /// Why there is no server.
 #[derive(Debug, thiserror::Error)]
-#[error("{address}: found {reason}, expected a free address of this machine")]
+#[error("{address}: found `{reason}`, expected a free port of this machine (0 takes any)")]
 pub struct NotServed {
     address: SocketAddr,
     reason: FoxgloveError,

@@ -253,6 +253,11 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     let words = "a checkpoint was trained on 1 of the 2 streams: they are left out";
     assert!(printed.contains(words), "{printed}");
     assert!(printed.contains("free rollouts over 1 streams"), "{printed}");
+    // The same command judges again; another one does not replace what it finds.
+    succeed(judge(&data));
+    let message = fail(1, judge(&format!("{data}/scene_0001")));
+    assert!(message.contains("report: found the report of `"), "{message}");
+    fs::remove_dir_all(&output).unwrap();
     let message = fail(1, judge(&format!("{data}/scene_0001")));
     assert!(message.contains("found 1 streams that a checkpoint was trained on"), "{message}");
 }

@@ -414,6 +414,10 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     browser.done(json!({ "do": "reset" }));
     browser.figures_until("the reset is counted", |figures| counter(figures, "resets") > before);
 
+    // It ends also while more is predicted than anybody reads.
+    browser.done(json!({ "do": "horizon", "frames": 40 }));
+    browser.done(json!({ "do": "publish_all", "on": true }));
+    browser.until("many frames are ahead", |shown| shown.has(PREDICTION) && shown.ahead > 5);
     demo.interrupt();
     assert!(demo.wait().success());
     // The page is told, and does not find out.
@@ -496,8 +500,11 @@ fn an_address_that_cannot_be_had_is_named() {
     assert!(said.contains("expected a free port"), "{said}");
     assert!(!output.exists(), "nothing is written before");
     let world = World::new("taken");
-    let (input, view) = (world.link("shm", "a").to_string(), format!("127.0.0.1:{port}"));
-    let said = fail(1, ["node", "--input", &input, "--output", &input, "--view", &view]);
+    let [input, output] = ["a", "b"].map(|name| world.link("shm", name).to_string());
+    let view = format!("127.0.0.1:{port}");
+    let said = fail(1, ["node", "--input", &input, "--output", &output, "--view", &view]);
+    let looped = fail(1, ["node", "--input", &input, "--output", &input]);
+    assert!(looped.contains(&format!("output: found {input}, which is the input")), "{looped}");
     assert!(said.contains(&format!("--view: 127.0.0.1:{port}: found ")), "{said}");
     let said = fail(2, ["node", "--view", "somewhere"]);
     assert!(said.contains("expected a port (9000), an address (0.0.0.0) or both"), "{said}");

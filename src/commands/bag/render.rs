@@ -35,6 +35,13 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         args.rate
     );
     // Refused before anything is read.
+    if let (Some(extension), None) = (args.output.extension(), strip_and_animation(&args.output)) {
+        bail!(
+            "{}: found .{}, expected .png, .gif, .apng or a folder",
+            args.output.display(),
+            extension.display()
+        );
+    }
     let is_folder = strip_and_animation(&args.output).is_none();
     let output =
         if is_folder { Output::directory(&args.output) } else { Output::new(&args.output) }?;

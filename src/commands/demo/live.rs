@@ -62,12 +62,14 @@ impl Live {
             return line + " | warming up";
         };
         let milliseconds = |latency: Duration| latency.as_secs_f64() * 1e3;
-        line += &format!(
-            " | {:5.1} predictions/s | latency p50 {:.1} ms, p99 {:.1} ms",
-            rates.rate,
-            milliseconds(rates.latency_p50),
-            milliseconds(rates.latency_p99)
-        );
+        line += &format!(" | {:5.1} predictions/s", rates.rate);
+        if rates.rate > 0.0 {
+            line += &format!(
+                " | latency p50 {:.1} ms, p99 {:.1} ms",
+                milliseconds(rates.latency_p50),
+                milliseconds(rates.latency_p99)
+            );
+        }
         line += &format!(" | error {error:.1e}");
         if let Some((best, of_best)) = baseline {
             line += &format!(", {} {of_best:.1e}", best.name());

@@ -128,10 +128,8 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
             if live_line { Printer::Line } else { Printer::Lines { quiet } },
         );
         stop.store(true, Ordering::Relaxed);
-        if watched.is_err() {
-            // Nobody records any more: read on, so that the others end without waiting for us.
-            wires.watch.discard(&truth_ended);
-        }
+        // Both wait for room where nobody reads.
+        wires.watch.read_on(watched.is_ok(), || truth.is_finished() && predictor.is_finished());
         let truth = join(truth);
         join(predictor)?;
         watched?;

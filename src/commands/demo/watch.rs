@@ -103,11 +103,14 @@ impl Watch {
         Ok(())
     }
 
-    /// Reads and forgets until the truth has ended.
-    pub(super) fn discard(&mut self, truth_ended: &AtomicBool) {
-        while !truth_ended.load(Ordering::Relaxed) {
+    /// Reads what still comes until those who publish have `ended`, and records it unless that has failed.
+    pub(super) fn read_on(&mut self, records: bool, ended: impl Fn() -> bool) {
+        if !records {
+            self.recorder = None;
+        }
+        while !ended() {
             for topic in [&mut self.prediction, &mut self.status, &mut self.truth] {
-                while let Ok(Some(_)) = topic.subscriber.receive(Duration::ZERO) {}
+                while let Ok(Some(_)) = topic.receive(&mut self.recorder, Duration::ZERO) {}
             }
             thread::sleep(PATIENCE);
         }

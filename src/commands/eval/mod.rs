@@ -10,6 +10,8 @@ mod contest;
 mod rivals;
 mod survey;
 
+use std::path::Path;
+
 use anyhow::{Context, ensure};
 
 use super::{Interrupt, simulate::memory, surrogate};
@@ -18,6 +20,7 @@ use eddy::{
     checkpoint::Checkpoint,
     dataset,
     eval::{Report, Settings},
+    page::Provenance,
 };
 
 pub(super) use contest::judge_alone;
@@ -32,6 +35,7 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     }
     // Wrong usage without it.
     let folder = args.output.as_deref().context("--output: found none, expected a folder")?;
+    keep(folder)?;
     let report = judge(&args, quiet, interrupt)?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
     println!(
@@ -40,6 +44,20 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     );
     println!("{}", report.tables());
     println!("{}", folder.join("report.html").display());
+    Ok(())
+}
+
+/// Refuses a folder with the report of another command; that of the same one is made again.
+fn keep(folder: &Path) -> anyhow::Result<()> {
+    if !folder.join("report.json").exists() {
+        return Ok(());
+    }
+    let found = Report::load(folder)?.made.command;
+    ensure!(
+        found == Provenance::here().command,
+        "{}: found the report of `{found}`, expected none, or one of this command",
+        folder.display()
+    );
     Ok(())
 }
 

@@ -23,6 +23,8 @@ use eddy::{
 const NAME: &str = "eddy_topic";
 /// How long a topic is waited for.
 const WAIT_LIMIT: Duration = Duration::from_secs(30);
+/// How long it is waited for without a word.
+const WAIT_UNTOLD: Duration = Duration::from_secs(3);
 /// Between two looks at what there is.
 const NAP: Duration = Duration::from_millis(50);
 /// How long a wait for a message may last before signals are looked at.
@@ -65,6 +67,7 @@ fn find(
 ) -> anyhow::Result<Option<SeenTopic>> {
     leaves_the_process(link)?;
     let clock = Clock::start();
+    let mut told = false;
     loop {
         let topics = transports.topics(link.transport)?;
         if let Some(topic) = topics.iter().find(|topic| topic.link == *link) {
@@ -80,6 +83,10 @@ fn find(
                 "{link}: found nobody who publishes it within 30 s; on {} there are: {others}",
                 link.transport
             );
+        }
+        if !told && clock.now() > WAIT_UNTOLD {
+            told = true;
+            tracing::warn!("{link}: waiting for somebody who publishes it");
         }
         thread::sleep(NAP);
     }

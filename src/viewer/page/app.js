@@ -243,7 +243,8 @@ function drawLegend() {
 
 // --- figures and curves
 
-const milliseconds = (seconds) => `${(1e3 * seconds).toFixed(seconds < 0.01 ? 2 : 1)} ms`;
+const duration = (seconds) =>
+  seconds >= 1 ? `${seconds.toFixed(1)} s` : `${(1e3 * seconds).toFixed(seconds < 0.01 ? 2 : 1)} ms`;
 const count = (number) => number.toLocaleString("en");
 let before = null;
 
@@ -278,7 +279,7 @@ function show(figures) {
   if (observed != null) entries.push(["frames observed", `${observed.toFixed(0)} /s`]);
   if (node) {
     entries.push(["predictions", `${node.rate.toFixed(0)} /s`]);
-    entries.push(["latency p50, p99", `${milliseconds(node.latency[0])}, ${milliseconds(node.latency[1])}`]);
+    entries.push(["latency p50, p99", node.rate > 0 ? `${duration(node.latency[0])}, ${duration(node.latency[1])}` : "-"]);
     entries.push(["frames the node lost", count(node.lost)]);
     entries.push(["streams", count(node.streams)]);
   } else {
