@@ -1,6 +1,6 @@
 //! Publishes one topic.
 
-use std::{sync::Arc, time::Duration};
+use std::{sync::Arc, thread, time::Duration};
 
 use ros2_client::dds::rustdds::{RTPSEntity, Timestamp, dds::WriteError, no_key::DataWriter};
 
@@ -18,6 +18,9 @@ use crate::{
 
 /// How long the last messages are waited for when a publisher goes: a subscriber that was killed never has them.
 const LAST_PATIENCE: Duration = Duration::from_secs(3);
+/// How long a publisher stays when its last message has arrived: readers of RustDDS (0.15) forget what nobody has taken
+/// from them yet when the writer goes, which a busy machine takes a while to do.
+const FAREWELL: Duration = Duration::from_millis(250);
 
 pub(in crate::transport) struct DdsPublisher {
     link: Link,
@@ -106,11 +109,11 @@ impl Publisher for DdsPublisher {
 impl Drop for DdsPublisher {
     /// What was sent must have arrived before it can no longer be repaired.
     fn drop(&mut self) {
-        if self.promise == Promise::Waits
-            && self.on_their_way > 0
-            && let Err(error) = self.wait_until_arrived(self.node.patience.min(LAST_PATIENCE))
-        {
-            tracing::warn!("{error}");
+        if self.promise == Promise::Waits && self.on_their_way > 0 {
+            match self.wait_until_arrived(self.node.patience.min(LAST_PATIENCE)) {
+                Ok(()) => thread::sleep(FAREWELL),
+                Err(error) => tracing::warn!("{error}"),
+            }
         }
         self.node.graph.remove_writer(self.writer.guid());
     }
