@@ -17,7 +17,7 @@
 //! | L3 | `dataset`, `engine`, `ros` |
 //! | L2 | `bag`, `model`, `page`, `transport` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
-//! | L0 | `frame`, `near` |
+//! | L0 | `frame`, `near`, `progress` |
 
 pub mod bag;
 pub mod bench;
@@ -40,6 +40,7 @@ pub mod near;
 pub mod node;
 pub mod page;
 pub mod picture;
+pub mod progress;
 pub mod ros;
 pub mod study;
 pub mod train;

@@ -19,9 +19,11 @@ mod interrupt;
 mod pace;
 mod page;
 mod pages;
+mod progress;
 mod surrogate;
 
 pub use interrupt::Interrupt;
+pub(crate) use progress::TerminalProgress;
 
 use std::{thread, time::Duration};
 

@@ -7,13 +7,13 @@ use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 use eddy::{
     clock::Clock,
     config::Overrides,
-    dataset::Dataset,
+    dataset::{Dataset, available_memory},
     model::Architecture,
     train::{Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, check_output, train},
 };
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, pages, progress_bar, simulate::memory};
+use super::{Interrupt, pages, progress_bar};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
@@ -39,13 +39,13 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     let mut outcomes = Vec::new();
     let mut failure = None;
     // Once for all runs: what one of them frees stays with this process, for the next.
-    let memory = memory::available();
+    let memory = available_memory();
     for (config, output) in &runs {
         let run = Run {
             device: args.device,
             output,
             resume: args.resume,
-            machine: Machine { memory, disk: free_disk(output)? },
+            machine: Machine::with_free_disk(memory, output)?,
             command: std::env::args().collect::<Vec<_>>().join(" "),
             quiet,
             interrupted: &|| interrupt.requested(),
@@ -132,7 +132,7 @@ fn runs(args: &TrainArgs, config: &TrainConfig) -> anyhow::Result<Vec<(TrainConf
 /// Reads the bags, with a progress bar when it takes long.
 fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
     let memory = match args.memory {
-        None => memory::available() / 2,
+        None => available_memory() / 2,
         Some(gib) => {
             ensure!(
                 gib.is_finite() && gib > 0.0,
@@ -168,13 +168,6 @@ fn introduce(config: &TrainConfig, dataset: &Dataset) {
     if let Some(shelf) = dataset.shelf() {
         println!("frames stay on disk, at most {} of them in memory", HumanBytes(shelf.limit()));
     }
-}
-
-/// What is free where the output is, or will be (bytes).
-pub(super) fn free_disk(output: &Path) -> anyhow::Result<u64> {
-    let there = output.ancestors().find(|folder| folder.exists()).unwrap_or(".".as_ref());
-    let there = if there.as_os_str().is_empty() { ".".as_ref() } else { there };
-    fs4::available_space(there).with_context(|| there.display().to_string())
 }
 
 /// What a run came to, where everything is, and how to go on.

@@ -5,11 +5,15 @@
 //! 3. [`shelf`]: streams that do not fit stay on disk and are read again block by block.
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
 //! 5. [`statistics`]: range, mean and deviation of each feature, over the training part only.
+//! 6. [`simulate`]: simulated scenes as a data set: one bag each in a folder that can be resumed.
+//! 7. [`memory`]: how much memory is free.
 //!
 //! Everything that is computed from a set is the same, bit for bit, wherever its frames are.
 
 mod load;
+mod memory;
 mod shelf;
+pub mod simulate;
 mod split;
 mod statistics;
 mod stream;
@@ -20,6 +24,7 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
+pub use memory::available_memory;
 pub use shelf::{Residency, Shelf};
 pub use split::Part;
 pub use statistics::Bounds;

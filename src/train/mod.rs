@@ -106,6 +106,18 @@ pub struct Machine {
 impl Machine {
     /// A machine on which nothing is too large.
     pub const UNLIMITED: Self = Self { memory: u64::MAX, disk: u64::MAX };
+
+    /// So much memory (bytes), and the disk that is free where the output is, or will be.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] when the system does not say how much that is.
+    pub fn with_free_disk(memory: u64, output: &Path) -> Result<Self, TrainError> {
+        let there = output.ancestors().find(|folder| folder.exists()).unwrap_or(".".as_ref());
+        let there = if there.as_os_str().is_empty() { ".".as_ref() } else { there };
+        let disk = fs4::available_space(there)
+            .map_err(|reason| TrainError::File { file: there.to_owned(), reason })?;
+        Ok(Self { memory, disk })
+    }
 }
 
 /// What a run came to.

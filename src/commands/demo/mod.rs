@@ -28,9 +28,7 @@ use super::{
     node::summary,
     pace::Pace,
     page::{Desk, Page},
-    progress_bar,
-    simulate::memory,
-    surrogate,
+    progress_bar, surrogate,
 };
 use crate::cli::DemoArgs;
 use eddy::{
@@ -193,8 +191,11 @@ impl Wires {
 
 /// Judges the surrogate by free rollouts over the bag just recorded.
 fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyhow::Result<()> {
-    let streams =
-        dataset::load_trajectories(&[bag.to_owned()], memory::available() / 2, &mut |_, _| ())?;
+    let streams = dataset::load_trajectories(
+        &[bag.to_owned()],
+        dataset::available_memory() / 2,
+        &mut |_, _| (),
+    )?;
     let settings = Settings::errors_only(20, 10);
     let longest = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
     let needed = node.surrogate().description().warm_up as usize + settings.horizon;

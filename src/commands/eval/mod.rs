@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 
-use super::{Interrupt, simulate::memory, surrogate};
+use super::{Interrupt, surrogate};
 use crate::cli::EvalArgs;
 use eddy::{
     checkpoint::Checkpoint,
@@ -71,7 +71,8 @@ pub(super) fn judge(args: &EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyh
         .iter()
         .map(|path| Ok((path.display().to_string(), surrogate::checkpoint(Some(path))?)))
         .collect::<anyhow::Result<_>>()?;
-    let streams = dataset::load_trajectories(&args.data, memory::available() / 2, &mut |_, _| ())?;
+    let streams =
+        dataset::load_trajectories(&args.data, dataset::available_memory() / 2, &mut |_, _| ())?;
     let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
     let survey = Survey::new(settings, &descriptions, streams)?;
     let contest = Contest::new(args, checkpoints, survey, interrupt)?;

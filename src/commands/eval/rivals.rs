@@ -7,9 +7,9 @@ use std::{
 
 use rayon::prelude::*;
 
-use crate::{cli::Rival, commands::simulate};
+use crate::cli::Rival;
 use eddy::{
-    dataset::Trajectory,
+    dataset::{Trajectory, simulate::recorded_scenes},
     eval::{Predictor, Restart, chaos},
     mpm::Scene,
 };
@@ -63,7 +63,7 @@ fn scenes(streams: &[Trajectory]) -> anyhow::Result<Result<Vec<Scene>, String>> 
     for stream in streams {
         let folder = stream.source.parent().unwrap_or(&stream.source).to_owned();
         if !manifests.contains_key(&folder) {
-            let found = simulate::scenes(&folder)?.unwrap_or_default();
+            let found = recorded_scenes(&folder)?.unwrap_or_default();
             manifests.insert(folder.clone(), found);
         }
         let scene = manifests.get(&folder).and_then(|manifest| manifest.get(&stream.id));

@@ -2,17 +2,13 @@
 
 use anyhow::{Context, bail, ensure};
 
-use super::{
-    Job,
-    plan::Planned,
-    recording::{Archive, Recording},
-};
 use crate::{
     cli::SimulateArgs,
     commands::{Interrupt, leaves_the_process, pace::Pace, wait_for_subscribers},
 };
 use eddy::{
     clock::Clock,
+    dataset::simulate::{Job, Recording, Store},
     frame::Frame,
     msg::{self, Message, ParticleFrame, cdr},
     transport::{Link, Publisher, TransportError, TransportOptions, Transports},
@@ -21,13 +17,12 @@ use eddy::{
 /// Frames of a scene that are too few to say whether the machine keeps the pace.
 const LATE_FRAMES: u32 = 30;
 
-/// Publishes the planned scenes; records them too where there is an archive.
+/// Publishes the planned scenes; records them too where there is a store.
 pub(super) fn run(
     job: &Job,
-    planned: &[Planned],
     link: &Link,
     args: &SimulateArgs,
-    archive: Option<&Archive>,
+    store: Option<&Store>,
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
@@ -45,12 +40,11 @@ pub(super) fn run(
     if !ready {
         return Ok(());
     }
-    for scene in planned {
-        let name = job.name(scene.start.id);
+    for scene in job.planned() {
+        let name = job.scene_name(scene.start.id);
         let clock = Clock::start();
         let mut simulation = job.start(scene).with_context(|| name.clone())?;
-        let mut recording =
-            archive.map(|archive| Recording::begin(archive, &scene.start)).transpose()?;
+        let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
         let whole = Pace::steady(rate)
@@ -70,14 +64,14 @@ pub(super) fn run(
             let slow = if slow { ", slower than asked for" } else { "" };
             println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}");
         }
-        if !whole && archive.is_some() {
+        if !whole && store.is_some() {
             bail!("interrupted: {name} is not finished and was not kept");
         }
         if !whole {
             return Ok(());
         }
-        if let (Some(archive), Some(recording)) = (archive, recording) {
-            archive.deliver(&recording.finish()?)?;
+        if let (Some(store), Some(recording)) = (store, recording) {
+            store.deliver(&recording.finish()?)?;
         }
     }
     Ok(())

@@ -11,7 +11,8 @@ use clap::{
 use crate::cli::SimulateArgs;
 use eddy::{
     config,
-    mpm::{Extent, Preset, Scene},
+    dataset::simulate::Source,
+    mpm::{Extent, Preset},
 };
 
 /// The scene files that come with the program, by the names that `--preset` takes.
@@ -35,51 +36,22 @@ pub(crate) fn presets() -> PossibleValuesParser {
     PossibleValuesParser::new(random.chain(shipped))
 }
 
-/// Where scenes come from.
-#[derive(Clone, Debug)]
-pub(super) enum Source {
-    /// Drawn from a seed.
-    Random(Extent),
-    /// Written down: always the same scene.
-    Written(Box<Scene>),
-}
-
-impl Source {
-    /// What was asked for.
-    pub(super) fn of(args: &SimulateArgs) -> anyhow::Result<Self> {
-        if let Some(file) = &args.scene {
-            return Ok(Self::Written(Box::new(config::load(file)?)));
-        }
-        if let Ok(preset) = Preset::from_str(&args.preset, false) {
-            let extent = args.particles.map(|particles| Extent::of(preset, particles));
-            return Ok(Self::Random(extent.transpose()?.unwrap_or(Extent::usual(preset))));
-        }
-        if let Some(particles) = args.particles {
-            bail!(
-                "particles: found {particles}, expected none: {} is a scene with particles of its own",
-                args.preset
-            );
-        }
-        let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
-        let text = shipped.map_or("", |(_, text)| text);
-        Ok(Self::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
+/// What was asked for.
+pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
+    if let Some(file) = &args.scene {
+        return Ok(Source::Written(Box::new(config::load(file)?)));
     }
-
-    /// The particles of random scenes, where they are not the usual number.
-    pub(super) fn unusual_particles(&self) -> Option<usize> {
-        match self {
-            Self::Random(extent) if *extent != Extent::usual(extent.preset()) => {
-                Some(extent.particles())
-            }
-            Self::Random(_) | Self::Written(_) => None,
-        }
+    if let Ok(preset) = Preset::from_str(&args.preset, false) {
+        let extent = args.particles.map(|particles| Extent::of(preset, particles));
+        return Ok(Source::Random(extent.transpose()?.unwrap_or(Extent::usual(preset))));
     }
-
-    /// Scene number `index` of those asked for; one that is written down has its own id.
-    pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
-        match self {
-            Self::Random(extent) => Scene::generate_in(extent, seed, index),
-            Self::Written(scene) => Scene::clone(scene),
-        }
+    if let Some(particles) = args.particles {
+        bail!(
+            "particles: found {particles}, expected none: {} is a scene with particles of its own",
+            args.preset
+        );
     }
+    let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
+    let text = shipped.map_or("", |(_, text)| text);
+    Ok(Source::Written(Box::new(config::parse(Path::new(&args.preset), text)?)))
 }

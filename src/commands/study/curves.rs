@@ -3,8 +3,12 @@
 use std::collections::VecDeque;
 
 use super::Work;
-use crate::commands::{pages, simulate::memory};
-use eddy::{dataset::Dataset, study::Curve, train::dense::train_dense};
+use crate::commands::pages;
+use eddy::{
+    dataset::{Dataset, available_memory},
+    study::Curve,
+    train::dense::train_dense,
+};
 
 /// Computes what is not there yet.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
@@ -24,7 +28,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             continue;
         }
         let data = work.folders.data(preset);
-        let dataset = Dataset::load(&[data], memory::available() / 2, &mut |_, _| ())?;
+        let dataset = Dataset::load(&[data], available_memory() / 2, &mut |_, _| ())?;
         work.each(missing, "learning curves", |(activation, seed, file)| {
             let curve = train_dense(config, activation, seed, &dataset, &|| work.stops())?;
             let Some(curve) = curve else { return Ok(None) };

@@ -5,9 +5,9 @@ use std::{collections::VecDeque, fs, path::PathBuf};
 use anyhow::{Context, bail};
 
 use super::{Work, write};
-use crate::commands::{pages, simulate::memory, train::free_disk};
+use crate::commands::pages;
 use eddy::{
-    dataset::Dataset,
+    dataset::{Dataset, available_memory},
     page::command_line,
     study::Trained,
     train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
@@ -41,9 +41,9 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             continue;
         }
         let data = work.folders.data(preset);
-        let dataset = Dataset::load(&[data], memory::available() / 2, &mut |_, _| ())?;
+        let dataset = Dataset::load(&[data], available_memory() / 2, &mut |_, _| ())?;
         let at_once = work.jobs.min(tasks.len());
-        let memory = memory::available() / at_once as u64;
+        let memory = available_memory() / at_once as u64;
         work.each(tasks, "networks", |task| task.run(work, &dataset, memory, at_once))?;
         if work.stops() {
             break;
@@ -68,7 +68,7 @@ impl Task {
             device: work.device,
             output,
             resume: true,
-            machine: Machine { memory, disk: free_disk(output)? },
+            machine: Machine::with_free_disk(memory, output)?,
             command: command.clone(),
             quiet: true,
             interrupted: &|| work.stops(),

@@ -1,15 +1,16 @@
-//! `manifest.json` beside the bags of `eddy simulate`: what was asked for, and what came out.
+//! `manifest.json` beside the bags: what was asked for, and what came out.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs,
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use eddy::{
+use super::SimulateError;
+use crate::{
     frame::Material,
     mpm::{Energy, Scene, Settings, Simulation},
 };
@@ -19,10 +20,10 @@ const NAME: &str = "manifest.json";
 /// The most points of an energy curve.
 const CURVE_POINTS: usize = 33;
 
-/// What all scenes of a directory were asked to be.
+/// What all scenes of a directory were asked to be: a directory is resumed by the same request only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Request {
+pub(super) struct RecordedRequest {
     /// Version of the program.
     pub(super) eddy: String,
     /// The preset, or the name of the scene's file.
@@ -38,15 +39,15 @@ pub(super) struct Request {
 
 /// What a scene starts from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Start {
+pub struct Start {
     /// The scene's id.
-    pub(super) id: u64,
+    pub id: u64,
     /// The materials that occur.
-    pub(super) materials: Vec<Material>,
+    pub materials: Vec<Material>,
     /// Substeps a frame.
-    pub(super) substeps: u32,
+    pub substeps: u32,
     /// The scene itself, as a file of a scene would have it.
-    pub(super) scene: Scene,
+    pub scene: Scene,
 }
 
 impl Start {
@@ -65,7 +66,7 @@ impl Start {
 /// How much energy the particles had, at times spread evenly over a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct EnergyCurve {
+pub struct EnergyCurve {
     /// When (s of simulated time).
     time: Vec<f64>,
     /// Kinetic energy (density x domain lengths^4 per s^2, like the others).
@@ -102,22 +103,25 @@ impl EnergyCurve {
 
 /// A finished scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Finished {
+pub struct Finished {
     /// What it started from.
     #[serde(flatten)]
-    pub(super) start: Start,
+    pub start: Start,
     /// How many frames were recorded.
-    pub(super) frames: u64,
+    pub frames: u64,
     /// The energy over time.
-    pub(super) energy: EnergyCurve,
+    pub energy: EnergyCurve,
     /// SHA-256 of the CDR bytes of all frames, one after the other.
-    pub(super) sha256: String,
+    pub sha256: String,
 }
 
 /// The manifest of a directory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Manifest {
-    request: Request,
+    /// The directory.
+    #[serde(skip)]
+    output: PathBuf,
+    request: RecordedRequest,
     /// The finished scenes, by id.
     scenes: Vec<Finished>,
 }
@@ -125,24 +129,31 @@ pub(super) struct Manifest {
 impl Manifest {
     /// The manifest of a directory, or an empty one where there is none yet. Refuses one that was
     /// made for another request.
-    pub(super) fn open(directory: &Path, request: Request) -> anyhow::Result<Self> {
-        let path = path(directory);
-        if !path.exists() {
-            return Ok(Self { request, scenes: Vec::new() });
+    pub(super) fn open(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
+        let Some(found) = read(output)? else {
+            return Ok(Self {
+                output: output.to_owned(),
+                request: request.clone(),
+                scenes: Vec::new(),
+            });
+        };
+        if found.request == *request {
+            return Ok(found);
         }
-        let text = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let found: Self = serde_json::from_slice(&text).with_context(|| {
-            format!("{}: found no manifest of this eddy; choose another --output", path.display())
-        })?;
-        if found.request != request {
-            bail!(
-                "{}: found {}, expected {}; choose another --output",
-                path.display(),
-                serde_json::to_string(&found.request)?,
-                serde_json::to_string(&request)?
-            );
-        }
-        Ok(found)
+        let file = path(output);
+        let [there, here] = [&found.request, request].map(serde_json::to_value);
+        let invalid = |reason| SimulateError::NoManifest { file: file.clone(), reason };
+        let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
+        let mut fields = Vec::new();
+        differences("", &there, &here, &mut fields);
+        let text = |request| serde_json::to_string(request).map_err(invalid);
+        let (found, expected) = (text(&found.request)?, text(request)?);
+        Err(SimulateError::OtherRequest { file, fields, found, expected })
+    }
+
+    /// The directory.
+    pub(super) fn output(&self) -> &Path {
+        &self.output
     }
 
     /// The finished scene with this id.
@@ -158,12 +169,15 @@ impl Manifest {
     }
 
     /// Writes the manifest in one step: whoever reads it sees the old one or the new one.
-    pub(super) fn save(&self, directory: &Path) -> anyhow::Result<()> {
-        let path = path(directory);
+    pub(super) fn save(&self) -> Result<(), SimulateError> {
+        let path = path(&self.output);
         let unfinished = path.with_extension("json.tmp");
-        let written = fs::write(&unfinished, self.text()?)
+        let text = self
+            .text()
+            .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
+        let written = fs::write(&unfinished, text)
             .and_then(|()| fs::rename(&unfinished, &path))
-            .with_context(|| format!("cannot write {}", path.display()));
+            .map_err(SimulateError::io("write", &path));
         if written.is_err() {
             // What could not be written whole is of no use, and may be what fills the disk.
             let _ = fs::remove_file(&unfinished);
@@ -184,18 +198,42 @@ impl Manifest {
 }
 
 /// The scenes in the manifest of a directory, by id; `None` where there is none.
-pub(in crate::commands) fn scenes(
-    directory: &Path,
-) -> anyhow::Result<Option<BTreeMap<u64, Scene>>> {
-    let path = path(directory);
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let Manifest { scenes, .. } = serde_json::from_slice(&text)
-        .with_context(|| format!("{}: found no manifest of this eddy", path.display()))?;
+///
+/// # Errors
+/// [`SimulateError::Io`], [`SimulateError::NoManifest`].
+pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>, SimulateError> {
+    let Some(Manifest { scenes, .. }) = read(directory)? else { return Ok(None) };
     let scenes = scenes.into_iter().map(|Finished { start, .. }| (start.id, start.scene));
     Ok(Some(scenes.collect()))
+}
+
+/// The manifest of a directory; `None` where there is none.
+fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
+    let file = path(output);
+    if !file.exists() {
+        return Ok(None);
+    }
+    let text = fs::read(&file).map_err(SimulateError::io("read", &file))?;
+    let found: Manifest = serde_json::from_slice(&text)
+        .map_err(|reason| SimulateError::NoManifest { file, reason })?;
+    Ok(Some(Manifest { output: output.to_owned(), ..found }))
+}
+
+/// Adds the paths of the fields in which two values differ, such as `settings.duration`.
+fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String>) {
+    let (Value::Object(one), Value::Object(other)) = (one, other) else {
+        if one != other {
+            fields.push(prefix.to_owned());
+        }
+        return;
+    };
+    let keys: BTreeSet<&String> = one.keys().chain(other.keys()).collect();
+    for key in keys {
+        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        let value = |map: &serde_json::Map<String, Value>| map.get(key).cloned();
+        let [one, other] = [one, other].map(|map| value(map).unwrap_or(Value::Null));
+        differences(&path, &one, &other, fields);
+    }
 }
 
 fn path(directory: &Path) -> PathBuf {

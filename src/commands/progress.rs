@@ -1,0 +1,61 @@
+//! The library's progress on a terminal.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use eddy::progress::Progress;
+use indicatif::ProgressBar;
+
+use super::{Interrupt, progress_bar};
+
+/// Draws a bar for each task, prints lines above it, and cancels on SIGINT and SIGTERM.
+pub(crate) struct TerminalProgress<'a> {
+    interrupt: &'a Interrupt,
+    quiet: bool,
+    bar: Mutex<Option<ProgressBar>>,
+}
+
+impl<'a> TerminalProgress<'a> {
+    /// No bars and no lines when `quiet`; no bars without a terminal.
+    pub(crate) fn new(quiet: bool, interrupt: &'a Interrupt) -> Self {
+        Self { interrupt, quiet, bar: Mutex::new(None) }
+    }
+
+    /// A panic elsewhere cannot leave it half changed: it is replaced as a whole.
+    fn bar(&self) -> MutexGuard<'_, Option<ProgressBar>> {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Progress for TerminalProgress<'_> {
+    fn begin(&self, total: u64, unit: &str) {
+        let bar = progress_bar(total, unit, self.quiet);
+        bar.tick();
+        *self.bar() = Some(bar);
+    }
+
+    fn advance(&self, steps: u64) {
+        if let Some(bar) = &*self.bar() {
+            bar.inc(steps);
+        }
+    }
+
+    fn finish(&self) {
+        if let Some(bar) = self.bar().take() {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn message(&self, line: &str) {
+        if self.quiet {
+            return;
+        }
+        match &*self.bar() {
+            Some(bar) => bar.suspend(|| println!("{line}")),
+            None => println!("{line}"),
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.interrupt.requested()
+    }
+}
