@@ -12,6 +12,8 @@
 //! 7. [`cost`]: time of a predicted frame.
 //! 8. [`snapshot`]: frames of a rollout beside the true ones, to look at.
 //! 9. [`report`]: all of it as JSON, CSV, tables and a page; several reports side by side.
+//! 10. [`evaluation`]: a request from its checkpoints and streams to the report; [`selection`]: the streams that no
+//!     checkpoint has seen; [`references`]: solvers that predict from the same frames.
 //!
 //! Scenes are judged one at a time, so that no more than one is in memory for each thread.
 
@@ -21,14 +23,17 @@ pub mod bootstrap;
 pub mod chaos;
 mod cost;
 mod errors;
+mod evaluation;
 mod kind;
 mod measure;
 mod numbers;
 mod predictor;
+mod references;
 mod report;
 mod restart;
 mod rollout;
 mod scene;
+mod selection;
 mod skill;
 mod snapshot;
 mod steps;
@@ -38,9 +43,11 @@ pub use arena::{Arena, Settings};
 pub use baseline::Baseline;
 pub use cost::{Cost, KindCost, time};
 pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
+pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};
 pub use kind::Kind;
 pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN};
 pub use predictor::Predictor;
+pub use references::Reference;
 pub use report::{
     Comparison, Contestant, Entry, Judged, KindCount, Origin, Report, ReportError, Role,
     SCENE_FRAMES,

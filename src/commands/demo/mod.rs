@@ -23,18 +23,17 @@ use self::{
     watch::{Printer, Recorded, Watch},
 };
 use super::{
-    Interrupt,
-    eval::judge_alone,
+    Interrupt, TerminalProgress,
     node::summary,
     pace::Pace,
     page::{Desk, Page},
-    progress_bar, surrogate,
+    surrogate,
 };
 use crate::cli::DemoArgs;
 use eddy::{
     bag::{BagWriter, WriterOptions},
     clock, dataset,
-    eval::Settings,
+    eval::{Settings, evaluate_model},
     frame::Stamp,
     msg::{self, Message, ParticleFrame, PredictionStatus},
     node::{
@@ -141,7 +140,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         println!("interrupted: not judged");
         return Ok(());
     }
-    report(&node, &folder, &bag, quiet)
+    report(&node, &folder, &bag, quiet, interrupt)
 }
 
 /// Where the simulated time comes from, within this process.
@@ -190,7 +189,13 @@ impl Wires {
 }
 
 /// Judges the surrogate by free rollouts over the bag just recorded.
-fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyhow::Result<()> {
+fn report(
+    node: &SurrogateNode,
+    folder: &Path,
+    bag: &Path,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     let streams = dataset::load_trajectories(
         &[bag.to_owned()],
         dataset::available_memory() / 2,
@@ -203,9 +208,8 @@ fn report(node: &SurrogateNode, folder: &Path, bag: &Path, quiet: bool) -> anyho
         println!("not judged: found {longest} frames, expected at least {needed}");
         return Ok(());
     }
-    let bar = progress_bar(streams.len() as u64, "scenes", quiet);
-    let report = judge_alone(node.surrogate(), "demo", streams, settings, &bar)?;
-    bar.finish_and_clear();
+    let progress = TerminalProgress::new(quiet, interrupt);
+    let report = evaluate_model(node.surrogate(), "demo", streams, settings, &progress)?;
     report.save(folder)?;
     println!("report: {}", folder.join("report.html").display());
     println!("\nfree rollouts from {} frames of this scene:\n{}", report.windows, report.tables());

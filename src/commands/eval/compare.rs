@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use super::contest::short_names;
 use eddy::{
-    eval::{Comparison, Report},
+    eval::{Comparison, Report, short_names},
     page::Provenance,
 };
 

@@ -1,32 +1,21 @@
 //! `eddy eval`: judges checkpoints by free rollouts over bags.
 //!
-//! 1. [`survey`]: the streams, what they have in common, which of them no checkpoint has seen.
-//! 2. [`rivals`]: what the streams were simulated from, for solvers that start from the same frames.
-//! 3. [`contest`]: who is judged; scenes in parallel, then the time of a frame, then the report.
-//! 4. [`compare`]: reports that were written before, side by side.
+//! 1. [`eddy::eval::Evaluation`]: the streams, the models, the rollouts and the report.
+//! 2. [`compare`]: reports that were written before, side by side.
 
 mod compare;
-mod contest;
-mod rivals;
-mod survey;
 
 use std::path::Path;
 
 use anyhow::{Context, ensure};
 
-use super::{Interrupt, surrogate};
-use crate::cli::EvalArgs;
+use super::{Interrupt, TerminalProgress, surrogate};
+use crate::cli::{EvalArgs, Rival};
 use eddy::{
-    checkpoint::Checkpoint,
     dataset,
-    eval::{Report, Settings},
+    eval::{Evaluation, EvaluationRequest, Reference, Report, Settings},
     page::Provenance,
 };
-
-pub(super) use contest::judge_alone;
-
-use contest::Contest;
-use survey::Survey;
 
 /// Judges all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -61,20 +50,32 @@ fn keep(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The judgement alone.
+/// The evaluation alone.
 pub(super) fn judge(args: &EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<Report> {
-    ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
-    ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
-    let settings = Settings::full(args.horizon, args.starts);
-    let checkpoints: Vec<(String, Checkpoint)> = args
+    let progress = TerminalProgress::new(quiet, interrupt);
+    let evaluation = Evaluation::new(request(args)?, &progress)?;
+    evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
+    Ok(evaluation.run(&progress)?)
+}
+
+/// What was asked for.
+fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
+    let checkpoints = args
         .checkpoint
         .iter()
         .map(|path| Ok((path.display().to_string(), surrogate::checkpoint(Some(path))?)))
         .collect::<anyhow::Result<_>>()?;
-    let streams =
-        dataset::load_trajectories(&args.data, dataset::available_memory() / 2, &mut |_, _| ())?;
-    let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
-    let survey = Survey::new(settings, &descriptions, streams)?;
-    let contest = Contest::new(args, checkpoints, survey, interrupt)?;
-    contest.judge(quiet, interrupt)
+    let memory = dataset::available_memory() / 2;
+    let reference = |rival: &Rival| match rival {
+        Rival::Mpm => Reference::Restart,
+        Rival::Chaos => Reference::Chaos,
+    };
+    Ok(EvaluationRequest {
+        checkpoints,
+        streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
+        settings: Settings::full(args.horizon, args.starts),
+        references: args.rivals.iter().map(reference).collect(),
+        join_late: args.join_late,
+        threads: args.threads,
+    })
 }

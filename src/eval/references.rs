@@ -1,4 +1,5 @@
-//! What streams were simulated from: the manifests beside their bags.
+//! Solvers that predict beside models, and what they need: the scenes that streams were simulated from, by the
+//! manifests beside their bags.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -7,38 +8,49 @@ use std::{
 
 use rayon::prelude::*;
 
-use crate::cli::Rival;
-use eddy::{
+use super::{EvalError, EvaluationError, Predictor, Restart, chaos};
+use crate::{
     dataset::{Trajectory, simulate::recorded_scenes},
-    eval::{Predictor, Restart, chaos},
     mpm::Scene,
 };
 
-/// Who may take part of those asked for, with what is needed for it.
-pub(super) struct Rivals {
-    /// For each stream the scene it was simulated from; nothing where nobody needs it.
+/// A solver that predicts beside models and trivial predictors, from the same frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reference {
+    /// The solver restarted from positions and velocities, with each of [`Restart::ALL`].
+    Restart,
+    /// The truth from positions that are slightly off: [`chaos`].
+    Chaos,
+}
+
+/// The solvers that predict, of those asked for, with what they need.
+pub(super) struct References {
+    /// For each stream the scene it was simulated from; `None` where no solver needs it.
     pub(super) scenes: Vec<Option<Scene>>,
-    /// Who takes part.
+    /// The solvers.
     pub(super) predictors: Vec<Predictor<'static>>,
-    /// Why others do not.
+    /// Why others do not predict.
     pub(super) notes: Vec<String>,
 }
 
-impl Rivals {
-    /// Finds the scene of every stream. If one has none, no rival takes part: all are judged by the
+impl References {
+    /// Finds the scene of every stream. If one has none, no solver predicts: all are evaluated on the
     /// same frames. A restart that has no grid in one of the scenes is left out.
-    pub(super) fn new(asked: &[Rival], streams: &[Trajectory]) -> anyhow::Result<Self> {
-        let nobody =
+    pub(super) fn new(
+        asked: &[Reference],
+        streams: &[Trajectory],
+    ) -> Result<Self, EvaluationError> {
+        let none =
             |notes| Self { scenes: vec![None; streams.len()], predictors: Vec::new(), notes };
         if asked.is_empty() {
-            return Ok(nobody(Vec::new()));
+            return Ok(none(Vec::new()));
         }
         let scenes = match scenes(streams)? {
             Ok(scenes) => scenes,
-            Err(reason) => return Ok(nobody(vec![format!("no rivals: {reason}")])),
+            Err(reason) => return Ok(none(vec![format!("no rivals: {reason}")])),
         };
         let (mut predictors, mut notes) = (Vec::new(), Vec::new());
-        for restart in Restart::ALL.into_iter().filter(|_| asked.contains(&Rival::Mpm)) {
+        for restart in Restart::ALL.into_iter().filter(|_| asked.contains(&Reference::Restart)) {
             let hindrance = |(stream, scene): (&Trajectory, &Scene)| {
                 let reason = restart.grid(scene).err()?;
                 Some(format!("no {}: {}: {reason}", restart.name(), stream.source.display()))
@@ -48,7 +60,7 @@ impl Rivals {
                 None => predictors.push(Predictor::Restart(restart)),
             }
         }
-        if asked.contains(&Rival::Chaos) {
+        if asked.contains(&Reference::Chaos) {
             predictors.push(Predictor::Chaos);
         }
         let scenes = scenes.into_iter().map(Some).collect();
@@ -57,7 +69,7 @@ impl Rivals {
 }
 
 /// The scene of each stream, or why one has none.
-fn scenes(streams: &[Trajectory]) -> anyhow::Result<Result<Vec<Scene>, String>> {
+fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, EvaluationError> {
     let mut manifests: HashMap<PathBuf, BTreeMap<u64, Scene>> = HashMap::new();
     let mut scenes = Vec::new();
     for stream in streams {
@@ -83,7 +95,10 @@ fn scenes(streams: &[Trajectory]) -> anyhow::Result<Result<Vec<Scene>, String>> 
         scenes.push(scene.clone());
     }
     let differs = |(stream, scene): (&Trajectory, &Scene)| {
-        let same = || anyhow::Ok(chaos::is_scene_of(scene, &stream.cut(0..1)?)?);
+        let same = || -> Result<bool, EvaluationError> {
+            let invalid = |reason| EvalError::Rival { stream: stream.id, reason };
+            Ok(chaos::is_scene_of(scene, &stream.cut(0..1)?).map_err(invalid)?)
+        };
         match same() {
             Ok(true) => None,
             Ok(false) => Some(Ok(stream.source.display().to_string())),
