@@ -5,7 +5,9 @@ use serde::{Deserialize, Serialize};
 use crate::{
     bench::training::FRAMES,
     checkpoint::{Activation, Architecture, Core, MaterialInput},
+    dataset::simulate::{SimulationRequest, Source},
     eval::SCENE_FRAMES,
+    mpm::{Extent, Preset, Settings},
     train::{Schedule, TrainConfig, dense::DenseConfig},
 };
 
@@ -128,13 +130,16 @@ impl StudyConfig {
         quick
     }
 
-    /// Checks the numbers.
+    /// Checks the numbers and names.
     ///
     /// # Errors
     /// [`InvalidStudy`] for the first setting that cannot be used.
     pub fn check(&self) -> Result<(), InvalidStudy> {
         different("seeds", &self.seeds)?;
         different("data.presets", &self.data.presets)?;
+        for preset in &self.data.presets {
+            self.data.simulation(preset)?;
+        }
         different("cores", &self.cores)?;
         different("density_weights", &self.density_weights)?;
         different("windows", &self.windows)?;
@@ -181,6 +186,32 @@ impl StudyConfig {
             return Err(InvalidStudy { field: "training.architecture", found, expected });
         }
         Ok(())
+    }
+}
+
+impl DataConfig {
+    /// The scenes of a preset, as `eddy simulate` makes them.
+    ///
+    /// # Errors
+    /// [`InvalidStudy`] for a name that is no preset of random scenes.
+    pub fn simulation(&self, preset: &str) -> Result<SimulationRequest, InvalidStudy> {
+        let all = [Preset::MultiMaterial, Preset::Fluid, Preset::Stiff, Preset::Kinds];
+        let Some(found) = all.into_iter().find(|known| known.name() == preset) else {
+            return Err(InvalidStudy {
+                field: "data.presets",
+                found: preset.to_owned(),
+                expected: "multi-material, fluid, stiff or kinds",
+            });
+        };
+        Ok(SimulationRequest {
+            source: Source::Random(Extent::usual(found)),
+            name: preset.to_owned(),
+            scene_name: None,
+            scenes: self.scenes,
+            seed: self.seed,
+            settings: Settings { duration: self.duration, ..Settings::default() },
+            threads: None,
+        })
     }
 }
 

@@ -101,6 +101,14 @@ impl Variant {
     }
 }
 
+/// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+pub(super) fn runs<'a>(
+    study: &'a StudyConfig,
+    variants: &'a [Variant],
+) -> impl Iterator<Item = (&'a Variant, u64)> {
+    study.seeds.iter().flat_map(|&seed| variants.iter().map(move |variant| (variant, seed)))
+}
+
 /// The folders of a study. Comparisons with the same folder share data and networks.
 #[derive(Clone, Debug)]
 pub struct Folders {

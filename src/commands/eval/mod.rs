@@ -25,7 +25,10 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     // Wrong usage without it.
     let folder = args.output.as_deref().context("--output: found none, expected a folder")?;
     keep(folder)?;
-    let report = judge(&args, quiet, interrupt)?;
+    let progress = TerminalProgress::new(quiet, interrupt);
+    let evaluation = Evaluation::new(request(&args)?, &progress)?;
+    evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
+    let report = evaluation.run(&progress)?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
     println!(
         "{} free rollouts over {} streams, compared for {} frames, watched for {}",
@@ -48,14 +51,6 @@ fn keep(folder: &Path) -> anyhow::Result<()> {
         folder.display()
     );
     Ok(())
-}
-
-/// The evaluation alone.
-pub(super) fn judge(args: &EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<Report> {
-    let progress = TerminalProgress::new(quiet, interrupt);
-    let evaluation = Evaluation::new(request(args)?, &progress)?;
-    evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
-    Ok(evaluation.run(&progress)?)
 }
 
 /// What was asked for.

@@ -2,17 +2,14 @@
 
 use std::collections::VecDeque;
 
-use super::Work;
-use crate::commands::pages;
-use eddy::{
+use super::{Curve, run::Work};
+use crate::{
     dataset::{Dataset, available_memory},
-    study::Curve,
     train::dense::train_dense,
 };
 
 /// Computes what is not there yet.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
-    pages::keep_freed();
     let config = &work.study.dense;
     for preset in work.presets {
         let mut missing = VecDeque::new();

@@ -1,8 +1,7 @@
 //! Time of training steps: the paper's Table 4 for this machine.
 
-use super::Work;
-use crate::commands::progress_bar;
-use eddy::{bench::training::paper_steps, page::Machine, study::Speed};
+use super::{Speed, run::Work};
+use crate::{bench::training::paper_steps, page::Machine};
 
 /// Windows a batch.
 const WINDOWS: usize = 16;
@@ -14,16 +13,17 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         return Ok(());
     }
     let kinds = paper_steps(&work.study.step_frames);
-    let bar = progress_bar(kinds.len() as u64, "training steps timed", work.quiet);
+    work.progress.begin(kinds.len() as u64, "training steps timed");
     let mut steps = Vec::new();
     for step in kinds {
         if work.stops() {
+            work.progress.finish();
             return Ok(());
         }
         steps.push(step.time(WINDOWS, work.study.step_seconds, work.device));
-        bar.inc(1);
+        work.progress.advance(1);
     }
-    bar.finish_and_clear();
+    work.progress.finish();
     Speed { machine: Machine::here(), device: work.device, steps }.save(&folder)?;
     Ok(())
 }

@@ -2,16 +2,15 @@
 
 use anyhow::Context;
 
-use super::{Work, in_words, write as write_text};
-use crate::commands::bench::printed;
-use eddy::{
-    eval::Report,
-    page::Provenance,
-    study::{Comparison, Curve, Networks, Speed, StudyReport},
+use super::{
+    Comparison, Curve, Networks, Speed, StudyReport,
+    command_lines::in_words,
+    run::{StudyOutcome, Work, write_settings},
 };
+use crate::{eval::Report, page::Provenance};
 
-/// Writes both, and prints the summaries.
-pub(super) fn write(work: &Work) -> anyhow::Result<()> {
+/// Writes both.
+pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     let folder = work.folders.report(work.comparison);
     let mut report = StudyReport::new(work.comparison, work.study);
     for preset in work.presets {
@@ -35,15 +34,13 @@ pub(super) fn write(work: &Work) -> anyhow::Result<()> {
     if let Some(speed) = Speed::find(&folder, work.device)? {
         report.speed(&speed);
     }
-    for (heading, table) in report.summaries() {
-        println!("\n{heading}: {}\n{}", table.caption(), printed(table));
-    }
-    write_text(&folder.join("tables.md"), &report.markdown())?;
+    let summaries = report.summaries();
+    let summaries = summaries.map(|(heading, table)| (heading.to_owned(), table.clone())).collect();
+    write_settings(&folder.join("tables.md"), &report.markdown())?;
     let html = folder.join("report.html");
-    let page = report.page(&Provenance::here(), &work.commands());
+    let page = report.page(&Provenance::here(), &work.command_lines().all());
     page.save(&html).with_context(|| in_words(&html))?;
-    println!("\n{}", html.display());
-    Ok(())
+    Ok(StudyOutcome { summaries, page: html })
 }
 
 /// The learning curves of a preset.

@@ -4,12 +4,13 @@ use std::{collections::VecDeque, fs, path::PathBuf};
 
 use anyhow::{Context, bail};
 
-use super::{Work, write};
-use crate::commands::pages;
-use eddy::{
+use super::{
+    Trained,
+    run::{Work, write_settings},
+};
+use crate::{
     dataset::{Dataset, available_memory},
     page::command_line,
-    study::Trained,
     train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
 };
 
@@ -25,7 +26,6 @@ struct Task {
 
 /// Trains what is not trained yet.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
-    pages::keep_freed();
     for preset in work.presets {
         let mut tasks = VecDeque::new();
         for (variant, seed) in work.runs() {
@@ -33,7 +33,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             let output = work.folders.run(preset, &variant.name, seed);
             if Trained::find(&output, &config, work.device)?.is_none() {
                 let name = format!("{preset} {} seed {seed}", variant.name);
-                let command = command_line(&work.training(preset, variant, seed));
+                let command = command_line(&work.command_lines().training(preset, variant, seed));
                 tasks.push_back(Task { name, config, output, command });
             }
         }
@@ -63,7 +63,7 @@ impl Task {
     ) -> anyhow::Result<Option<String>> {
         let Self { name, config, output, command } = self;
         // Beside the folder, as this is made by who trains.
-        write(&output.with_extension("toml"), &toml::to_string(config)?)?;
+        write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let run = Run {
             device: work.device,
             output,
