@@ -406,7 +406,7 @@ mod tests {
         progress::Silent,
     };
 
-    /// Two streams of 12 frames.
+    /// Two streams of 13 frames.
     fn truth() -> (TempDir, Vec<Trajectory>) {
         let folder = tempfile::tempdir().unwrap();
         let request = SimulationRequest {
@@ -513,7 +513,7 @@ mod tests {
             ),
             (
                 EvaluationRequest { settings: Settings::errors_only(40, 1), ..usual() },
-                "streams: the longest has 12 frames",
+                "streams: the longest has 13 frames, expected at least 43",
             ),
             (slower, "scene_0000: stream 0: dt: found 0.016 s, expected 0.02 s"),
         ] {

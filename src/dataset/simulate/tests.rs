@@ -69,7 +69,7 @@ fn a_cancelled_request_is_resumed_with_the_remaining_scenes() {
     let first = first.start.id;
     let error = summary.complete().unwrap_err();
     assert!(matches!(error, SimulateError::Cancelled { finished: 1, scenes: 3 }), "{error}");
-    assert_eq!(names(&output), [directory(first), "manifest.json".to_owned()]);
+    assert_eq!(names(&output), ["manifest.json".to_owned(), directory(first)]);
 
     let before = changed(&output, first);
     let summary = simulate(&request(3), &output, &Silent).unwrap();
@@ -142,7 +142,7 @@ fn what_a_killed_process_left_is_made_again_with_the_same_frames() {
     fs::rename(output.join(directory(1)), staging.join(directory(1))).unwrap();
     let again = simulate(&request(2), &output, &Silent).unwrap().finished;
     assert_eq!(again, before[1..]);
-    assert_eq!(names(&output), [directory(0), directory(1), "manifest.json".to_owned()]);
+    assert_eq!(names(&output), ["manifest.json".to_owned(), directory(0), directory(1)]);
 }
 
 #[test]
