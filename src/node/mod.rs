@@ -11,7 +11,8 @@
 //!    table of its settings; `services`: how ROS asks it; `ros_time`: what time it is for it; `cloud`: frames for
 //!    those who look at them; [`onlooker`]: who sees them within this process.
 //! 8. `cache`: what waits to be recorded, bounded in bytes.
-//! 9. `recorder`: what arrives into a bag.
+//! 9. `recorder`: what arrives into a bag. [`recording`](record): the loop around it; `discovery`: which topics there
+//!    are, `intake`: what arrives on each, until the cache is full.
 //! 10. `player`: a bag as it was recorded: which message is due when; `read_ahead` has it ready,
 //!     `timeline` knows rates and pauses, `wish` what the user wants.
 //! 11. `playback`: plays, until told to end; `player_services` brings wishes from elsewhere.
@@ -22,7 +23,9 @@ mod cloud;
 mod control;
 mod counters;
 pub mod diagnostics;
+mod discovery;
 mod driver;
+mod intake;
 mod onlooker;
 mod parameters;
 mod playback;
@@ -32,6 +35,7 @@ mod queue;
 mod rate;
 mod read_ahead;
 mod recorder;
+mod recording;
 mod requests;
 mod ros_time;
 mod services;
@@ -49,7 +53,9 @@ pub use cache::{Brought, Cache, Producer, Taken};
 pub use cloud::CloudTopic;
 pub use control::{Answer, Control, Request, Unanswered};
 pub use counters::{Counters, Refusal};
+pub use discovery::{Reasons, TopicSearch};
 pub use driver::{Outputs, Presence, drive};
+pub use intake::Losses;
 pub use onlooker::Onlooker;
 pub use parameters::{PARAMETERS, ParameterSpec, Values, parameter};
 pub use playback::{Stage, play};
@@ -58,6 +64,7 @@ pub use player_services::player_services;
 pub use queue::FrameQueue;
 pub use rate::{Figures, Rate};
 pub use recorder::Recorder;
+pub use recording::{RecordError, RecordingTerms, record};
 pub use requests::{Pending, Reply, Requests};
 pub use ros_time::{OpenClock, RosTime};
 pub use services::{Service, services};

@@ -157,12 +157,15 @@ impl SimulateError {
 
     /// Whether the disk, or what this user may have of it, is full.
     fn is_full_disk(&self) -> bool {
-        let kind = match self {
-            Self::Scene { reason, .. } => return reason.is_full_disk(),
-            Self::Io { reason, .. } | Self::Bag(BagError::Io { reason, .. }) => reason.kind(),
-            _ => return false,
-        };
-        matches!(kind, ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
+        match self {
+            Self::Scene { reason, .. } => reason.is_full_disk(),
+            Self::Io { reason, .. } => matches!(
+                reason.kind(),
+                ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge
+            ),
+            Self::Bag(reason) => reason.is_no_room(),
+            _ => false,
+        }
     }
 }
 

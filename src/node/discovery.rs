@@ -1,4 +1,4 @@
-//! Which topics there are, now and later.
+//! Topics that are published, now and later: those that are wanted are subscribed to.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -10,11 +10,10 @@ use std::{
     time::Duration,
 };
 
-use super::intake::Received;
-use eddy::{
+use super::{cache::Producer, intake::Received};
+use crate::{
     bag::TopicChoice,
     clock::Clock,
-    node::Producer,
     transport::{Link, TransportKind, Transports},
 };
 
@@ -23,16 +22,16 @@ const INTERVAL: Duration = Duration::from_millis(200);
 /// Longest sleep, so that the end of the recording is soon seen.
 const NAP: Duration = Duration::from_millis(20);
 
-/// What is looked for, and where.
-pub(super) struct Search {
-    pub(super) transports: Transports,
-    pub(super) from: Vec<TransportKind>,
-    pub(super) choice: TopicChoice,
-    pub(super) found: Mutex<Found>,
+/// Looks for topics that are to be recorded.
+pub struct TopicSearch {
+    transports: Transports,
+    from: Vec<TransportKind>,
+    choice: TopicChoice,
+    found: Mutex<Found>,
 }
 
 /// What is known of the topics that there are.
-pub(super) struct Found {
+struct Found {
     /// Names of those that are recorded, or were.
     known: HashSet<String>,
     /// Those that cannot be recorded, by name: for each link what is against it.
@@ -42,16 +41,26 @@ pub(super) struct Found {
 }
 
 /// Links, and why nothing, or nothing more, is recorded from them.
-pub(super) type Reasons = BTreeMap<String, String>;
+pub type Reasons = BTreeMap<String, String>;
 
-impl Found {
-    /// Those that are recorded by their links.
-    pub(super) fn knowing(known: HashSet<String>) -> Self {
-        Self { known, failed: BTreeMap::new(), ended: Reasons::new() }
+impl TopicSearch {
+    /// Looks on the transports `from` for topics that are chosen, but for those with the names `known`, which are
+    /// recorded already.
+    pub fn new(
+        transports: Transports,
+        from: Vec<TransportKind>,
+        choice: TopicChoice,
+        known: HashSet<String>,
+    ) -> Self {
+        let found = Found { known, failed: BTreeMap::new(), ended: Reasons::new() };
+        Self { transports, from, choice, found: Mutex::new(found) }
     }
-}
 
-impl Search {
+    /// Whether no topic can be chosen.
+    pub(super) fn is_empty(&self) -> bool {
+        self.choice.is_empty()
+    }
+
     /// Subscribes to every wanted topic that appears, until `stop`. A topic that is on several
     /// transports is recorded from where it is found first; so is one with several types. One that
     /// cannot be subscribed to is tried again at every look.
@@ -85,12 +94,12 @@ impl Search {
     }
 
     /// The topics that cannot be recorded from anywhere, by name.
-    pub(super) fn failed(&self) -> BTreeMap<String, Reasons> {
+    pub fn failed(&self) -> BTreeMap<String, Reasons> {
         self.lock().failed.clone()
     }
 
     /// The topics that were recorded in part.
-    pub(super) fn ended(&self) -> Reasons {
+    pub fn ended(&self) -> Reasons {
         self.lock().ended.clone()
     }
 

@@ -1,0 +1,177 @@
+//! `eddy record`: topics into a bag.
+//!
+//! The recording itself is [`eddy::node::record`].
+
+use std::{collections::HashSet, time::Duration};
+
+use anyhow::{Context, bail, ensure};
+use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
+use crate::cli::RecordArgs;
+use eddy::{
+    bag::{BagSummary, BagWriter, Split, TopicChoice, WriterOptions},
+    clock::{self, Clock},
+    msg::topic_type,
+    node::{Losses, Reasons, RecordError, Recorder, RecordingTerms, TopicSearch, record},
+    ros::RosNode,
+    transport::{SeenTopic, Transports},
+};
+
+/// Key in `custom_data` of `metadata.yaml`: topics that were found and could not be recorded.
+const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
+/// The same for topics that could be recorded for a part of the time only.
+const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
+
+/// Records until a limit, a failure or a signal; closes the bag in each case.
+pub fn run(
+    mut args: RecordArgs,
+    ros: &RosNode,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
+    has_no_parameters(ros)?;
+    // What a topic carries its own name says, not the one it is given.
+    let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
+    args.links.iter_mut().for_each(|link| *link = ros.link(link));
+    check(&args)?;
+    let transports = Transports::new(transport_options(ros)?);
+    let known = args.links.iter().map(|link| link.topic.clone()).collect();
+    let choice = TopicChoice {
+        names: Vec::new(),
+        regex: args.regex.clone(),
+        exclude: args.exclude.clone(),
+        all: args.all,
+    };
+    let search = TopicSearch::new(transports.clone(), args.from.clone(), choice, known);
+    let mut inputs = Vec::new();
+    for (link, type_name) in args.links.iter().zip(types) {
+        let topic = SeenTopic { link: link.clone(), type_name, hash: None, kept: 0 };
+        let subscriber = transports.subscriber_of(link, &topic.type_support())?;
+        inputs.push((topic, subscriber));
+    }
+    let split = Split {
+        size: args.max_bag_size,
+        duration: args.max_bag_duration.map(Duration::from_secs_f64),
+    };
+    let compression = args.compression.into();
+    let options = WriterOptions { compression, split, ..WriterOptions::default() };
+    let mut recorder = Recorder::new(BagWriter::create(&args.output, options)?, clock::wall());
+    let clock = Clock::start();
+    let line = live_line(quiet);
+    let output = args.output.display();
+    let terms = RecordingTerms {
+        required: &args.links,
+        cache_bytes: args.max_cache_size,
+        max_messages: args.max_messages,
+        stop_after: args.stop_after.map(Duration::from_secs_f64),
+        interrupted: interrupt.flag(),
+        on_topic: &|topic| {
+            println!("recording {} ({}) into {output}", topic.link, topic.type_name);
+        },
+        on_progress: &|messages, time| {
+            line.set_message(format!("{messages} messages, {:.0} s", time.as_secs_f64()));
+        },
+    };
+    let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
+    line.finish_and_clear();
+    recorder.note_not_given(losses.total());
+    let failed = search.failed().into_values().flatten().collect();
+    note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
+    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &search.ended());
+    end(recorder, outcome, &losses, clock.now().as_secs_f64())
+}
+
+/// Says of links what was not recorded from them and why, here and in the bag.
+fn note(recorder: &mut Recorder, key: &str, what: &str, links: &Reasons) {
+    if !links.is_empty() {
+        recorder.note(key, links.keys().cloned().collect::<Vec<_>>().join(" "));
+    }
+    for (link, reason) in links {
+        println!("{what}: {link}: {reason}");
+    }
+}
+
+fn check(args: &RecordArgs) -> anyhow::Result<()> {
+    let mut topics = HashSet::new();
+    if let Some(twice) = args.links.iter().find(|link| !topics.insert(&link.topic)) {
+        bail!("{twice}: found topic {} twice, expected each topic once in a bag", twice.topic);
+    }
+    args.links.iter().try_for_each(leaves_the_process)?;
+    for (option, seconds) in
+        [("--stop-after", args.stop_after), ("--max-bag-duration", args.max_bag_duration)]
+    {
+        ensure!(
+            seconds.is_none_or(|seconds| Duration::try_from_secs_f64(seconds).is_ok() && seconds > 0.0),
+            "{option}: found {}, expected a positive number of seconds",
+            seconds.unwrap_or_default()
+        );
+    }
+    Ok(())
+}
+
+/// Closes the bag and says what is in it.
+fn end(
+    recorder: Recorder,
+    outcome: Result<(), RecordError>,
+    losses: &Losses,
+    seconds: f64,
+) -> anyhow::Result<()> {
+    let unfinished = recorder.bag().active_file().to_owned();
+    let kept = || format!("what was written stays in {}", unfinished.display());
+    let failure = match outcome {
+        // Nothing can follow a failed write; what came before it is in the file.
+        Err(RecordError::Bag(error)) if !error.is_no_room() => {
+            return Err(error).with_context(kept);
+        }
+        Err(RecordError::Bag(error)) => Some(error.into()),
+        Err(RecordError::Transport(error)) => {
+            Some(anyhow::Error::from(error).context("the recording ended early"))
+        }
+        Ok(()) => None,
+    };
+    let bag = recorder.finish().with_context(kept)?;
+    report(&bag, losses, seconds);
+    match failure {
+        None if bag.lost > 0 => bail!(no_room(&bag, losses)),
+        Some(failure) if bag.lost > 0 => Err(failure).context(no_room(&bag, losses)),
+        Some(failure) => Err(failure),
+        None => Ok(()),
+    }
+}
+
+fn no_room(bag: &BagSummary, losses: &Losses) -> String {
+    format!(
+        "no room was left: the bag is closed with {} messages, {} more were lost",
+        bag.messages,
+        bag.lost + losses.unwritten
+    )
+}
+
+fn report(bag: &BagSummary, losses: &Losses, seconds: f64) {
+    for topic in &bag.topics {
+        println!("{}: {} messages", topic.name, topic.messages);
+    }
+    if losses.refused > 0 {
+        println!("not recorded: {} messages that the transport gave up", losses.refused);
+    }
+    if losses.no_room > 0 {
+        println!("not recorded: {} messages that found no room in the queue", losses.no_room);
+    }
+    if losses.unwritten > 0 {
+        println!("not recorded: {} messages that waited in the queue at the end", losses.unwritten);
+    }
+    let files = match bag.files.len() {
+        1 => String::new(),
+        files => format!(" in {files} files"),
+    };
+    println!("{}: {} messages{files} in {seconds:.1} s", bag.directory.display(), bag.messages);
+}
+
+fn live_line(quiet: bool) -> ProgressBar {
+    let line = ProgressBar::new_spinner();
+    if quiet {
+        line.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    line
+}
