@@ -14,8 +14,8 @@
 //! | L6 | `bench`, `config`, `launch` |
 //! | L5 | `node`, `train`, `viewer` |
 //! | L4 | `eval`, `exchange` |
-//! | L3 | `dataset`, `engine`, `ros` |
-//! | L2 | `bag`, `model`, `page`, `transport` |
+//! | L3 | `dataset`, `model`, `ros` |
+//! | L2 | `bag`, `engine`, `page`, `transport` |
 //! | L1 | `checkpoint`, `clock`, `kernels`, `mpm`, `msg`, `picture` |
 //! | L0 | `frame`, `near`, `progress` |
 

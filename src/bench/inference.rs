@@ -6,11 +6,13 @@ use serde::Serialize;
 
 use super::particles::frame_for;
 use crate::{
-    checkpoint::{Architecture, Checkpoint, CheckpointError, Core, Description, Sizes},
+    checkpoint::{
+        Architecture, Checkpoint, CheckpointError, Core, Description, Sizes, initial_weights,
+    },
     clock::Clock,
     engine::{ModelError, Surrogate},
     frame::Frame,
-    model::{DeviceKind, Reference, layers::initial},
+    model::{DeviceKind, Reference},
 };
 
 /// Frames before the clock starts.
@@ -63,7 +65,10 @@ impl Case {
         let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) };
         let description = Description::untrained(Architecture::Frame, core, sizes);
         let frame = frame_for(&description, particles);
-        Self { checkpoint: Checkpoint { tensors: initial(&description, 1), description }, frame }
+        Self {
+            checkpoint: Checkpoint { tensors: initial_weights(&description, 1), description },
+            frame,
+        }
     }
 
     /// The shipped particle model, on so many particles.

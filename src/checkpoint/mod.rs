@@ -7,12 +7,13 @@
 //! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
 //!    that `layout` derives from the description.
 //!
-//! `files` writes and reads the two so that a crash between any two system calls leaves a whole
+//! `initial` draws the weights of an untrained network. `files` writes and reads the two so that a crash between any two system calls leaves a whole
 //! checkpoint, the old one or the new one. `error` says why something is no checkpoint.
 
 mod description;
 mod error;
 mod files;
+mod initial;
 pub(crate) mod layout;
 
 pub use description::{
@@ -22,6 +23,7 @@ pub use description::{
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub(crate) use files::{parse_weights, render_weights, write_through};
+pub use initial::initial_weights;
 pub use layout::tensor_shapes;
 
 use std::{collections::BTreeMap, path::Path};

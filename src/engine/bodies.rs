@@ -8,12 +8,8 @@
 //! A body that touches something and hardly moves comes to rest, as in engines for rigid bodies that let islands of them
 //! sleep: the network's errors of a frame would make it creep. Its motion is scaled down, to nothing below [`ASLEEP`].
 
-use crate::{
-    kernels::nodes::{Cell, Nodes},
-    model::Ballistic,
-};
-
-use super::particle_features::State;
+use super::{Ballistic, particle_features::State};
+use crate::kernels::nodes::{Cell, Nodes};
 
 /// Nearness of a wall that ends free flight (cells of level 0).
 const REACH: f32 = 1.5;

@@ -1,4 +1,4 @@
-//! The networks of [`model`](crate::model), for streaming: one frame of a stream at a time.
+//! The networks of `model`, for streaming: one frame of a stream at a time.
 //!
 //! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers;
 //!    `products`: a layer for rows from one place, its sums to another.
@@ -12,15 +12,18 @@
 //!    rope, `bodies` the momentum and the spin of those that touch nothing, and the rest of those at rest.
 //! 7. `memory`: what a network remembers of a stream, and in which `order`.
 //! 8. [`Remark`]: what is predicted although the network was not made for it.
-//! 9. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
+//! 9. [`Ballistic`]: the step of a particle that nothing else touches; [`scales`]: units of the particle
+//!    model's inputs and outputs.
+//! 10. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
 //!    stream, or each on its own.
 //!
 //! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
 //! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
-//! give the same numbers within 1e-5 (a property test holds the two together).
+//! give the same numbers within 1e-5 (a property test there holds the two together).
 //!
 //! Letters in shapes are those of `model`.
 
+mod ballistic;
 mod bodies;
 mod core;
 mod crew;
@@ -36,6 +39,7 @@ mod particle_model;
 mod pieces;
 mod products;
 mod remark;
+pub mod scales;
 mod shape;
 mod surrogate;
 mod surroundings;
@@ -45,6 +49,7 @@ mod workshop;
 #[cfg(test)]
 mod tests;
 
+pub use ballistic::Ballistic;
 pub use error::ModelError;
 pub use memory::Memory;
 pub use remark::Remark;

@@ -3,6 +3,7 @@
 use pulp::Simd;
 
 use super::{
+    Ballistic,
     core::CoreLayer,
     linear::store,
     particle_features::{FEATURES, State, fallen},
@@ -10,7 +11,7 @@ use super::{
     products::{Beside, Columns, Output, Rows, pass},
     surroundings::READ,
 };
-use crate::{kernels::transfer::gather, model::Ballistic};
+use crate::kernels::transfer::gather;
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;

@@ -2,17 +2,17 @@
 
 use pulp::Simd;
 
-use super::linear::{load, store};
+use super::{
+    Ballistic,
+    linear::{load, store},
+    scales::{FAR, NEAR, velocity_unit},
+};
 use crate::{
     checkpoint::{Description, layout::PARTICLE_FEATURES},
     frame::Domain,
     kernels::{
         math::exp,
         rest::{Rest, SHAPE_FEATURES},
-    },
-    model::{
-        Ballistic,
-        features::{FAR, NEAR, velocity_unit},
     },
 };
 

@@ -18,6 +18,7 @@ use super::{
     order::put_in_order,
     particle_features::{FEATURES, Features, Known, STATES, State},
     pieces::Pieces,
+    scales::velocity_limits,
     shape::{self, Shape},
     surroundings::{self, Fields, Grid, Walls},
     volume::Volume,
@@ -29,7 +30,6 @@ use crate::{
         nodes::{Nodes, Window},
         vectors::Lanes,
     },
-    model::particle_model::velocity_limits,
 };
 
 /// Particles of a block: a multiple of the rows that are computed at once.

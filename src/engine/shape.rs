@@ -13,11 +13,8 @@
 
 use std::ops::Range;
 
-use super::crew::Parts;
-use crate::{
-    kernels::rest::{Rest, deformation},
-    model::Ballistic,
-};
+use super::{Ballistic, crew::Parts};
+use crate::kernels::rest::{Rest, deformation};
 
 /// How far matter is stretched at most: neighbours in the truth are 1 to 2 % off their distances at rest.
 const STRAIN: f32 = 0.03;

@@ -65,7 +65,10 @@ impl Surrogate {
 
     /// The same with a set of instructions that this processor has; `conserve` says whether liquids keep their
     /// area, solids their shape, and bodies their momentum and their rest.
-    pub(super) fn load_for(
+    ///
+    /// # Errors
+    /// As [`Surrogate::load`].
+    pub fn load_for(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
         arch: Arch,

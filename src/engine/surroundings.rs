@@ -8,10 +8,12 @@ use std::collections::BTreeMap;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
+    Ballistic,
     crew::Parts,
     linear::{Linear, load, store},
     pieces::Pieces,
     products::{Gathered, Output, Rows, Sink, pass},
+    scales::{FULL, LEAST_MASS},
 };
 use crate::{
     checkpoint::{Surroundings, Weights, layout},
@@ -20,10 +22,6 @@ use crate::{
         activation::Exponentials,
         math::relu,
         nodes::{Level, MISSING, Nodes, Row, range},
-    },
-    model::{
-        Ballistic,
-        surroundings::{FULL, LEAST_MASS},
     },
 };
 

@@ -1,20 +1,18 @@
-//! The engine beside the networks in burn, and beside itself.
+//! The engine beside itself; `model` has the tests beside the networks in burn.
 
 use std::num::NonZeroUsize;
 
-use proptest::{prelude::*, sample::select};
 use pulp::Arch;
-use rand::SeedableRng as _;
+use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Memory, Surrogate};
+use super::{Memory, Surrogate, scales::velocity_unit};
 use crate::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
-        FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings,
+        Architecture, Checkpoint, Core, Description, FrameOptions, Normalization, Pooling, Sizes,
+        Surroundings, initial_weights,
     },
     frame::{Domain, Frame, Material, Stamp},
-    model::{DeviceKind, Reference, features::velocity_unit, layers::initial},
 };
 
 const DT: f32 = 0.016;
@@ -39,7 +37,7 @@ fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Descript
 /// Random weights, biases and decoder included.
 fn checkpoint(description: Description, seed: u64) -> Checkpoint {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut tensors = initial(&description, seed);
+    let mut tensors = initial_weights(&description, seed);
     for (name, weights) in &mut tensors {
         if name.starts_with("decoder") || weights.shape.len() == 1 {
             for value in &mut weights.values {
@@ -130,77 +128,6 @@ fn sets() -> Vec<Arch> {
 fn stream(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
     let mut memory = surrogate.start(&frames[0]).unwrap();
     frames.iter().map(|frame| surrogate.step(&mut memory, frame)).collect()
-}
-
-/// Everything a frame model can be.
-fn frame_options() -> impl Strategy<Value = FrameOptions> {
-    (
-        select(&[Pooling::Mean, Pooling::Max, Pooling::MeanMax][..]),
-        select(&Activation::ALL[..]),
-        select(&[MaterialInput::OneHot, MaterialInput::Scalar][..]),
-        select(&[FeatureScaling::MinMax, FeatureScaling::ZScore][..]),
-    )
-        .prop_map(|(pooling, activation, material, scaling)| FrameOptions {
-            pooling,
-            activation,
-            material,
-            scaling,
-        })
-}
-
-/// Cells from small to so large that a few hold all.
-fn surroundings() -> impl Strategy<Value = Surroundings> {
-    ((0.03f32..0.5), [1usize..40, 1usize..40, 1usize..40], 0.01f32..0.2)
-        .prop_map(|(cell_width, channels, spacing)| Surroundings { cell_width, channels, spacing })
-}
-
-/// Everything a checkpoint can describe, with the number of particles to predict.
-fn descriptions() -> impl Strategy<Value = (Description, usize)> {
-    let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
-    let choices = (select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), surroundings());
-    (any::<bool>(), choices, sizes).prop_map(
-        |(whole, choices, (encoder, hidden, layers, particles))| {
-            let (core, [log, normalize_gates], frame, surroundings) = choices;
-            let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
-            let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
-            let description = Description {
-                form: if log { Form::Log } else { Form::Plain },
-                normalize_gates,
-                frame: if whole { frame } else { FrameOptions::default() },
-                surroundings: (!whole).then_some(surroundings),
-                ..description(architecture, core, sizes)
-            };
-            (description, particles)
-        },
-    )
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
-    #[test]
-    fn every_network_predicts_what_the_one_in_burn_predicts(
-        (description, particles) in descriptions(),
-        seed in any::<u64>(),
-    ) {
-        let checkpoint = checkpoint(description, seed);
-        let frames = frames(5, particles, seed);
-        let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
-        let mut memory = reference.start(&frames[0]);
-        let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
-        for set in sets() {
-            // What bodies in free flight keep is the engine's own.
-            let surrogate = Surrogate::load_for(&checkpoint, threads(1), set, false).unwrap();
-            for (found, expected) in stream(&surrogate, &frames).iter().zip(&expected) {
-                let position = largest_difference(&found.position, &expected.position);
-                let velocity = largest_difference(&found.velocity, &expected.velocity);
-                prop_assert!(position <= 1e-5 && velocity <= 1e-5, "{set:?}: {position}, {velocity}");
-                prop_assert_eq!(
-                    (found.sequence, found.stamp, &found.material),
-                    (expected.sequence, expected.stamp, &expected.material)
-                );
-            }
-        }
-    }
 }
 
 /// One network of each kind, wide enough for all threads to work on it.

@@ -12,10 +12,10 @@
 
 use std::ops::Range;
 
+use super::Ballistic;
 use crate::{
     frame::{Domain, Material},
     kernels::nodes::weights,
-    model::Ballistic,
 };
 
 /// Width of a cell (spacings).

@@ -4,8 +4,8 @@ use super::{EvalError, Units, window::starts};
 use crate::{
     checkpoint::{Description, Normalization},
     dataset::{Bounds, State},
+    engine::Ballistic,
     frame::Domain,
-    model::Ballistic,
 };
 
 /// Rollouts of a full judgement go on to this frame at least, to see whether they blow up.

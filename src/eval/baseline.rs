@@ -1,6 +1,6 @@
 //! Predictors that learn nothing: what a model must beat.
 
-use crate::{dataset::State, model::Ballistic};
+use crate::{dataset::State, engine::Ballistic};
 
 /// A trivial predictor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,8 +8,7 @@ use super::{
 };
 use crate::{
     dataset::{State, Stream},
-    engine::{ModelError, Surrogate},
-    model::Ballistic,
+    engine::{Ballistic, ModelError, Surrogate},
     mpm::{MpmError, Scene},
 };
 

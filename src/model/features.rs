@@ -24,13 +24,9 @@ use crate::{
     checkpoint::{
         FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
     },
+    engine::scales::{FAR, NEAR, velocity_unit},
     frame::Material,
 };
-
-/// Scale of contact with a wall (domain lengths): about two cells of the 64 grid.
-pub(crate) const NEAR: f32 = 0.03;
-/// Scale of the reach of a wall through a body (domain lengths): about a body's size.
-pub(crate) const FAR: f32 = 0.2;
 
 /// Materials one-hot, `[R, 4]`.
 pub(crate) fn one_hot(material: &[Material]) -> Vec<f32> {
@@ -44,13 +40,6 @@ fn material_numbers(device: &Device) -> Tensor<2> {
     let largest = (Material::COUNT - 1) as f32;
     let numbers = Material::ALL.map(|material| f32::from(material as u8) / largest);
     Tensor::<1>::from_floats(numbers, device).reshape([Material::COUNT, 1])
-}
-
-/// The unit of velocity changes (domain lengths per second): root mean square of the velocity
-/// components' standard deviations.
-pub(crate) fn velocity_unit(scale: &Normalization) -> f32 {
-    let [_, _, x, y] = scale.standard_deviation;
-    ((x * x + y * y) / 2.0).sqrt()
 }
 
 /// Feature scaling for both networks, as tensors.

@@ -1,14 +1,11 @@
-//! The linear layers both networks are made of: initial weights, weights in, weights out, weights
-//! changed by an optimizer.
+//! The linear layers both networks are made of: weights in, weights out, weights changed by an optimizer.
 
 use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation::relu};
-use rand::{RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
 
 use super::{core::RecurrentLayer, fused, surroundings::GridLayers, training};
-use crate::checkpoint::{Architecture, Description, Weights, layout};
+use crate::checkpoint::{Description, Weights, layout};
 
 /// y = x W + b.
 #[derive(Clone, Debug)]
@@ -234,29 +231,4 @@ fn linear(
     } else {
         Linear { weight, bias }
     }
-}
-
-/// Initial weights: uniform in +-sqrt(gain / in), biases zero but for the gates of minimal cores, which
-/// start open (sigmoid(1) = .73 of the candidate enters at each frame); the decoder is zero, so that an
-/// untrained network adds nothing to the step it sits on. The gain is 1 for the frame model, as in
-/// PyTorch's layers, and 3 for the narrow particle model, which keeps the variance of its inputs.
-pub(crate) fn initial(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let gain = match description.architecture {
-        Architecture::Frame => 1.0f32,
-        Architecture::Particle => 3.0,
-    };
-    let mut tensors = BTreeMap::new();
-    for layer in layout::linear_layers(description) {
-        let layout::LinearLayer { weight, bias, input, output, sharing } = layer;
-        let bound = if weight.starts_with("decoder") { 0.0 } else { (gain / input as f32).sqrt() };
-        let opens = bias.ends_with(".gate.bias") || bias.ends_with(".input_gate.bias");
-        let values = (0..output * input).map(|_| bound * (2.0 * random.random::<f32>() - 1.0));
-        let values = values.collect();
-        tensors.insert(weight, Weights { shape: vec![output, input], values });
-        let biases = output / sharing;
-        let values = vec![if opens { 1.0 } else { 0.0 }; biases];
-        tensors.insert(bias, Weights { shape: vec![biases], values });
-    }
-    tensors
 }

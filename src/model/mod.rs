@@ -1,6 +1,6 @@
 //! The networks, written in burn.
 //!
-//! 1. [`ballistic`]: the step of a particle that nothing else touches; baseline and base.
+//! 1. `ballistic`: the step of a particle that nothing else touches, over tensors.
 //! 2. `features`: frames to the numbers a network sees.
 //! 3. `layers`: the linear layers both networks are made of; weights in, weights out.
 //! 4. `core`: the layers of the core: `mlp` without recurrence, `gru` and `lstm` frame by frame,
@@ -17,9 +17,9 @@
 //! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input
 //! features, `E` encoder width, `H` hidden width.
 
-pub mod ballistic;
 pub mod reference;
 
+pub(crate) mod ballistic;
 pub(crate) mod core;
 pub(crate) mod features;
 pub(crate) mod frame_model;
@@ -38,7 +38,6 @@ pub(crate) mod strain;
 pub(crate) mod surroundings;
 pub(crate) mod training;
 
-pub use ballistic::Ballistic;
 pub use reference::Reference;
 
 pub use crate::checkpoint::{Architecture, Core};
@@ -186,5 +185,7 @@ impl Track {
     }
 }
 
+#[cfg(test)]
+mod engine_tests;
 #[cfg(test)]
 mod tests;

@@ -13,7 +13,7 @@ use burn::tensor::{Device, Tensor};
 
 use super::{
     Bodies, Matter, Track,
-    ballistic::{Ballistic, BallisticTensors},
+    ballistic::BallisticTensors,
     features::Scaling,
     fused,
     layers::Layers,
@@ -23,22 +23,10 @@ use super::{
     training,
 };
 use crate::{
-    checkpoint::{Description, Normalization, Surroundings},
+    checkpoint::{Description, Surroundings},
+    engine::{Ballistic, scales::velocity_limits},
     frame::Domain,
 };
-
-/// How far v' may leave the range of training velocities, as a share of that range.
-const VELOCITY_MARGIN: f32 = 0.25;
-
-/// The smallest and the largest velocities that are predicted, by axis (domain lengths per second).
-pub(crate) fn velocity_limits(scale: &Normalization) -> ([f32; 2], [f32; 2]) {
-    let bound = |side: f32, of: [f32; 4]| {
-        [2, 3].map(|axis| {
-            of[axis] + side * VELOCITY_MARGIN * (scale.maximum[axis] - scale.minimum[axis])
-        })
-    };
-    (bound(-1.0, scale.minimum), bound(1.0, scale.maximum))
-}
 
 /// The particle model with its scales.
 #[derive(Clone, Debug)]

@@ -3,8 +3,11 @@
 
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
 
-use super::surroundings::{FULL, Ground, LEAST_MASS};
-use crate::kernels::nodes::{MISSING, Nodes};
+use super::surroundings::Ground;
+use crate::{
+    engine::scales::{FULL, LEAST_MASS},
+    kernels::nodes::{MISSING, Nodes},
+};
 
 /// Which nodes' rows a linear layer on the grid takes side by side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

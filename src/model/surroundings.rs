@@ -12,15 +12,10 @@ use burn::tensor::{Tensor, activation::relu};
 use super::{fused, layers::Linear, sparse, training};
 use crate::{
     checkpoint::Surroundings,
+    engine::Ballistic,
     frame::Domain,
     kernels::nodes::{Nodes, Window},
-    model::Ballistic,
 };
-
-/// Keeps averages finite where hardly any particle is near.
-pub(crate) const LEAST_MASS: f32 = 1e-3;
-/// Particles that fill a cell of the finest level where a solver has four in a cell half as wide.
-pub(crate) const FULL: f32 = 16.0;
 
 /// The layers on the grid and the one behind it.
 #[derive(Clone, Debug)]

@@ -8,15 +8,16 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     core::{LayerState, RecurrentLayer},
     frame_model::FrameModel,
-    layers::{Layers, initial},
+    layers::Layers,
     network::{Dropout, Hidden, Network},
     *,
 };
 use crate::{
     checkpoint::{
         Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
-        Normalization, Pooling, Sizes, Surroundings, Weights, tensor_shapes,
+        Normalization, Pooling, Sizes, Surroundings, Weights, initial_weights, tensor_shapes,
     },
+    engine::Ballistic,
     frame::{Domain, Frame, Material, Stamp},
 };
 
@@ -47,7 +48,7 @@ fn description(architecture: Architecture, core: Core) -> Description {
 /// Initial weights, but with a decoder that says something.
 fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut tensors = initial(description, seed);
+    let mut tensors = initial_weights(description, seed);
     for name in ["decoder.weight", "decoder.bias"] {
         for value in &mut tensors.get_mut(name).unwrap().values {
             *value = random.random_range(-0.3..0.3);
@@ -300,7 +301,7 @@ proptest! {
 #[test]
 fn an_untrained_particle_model_is_the_ballistic_step() {
     let description = description(Architecture::Particle, Core::MinGru);
-    let checkpoint = Checkpoint { tensors: initial(&description, 5), description };
+    let checkpoint = Checkpoint { tensors: initial_weights(&description, 5), description };
     let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
     let frames = frames(3);
     let mut memory = reference.start(&frames[0]);
@@ -338,7 +339,7 @@ fn gates_of_an_untrained_network_are_open() {
     for core in [Core::MinGru, Core::MinLstm] {
         let description = description(Architecture::Particle, core);
         let device = DeviceKind::Flex.device();
-        let layers = Layers::new(&description, &initial(&description, 1), &device);
+        let layers = Layers::new(&description, &initial_weights(&description, 1), &device);
         let nothing = Tensor::<2>::zeros([1, 5], &device);
         let (kept, _) = match &layers.core[0] {
             RecurrentLayer::MinGru(layer) => layer.coefficients(nothing),

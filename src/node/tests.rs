@@ -14,11 +14,10 @@ use super::{
     SurrogateNode, drive,
 };
 use crate::{
-    checkpoint::{Architecture, Checkpoint, Core, Description, Sizes},
+    checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, initial_weights},
     clock,
     engine::{Memory, Surrogate},
     frame::{Domain, Frame, Material, Stamp},
-    model::layers::initial,
     msg::{Message, ParticleFrame, PredictionStatus, StreamState},
     transport::{Link, Payload, Reliability, TransportOptions, Transports},
 };
@@ -38,7 +37,7 @@ fn surrogate_on(threads: Option<NonZeroUsize>) -> Surrogate {
         materials: vec![Material::Liquid, Material::Jelly],
         ..Description::untrained(Architecture::Particle, Core::MinGru, sizes)
     };
-    let mut tensors = initial(&description, 1);
+    let mut tensors = initial_weights(&description, 1);
     let decoder = tensors.get_mut("decoder.weight").unwrap();
     for (index, weight) in decoder.values.iter_mut().enumerate() {
         *weight = 0.1 * (index as f32).sin();

@@ -9,12 +9,12 @@ use super::{
     window::Window,
 };
 use crate::{
-    checkpoint::{Architecture, Core, Description},
+    checkpoint::{Architecture, Core, Description, initial_weights},
     dataset::State,
+    engine::Ballistic,
     frame::{Domain, Material},
     model::{
-        Ballistic, DeviceKind,
-        layers::initial,
+        DeviceKind,
         network::{Dropout, Network},
     },
 };
@@ -63,7 +63,7 @@ impl Exercise {
         let plain = device.device();
         let recorded = plain.clone().autodiff();
         // A decoder of zeros would leave the other layers without gradients.
-        let mut tensors = initial(&description, 1);
+        let mut tensors = initial_weights(&description, 1);
         for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
             *weight = random.random_range(-0.03..0.03);
         }

@@ -12,7 +12,7 @@ use super::{
     weigh::TrivialErrors,
 };
 use crate::{
-    checkpoint::{Checkpoint, Description, Weights},
+    checkpoint::{Checkpoint, Description, Weights, initial_weights},
     model::{
         DeviceKind, layers,
         network::{Dropout, Network},
@@ -48,7 +48,7 @@ impl State {
         let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
         let order = ChaCha8Rng::seed_from_u64(seeds.next_u64());
         let dropout = ChaCha8Rng::seed_from_u64(seeds.next_u64());
-        let initial = layers::initial(description, seeds.next_u64());
+        let initial = initial_weights(description, seeds.next_u64());
         Self {
             network: Network::new(description, &initial, &device.device().autodiff()),
             adam: Adam::default(),

@@ -9,9 +9,9 @@ use super::curves::{Curves, Point, Recent, Squared, Summary};
 use crate::{
     checkpoint::Description,
     dataset::State,
+    engine::Ballistic,
     eval::{Baseline, mean_squared_distance},
     frame::{Domain, Frame},
-    model::Ballistic,
 };
 
 /// Points of the curve over time.

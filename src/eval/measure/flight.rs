@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::{Mean, bulk::mean};
 use crate::{
     dataset::{State, Stream},
+    engine::Ballistic,
     eval::errors::square,
-    model::Ballistic,
 };
 
 /// Bodies have an empty strip of at least so many spacings around them.

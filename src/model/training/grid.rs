@@ -6,6 +6,7 @@ use burn::tensor::Tensor;
 
 use crate::{
     checkpoint::layout::NODE_FEATURES,
+    engine::scales::{FULL, LEAST_MASS},
     kernels::{
         gathered::{self, Convolution, Up},
         nodes::Nodes,
@@ -14,7 +15,7 @@ use crate::{
     model::{
         fused::{Operation, apply, input},
         sparse::Table,
-        surroundings::{FULL, Ground, LEAST_MASS},
+        surroundings::Ground,
     },
 };
 

@@ -8,15 +8,15 @@ use rayon::prelude::*;
 
 use crate::{
     checkpoint::layout::PARTICLE_FEATURES,
+    engine::{
+        Ballistic,
+        scales::{FAR, NEAR},
+    },
     kernels::{
         activation::Exponentials,
         rest::{Rest, SHAPE_FEATURES},
     },
-    model::{
-        ballistic::Ballistic,
-        features::{FAR, NEAR},
-        fused::{Operation, apply, input},
-    },
+    model::fused::{Operation, apply, input},
 };
 
 /// Rows that a thread takes at once.

@@ -1,0 +1,173 @@
+//! The networks in burn beside the engine, which predicts the same within 1e-5.
+
+use std::num::NonZeroUsize;
+
+use proptest::{prelude::*, sample::select};
+use pulp::Arch;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{DeviceKind, Reference};
+use crate::{
+    checkpoint::{
+        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
+        FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings, initial_weights,
+    },
+    engine::Surrogate,
+    frame::{Domain, Frame, Material, Stamp},
+};
+
+const DT: f32 = 0.016;
+
+fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Description {
+    Description {
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -4.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.1, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        surroundings: (architecture == Architecture::Particle).then_some(Surroundings {
+            cell_width: 1.0 / 32.0,
+            channels: [16, 24, 20],
+            spacing: 0.02,
+        }),
+        ..Description::untrained(architecture, core, sizes)
+    }
+}
+
+/// Random weights, biases and decoder included.
+fn checkpoint(description: Description, seed: u64) -> Checkpoint {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial_weights(&description, seed);
+    for (name, weights) in &mut tensors {
+        if name.starts_with("decoder") || weights.shape.len() == 1 {
+            for value in &mut weights.values {
+                *value += random.random_range(-0.3..0.3);
+            }
+        }
+    }
+    Checkpoint { description, tensors }
+}
+
+/// Particles that jump about, on and beyond the walls too: no network can tell them from truth.
+fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let material: Vec<_> =
+        (0..particles).map(|_| Material::ALL[random.random_range(0..4)]).collect();
+    let mut pairs = |low: f32, high: f32| {
+        (0..particles).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    (0..count)
+        .map(|sequence| Frame {
+            stream: 4,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: pairs(0.0, 1.0),
+            velocity: pairs(-2.0, 2.0),
+            material: material.clone(),
+        })
+        .collect()
+}
+
+fn largest_difference(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+fn threads(number: usize) -> Option<NonZeroUsize> {
+    NonZeroUsize::new(number)
+}
+
+/// Sets of instructions of this processor, the plainest first.
+fn sets() -> Vec<Arch> {
+    let mut sets = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        sets.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        sets.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    sets.push(Arch::new());
+    sets
+}
+
+/// Predictions from one frame after the other.
+fn stream(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
+    let mut memory = surrogate.start(&frames[0]).unwrap();
+    frames.iter().map(|frame| surrogate.step(&mut memory, frame)).collect()
+}
+
+/// Everything a frame model can be.
+fn frame_options() -> impl Strategy<Value = FrameOptions> {
+    (
+        select(&[Pooling::Mean, Pooling::Max, Pooling::MeanMax][..]),
+        select(&Activation::ALL[..]),
+        select(&[MaterialInput::OneHot, MaterialInput::Scalar][..]),
+        select(&[FeatureScaling::MinMax, FeatureScaling::ZScore][..]),
+    )
+        .prop_map(|(pooling, activation, material, scaling)| FrameOptions {
+            pooling,
+            activation,
+            material,
+            scaling,
+        })
+}
+
+/// Cells from small to so large that a few hold all.
+fn surroundings() -> impl Strategy<Value = Surroundings> {
+    ((0.03f32..0.5), [1usize..40, 1usize..40, 1usize..40], 0.01f32..0.2)
+        .prop_map(|(cell_width, channels, spacing)| Surroundings { cell_width, channels, spacing })
+}
+
+/// Everything a checkpoint can describe, with the number of particles to predict.
+fn descriptions() -> impl Strategy<Value = (Description, usize)> {
+    let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
+    let choices = (select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), surroundings());
+    (any::<bool>(), choices, sizes).prop_map(
+        |(whole, choices, (encoder, hidden, layers, particles))| {
+            let (core, [log, normalize_gates], frame, surroundings) = choices;
+            let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
+            let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
+            let description = Description {
+                form: if log { Form::Log } else { Form::Plain },
+                normalize_gates,
+                frame: if whole { frame } else { FrameOptions::default() },
+                surroundings: (!whole).then_some(surroundings),
+                ..description(architecture, core, sizes)
+            };
+            (description, particles)
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+    #[test]
+    fn every_network_predicts_what_the_one_in_burn_predicts(
+        (description, particles) in descriptions(),
+        seed in any::<u64>(),
+    ) {
+        let checkpoint = checkpoint(description, seed);
+        let frames = frames(5, particles, seed);
+        let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+        let mut memory = reference.start(&frames[0]);
+        let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
+        for set in sets() {
+            // What bodies in free flight keep is the engine's own.
+            let surrogate = Surrogate::load_for(&checkpoint, threads(1), set, false).unwrap();
+            for (found, expected) in stream(&surrogate, &frames).iter().zip(&expected) {
+                let position = largest_difference(&found.position, &expected.position);
+                let velocity = largest_difference(&found.velocity, &expected.velocity);
+                prop_assert!(position <= 1e-5 && velocity <= 1e-5, "{set:?}: {position}, {velocity}");
+                prop_assert_eq!(
+                    (found.sequence, found.stamp, &found.material),
+                    (expected.sequence, expected.stamp, &expected.material)
+                );
+            }
+        }
+    }
+}
