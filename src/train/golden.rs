@@ -13,9 +13,10 @@ use super::{
 use crate::{
     checkpoint::{Architecture, Description, Weights},
     dataset::State,
+    engine::Ballistic,
     frame::Material,
     model::{
-        Ballistic, DeviceKind, Track,
+        DeviceKind, Track,
         network::{Dropout, Hidden, Network},
     },
 };

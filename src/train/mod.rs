@@ -54,8 +54,9 @@ use std::{collections::BTreeSet, path::Path};
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, TrainingSummary},
     dataset::Dataset,
+    engine::Ballistic,
     frame::Material,
-    model::{Ballistic, DeviceKind},
+    model::DeviceKind,
 };
 use config::setting;
 use gradients::{Slope, Task};

@@ -14,7 +14,7 @@ use super::{
 use crate::{
     checkpoint::{Checkpoint, Description, Weights, initial_weights},
     model::{
-        DeviceKind, layers,
+        DeviceKind,
         network::{Dropout, Network},
     },
 };

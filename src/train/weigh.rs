@@ -10,7 +10,7 @@
 
 use super::{LossConfig, LossKind, window::Window};
 use crate::{
-    checkpoint::Normalization, dataset::State, eval::Baseline, frame::Material, model::Ballistic,
+    checkpoint::Normalization, dataset::State, engine::Ballistic, eval::Baseline, frame::Material,
 };
 
 /// Position error below which nothing is gained (domain lengths): a thirtieth of a cell.
