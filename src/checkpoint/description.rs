@@ -4,14 +4,16 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::CheckpointError;
+use super::{CheckpointError, Rules, rules};
 use crate::{
     frame::{Domain, Material},
     near,
 };
 
-/// Version of the checkpoint format. It goes up when a file of the old form would be misread.
-pub const FORMAT_VERSION: u32 = 1;
+/// Version of the checkpoint format that is written. It goes up when a file of the old form would be misread.
+///
+/// Version 1, which is read as well, had no `[rules]`: particle models had [`Rules::STANDARD`] whatever the file said.
+pub const FORMAT_VERSION: u32 = 2;
 
 /// Which network.
 #[derive(
@@ -276,6 +278,9 @@ pub struct Description {
     /// How the particle model sees surroundings; the frame model has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surroundings: Option<Surroundings>,
+    /// Rules that correct the particle model's predictions; the frame model has none.
+    #[serde(default, skip_serializing_if = "Rules::is_empty")]
+    pub rules: Rules,
     /// The box that holds the particles.
     pub domain: Domain,
     /// Scale of the numbers.
@@ -285,7 +290,7 @@ pub struct Description {
 }
 
 impl Description {
-    /// An untrained network of the given widths with every choice by default: frames of the paper's 16
+    /// An untrained network of the given widths with every choice by default: all rules for the particle model, frames of the paper's 16
     /// ms in the unit square, velocities up to 1 domain length per second.
     pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {
         Self {
@@ -306,6 +311,7 @@ impl Description {
                 channels: [32, 64, 64],
                 spacing: 1.0 / 128.0,
             }),
+            rules: Rules::standard(architecture),
             domain: Domain::UNIT,
             normalization: Normalization {
                 minimum: [0.0, 0.0, -1.0, -1.0],
@@ -334,19 +340,31 @@ pub(super) fn render(description: &Description) -> String {
 }
 
 /// Reads `model.toml`. The version goes first, so that a file of a later format is refused for that
-/// and not for a key this version does not know.
+/// and not for a key this version does not know. A description of version 1 becomes one of version 2 with the rules
+/// that it implied.
 pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointError> {
     let syntax = |error: toml::de::Error| CheckpointError::Description {
         file: file.to_owned(),
         reason: near::in_toml(error.to_string().trim_end()),
     };
     let table: toml::Table = text.parse().map_err(syntax)?;
-    let version = table.get("format_version").and_then(toml::Value::as_integer);
-    if version != Some(i64::from(FORMAT_VERSION)) {
-        let found = table.get("format_version").map_or("nothing".to_owned(), ToString::to_string);
-        return Err(field(file, "format_version", found, FORMAT_VERSION.to_string()));
+    match table.get("format_version").and_then(toml::Value::as_integer) {
+        Some(1) if table.contains_key("rules") => {
+            let expected = "nothing in format version 1";
+            Err(field(file, "rules", "a table".to_owned(), expected))
+        }
+        Some(1) => {
+            let description: Description = toml::from_str(text).map_err(syntax)?;
+            let rules = Rules::standard(description.architecture);
+            Ok(Description { format_version: FORMAT_VERSION, rules, ..description })
+        }
+        Some(2) => toml::from_str(text).map_err(syntax),
+        _ => {
+            let found =
+                table.get("format_version").map_or("nothing".to_owned(), ToString::to_string);
+            Err(field(file, "format_version", found, "1 or 2"))
+        }
     }
-    toml::from_str(text).map_err(syntax)
 }
 
 /// Checks the numbers of a description.
@@ -407,6 +425,10 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             return Err(field(file, "surroundings.channels", found, "1 to 4096 each"));
         }
     }
+    if *architecture == Architecture::Frame && !description.rules.is_empty() {
+        return Err(field(file, "rules", "a table".to_owned(), "nothing for the frame model"));
+    }
+    rules::check(file, &description.rules)?;
     if !domain.is_whole() {
         let found = format!("{:?}, {:?}", domain.lower, domain.upper);
         return Err(field(file, "domain", found, "finite corners with lower < upper"));
@@ -432,7 +454,7 @@ fn check_normalization(file: &Path, scale: &Normalization) -> Result<(), Checkpo
     Ok(())
 }
 
-fn field(
+pub(super) fn field(
     file: &Path,
     field: impl Into<String>,
     found: String,

@@ -3,7 +3,7 @@
 //! A checkpoint is a directory with two files:
 //!
 //! 1. `model.toml`, the [`Description`]: what the network is, what it was trained on, how its numbers
-//!    are scaled (`description`).
+//!    are scaled (`description`), and which rules correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
 //!    that `layout` derives from the description.
 //!
@@ -15,6 +15,7 @@ mod error;
 mod files;
 mod initial;
 pub(crate) mod layout;
+mod rules;
 
 pub use description::{
     Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
@@ -25,6 +26,7 @@ pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub(crate) use files::{parse_weights, render_weights, write_through};
 pub use initial::initial_weights;
 pub use layout::tensor_shapes;
+pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
 
 use std::{collections::BTreeMap, path::Path};
 

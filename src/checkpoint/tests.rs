@@ -19,6 +19,7 @@ fn checkpoint() -> Checkpoint {
         sizes: Sizes { encoder: 3, hidden: 2, layers: 1, particles: None },
         frame: FrameOptions::default(),
         surroundings: Some(Surroundings { cell_width: 0.25, channels: [2, 3, 2], spacing: 0.1 }),
+        rules: Rules::STANDARD,
         domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -3.0],
@@ -100,8 +101,8 @@ fn the_digest_is_that_of_the_two_files() {
 
 #[test]
 fn a_later_version_is_refused_before_its_keys_are_looked_at() {
-    let later = edit_description("format_version = 1", "format_version = 2\nfuture = true");
-    assert_eq!(refusal(later), "x/model.toml: format_version: found 2, expected 1");
+    let later = edit_description("format_version = 2", "format_version = 3\nfuture = true");
+    assert_eq!(refusal(later), "x/model.toml: format_version: found 3, expected 1 or 2");
 }
 
 #[test]
@@ -212,4 +213,150 @@ fn the_shipped_model_is_a_trained_particle_model() {
     assert_eq!(shipped.description.architecture, Architecture::Particle);
     assert!(training.command.starts_with("eddy train"), "{training:?}");
     assert!(training.best_epoch > 0 && training.samples > 0, "{training:?}");
+}
+
+/// The checkpoints that `golden/generate.sh` wrote.
+fn golden(version: u32) -> Checkpoint {
+    let (description, weights): (&str, &[u8]) = match version {
+        1 => (
+            include_str!("golden/version_1/model.toml"),
+            include_bytes!("golden/version_1/model.safetensors"),
+        ),
+        _ => (
+            include_str!("golden/version_2/model.toml"),
+            include_bytes!("golden/version_2/model.safetensors"),
+        ),
+    };
+    assert!(description.starts_with(&format!("format_version = {version}\n")));
+    Checkpoint::parse(Path::new("golden"), description, weights).unwrap()
+}
+
+#[test]
+fn a_particle_model_of_version_1_has_the_rules_that_every_one_had_then() {
+    let area = AreaRule {
+        cell_width: 2.0,
+        fill_limit: 1.25,
+        surface_fill: 0.5,
+        sweeps: 20,
+        relaxation: 1.7,
+        longest_shift: 0.5,
+    };
+    let rules = Rules {
+        area: Some(area),
+        shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
+        flight: Some(FlightRule { wall_distance: 1.5 }),
+        rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+    };
+    assert_eq!(golden(1).description.rules, rules);
+}
+
+#[test]
+fn a_checkpoint_of_version_1_is_the_one_of_version_2_with_its_rules_written_down() {
+    assert_eq!(golden(1), golden(2));
+    assert_eq!(golden(1).digest(), golden(2).digest());
+}
+
+#[test]
+fn a_checkpoint_of_version_2_has_the_rules_in_its_file_and_no_others() {
+    let text = include_str!("golden/version_2/model.toml");
+    let parse = |text: &str| Checkpoint::parse(Path::new("x"), text, golden_weights()).unwrap();
+    let (before, _) = text.split_once("[rules.area]").unwrap();
+    let (_, after) = text.split_once("[domain]").unwrap();
+    let none = parse(&format!("{before}[domain]{after}"));
+    assert_eq!(none.description.rules, Rules::default());
+    let one =
+        parse(&format!("{before}[rules.shape]\nstrain_limit = 0.1\nsweeps = 2\n[domain]{after}"));
+    let shape = ShapeRule { strain_limit: 0.1, sweeps: 2 };
+    assert_eq!(one.description.rules, Rules { shape: Some(shape), ..Rules::default() });
+    assert_ne!(one.digest(), none.digest(), "the digest covers the rules");
+}
+
+fn golden_weights() -> &'static [u8] {
+    include_bytes!("golden/version_2/model.safetensors")
+}
+
+#[test]
+fn the_digest_changes_with_every_constant_of_a_rule() {
+    let digest = |change: fn(&mut Rules)| {
+        let mut checkpoint = checkpoint();
+        change(&mut checkpoint.description.rules);
+        checkpoint.digest()
+    };
+    let changes: [fn(&mut Rules); 15] = [
+        |_| (),
+        |rules| rules.area = None,
+        |rules| rules.area.as_mut().unwrap().cell_width = 3.0,
+        |rules| rules.area.as_mut().unwrap().fill_limit = 1.2,
+        |rules| rules.area.as_mut().unwrap().surface_fill = 0.4,
+        |rules| rules.area.as_mut().unwrap().sweeps = 10,
+        |rules| rules.area.as_mut().unwrap().relaxation = 1.6,
+        |rules| rules.area.as_mut().unwrap().longest_shift = 0.25,
+        |rules| rules.shape.as_mut().unwrap().strain_limit = 0.02,
+        |rules| rules.shape.as_mut().unwrap().sweeps = 4,
+        |rules| rules.flight.as_mut().unwrap().wall_distance = 2.0,
+        |rules| rules.rest.as_mut().unwrap().wall_distance = 2.0,
+        |rules| rules.rest.as_mut().unwrap().asleep_below = 0.5,
+        |rules| rules.rest.as_mut().unwrap().awake_from = 2.0,
+        |rules| rules.rest = None,
+    ];
+    let mut digests: Vec<_> = changes.into_iter().map(digest).collect();
+    digests.sort();
+    digests.dedup();
+    assert_eq!(digests.len(), changes.len());
+}
+
+#[test]
+fn constants_of_rules_out_of_range_are_refused() {
+    for (from, to, expected) in [
+        ("cell_width = 2.0", "cell_width = 0.1", "area.cell_width: found 0.1, expected 0.5 to 16"),
+        (
+            "fill_limit = 1.25",
+            "fill_limit = 0.0",
+            "area.fill_limit: found 0, expected a positive number",
+        ),
+        (
+            "surface_fill = 0.5",
+            "surface_fill = 1.5",
+            "area.surface_fill: found 1.5, expected above 0, at most rules.area.fill_limit",
+        ),
+        ("sweeps = 20", "sweeps = 0", "area.sweeps: found 0, expected 1 to 1000"),
+        (
+            "relaxation = 1.7",
+            "relaxation = 2.0",
+            "area.relaxation: found 2, expected above 0 and below 2",
+        ),
+        (
+            "longest_shift = 0.5",
+            "longest_shift = inf",
+            "area.longest_shift: found inf, expected a positive number",
+        ),
+        (
+            "strain_limit = 0.03",
+            "strain_limit = 1.0",
+            "shape.strain_limit: found 1, expected at least 0 and below 1",
+        ),
+        ("sweeps = 5", "sweeps = 1001", "shape.sweeps: found 1001, expected 1 to 1000"),
+        (
+            "wall_distance = 1.5",
+            "wall_distance = nan",
+            "flight.wall_distance: found NaN, expected 0 to 64",
+        ),
+        (
+            "asleep_below = 0.25",
+            "asleep_below = -1.0",
+            "rest.asleep_below: found -1, expected at least 0",
+        ),
+        (
+            "awake_from = 1.0",
+            "awake_from = 0.2",
+            "rest.awake_from: found 0.2, expected above rules.rest.asleep_below",
+        ),
+    ] {
+        assert_eq!(refusal(edit_description(from, to)), format!("x/model.toml: rules.{expected}"));
+    }
+    let message = refusal(edit_description("strain_limit = 0.03", "strain = 0.03"));
+    assert!(message.contains("unknown field `strain`"), "{message}");
+    assert!(message.ends_with("did you mean strain_limit?"), "{message}");
+    let message = refusal(edit_description("format_version = 2", "format_version = 1"));
+    assert_eq!(message, "x/model.toml: rules: found a table, expected nothing in format version 1");
 }

@@ -4,7 +4,7 @@
 //! and loses the velocity component across it (inelastic, free slip). It serves as a baseline and as the
 //! base of the particle model's residual; `model/ballistic.rs` has the same step over tensors.
 
-use crate::checkpoint::Description;
+use crate::{checkpoint::Description, frame::Domain};
 
 /// Gravity, frame interval and the walls in effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +29,24 @@ impl Ballistic {
             lower: [scale.minimum[0], scale.minimum[1]],
             upper: [scale.maximum[0], scale.maximum[1]],
         }
+    }
+
+    /// The step in the domain `to`, which may have another size than `from`, where this one is in effect: walls are as
+    /// far from its corners.
+    pub fn moved(&self, from: &Domain, to: &Domain) -> Self {
+        let mut moved = *self;
+        for axis in 0..2 {
+            // A domain with the same corners has the very same numbers.
+            if to.lower[axis] != from.lower[axis] {
+                let thickness = self.lower[axis] - from.lower[axis];
+                moved.lower[axis] = to.lower[axis] + thickness;
+            }
+            if to.upper[axis] != from.upper[axis] {
+                let thickness = from.upper[axis] - self.upper[axis];
+                moved.upper[axis] = to.upper[axis] - thickness;
+            }
+        }
+        moved
     }
 
     /// One particle, one frame on, if there were no walls: position (domain lengths) and velocity

@@ -8,23 +8,23 @@
 //! 5. `frame_model`: the paper's network (Table 1) out of these.
 //! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
 //!    `particle_blocks` have what happens to particles, `pieces` what they write to the grid's nodes,
-//!    `surroundings` what happens to these, `volume` keeps the area of liquids, `shape` that of jelly and
-//!    rope, `bodies` the momentum and the spin of those that touch nothing, and the rest of those at rest.
-//! 7. `memory`: what a network remembers of a stream, and in which `order`.
-//! 8. [`Remark`]: what is predicted although the network was not made for it.
-//! 9. [`Ballistic`]: the step of a particle that nothing else touches; [`scales`]: units of the particle
-//!    model's inputs and outputs.
-//! 10. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
-//!    stream, or each on its own.
+//!    `surroundings` what happens to these.
+//! 7. `rules`: what corrects a prediction, with the constants of the checkpoint; [`Corrector`] does it after any
+//!    predictor.
+//! 8. `memory`: what a network remembers of a stream, and in which `order`.
+//! 9. [`Remark`]: what is predicted although the network was not made for it.
+//! 10. [`Ballistic`]: the step of a particle that nothing else touches; [`scales`]: units of the particle
+//!     model's inputs and outputs.
+//! 11. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
+//!     stream, or each on its own.
 //!
 //! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
 //! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
-//! give the same numbers within 1e-5 (a property test there holds the two together).
+//! and the same rules behind them give the same numbers within 1e-5 (a property test there holds the two together).
 //!
 //! Letters in shapes are those of `model`.
 
 mod ballistic;
-mod bodies;
 mod core;
 mod crew;
 mod encoder;
@@ -39,11 +39,10 @@ mod particle_model;
 mod pieces;
 mod products;
 mod remark;
+mod rules;
 pub mod scales;
-mod shape;
 mod surrogate;
 mod surroundings;
-mod volume;
 mod workshop;
 
 #[cfg(test)]
@@ -53,5 +52,6 @@ pub use ballistic::Ballistic;
 pub use error::ModelError;
 pub use memory::Memory;
 pub use remark::Remark;
+pub use rules::Corrector;
 pub use surrogate::Surrogate;
 pub use workshop::Stepper;

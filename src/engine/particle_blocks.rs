@@ -139,13 +139,11 @@ impl Pass<'_> {
 
         let residuals = input.chunks_exact(length);
         for ((&particle, fallen), residual) in particles.iter().zip(fallen).zip(residuals) {
-            let particle = self.place[particle as usize] as usize;
-            let particle = particle..particle + 1;
             // SAFETY: as above.
             let (position, velocity) =
-                unsafe { (self.position.part(particle.clone()), self.velocity.part(particle)) };
+                unsafe { self.predicted.one(self.place[particle as usize] as usize) };
             let (residual, _) = residual.as_chunks::<OUTPUTS>();
-            (position[0], velocity[0]) = model.add(&self.walls.ballistic, fallen, &residual[0]);
+            (*position, *velocity) = model.add(&self.walls.ballistic, fallen, &residual[0]);
         }
     }
 

@@ -67,19 +67,7 @@ impl Features {
     /// The ballistic step in a domain of any size: walls in effect are as far from its corners as in the
     /// checkpoint's.
     pub(super) fn ballistic(&self, domain: &Domain) -> Ballistic {
-        let mut moved = self.ballistic;
-        for axis in 0..2 {
-            // A domain like the checkpoint's has its very numbers.
-            if domain.lower[axis] != self.domain.lower[axis] {
-                let thickness = self.ballistic.lower[axis] - self.domain.lower[axis];
-                moved.lower[axis] = domain.lower[axis] + thickness;
-            }
-            if domain.upper[axis] != self.domain.upper[axis] {
-                let thickness = self.domain.upper[axis] - self.ballistic.upper[axis];
-                moved.upper[axis] = domain.upper[axis] - thickness;
-            }
-        }
-        moved
+        self.ballistic.moved(&self.domain, domain)
     }
 
     /// Fills the columns of a block's features, `[F, length]`, and of its `states`, `[STATES, length]`, for

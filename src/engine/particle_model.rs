@@ -10,7 +10,6 @@ use std::collections::BTreeMap;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    bodies::{Bodies, Sums},
     core::CoreLayer,
     crew::{Crew, Parts, Task},
     linear::Linear,
@@ -18,14 +17,13 @@ use super::{
     order::put_in_order,
     particle_features::{FEATURES, Features, Known, STATES, State},
     pieces::Pieces,
+    rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
-    shape::{self, Shape},
     surroundings::{self, Fields, Grid, Walls},
-    volume::Volume,
 };
 use crate::{
     checkpoint::{Description, Weights, layout},
-    frame::{Domain, Frame, FrameView, Material},
+    frame::{Frame, FrameView},
     kernels::{
         nodes::{Nodes, Window},
         vectors::Lanes,
@@ -37,17 +35,6 @@ pub(super) const BLOCK: usize = 48;
 
 /// Numbers of a block's features.
 pub(super) const COLUMNS: usize = BLOCK * FEATURES;
-
-/// Cells of an item of the stages for free flight.
-const CELLS: usize = 64;
-
-/// Particles of an item of the stage that gives liquids their area.
-const SOME: usize = 512;
-
-/// Stages of a frame, those of the grid's layers between the third and the rest.
-const BEFORE: usize = 3;
-pub(super) const STAGES: usize =
-    BEFORE + surroundings::STAGES + MIDDLE.len() + shape::STEPS + LAST.len();
 
 /// The packed network.
 #[derive(Debug)]
@@ -66,10 +53,9 @@ pub(super) struct ParticleModel {
     /// Bounds of the network's velocities (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
-    /// Between particles at rest (domain lengths).
-    spacing: f32,
-    /// Whether liquids keep their area, solids their shape, and bodies their momentum and their rest.
-    conserve: bool,
+    rules: RuleSet,
+    /// The stages of a frame, in order.
+    pub(super) stages: Vec<Stage>,
 }
 
 /// Room for what stages hand on.
@@ -85,11 +71,7 @@ pub(super) struct Room {
     written: Vec<f32>,
     /// The ballistic step of each slot.
     fallen: Vec<State>,
-    volume: Volume,
-    shape: shape::Room,
-    bodies: Bodies,
-    /// Of the predictions for each cell.
-    motions: Vec<Sums>,
+    rules: rules::Scratch,
     /// For each thread.
     benches: Vec<Bench>,
 }
@@ -110,13 +92,13 @@ impl ParticleModel {
         arch: Arch,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
-        conserve: bool,
     ) -> Self {
         let lanes = arch.dispatch(Lanes);
         let linear = |layer| Linear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
         let surroundings = description.surroundings.as_ref();
         let surroundings = surroundings.expect("a description that was checked has them");
+        let rules = RuleSet::new(description);
         Self {
             arch,
             features: Features::new(description),
@@ -131,8 +113,8 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
-            spacing: surroundings.spacing,
-            conserve,
+            stages: stages(&rules),
+            rules,
         }
     }
 
@@ -161,10 +143,7 @@ impl ParticleModel {
             pieces: Pieces::default(),
             written: Vec::new(),
             fallen: Vec::new(),
-            volume: Volume::new(self.spacing),
-            shape: shape::Room::default(),
-            bodies: Bodies::default(),
-            motions: Vec::new(),
+            rules: self.rules.scratch(),
             benches: (0..threads).map(|_| bench()).collect(),
         }
     }
@@ -187,10 +166,24 @@ impl ParticleModel {
         room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
         self.make_room(room, particles);
 
-        let Room { grid, features, pieces, written, fallen, volume, shape, bodies, .. } = room;
-        let Room { state: [position, velocity], motions, benches, .. } = room;
+        let Room { grid, features, pieces, written, fallen, rules, benches, .. } = room;
+        let Room { state: [position, velocity], .. } = room;
         let surroundings::Room { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
+        let observed = Observed {
+            position,
+            velocity,
+            nodes,
+            ballistic,
+            domain: frame.domain,
+            rest: &memory.rest,
+            order: &memory.order,
+        };
+        let predicted = Predicted {
+            position: Parts::new(&mut next.position),
+            velocity: Parts::new(&mut next.velocity),
+            material: &next.material,
+        };
         let pass = Pass {
             model: self,
             width: stride(self.hidden),
@@ -209,38 +202,28 @@ impl ParticleModel {
             features: Parts::new(features),
             sums: Parts::new(written),
             fallen: Parts::new(fallen),
-            material: &next.material,
-            domain: &next.domain,
-            volume: Parts::new(std::slice::from_mut(volume)),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
-            shape: shape.shape(&memory.rest, &memory.order),
-            bodies: Parts::new(std::slice::from_mut(bodies)),
-            motions: Parts::new(motions),
             benches: Parts::new(benches),
             hidden: Parts::new(&mut memory.hidden),
             cell: Parts::new(&mut memory.cell),
             foretold: Parts::new(&mut memory.foretold),
-            position: Parts::new(&mut next.position),
-            velocity: Parts::new(&mut next.velocity),
+            predicted,
+            correction: self.rules.begin(rules, observed, predicted),
         };
-        let stages = (0..STAGES).map(|stage| pass.items(Stage::number(stage)));
+        let stages = self.stages.iter().map(|&stage| pass.items(stage));
         crew.run(stages, alone, &|task| self.arch.dispatch(Item { pass: &pass, task }));
         memory.begun = true;
     }
 
     /// Makes room for what is at particles, cells and nodes.
     fn make_room(&self, room: &mut Room, particles: usize) {
-        let Room { grid, features, pieces, written, fallen, bodies, motions, .. } = room;
+        let Room { grid, features, pieces, written, fallen, .. } = room;
         self.grid.make_room(grid);
         features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
         let [sums, most] = pieces.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written());
         written.reserve(most.saturating_sub(written.len()));
         written.resize(sums.max(written.len()), 0.0);
         fallen.resize(particles, State::default());
-        bodies.make_room(&grid.nodes);
-        motions.clear();
-        motions.reserve(particles);
-        motions.resize(grid.nodes.cells().len(), Sums::default());
     }
 }
 
@@ -257,63 +240,26 @@ fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> L
     Linear::pack(lanes, &weight, &bias, 0, 1)
 }
 
-/// What happens to a frame, in order.
+/// A stage of a frame.
 #[derive(Clone, Copy, Debug)]
-enum Stage {
+pub(super) enum Stage {
     /// Features, encoder, sums on nodes; an item is a block of slots.
     Encode,
-    /// Which bodies there are, and which fly; one item.
-    Find,
     /// The blocks' sums are joined; an item is a row of nodes.
     Write,
     /// A layer on the nodes; an item is a block of them.
     Layer(usize),
     /// Particles read, core, decoder; an item is a block of slots.
     Decode,
-    /// The pressure among liquids; one item.
-    Press,
-    /// Liquids give way to it; an item is some particles.
-    Yield,
-    /// Jelly and rope get their shape back; an item is some particles.
-    Shape(shape::Step),
-    /// Sums over the predictions; an item is a block of cells.
-    Sum,
-    /// The bodies' rigid motions; one item.
-    Join,
-    /// What bodies that fly or rest have instead; an item is a block of cells.
-    Correct,
+    /// A step of a rule.
+    Rule(rules::Stage),
 }
 
-/// Those after the layers and before those of the shape.
-const MIDDLE: [Stage; 3] = [Stage::Decode, Stage::Press, Stage::Yield];
-/// Those after these.
-const LAST: [Stage; 3] = [Stage::Sum, Stage::Join, Stage::Correct];
-
-impl Stage {
-    fn number(stage: usize) -> Self {
-        match stage {
-            0 => Self::Encode,
-            1 => Self::Find,
-            2 => Self::Write,
-            _ => Self::later(stage - BEFORE),
-        }
-    }
-
-    /// Those from the layers on.
-    fn later(stage: usize) -> Self {
-        if stage < surroundings::STAGES {
-            return Self::Layer(stage);
-        }
-        let stage = stage - surroundings::STAGES;
-        if stage < MIDDLE.len() {
-            return MIDDLE[stage];
-        }
-        let stage = stage - MIDDLE.len();
-        if stage < shape::STEPS {
-            return Self::Shape(shape::Step::number(stage));
-        }
-        LAST[stage - shape::STEPS]
-    }
+/// The stages of a frame, in order: the network's, then the rules'.
+fn stages(rules: &RuleSet) -> Vec<Stage> {
+    let layers = (0..surroundings::STAGES).map(Stage::Layer);
+    let network = [Stage::Encode, Stage::Write].into_iter().chain(layers).chain([Stage::Decode]);
+    network.chain(rules.stages().into_iter().map(Stage::Rule)).collect()
 }
 
 /// One frame under way.
@@ -332,121 +278,23 @@ pub(super) struct Pass<'a> {
     /// What each piece adds to the nodes.
     pub(super) sums: Parts<'a, f32>,
     pub(super) fallen: Parts<'a, State>,
-    /// Of the particles in the frame's order.
-    material: &'a [Material],
-    domain: &'a Domain,
-    volume: Parts<'a, Volume>,
     pub(super) fields: Fields<'a>,
-    shape: Shape<'a>,
-    bodies: Parts<'a, Bodies>,
-    motions: Parts<'a, Sums>,
     pub(super) benches: Parts<'a, Bench>,
     pub(super) hidden: Parts<'a, f32>,
     pub(super) cell: Parts<'a, f32>,
     pub(super) foretold: Parts<'a, [f32; 2]>,
-    pub(super) position: Parts<'a, [f32; 2]>,
-    pub(super) velocity: Parts<'a, [f32; 2]>,
+    pub(super) predicted: Predicted<'a>,
+    correction: Correction<'a>,
 }
 
 impl Pass<'_> {
     /// How many items a stage has.
     fn items(&self, stage: Stage) -> usize {
-        let conserve = usize::from(self.model.conserve);
         match stage {
             Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
-            Stage::Find | Stage::Press | Stage::Join => conserve,
-            Stage::Yield => conserve * self.position.len().div_ceil(SOME),
-            Stage::Shape(_) => conserve * self.shape.items(),
             Stage::Write => self.nodes.rows().len(),
             Stage::Layer(layer) => self.model.grid.items(layer, self.nodes),
-            Stage::Sum | Stage::Correct => conserve * self.nodes.cells().len().div_ceil(CELLS),
-        }
-    }
-
-    /// The cells of an item.
-    fn cells(&self, item: usize) -> std::ops::Range<usize> {
-        item * CELLS..((item + 1) * CELLS).min(self.nodes.cells().len())
-    }
-
-    /// Moves the item's liquid particles to where they have room.
-    #[inline(always)]
-    fn give_way(&self, item: usize) {
-        let particles = item * SOME..((item + 1) * SOME).min(self.position.len());
-        // SAFETY: this stage only reads the pressure, and these particles are those of this item alone.
-        let (volume, position, velocity) = unsafe {
-            (
-                &self.volume.read(0..1)[0],
-                self.position.part(particles.clone()),
-                self.velocity.part(particles.clone()),
-            )
-        };
-        let material = &self.material[particles];
-        volume.give_way(position, velocity, material, &self.walls.ballistic);
-    }
-
-    /// Where free fall takes a row's particle.
-    #[inline(always)]
-    fn free(&self, row: usize) -> State {
-        self.walls.ballistic.free(self.known.position[row], self.known.velocity[row])
-    }
-
-    /// Sums over the predictions for the item's cells.
-    #[inline(always)]
-    fn sum(&self, item: usize) {
-        let (order, cells) = (self.nodes.order(), self.cells(item));
-        // SAFETY: this stage only reads these lists, and these cells are those of this item alone.
-        let (bodies, position, velocity, sums) = unsafe {
-            (
-                &self.bodies.read(0..1)[0],
-                self.position.read(0..order.len()),
-                self.velocity.read(0..order.len()),
-                self.motions.part(cells.clone()),
-            )
-        };
-        for (cell, sums) in self.nodes.cells()[cells].iter().zip(sums) {
-            *sums = Sums::default();
-            let flies = bodies.flies(cell);
-            for &row in &order[cell.slots()] {
-                let (row, particle) = (row as usize, self.place[row as usize] as usize);
-                if flies {
-                    sums.take(&self.free(row), &(position[particle], velocity[particle]));
-                } else {
-                    sums.weigh(self.known.velocity[row], velocity[particle]);
-                }
-            }
-        }
-    }
-
-    /// Gives the item's cells that fly their momentum and their spin, and lets those rest that hardly move.
-    #[inline(always)]
-    fn correct(&self, item: usize) {
-        let order = self.nodes.order();
-        // SAFETY: this stage only reads them.
-        let bodies = unsafe { &self.bodies.read(0..1)[0] };
-        for cell in &self.nodes.cells()[self.cells(item)] {
-            let (flies, awake) = (bodies.flies(cell), bodies.awake(cell));
-            if !flies && awake == 1.0 {
-                continue;
-            }
-            for &row in &order[cell.slots()] {
-                let (row, particle) = (row as usize, self.place[row as usize] as usize);
-                // SAFETY: a particle has one slot, which is in a cell of this item alone.
-                let (position, velocity) = unsafe {
-                    let position = self.position.part(particle..particle + 1);
-                    (&mut position[0], &mut self.velocity.part(particle..particle + 1)[0])
-                };
-                if flies {
-                    let next = (*position, *velocity);
-                    (*position, *velocity) =
-                        bodies.correct(cell, &self.free(row), next, &self.walls.ballistic);
-                } else {
-                    let from = self.known.position[row];
-                    for axis in 0..2 {
-                        position[axis] = from[axis] + awake * (position[axis] - from[axis]);
-                        velocity[axis] *= awake;
-                    }
-                }
-            }
+            Stage::Rule(stage) => self.correction.items(stage),
         }
     }
 }
@@ -463,9 +311,8 @@ impl WithSimd for Item<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { pass, task: Task { stage, item, thread } } = self;
-        let Pass { model: ParticleModel { grid, .. }, nodes, fields, .. } = pass;
-        let particles = nodes.order().len();
-        match Stage::number(stage) {
+        let Pass { model: ParticleModel { grid, stages, .. }, nodes, fields, .. } = pass;
+        match stages[stage] {
             Stage::Encode => pass.encode(simd, item, thread),
             Stage::Decode => pass.decode(simd, item, thread),
             Stage::Write => {
@@ -475,29 +322,7 @@ impl WithSimd for Item<'_> {
                 grid.write(simd, nodes, row, (pass.pieces, sums), &pass.walls, fields);
             }
             Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
-            // SAFETY: these stages have one item each.
-            Stage::Find => unsafe {
-                let Known { position, velocity, ballistic, .. } = &pass.known;
-                pass.bodies.part(0..1)[0].find(nodes, position, velocity, ballistic);
-            },
-            // SAFETY: as above.
-            Stage::Press => unsafe {
-                let Pass { material, domain, .. } = pass;
-                let position = pass.position.read(0..particles);
-                pass.volume.part(0..1)[0].find(position, material, domain, &pass.walls.ballistic);
-            },
-            Stage::Yield => pass.give_way(item),
-            Stage::Shape(step) => {
-                let (position, velocity) = (&pass.position, &pass.velocity);
-                pass.shape.run(step, item, position, velocity, &pass.walls.ballistic);
-            }
-            // SAFETY: as above.
-            Stage::Join => unsafe {
-                let sums = pass.motions.read(0..nodes.cells().len());
-                pass.bodies.part(0..1)[0].join(nodes, sums, &pass.walls.ballistic);
-            },
-            Stage::Sum => pass.sum(item),
-            Stage::Correct => pass.correct(item),
+            Stage::Rule(stage) => pass.correction.run(stage, item),
         }
     }
 }

@@ -60,11 +60,10 @@ impl Surrogate {
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
     ) -> Result<Self, ModelError> {
-        Self::load_for(checkpoint, threads, Arch::new(), true)
+        Self::load_for(checkpoint, threads, Arch::new())
     }
 
-    /// The same with a set of instructions that this processor has; `conserve` says whether liquids keep their
-    /// area, solids their shape, and bodies their momentum and their rest.
+    /// The same with a set of instructions that this processor has.
     ///
     /// # Errors
     /// As [`Surrogate::load`].
@@ -72,7 +71,6 @@ impl Surrogate {
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
         arch: Arch,
-        conserve: bool,
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -81,7 +79,7 @@ impl Surrogate {
         let network = match description.architecture {
             Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
             Architecture::Particle => {
-                Network::Particle(ParticleModel::pack(arch, description, tensors, conserve))
+                Network::Particle(ParticleModel::pack(arch, description, tensors))
             }
         };
         let workshop = Workshop::new(&network, description.core, threads);

@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use super::{Memory, Surrogate, scales::velocity_unit};
 use crate::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, FrameOptions, Normalization, Pooling, Sizes,
-        Surroundings, initial_weights,
+        Architecture, Checkpoint, Core, Description, FrameOptions, Normalization, Pooling, Rules,
+        Sizes, Surroundings, initial_weights,
     },
     frame::{Domain, Frame, Material, Stamp},
 };
@@ -166,7 +166,7 @@ fn sets_of_instructions_with_a_fused_multiply_add_give_the_same_bits() {
         for (checkpoint, frames) in wide(core) {
             let sets = sets();
             let all = sets[1..].iter().map(|&set| {
-                stream(&Surrogate::load_for(&checkpoint, threads(2), set, true).unwrap(), &frames)
+                stream(&Surrogate::load_for(&checkpoint, threads(2), set).unwrap(), &frames)
             });
             let all: Vec<_> = all.collect();
             assert!(all.windows(2).all(|pair| pair[0] == pair[1]), "{core:?}");
@@ -299,6 +299,12 @@ fn particle_model(core: Core) -> Checkpoint {
     checkpoint(description(Architecture::Particle, core, sizes), 8)
 }
 
+/// The network alone.
+fn without_rules(mut checkpoint: Checkpoint) -> Checkpoint {
+    checkpoint.description.rules = Rules::default();
+    checkpoint
+}
+
 /// Momentum and angular momentum about the centre.
 fn momenta(frame: &Frame) -> ([f64; 2], f64) {
     let count = frame.len() as f64;
@@ -330,9 +336,8 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
     let checkpoint = particle_model(Core::MinGru);
     let frame = disc(400);
     let fall = 9.8 * DT;
-    let gains = [true, false].map(|conserve| {
-        let surrogate =
-            Surrogate::load_for(&checkpoint, threads(1), Arch::new(), conserve).unwrap();
+    let gains = [checkpoint.clone(), without_rules(checkpoint)].map(|checkpoint| {
+        let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
         let mut memory = surrogate.start(&frame).unwrap();
         let next = surrogate.step(&mut memory, &frame);
         let ((before, spin), (after, turned)) = (momenta(&frame), momenta(&next));
@@ -357,9 +362,8 @@ fn a_body_that_touches_a_wall_is_as_the_network_has_it() {
         x[1] -= 0.38;
         v[1] -= 4.0;
     }
-    let [kept, free] = [true, false].map(|conserve| {
-        let surrogate =
-            Surrogate::load_for(&checkpoint, threads(1), Arch::new(), conserve).unwrap();
+    let [kept, free] = [checkpoint.clone(), without_rules(checkpoint)].map(|checkpoint| {
+        let surrogate = Surrogate::load(&checkpoint, threads(1)).unwrap();
         surrogate.step(&mut surrogate.start(&frame).unwrap(), &frame)
     });
     assert_eq!(kept, free);
@@ -379,7 +383,7 @@ fn holding() -> Checkpoint {
 
 #[test]
 fn what_touches_a_wall_and_hardly_moves_comes_to_rest() {
-    let surrogate = Surrogate::load_for(&holding(), threads(1), Arch::new(), true).unwrap();
+    let surrogate = Surrogate::load(&holding(), threads(1)).unwrap();
     let mut frame = disc(400);
     frame.material.fill(Material::Snow);
     frame.position.iter_mut().for_each(|x| x[1] -= 0.44);

@@ -95,7 +95,7 @@ impl Team {
                 Self { crew, room }
             }
             Network::Particle(model) => {
-                let crew = Crew::new(threads, particle_model::STAGES);
+                let crew = Crew::new(threads, model.stages.len());
                 let room = Room::Particle(Box::new(model.room(crew.threads())));
                 Self { crew, room }
             }

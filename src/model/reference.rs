@@ -1,4 +1,5 @@
-//! A network that predicts frames, one after the other, with the operations that trained it.
+//! A checkpoint that predicts frames, one after the other: its network with the operations that trained it, then its
+//! rules.
 //!
 //! What streams is the layer `engine`; this is what it is held against, in tests and in
 //! `eddy bench inference`.
@@ -12,12 +13,15 @@ use super::{
 };
 use crate::{
     checkpoint::{Checkpoint, CheckpointError, Description, Surroundings},
+    engine::Corrector,
     frame::Frame,
 };
 
 /// A network in burn, ready to predict.
 pub struct Reference {
     network: Network,
+    /// The checkpoint's rules.
+    corrector: Corrector,
     device: DeviceKind,
     surroundings: Option<Surroundings>,
     /// Time between two frames (s).
@@ -39,8 +43,9 @@ impl Reference {
     pub fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Self, CheckpointError> {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
+        let corrector = Corrector::new(&checkpoint.description);
         let Description { surroundings, dt, .. } = checkpoint.description;
-        Ok(Self { network, device, surroundings, dt })
+        Ok(Self { network, corrector, device, surroundings, dt })
     }
 
     /// An empty memory for the particles of `frame`, as many as the network is for; solids are taken to
@@ -66,7 +71,7 @@ impl Reference {
         let (next, hidden) =
             self.network.step(&bodies, &memory.matter, hidden, &mut Dropout::none());
         memory.hidden = hidden;
-        Frame {
+        let mut next = Frame {
             stream: frame.stream,
             sequence: frame.sequence + 1,
             stamp: frame.stamp.advance(self.dt, 1),
@@ -75,6 +80,8 @@ impl Reference {
             position: pairs(next.position),
             velocity: pairs(next.velocity),
             material: frame.material.clone(),
-        }
+        };
+        self.corrector.correct(&memory.matter.rest, frame, &mut next);
+        next
     }
 }

@@ -52,7 +52,7 @@ pub use resume::{LAST_FOLDER, check_output};
 use std::{collections::BTreeSet, path::Path};
 
 use crate::{
-    checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, TrainingSummary},
+    checkpoint::{Architecture, Checkpoint, Description, FORMAT_VERSION, Rules, TrainingSummary},
     dataset::Dataset,
     engine::Ballistic,
     frame::Material,
@@ -316,6 +316,7 @@ fn describe(
         sizes: config.sizes(particles),
         frame: config.network.frame,
         surroundings: config.surroundings(dataset.spacing),
+        rules: Rules::standard(config.architecture),
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {

@@ -118,8 +118,8 @@ fn a_checkpoint_that_does_not_fit_is_refused_before_anything_is_written() {
         description.replacen(from, to, 1)
     };
     says(
-        &refused(&other("format_version = 1", "format_version = 99"), &weights),
-        &["model.toml", "format_version", "99", "expected 1"],
+        &refused(&other("format_version = 2", "format_version = 99"), &weights),
+        &["model.toml", "format_version", "99", "expected 1 or 2"],
     );
     let hidden = other("\nhidden = ", "\nhidden = 1");
     says(&refused(&hidden, &weights), &["model.safetensors", "found", "expected"]);

@@ -30,6 +30,7 @@ FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
 LEAST_MASS, FULL = 1e-3, 16.0
 # What a node knows beside its channels: how full it is, and how near the four walls are.
 NODE_FEATURES = 1 + 4
+# Constants of the rules from here on: those of format version 1, and of `[rules]` as `eddy train` writes it.
 # Nearness of a wall that ends free flight (cells).
 REACH = 1.5
 # Where liquids keep their area: width of a cell (spacings), how full a node is when pressure sets in and where the

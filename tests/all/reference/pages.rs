@@ -106,11 +106,14 @@ fn collect(folder: &Path, names: &mut Vec<String>) {
 
 /// `model.toml`, and the tensors of each network.
 pub fn checkpoint() -> String {
-    let source = Source::of(&["checkpoint/description.rs", "frame.rs"]);
+    let source = Source::of(&["checkpoint/description.rs", "checkpoint/rules.rs", "frame.rs"]);
     let shipped = Checkpoint::shipped().unwrap();
     let mut keys = rows(&source, source.item("Description"), "");
     let version = shipped.description.format_version;
-    keys[0].docs = format!("Version of the format: {version}.");
+    keys[0].docs = format!(
+        "Version of the format: {version}. Version 1, without `rules`, is read as well; its particle models have all rules, with \
+         the constants of the shipped model."
+    );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, which says what the network is, and `model.safetensors`, its weights: f32, in \
          PyTorch's layout [out, in].\n\n## model.toml\n\n{}",

@@ -6,39 +6,44 @@
 //! a second.
 //!
 //! 1. Fill: how full each node of a grid is, 1 in the middle of a body at rest.
-//! 2. Solve: the pressure p with laplacian p = -(fill - fullest) times the share of liquid, where there is
+//! 2. Solve: the pressure p with laplacian p = -(fill - limit) times the share of liquid, where there is
 //!    too much; p = 0 at the surface, no slope at walls, and it never pulls.
 //! 3. Shift: each particle of a liquid goes down the slope of p, and its velocity changes with that.
+//!
+//! The first two are one step, [`Step::Solve`]: their loops over the nodes of a frame are too short to share.
 
 use std::ops::Range;
 
-use super::Ballistic;
+use super::super::Ballistic;
 use crate::{
+    checkpoint::AreaRule,
     frame::{Domain, Material},
     kernels::nodes::weights,
 };
 
-/// Width of a cell (spacings).
-const CELL: f32 = 2.0;
-/// How full a node is when pressure sets in: with particles in disorder, nodes of the truth are at times this
-/// full.
-const FULLEST: f32 = 1.25;
-/// A node less full than this is beyond the surface.
-const SURFACE: f32 = 0.5;
-/// How often the pressure at all nodes is made to agree with that at their neighbours.
-const SWEEPS: usize = 20;
-/// By how much each of these goes too far, on purpose (successive over-relaxation).
-const OVER: f32 = 1.7;
-/// The longest shift along an axis (cells).
-const LONGEST: f32 = 0.5;
+/// Particles of an item of [`Step::Shift`].
+pub(super) const PARTICLES: usize = 512;
 /// An empty range that any node makes one of its own.
 const NONE: Range<usize> = Range { start: usize::MAX, end: 0 };
 /// Nodes before the domain's lower corner: one in the stencils of particles, and one around all.
 const MARGIN: usize = 2;
 
+/// A step of the rule.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) enum Step {
+    /// The pressure among liquids; one item.
+    Solve,
+    /// Liquids give way to it; an item is some particles.
+    Shift,
+}
+
+/// The steps, in order.
+pub(super) const STEPS: [Step; 2] = [Step::Solve, Step::Shift];
+
 /// The pressure in one frame.
 #[derive(Debug)]
-pub(super) struct Volume {
+pub(super) struct Area {
+    rule: AreaRule,
     acts: bool,
     corner: [f32; 2],
     /// Cell width (domain lengths).
@@ -56,7 +61,7 @@ pub(super) struct Volume {
     pressure: Vec<f32>,
     /// A row of the new pressure.
     row: Vec<f32>,
-    /// [`OVER`] at every other node, else 0.
+    /// The factor of over-relaxation at every other node, else 0.
     steps: Vec<f32>,
     /// The columns of each row that particles touch; [`NONE`] where they touch none.
     touched: Vec<Range<usize>>,
@@ -87,13 +92,14 @@ fn slopes(beyond: f32) -> [f32; 3] {
     [beyond - 1.5, 2.0 - 2.0 * beyond, beyond - 0.5]
 }
 
-impl Volume {
+impl Area {
     /// For particles that are `spacing` apart at rest (domain lengths).
-    pub(super) fn new(spacing: f32) -> Self {
+    pub(super) fn new(rule: AreaRule, spacing: f32) -> Self {
         Self {
+            rule,
             acts: false,
             corner: [0.0; 2],
-            width: CELL * spacing,
+            width: rule.cell_width * spacing,
             extent: [0; 2],
             inside: [0..0, 0..0],
             fill: Vec::new(),
@@ -124,7 +130,7 @@ impl Volume {
         self.fill(position, material);
         self.acts = self.limit();
         if self.acts {
-            for _ in 0..SWEEPS {
+            for _ in 0..self.rule.sweeps {
                 self.sweep(0);
                 self.sweep(1);
             }
@@ -170,7 +176,8 @@ impl Volume {
             slope[0] += weight * sum(&across[1]);
             slope[1] += steepness * sum(&across[0]);
         }
-        [-slope[0], -slope[1]].map(|way| way.clamp(-LONGEST, LONGEST) * self.width)
+        let longest = self.rule.longest_shift;
+        [-slope[0], -slope[1]].map(|way| way.clamp(-longest, longest) * self.width)
     }
 
     /// Where a particle is (cells from node 0); inside the domain.
@@ -206,7 +213,7 @@ impl Volume {
             let (lower, upper) = (node(walls.lower[axis]), node(walls.upper[axis]));
             self.inside[axis] = lower.ceil() as usize..upper.floor() as usize + 1;
             // A particle at a wall fills half a spacing beyond.
-            let beyond = 0.5 / CELL;
+            let beyond = 0.5 / self.rule.cell_width;
             let open = |node: usize| {
                 let node = node as f32;
                 spline_until(upper + beyond - node) - spline_until(lower - beyond - node)
@@ -224,7 +231,9 @@ impl Volume {
             }
             self.row.resize(self.extent[0], 0.0);
             self.steps.clear();
-            self.steps.extend((0..=self.extent[0]).map(|i| if i % 2 == 0 { OVER } else { 0.0 }));
+            let relaxation = self.rule.relaxation;
+            let step = |i: usize| if i.is_multiple_of(2) { relaxation } else { 0.0 };
+            self.steps.extend((0..=self.extent[0]).map(step));
             self.touched.clear();
             self.touched.resize(self.extent[1], NONE);
         }
@@ -233,7 +242,7 @@ impl Volume {
     /// In the order of the particles.
     #[inline(always)]
     fn fill(&mut self, position: &[[f32; 2]], material: &[Material]) {
-        let one = 1.0 / (CELL * CELL);
+        let one = 1.0 / (self.rule.cell_width * self.rule.cell_width);
         for (&position, &material) in position.iter().zip(material) {
             let [x, y] = self.place(position);
             let ((a, x), (b, y)) = (base(x), base(y));
@@ -263,6 +272,7 @@ impl Volume {
     /// Where there can be pressure, and what for. Says whether there is anywhere.
     #[inline(always)]
     fn limit(&mut self) -> bool {
+        let AreaRule { fill_limit, surface_fill, .. } = self.rule;
         let [columns, rows] = self.inside.clone();
         let mut any = false;
         for j in rows.clone() {
@@ -274,13 +284,13 @@ impl Volume {
                 let fill = found / (self.open[0][i] * self.open[1][j]);
                 let beside = u8::from(i > columns.start) + u8::from(i + 1 < columns.end);
                 let neighbours = above + beside;
-                if fill < SURFACE || neighbours == 0 {
+                if fill < surface_fill || neighbours == 0 {
                     continue;
                 }
                 self.share[row + i] = 1.0 / f32::from(neighbours);
-                if fill > FULLEST {
+                if fill > fill_limit {
                     // Others are not moved: snow packs, solids have their shape.
-                    self.excess[row + i] = (fill - FULLEST) * liquid / found;
+                    self.excess[row + i] = (fill - fill_limit) * liquid / found;
                     any |= self.excess[row + i] > 0.0;
                 }
             }
@@ -342,7 +352,10 @@ impl Volume {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Frame, Stamp};
+    use crate::{
+        checkpoint::Rules,
+        frame::{Frame, Stamp},
+    };
 
     const SPACING: f32 = 1.0 / 128.0;
     const WALLS: Ballistic =
@@ -365,28 +378,32 @@ mod tests {
         }
     }
 
-    fn found(frame: &Frame) -> Volume {
-        let mut volume = Volume::new(SPACING);
-        volume.find(&frame.position, &frame.material, &frame.domain, &WALLS);
-        volume
+    fn rule() -> AreaRule {
+        Rules::STANDARD.area.unwrap()
+    }
+
+    fn found(frame: &Frame) -> Area {
+        let mut area = Area::new(rule(), SPACING);
+        area.find(&frame.position, &frame.material, &frame.domain, &WALLS);
+        area
     }
 
     /// Moves all particles of a frame so many times.
     fn moved(mut frame: Frame, times: usize) -> Frame {
         for _ in 0..times {
-            let volume = found(&frame);
+            let area = found(&frame);
             let Frame { position, velocity, material, .. } = &mut frame;
-            volume.give_way(position, velocity, material, &WALLS);
+            area.give_way(position, velocity, material, &WALLS);
         }
         frame
     }
 
     /// The largest that a node is full.
     fn fullest(frame: &Frame) -> f32 {
-        let mut volume = Volume::new(SPACING);
-        volume.make_room(&frame.domain, &WALLS);
-        volume.fill(&frame.position, &frame.material);
-        volume.fill.into_iter().map(|[fill, _]| fill).fold(0.0, f32::max)
+        let mut area = Area::new(rule(), SPACING);
+        area.make_room(&frame.domain, &WALLS);
+        area.fill(&frame.position, &frame.material);
+        area.fill.into_iter().map(|[fill, _]| fill).fold(0.0, f32::max)
     }
 
     fn centre(frame: &Frame) -> [f64; 2] {
@@ -433,10 +450,10 @@ mod tests {
             let walls = Ballistic { upper: [right, 0.97], ..WALLS };
             let frame =
                 block([right - 39.0 * 0.85 * SPACING, 0.03], 0.85 * SPACING, Material::Liquid);
-            let mut volume = Volume::new(SPACING);
-            volume.find(&frame.position, &frame.material, &frame.domain, &walls);
+            let mut area = Area::new(rule(), SPACING);
+            area.find(&frame.position, &frame.material, &frame.domain, &walls);
             let at_wall: Vec<_> = (5..15).map(|row| frame.position[40 * row + 38]).collect();
-            let farthest = at_wall.iter().map(|x| volume.shift(*x)[0]).fold(-1.0, f32::max);
+            let farthest = at_wall.iter().map(|x| area.shift(*x)[0]).fold(-1.0, f32::max);
             assert!(farthest < 0.05 * SPACING, "{step}: {farthest}");
         }
     }
@@ -465,11 +482,14 @@ mod tests {
         frame.position[0] = [f32::NAN; 2];
         frame.position[1] = [f32::INFINITY, f32::NEG_INFINITY];
         frame.position[2] = [-7.0, 7.0];
-        let volume = found(&frame);
-        assert!(volume.acts);
+        let area = found(&frame);
+        assert!(area.acts);
         for &place in &frame.position {
-            let shift = volume.shift(place);
-            assert!(shift.iter().all(|x| x.abs() <= LONGEST * CELL * SPACING), "{shift:?}");
+            let shift = area.shift(place);
+            assert!(
+                shift.iter().all(|x| x.abs() <= rule().longest_shift * rule().cell_width * SPACING),
+                "{shift:?}"
+            );
         }
     }
 }

@@ -5,30 +5,29 @@
 //! The network's errors of a frame are small, but they add up: a body would crumple in a second.
 //!
 //! 1. Align: positions in the order of the stream's memory.
-//! 2. Limit: the deformation gradient F of each particle, with stretches between 1 - [`STRAIN`] and 1 + [`STRAIN`].
+//! 2. Limit: the deformation gradient F of each particle, with its stretches limited ([`ShapeRule::strain_limit`]).
 //! 3. Lean: how far a particle is from its neighbours' mean, if they are as at rest but for F: the mean of
 //!    (F + F_j) (X - X_j) / 2, X being places at rest.
-//! 4. Restore, [`SWEEPS`] times: each particle goes there.
+//! 4. Restore, [`ShapeRule::sweeps`] times: each particle goes there.
 //! 5. Adopt: velocities change with positions.
 
 use std::ops::Range;
 
-use super::{Ballistic, crew::Parts};
-use crate::kernels::rest::{Rest, deformation};
+use super::super::{Ballistic, crew::Parts};
+use crate::{
+    checkpoint::ShapeRule,
+    kernels::rest::{Rest, deformation},
+};
 
-/// How far matter is stretched at most: neighbours in the truth are 1 to 2 % off their distances at rest.
-const STRAIN: f32 = 0.03;
-/// How often particles are moved to where their neighbours have them.
-const SWEEPS: usize = 5;
 /// Rows of an item.
-const SOME: usize = 256;
+const ROWS: usize = 256;
 
 /// A deformation gradient, by rows.
 type Gradient = [[f32; 2]; 2];
 
 /// A step towards the shape at rest; items are some rows of the stream's memory.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Step {
+pub(in super::super) enum Step {
     Align,
     Limit,
     Lean,
@@ -37,24 +36,15 @@ pub(super) enum Step {
     Adopt,
 }
 
-/// How many there are.
-pub(super) const STEPS: usize = 4 + SWEEPS;
-
-impl Step {
-    pub(super) fn number(step: usize) -> Self {
-        match step {
-            0 => Self::Align,
-            1 => Self::Limit,
-            2 => Self::Lean,
-            step if step < 3 + SWEEPS => Self::Restore(step - 3),
-            _ => Self::Adopt,
-        }
-    }
+/// The steps, in order.
+pub(super) fn steps(rule: ShapeRule) -> impl Iterator<Item = Step> {
+    let sweeps = (0..rule.sweeps).map(Step::Restore);
+    [Step::Align, Step::Limit, Step::Lean].into_iter().chain(sweeps).chain([Step::Adopt])
 }
 
-/// Room for what steps hand on, by rows of the stream's memory.
+/// Scratch buffers between steps, by rows of the stream's memory.
 #[derive(Debug, Default)]
-pub(super) struct Room {
+pub(super) struct Scratch {
     /// Positions before and after a sweep, in turn.
     place: [Vec<[f32; 2]>; 2],
     limited: Vec<Gradient>,
@@ -63,6 +53,7 @@ pub(super) struct Room {
 
 /// The shapes of a frame.
 pub(super) struct Shape<'a> {
+    rule: ShapeRule,
     rest: &'a Rest,
     /// The particle of the frame in each row.
     order: &'a [u32],
@@ -71,23 +62,28 @@ pub(super) struct Shape<'a> {
     lean: Parts<'a, [f32; 2]>,
 }
 
-impl Room {
+impl Scratch {
     /// For the particles that rest in `rest`, `order` having that of each row.
-    pub(super) fn shape<'a>(&'a mut self, rest: &'a Rest, order: &'a [u32]) -> Shape<'a> {
+    pub(super) fn shape<'a>(
+        &'a mut self,
+        rule: ShapeRule,
+        rest: &'a Rest,
+        order: &'a [u32],
+    ) -> Shape<'a> {
         let Self { place, limited, lean } = self;
         let rows = order.len();
         place.iter_mut().for_each(|list| list.resize(rows, [0.0; 2]));
         limited.resize(rows, Gradient::default());
         lean.resize(rows, [0.0; 2]);
         let place = place.each_mut().map(|list| Parts::new(list));
-        Shape { rest, order, place, limited: Parts::new(limited), lean: Parts::new(lean) }
+        Shape { rule, rest, order, place, limited: Parts::new(limited), lean: Parts::new(lean) }
     }
 }
 
 impl Shape<'_> {
     /// How many items each step has; none where nothing has a shape.
     pub(super) fn items(&self) -> usize {
-        if self.rest.is_shapeless() { 0 } else { self.order.len().div_ceil(SOME) }
+        if self.rest.is_shapeless() { 0 } else { self.order.len().div_ceil(ROWS) }
     }
 
     /// An item of a step; `position` and `velocity` are the frame's.
@@ -100,7 +96,7 @@ impl Shape<'_> {
         velocity: &Parts<'_, [f32; 2]>,
         walls: &Ballistic,
     ) {
-        let rows = item * SOME..((item + 1) * SOME).min(self.order.len());
+        let rows = item * ROWS..((item + 1) * ROWS).min(self.order.len());
         match step {
             Step::Align => self.align(rows, position),
             Step::Limit => self.limit(rows),
@@ -132,7 +128,7 @@ impl Shape<'_> {
             let links = self.rest.links(row);
             *limit = match links {
                 [] => [[1.0, 0.0], [0.0, 1.0]],
-                links => limited(deformation(links, place, place[row]).0),
+                links => limited(deformation(links, place, place[row]).0, self.rule.strain_limit),
             };
         }
     }
@@ -189,7 +185,7 @@ impl Shape<'_> {
         walls: &Ballistic,
     ) {
         // SAFETY: this step only reads the places.
-        let places = unsafe { self.place[SWEEPS % 2].read(rows.clone()) };
+        let places = unsafe { self.place[self.rule.sweeps % 2].read(rows.clone()) };
         for (row, place) in rows.zip(places) {
             if self.rest.links(row).is_empty() {
                 continue;
@@ -210,14 +206,14 @@ impl Shape<'_> {
 
 /// The gradient with its stretches, the singular values, limited; what was turned inside out is turned back.
 #[inline(always)]
-fn limited([[a, b], [c, d]]: Gradient) -> Gradient {
+fn limited([[a, b], [c, d]]: Gradient, strain: f32) -> Gradient {
     // The sum of a turn with a scaling, [[p, -q], [q, p]], and a mirroring with a scaling, [[r, s], [s, -r]]: the
     // stretches are the sum and the difference of their sizes.
     let (p, q) = (0.5 * (a + d), 0.5 * (c - b));
     let (r, s) = (0.5 * (a - d), 0.5 * (c + b));
     let (turn, mirror) = ((p * p + q * q).sqrt(), (r * r + s * s).sqrt());
-    let most = (turn + mirror).clamp(1.0 - STRAIN, 1.0 + STRAIN);
-    let least = (turn - mirror).clamp(1.0 - STRAIN, 1.0 + STRAIN);
+    let most = (turn + mirror).clamp(1.0 - strain, 1.0 + strain);
+    let least = (turn - mirror).clamp(1.0 - strain, 1.0 + strain);
     let turned = 0.5 * (most + least) / turn.max(f32::MIN_POSITIVE);
     let mirrored = 0.5 * (most - least) / mirror.max(f32::MIN_POSITIVE);
     let (p, q, r, s) = (p * turned, q * turned, r * mirrored, s * mirrored);
@@ -230,10 +226,12 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::frame::Material;
+    use crate::{checkpoint::Rules, frame::Material};
 
     const SPACING: f32 = 1.0 / 128.0;
     const COLUMNS: usize = 24;
+    const RULE: ShapeRule = Rules::STANDARD.shape.unwrap();
+    const STRAIN: f32 = RULE.strain_limit;
     const WALLS: Ballistic =
         Ballistic { gravity: [0.0, -9.8], dt: 0.016, lower: [0.03; 2], upper: [0.97; 2] };
 
@@ -255,10 +253,10 @@ mod tests {
         let mut velocity = Vec::new();
         for _ in 0..times {
             velocity = vec![[0.0; 2]; position.len()];
-            let mut room = Room::default();
-            let shape = room.shape(&rest, &order);
+            let mut scratch = Scratch::default();
+            let shape = scratch.shape(RULE, &rest, &order);
             let (x, v) = (Parts::new(&mut position), Parts::new(&mut velocity));
-            for step in (0..STEPS).map(Step::number) {
+            for step in steps(RULE) {
                 (0..shape.items()).for_each(|item| shape.run(step, item, &x, &v, &WALLS));
             }
         }
@@ -349,10 +347,10 @@ mod tests {
             (turned(0.2, 1.2), turned(1.0 - STRAIN, 1.0 + STRAIN)),
             (turned(1.2, -0.4), turned(1.0 + STRAIN, 1.0 - STRAIN)),
         ] {
-            let limited = limited(found);
+            let limited = limited(found, STRAIN);
             let off = limited.as_flattened().iter().zip(expected.as_flattened());
             assert!(off.clone().all(|(a, b)| (a - b).abs() < 1e-5), "{limited:?} {expected:?}");
         }
-        assert!(limited([[0.0; 2]; 2]).as_flattened().iter().all(|x| x.is_finite()));
+        assert!(limited([[0.0; 2]; 2], STRAIN).as_flattened().iter().all(|x| x.is_finite()));
     }
 }

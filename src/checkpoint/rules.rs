@@ -1,0 +1,214 @@
+//! `[rules]` of `model.toml`: the rules that correct the particle model's predictions, with every constant.
+//!
+//! `engine/rules` says what each rule does. All constants stand here, so that the digest covers everything
+//! that changes a prediction.
+
+use std::{fmt, path::Path};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Architecture, CheckpointError, description::field};
+
+/// Rules that correct predictions, in the order in which they run. A rule that is absent is off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rules {
+    /// Liquids keep their area.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub area: Option<AreaRule>,
+    /// Jelly and rope keep their shape.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shape: Option<ShapeRule>,
+    /// Bodies that touch nothing keep momentum and spin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flight: Option<FlightRule>,
+    /// Bodies that touch something and hardly move come to rest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest: Option<RestRule>,
+}
+
+/// Constants of the rule that liquids keep their area: where predicted liquid is too dense, a pressure pushes it
+/// apart.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AreaRule {
+    /// Cell width of the grid on which the pressure is solved for (distances between particles at rest), 0.5 to 16.
+    pub cell_width: f32,
+    /// Fill of a node above which there is pressure, 1 inside a body at rest; with particles in disorder, nodes of the
+    /// truth are at times 1.25.
+    pub fill_limit: f32,
+    /// Fill of a node below which it lies beyond the surface, where the pressure is zero; at most `fill_limit`.
+    pub surface_fill: f32,
+    /// Sweeps over all nodes that solve for the pressure, 1 to 1000.
+    pub sweeps: usize,
+    /// Factor of successive over-relaxation in each sweep, above 0 and below 2.
+    pub relaxation: f32,
+    /// Longest shift of a particle in a frame, along an axis (cells of this grid).
+    pub longest_shift: f32,
+}
+
+/// Constants of the rule that jelly and rope keep their shape: each particle goes to where its neighbours and their
+/// shape at rest have it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShapeRule {
+    /// Largest strain: stretches of the deformation gradient are limited to 1 - `strain_limit` and 1 + `strain_limit`; at
+    /// least 0, below 1.
+    pub strain_limit: f32,
+    /// How often each particle is moved to where its neighbours have it, 1 to 1000.
+    pub sweeps: usize,
+}
+
+/// Constants of the rule that a body in free flight keeps its momentum and its spin.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlightRule {
+    /// Distance from walls that a body in free flight keeps, now and where its mean velocity takes it (cells of the
+    /// network's finest grid level).
+    pub wall_distance: f32,
+}
+
+/// Constants of the rule that a body at a wall which hardly moves comes to rest. Speeds are those of a body's fastest
+/// cell, as a share of the velocity that gravity adds in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RestRule {
+    /// Distance from a wall, now or where its mean velocity takes it, below which a body touches it (cells of the
+    /// network's finest grid level).
+    pub wall_distance: f32,
+    /// Speed below which the body does not move (share of the velocity that gravity adds in a frame).
+    pub asleep_below: f32,
+    /// Speed from which on the body moves as predicted (share of the velocity that gravity adds in a frame); in
+    /// between its motion is scaled down.
+    pub awake_from: f32,
+}
+
+/// One of the rules.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// [`Rules::area`].
+    Area,
+    /// [`Rules::shape`].
+    Shape,
+    /// [`Rules::flight`].
+    Flight,
+    /// [`Rules::rest`].
+    Rest,
+}
+
+impl Rule {
+    /// Every rule, in the order in which they run.
+    pub const ALL: [Self; 4] = [Self::Area, Self::Shape, Self::Flight, Self::Rest];
+
+    /// The key in `model.toml` and the word on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Area => "area",
+            Self::Shape => "shape",
+            Self::Flight => "flight",
+            Self::Rest => "rest",
+        }
+    }
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl Rules {
+    /// All rules, with the constants that format version 1 implied and new particle models get.
+    pub const STANDARD: Self = Self {
+        area: Some(AreaRule {
+            cell_width: 2.0,
+            fill_limit: 1.25,
+            surface_fill: 0.5,
+            sweeps: 20,
+            relaxation: 1.7,
+            longest_shift: 0.5,
+        }),
+        shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
+        flight: Some(FlightRule { wall_distance: 1.5 }),
+        rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+    };
+
+    /// The rules of a new network: [`Rules::STANDARD`] for the particle model, none for the frame model.
+    pub fn standard(architecture: Architecture) -> Self {
+        match architecture {
+            Architecture::Frame => Self::default(),
+            Architecture::Particle => Self::STANDARD,
+        }
+    }
+
+    /// Whether every rule is off.
+    pub fn is_empty(&self) -> bool {
+        Rule::ALL.into_iter().all(|rule| !self.has(rule))
+    }
+
+    /// Whether a rule is on.
+    pub fn has(&self, rule: Rule) -> bool {
+        match rule {
+            Rule::Area => self.area.is_some(),
+            Rule::Shape => self.shape.is_some(),
+            Rule::Flight => self.flight.is_some(),
+            Rule::Rest => self.rest.is_some(),
+        }
+    }
+
+    /// Switches a rule off.
+    pub fn remove(&mut self, rule: Rule) {
+        match rule {
+            Rule::Area => self.area = None,
+            Rule::Shape => self.shape = None,
+            Rule::Flight => self.flight = None,
+            Rule::Rest => self.rest = None,
+        }
+    }
+}
+
+/// Checks the constants of rules.
+pub(super) fn check(file: &Path, rules: &Rules) -> Result<(), CheckpointError> {
+    let refuse = |key: &str, found: String, expected: &str| {
+        Err(field(file, format!("rules.{key}"), found, expected))
+    };
+    let number = |key: &str, found: f32, fits: bool, expected: &str| match fits {
+        true => Ok(()),
+        false => refuse(key, found.to_string(), expected),
+    };
+    let sweeps = |key: &str, found: usize| match found {
+        1..=1000 => Ok(()),
+        _ => refuse(key, found.to_string(), "1 to 1000"),
+    };
+    // What is not a number is in none of these ranges.
+    let positive = |x: f32| x > 0.0 && x.is_finite();
+    let distance = |key: &str, x: f32| number(key, x, (0.0..=64.0).contains(&x), "0 to 64");
+    if let Some(area) = rules.area {
+        let AreaRule { cell_width, fill_limit, surface_fill, relaxation, longest_shift, .. } = area;
+        let fits = (0.5..=16.0).contains(&cell_width);
+        number("area.cell_width", cell_width, fits, "0.5 to 16")?;
+        number("area.fill_limit", fill_limit, positive(fill_limit), "a positive number")?;
+        let fits = surface_fill > 0.0 && surface_fill <= fill_limit;
+        number("area.surface_fill", surface_fill, fits, "above 0, at most rules.area.fill_limit")?;
+        sweeps("area.sweeps", area.sweeps)?;
+        let fits = relaxation > 0.0 && relaxation < 2.0;
+        number("area.relaxation", relaxation, fits, "above 0 and below 2")?;
+        number("area.longest_shift", longest_shift, positive(longest_shift), "a positive number")?;
+    }
+    if let Some(ShapeRule { strain_limit, sweeps: count }) = rules.shape {
+        let fits = (0.0..1.0).contains(&strain_limit);
+        number("shape.strain_limit", strain_limit, fits, "at least 0 and below 1")?;
+        sweeps("shape.sweeps", count)?;
+    }
+    if let Some(FlightRule { wall_distance }) = rules.flight {
+        distance("flight.wall_distance", wall_distance)?;
+    }
+    if let Some(RestRule { wall_distance, asleep_below, awake_from }) = rules.rest {
+        distance("rest.wall_distance", wall_distance)?;
+        let fits = asleep_below >= 0.0 && asleep_below.is_finite();
+        number("rest.asleep_below", asleep_below, fits, "at least 0")?;
+        let fits = awake_from > asleep_below && awake_from.is_finite();
+        number("rest.awake_from", awake_from, fits, "above rules.rest.asleep_below")?;
+    }
+    Ok(())
+}
