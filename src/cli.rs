@@ -481,7 +481,9 @@ pub struct EvalArgs {
         long,
         value_name = "REPORT",
         num_args = 2..,
-        conflicts_with_all = ["checkpoint", "data", "horizon", "starts", "rivals", "join_late", "threads"]
+        conflicts_with_all = [
+            "checkpoint", "data", "horizon", "starts", "rivals", "join_late", "without_rules", "threads"
+        ]
     )]
     pub compare: Vec<PathBuf>,
     /// Frames of the free rollouts that are compared with the truth; they go on to frame 200 to see
@@ -498,10 +500,27 @@ pub struct EvalArgs {
     /// frames before.
     #[arg(long)]
     pub join_late: bool,
+    /// Evaluate the checkpoints with these rules off, in place of the checkpoints as they are: what a rule is worth is the
+    /// difference between the two reports. The report names each checkpoint with the rules it is without.
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', num_args = 1..)]
+    pub without_rules: Vec<RuleName>,
     /// Scenes that are judged at a time; as many as there are cores if not given. The time of a frame
     /// is that of one thread.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
+}
+
+/// A rule that corrects the particle model's predictions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum RuleName {
+    /// Liquids keep their area.
+    Area,
+    /// Jelly and rope keep their shape.
+    Shape,
+    /// Bodies that touch nothing keep momentum and spin.
+    Flight,
+    /// Bodies that touch a wall and hardly move come to rest.
+    Rest,
 }
 
 /// Who predicts beside checkpoints and trivial predictors.

@@ -63,6 +63,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
             "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --rivals mpm,chaos",
+            "eddy eval --checkpoint checkpoints/particle-mingru --data bags/mm --output reports/without_area --without-rules area",
         ],
     ),
     ("launch", &["eddy launch launch_configs/replay_node_record.toml"]),

@@ -10,8 +10,9 @@ use std::path::Path;
 use anyhow::{Context, ensure};
 
 use super::{Interrupt, TerminalProgress, surrogate};
-use crate::cli::{EvalArgs, Rival};
+use crate::cli::{EvalArgs, Rival, RuleName};
 use eddy::{
+    checkpoint::{Checkpoint, Rule},
     dataset,
     eval::{Evaluation, EvaluationRequest, Reference, Report, Settings},
     page::Provenance,
@@ -55,11 +56,14 @@ fn keep(folder: &Path) -> anyhow::Result<()> {
 
 /// What was asked for.
 fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
-    let checkpoints = args
+    ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
+    ensure!(args.starts > 0, "--starts: found 0, expected at least 1 a stream");
+    let mut checkpoints: Vec<(String, Checkpoint)> = args
         .checkpoint
         .iter()
         .map(|path| Ok((path.display().to_string(), surrogate::checkpoint(Some(path))?)))
         .collect::<anyhow::Result<_>>()?;
+    switch_off(&args.without_rules, &mut checkpoints)?;
     let memory = dataset::available_memory() / 2;
     let reference = |rival: &Rival| match rival {
         Rival::Mpm => Reference::Restart,
@@ -73,4 +77,36 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
         join_late: args.join_late,
         threads: args.threads,
     })
+}
+
+/// Switches rules off, and says so in the names of the checkpoints that had them.
+fn switch_off(names: &[RuleName], checkpoints: &mut [(String, Checkpoint)]) -> anyhow::Result<()> {
+    let rules: Vec<Rule> = names.iter().map(|&name| name.into()).collect();
+    for rule in &rules {
+        ensure!(
+            checkpoints.iter().any(|(_, checkpoint)| checkpoint.description.rules.has(*rule)),
+            "--without-rules: found {rule}, expected a rule that one of the checkpoints has"
+        );
+    }
+    for (name, Checkpoint { description, .. }) in checkpoints {
+        let on = Rule::ALL.into_iter().filter(|rule| rules.contains(rule));
+        let on: Vec<_> = on.filter(|rule| description.rules.has(*rule)).collect();
+        on.iter().for_each(|rule| description.rules.remove(*rule));
+        if !on.is_empty() {
+            let words: Vec<_> = on.iter().map(|rule| rule.name()).collect();
+            name.push_str(&format!(" without {}", words.join(", ")));
+        }
+    }
+    Ok(())
+}
+
+impl From<RuleName> for Rule {
+    fn from(name: RuleName) -> Self {
+        match name {
+            RuleName::Area => Self::Area,
+            RuleName::Shape => Self::Shape,
+            RuleName::Flight => Self::Flight,
+            RuleName::Rest => Self::Rest,
+        }
+    }
 }
