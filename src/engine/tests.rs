@@ -6,13 +6,14 @@ use pulp::Arch;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Memory, Surrogate, scales::velocity_unit};
+use super::{Corrector, Memory, Surrogate, scales::velocity_unit};
 use crate::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, FrameOptions, Normalization, Pooling, Rules,
         Sizes, Surroundings, initial_weights,
     },
     frame::{Domain, Frame, Material, Stamp},
+    kernels::rest::Rest,
 };
 
 const DT: f32 = 0.016;
@@ -349,6 +350,24 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
     // The network would have had it otherwise, and still shapes the body.
     assert!(other_gain > 0.1, "{other_gain}");
     assert!(largest_difference(&kept.velocity, &free.velocity) > 0.01);
+}
+
+#[test]
+fn rules_behind_the_network_do_what_a_corrector_does_to_its_predictions() {
+    for (checkpoint, frames) in wide(Core::MinGru) {
+        let corrector = Corrector::new(&checkpoint.description);
+        let spacing = checkpoint.description.surroundings.map_or(0.0, |s| s.spacing);
+        let rest = Rest::new(&frames[0].position, &frames[0].material, 1, spacing);
+        let expected = stream(&Surrogate::load(&checkpoint, threads(2)).unwrap(), &frames);
+        let alone = Surrogate::load(&without_rules(checkpoint), threads(2)).unwrap();
+        for ((before, mut found), expected) in
+            frames.iter().zip(stream(&alone, &frames)).zip(&expected)
+        {
+            corrector.correct(&rest, before, &mut found);
+            assert!(largest_difference(&found.position, &expected.position) <= 1e-6);
+            assert!(largest_difference(&found.velocity, &expected.velocity) <= 1e-6);
+        }
+    }
 }
 
 #[test]

@@ -15,7 +15,8 @@ use super::{
 use crate::{
     checkpoint::{
         Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
-        Normalization, Pooling, Sizes, Surroundings, Weights, initial_weights, tensor_shapes,
+        Normalization, Pooling, Rules, Sizes, Surroundings, Weights, initial_weights,
+        tensor_shapes,
     },
     engine::Ballistic,
     frame::{Domain, Frame, Material, Stamp},
@@ -31,6 +32,8 @@ fn description(architecture: Architecture, core: Core) -> Description {
     Description {
         surroundings: particles.is_none().then_some(surroundings),
         materials: vec![Material::Liquid, Material::Jelly],
+        // The networks alone.
+        rules: Rules::default(),
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
             maximum: [0.95, 0.95, 3.0, 3.0],

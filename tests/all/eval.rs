@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use eddy::{
     bench::inference::Case,
-    checkpoint::{Checkpoint, Core, Description},
+    checkpoint::{Checkpoint, Core, Description, Rules},
     dataset,
     eval::Report,
     page::Provenance,
@@ -161,6 +161,42 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     }
     // One kind and all of them, five frames each.
     assert_eq!(csv.lines().count(), 1 + expected.len() * 2 * 5);
+}
+
+#[test]
+fn a_checkpoint_without_some_rules_has_another_name_digest_and_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = path(&folder, "truth");
+    simulate(&folder.path().join("truth"), 1, 0.3);
+    let bare = changed(&folder, "bare", |description| description.rules = Rules::default());
+    let arguments = |checkpoint: &str, output: &str, more: &[&str]| {
+        let all = ["eval", "--checkpoint", checkpoint, "--data", &data, "--output", output];
+        let all = all.iter().chain(&["--horizon", "5", "--starts", "2"]).chain(more);
+        all.map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    let output = path(&folder, "report");
+    let entry = |checkpoint: &str, more: &[&str]| {
+        if Path::new(&output).exists() {
+            fs::remove_dir_all(&output).unwrap();
+        }
+        succeed(arguments(checkpoint, &output, more));
+        report(&folder)["predictors"][0].clone()
+    };
+    let whole = entry(SHIPPED, &[]);
+    let off = entry(SHIPPED, &["--without-rules", "rest", "area"]);
+    assert_eq!(whole["name"], "particle-mingru");
+    assert_eq!(off["name"], "particle-mingru without area, rest", "in the order in which they run");
+    assert_ne!(off["digest"], whole["digest"]);
+    let all = ["--without-rules", "area,shape,flight,rest"];
+    let (none, never) = (entry(SHIPPED, &all), entry(&bare, &[]));
+    assert_eq!(none["digest"], never["digest"], "switched off is as never there");
+    assert_eq!(none["skill"], never["skill"]);
+    assert_ne!(none["skill"], whole["skill"]);
+
+    let message = fail(1, arguments(&bare, &output, &["--without-rules", "area"]));
+    assert!(message.contains("--without-rules: found area, expected a rule that"), "{message}");
+    let message = fail(2, arguments(SHIPPED, &output, &["--without-rules", "aera"]));
+    assert!(message.contains("a similar value exists: 'area'"), "{message}");
 }
 
 #[test]

@@ -16,6 +16,7 @@
 
 mod area;
 mod bodies;
+mod corrector;
 mod flight;
 mod rest;
 mod shape;
@@ -24,13 +25,12 @@ use std::ops::Range;
 
 use super::{Ballistic, crew::Parts, particle_features::State};
 use crate::{
-    checkpoint::{self, Description, Surroundings},
-    frame::{Domain, Frame, Material},
-    kernels::{
-        nodes::{Nodes, Window},
-        rest::Rest,
-    },
+    checkpoint::{self, Description},
+    frame::{Domain, Material},
+    kernels::{nodes::Nodes, rest::Rest},
 };
+pub use corrector::Corrector;
+
 use area::Area;
 use bodies::Bodies;
 use flight::{CellSums, Flights};
@@ -355,70 +355,6 @@ impl Correction<'_> {
             rest::Step::Correct => unsafe {
                 self.rests.read(0..1)[0].correct(bodies, observed, predicted, &cells[own]);
             },
-        }
-    }
-}
-
-/// The rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
-#[derive(Clone, Debug)]
-pub struct Corrector {
-    rules: RuleSet,
-    stages: Vec<Stage>,
-    ballistic: Ballistic,
-    /// The domain that the checkpoint was trained in.
-    domain: Domain,
-    /// Of the grid that tells bodies apart (domain lengths).
-    cell_width: f32,
-}
-
-impl Corrector {
-    /// The rules of the described network; a frame model has none.
-    pub fn new(description: &Description) -> Self {
-        let rules = RuleSet::new(description);
-        let cell_width = |surroundings: Surroundings| surroundings.cell_width;
-        Self {
-            stages: rules.stages(),
-            rules,
-            ballistic: Ballistic::of(description),
-            domain: description.domain,
-            cell_width: description.surroundings.map_or(0.0, cell_width),
-        }
-    }
-
-    /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is the
-    /// shape in which its solids rest.
-    ///
-    /// # Panics
-    /// When there are not as many particles in all three.
-    pub fn correct(&self, rest: &Rest, before: &Frame, predicted: &mut Frame) {
-        if self.stages.is_empty() {
-            return;
-        }
-        let particles = before.len();
-        assert_eq!([rest.len(), predicted.len()], [particles; 2], "particles of the same stream");
-        let Domain { lower, upper } = before.domain;
-        let mut nodes = Nodes::default();
-        let window = Window { particles: 0..particles, lower, upper };
-        nodes.rebuild(&before.position, &[window], self.cell_width);
-        let order: Vec<u32> = (0..particles as u32).collect();
-        let observed = Observed {
-            position: &before.position,
-            velocity: &before.velocity,
-            nodes: &nodes,
-            ballistic: self.ballistic.moved(&self.domain, &before.domain),
-            domain: before.domain,
-            rest,
-            order: &order,
-        };
-        let predicted = Predicted {
-            position: Parts::new(&mut predicted.position),
-            velocity: Parts::new(&mut predicted.velocity),
-            material: &predicted.material,
-        };
-        let mut scratch = self.rules.scratch();
-        let correction = self.rules.begin(&mut scratch, observed, predicted);
-        for &stage in &self.stages {
-            (0..correction.items(stage)).for_each(|item| correction.run(stage, item));
         }
     }
 }
