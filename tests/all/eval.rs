@@ -193,6 +193,7 @@ fn a_checkpoint_without_some_rules_has_another_name_digest_and_error() {
     assert_eq!(none["skill"], never["skill"]);
     assert_ne!(none["skill"], whole["skill"]);
 
+    let output = path(&folder, "refused");
     let message = fail(1, arguments(&bare, &output, &["--without-rules", "area"]));
     assert!(message.contains("--without-rules: found area, expected a rule that"), "{message}");
     let message = fail(2, arguments(SHIPPED, &output, &["--without-rules", "aera"]));

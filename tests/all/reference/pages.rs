@@ -116,7 +116,9 @@ pub fn checkpoint() -> String {
     );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, which says what the network is, and `model.safetensors`, its weights: f32, in \
-         PyTorch's layout [out, in].\n\n## model.toml\n\n{}",
+         PyTorch's layout [out, in]. Its digest covers both files.\n\n## model.toml\n\nEach table below `rules` is a rule that \
+         corrects predictions of the particle model; a table that is absent switches its rule off \
+         ([what each is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}",
         table(&keys)
     );
     for architecture in [Architecture::Particle, Architecture::Frame] {
