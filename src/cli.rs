@@ -1,7 +1,6 @@
 //! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
 
 mod bag;
-mod bench;
 mod examples;
 mod topic;
 
@@ -12,24 +11,18 @@ use clap_complete::Shell;
 use regex::Regex;
 
 use crate::commands::simulate;
-use eddy::{
-    bag::Compression,
-    model::{Architecture, Core, DeviceKind},
-    mpm::Law,
-    study::Comparison,
-    transport::{Link, ListenAddress, Reliability, TransportKind},
-};
+use eddy_bag::Compression;
+use eddy_lab::commands::{BenchArgs, StudyArgs};
+use eddy_learning::model::{Architecture, Core, DeviceKind};
+use eddy_mpm::Law;
+use eddy_transport::{Link, ListenAddress, Reliability, TransportKind};
 
 #[cfg(feature = "foxglove")]
-use eddy::transport::FoxgloveAddress;
+use eddy_transport::FoxgloveAddress;
 
 pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
-};
-pub use bench::{
-    BenchArgs, BenchBagArgs, BenchCommand, BenchInferenceArgs, BenchNodeArgs, BenchReplayArgs,
-    BenchSolverArgs, BenchTrainingArgs, BenchTransportArgs, BenchViewArgs,
 };
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
@@ -410,7 +403,7 @@ pub struct NodeArgs {
     pub horizon: Option<u32>,
     /// Which of the frames up to the horizon are published [default: last].
     #[arg(long, value_enum)]
-    pub publish: Option<eddy::node::Publish>,
+    pub publish: Option<eddy_node::Publish>,
     /// Observe so many frames of a stream, then simulate it alone.
     #[arg(long)]
     pub free_run: Option<u64>,
@@ -456,8 +449,8 @@ pub struct PredictArgs {
     #[arg(long, default_value_t = 1)]
     pub horizon: u32,
     /// Which of the frames up to the horizon are published.
-    #[arg(long, value_enum, default_value_t = eddy::node::Publish::Last)]
-    pub publish: eddy::node::Publish,
+    #[arg(long, value_enum, default_value_t = eddy_node::Publish::Last)]
+    pub publish: eddy_node::Publish,
     /// Threads that predict; as many as there are cores if not given.
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
@@ -531,33 +524,6 @@ pub enum Rival {
     Mpm,
     /// The truth itself from positions that are off by up to 1e-4: how well anyone could predict.
     Chaos,
-}
-
-/// `eddy study`
-#[derive(Debug, Args)]
-pub struct StudyArgs {
-    /// What is compared.
-    #[arg(value_enum)]
-    pub comparison: Comparison,
-    /// Minutes on two cores: few short scenes, narrow networks, two seeds (the default).
-    #[arg(long, conflicts_with = "paper")]
-    pub quick: bool,
-    /// The paper's: 60 scenes of each preset, its widths, three seeds. Many hours on two cores.
-    #[arg(long)]
-    pub paper: bool,
-    /// A TOML file with what differs from that.
-    #[arg(long)]
-    pub config: Option<PathBuf>,
-    /// Data, networks, judgements and reports. Comparisons with the same output share data and networks; the same
-    /// command goes on where it was stopped.
-    #[arg(long, short)]
-    pub output: PathBuf,
-    /// Networks that are trained at a time.
-    #[arg(long, default_value_t = NonZeroUsize::MIN)]
-    pub jobs: NonZeroUsize,
-    /// What trains the networks of cores, loss and window, and takes the timed steps.
-    #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
-    pub device: DeviceKind,
 }
 
 /// A time that may be waited for.

@@ -6,7 +6,7 @@ mod commands;
 use std::{io, process::ExitCode};
 
 use clap::error::ErrorKind;
-use eddy::ros::{RosArguments, RosNode};
+use eddy_node::ros::{RosArguments, RosNode};
 use tracing_subscriber::EnvFilter;
 
 use cli::{Cli, Command};
@@ -57,9 +57,9 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Node(args) => commands::node::run(args, &ros, quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
-        Command::Study(args) => commands::study::run(args, quiet, &interrupt),
+        Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
-        Command::Bench(args) => commands::bench::run(args, quiet, &interrupt),
+        Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
         Command::Completions(args) => commands::completions::run(&args),

@@ -1,6 +1,7 @@
 //! Streaming allocates nothing: a binary of its own, whose allocator counts.
-
+#![expect(unsafe_code, reason = "an allocator that counts")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -10,16 +11,20 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
+use eddy_frames::{Frame, Material, Stamp};
+use eddy_inference::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, FrameOptions, Pooling, Sizes, Weights,
         tensor_shapes,
     },
     engine::Surrogate,
-    frame::{Frame, Material, Stamp},
-    msg::{Message, ParticleFrame, PredictionStatus},
-    node::{Control, FrameQueue, NodeSettings, Outputs, Presence, RosTime, SurrogateNode, drive},
-    transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+};
+use eddy_messages::{Message, ParticleFrame, PredictionStatus};
+use eddy_node::{
+    Control, FrameQueue, NodeSettings, Outputs, Presence, RosTime, SurrogateNode, drive,
+};
+use eddy_transport::{
+    Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
 };
 use iceoryx2::prelude::*;
 

@@ -6,13 +6,11 @@ use clap::{Args, Subcommand, ValueEnum};
 use regex::Regex;
 
 use super::CompressionArg;
-use eddy::{
-    bag::Moment,
-    dataset::TRUTH_TOPIC,
-    exchange::{ExportFormat, ImportFormat},
-    frame::Material,
-    near,
-};
+use eddy_bag::Moment;
+use eddy_evaluation::dataset::TRUTH_TOPIC;
+use eddy_exchange::{ExportFormat, ImportFormat};
+use eddy_frames::Material;
+use eddy_settings::near;
 
 /// `eddy bag`
 #[derive(Debug, Args)]

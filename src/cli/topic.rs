@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use clap::{Args, Subcommand};
 
-use eddy::transport::{Link, TransportKind};
+use eddy_transport::{Link, TransportKind};
 
 /// `eddy topic`
 #[derive(Debug, Args)]

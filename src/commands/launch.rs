@@ -6,10 +6,8 @@ use anyhow::Context;
 
 use super::Interrupt;
 use crate::cli::LaunchArgs;
-use eddy::{
-    config,
-    launch::{Plan, Said, supervise},
-};
+use eddy_node::launch::{Plan, Said, supervise};
+use eddy_settings as config;
 
 /// Runs the file's processes until they have ended, or a signal comes. When it is to be quiet, so are they;
 /// what they still say, they were asked for.

@@ -1,17 +1,16 @@
 //! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
 
 pub mod bag;
-pub mod bench;
 pub mod completions;
 pub mod demo;
 pub mod eval;
+pub mod lab;
 pub mod launch;
 pub mod node;
 pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod simulate;
-pub mod study;
 pub mod topic;
 pub mod train;
 
@@ -28,11 +27,9 @@ pub(crate) use progress::TerminalProgress;
 use std::{thread, time::Duration};
 
 use anyhow::{bail, ensure};
-use eddy::{
-    clock::Clock,
-    ros::RosNode,
-    transport::{Link, Publisher, TransportError, TransportKind, TransportOptions},
-};
+use eddy_frames::clock::Clock;
+use eddy_node::ros::RosNode;
+use eddy_transport::{Link, Publisher, TransportError, TransportKind, TransportOptions};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Refuses a link on which no other process can be met.

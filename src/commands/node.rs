@@ -11,22 +11,17 @@ use super::{
     surrogate, transport_options,
 };
 use crate::cli::NodeArgs;
-#[cfg(feature = "foxglove")]
-use eddy::transport::{FoxgloveAddress, FoxgloveServer};
-use eddy::{
-    config,
-    msg::{
-        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus,
-    },
-    node::{
-        CloudTopic, Control, Counters, FrameQueue, InvalidSettings, NodeSettings, Outputs,
-        Presence, RosTime, Service, SurrogateNode, drive, services,
-    },
-    ros::RosNode,
-    transport::{Link, Reliability, Served, TransportError, TransportKind, Transports},
-    viewer::Program,
+use eddy_messages::{
+    Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
 };
+use eddy_node::{
+    CloudTopic, Control, Counters, FrameQueue, InvalidSettings, NodeSettings, Outputs, Presence,
+    RosTime, Service, SurrogateNode, drive, ros::RosNode, services, viewer::Program,
+};
+use eddy_settings as config;
+#[cfg(feature = "foxglove")]
+use eddy_transport::{FoxgloveAddress, FoxgloveServer};
+use eddy_transport::{Link, Reliability, Served, TransportError, TransportKind, Transports};
 
 /// What a configuration file of `eddy node` may say; the command line goes first.
 #[derive(Debug, Default, Deserialize)]

@@ -2,12 +2,9 @@
 
 use std::{thread, time::Duration};
 
-use eddy::{
-    clock::Clock,
-    frame::Frame,
-    mpm::Simulation,
-    node::{Outcome, Remote, Timeline, Wish},
-};
+use eddy_frames::{Frame, clock::Clock};
+use eddy_mpm::Simulation;
+use eddy_node::{Outcome, Remote, Timeline, Wish};
 
 /// Longest sleep, so that a signal or a wish is soon obeyed.
 const NAP: Duration = Duration::from_millis(20);

@@ -6,22 +6,21 @@ use std::{
     time::Duration,
 };
 
-use eddy::{
-    checkpoint::Description,
-    frame::FrameView,
-    msg::{
-        StreamState,
-        services::{Parameter, ParameterValue},
-    },
-    node::{
-        Answer, Control, Counters, NodeSettings, Onlooker, Outcome, Prediction, Publish, Remote,
-        Request, Wish, diagnostics::Rates,
-    },
-    transport::ListenAddress,
+use eddy_frames::FrameView;
+use eddy_inference::checkpoint::Description;
+use eddy_messages::{
+    StreamState,
+    services::{Parameter, ParameterValue},
+};
+use eddy_node::{
+    Answer, Control, Counters, NodeSettings, Onlooker, Outcome, Prediction, Publish, Remote,
+    Request, Wish,
+    diagnostics::Rates,
     viewer::{
         Ahead, Command, Comparison, Controls, Hub, Program, Report, State, Viewer, ViewerError,
     },
 };
+use eddy_transport::ListenAddress;
 
 /// How long what is controlled may take to begin with an answer.
 const PATIENCE: Duration = Duration::from_secs(5);

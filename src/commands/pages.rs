@@ -1,4 +1,5 @@
 //! Memory that training uses again and again.
+#![expect(unsafe_code, reason = "an option of the allocator")]
 
 use std::ffi::{c_int, c_long};
 

@@ -6,12 +6,10 @@ use anyhow::{anyhow, ensure};
 
 use super::{Interrupt, node::summary, surrogate};
 use crate::cli::PredictArgs;
-use eddy::{
-    bag::{BagReader, BagWriter, WriterOptions},
-    msg::{Message, ParticleFrame},
-    node::{NodeSettings, Prediction, SurrogateNode},
-    transport::Payload,
-};
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_node::{NodeSettings, Prediction, SurrogateNode};
+use eddy_transport::Payload;
 
 /// The topic of the predictions.
 const PREDICTION: &str = "/prediction";

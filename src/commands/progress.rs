@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use eddy::progress::Progress;
+use eddy_frames::progress::Progress;
 use indicatif::ProgressBar;
 
 use super::{Interrupt, progress_bar};

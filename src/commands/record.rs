@@ -1,6 +1,6 @@
 //! `eddy record`: topics into a bag.
 //!
-//! The recording itself is [`eddy::node::record`].
+//! The recording itself is [`eddy_node::record`].
 
 use std::{collections::HashSet, time::Duration};
 
@@ -9,14 +9,13 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
-use eddy::{
-    bag::{BagSummary, BagWriter, Split, TopicChoice, WriterOptions},
-    clock::{self, Clock},
-    msg::topic_type,
-    node::{Losses, Reasons, RecordError, Recorder, RecordingTerms, TopicSearch, record},
-    ros::RosNode,
-    transport::{SeenTopic, Transports},
+use eddy_bag::{BagSummary, BagWriter, Split, TopicChoice, WriterOptions};
+use eddy_frames::clock::{self, Clock};
+use eddy_messages::topic_type;
+use eddy_node::{
+    Losses, Reasons, RecordError, Recorder, RecordingTerms, TopicSearch, record, ros::RosNode,
 };
+use eddy_transport::{SeenTopic, Transports};
 
 /// Key in `custom_data` of `metadata.yaml`: topics that were found and could not be recorded.
 const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
-use eddy::{
-    clock::Clock,
-    config::Overrides,
-    dataset::{Dataset, available_memory},
+use eddy_evaluation::dataset::{Dataset, available_memory};
+use eddy_frames::clock::Clock;
+use eddy_learning::{
     model::Architecture,
     train::{Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, check_output, train},
 };
+use eddy_settings::Overrides;
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
 use super::{Interrupt, pages, progress_bar};

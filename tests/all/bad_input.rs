@@ -6,12 +6,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy::{
-    bag::{BagReader, BagWriter, WriterOptions},
-    checkpoint::Checkpoint,
-    frame::Stamp,
-    msg::{Message, RosString, cdr},
-};
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_frames::Stamp;
+use eddy_inference::checkpoint::Checkpoint;
+use eddy_messages::{Message, RosString, cdr};
 use tempfile::TempDir;
 
 use crate::support::{fail, simulate, succeed, unique};

@@ -6,11 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy::{
-    bag::{BagError, BagReader, BagWriter, Compression, Selection, Survey, WriterOptions},
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{Message, ParticleFrame, RosString, cdr},
-};
+use eddy_bag::{BagError, BagReader, BagWriter, Compression, Selection, Survey, WriterOptions};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, cdr};
 use mcap::records::MessageHeader;
 use proptest::prelude::*;
 

@@ -7,13 +7,11 @@ use std::{
     process::Command,
 };
 
-use eddy::{
-    bag::{
-        BagError, BagReader, BagWriter, Compression, Recovery, Reindexing, Split, WriterOptions,
-    },
-    frame::Stamp,
-    msg::{Message, RosString},
+use eddy_bag::{
+    BagError, BagReader, BagWriter, Compression, Recovery, Reindexing, Split, WriterOptions,
 };
+use eddy_frames::Stamp;
+use eddy_messages::{Message, RosString};
 use mcap::records::MessageHeader;
 
 use crate::{

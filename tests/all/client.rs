@@ -2,7 +2,7 @@
 
 use std::{cell::Cell, time::Duration};
 
-use eddy::msg::{cdr, service_hash};
+use eddy_messages::{cdr, service_hash};
 use serde::{Serialize, de::DeserializeOwned};
 use zenoh::{
     Session, Wait,

@@ -2,13 +2,9 @@
 
 use std::{fs, path::Path};
 
-use eddy::{
-    bench::inference::Case,
-    checkpoint::{Checkpoint, Core, Description, Rules},
-    dataset,
-    eval::Report,
-    page::Provenance,
-};
+use eddy_evaluation::{Report, dataset, page::Provenance};
+use eddy_inference::checkpoint::{Checkpoint, Core, Description, Rules};
+use eddy_lab::bench::inference::Case;
 use serde_json::Value;
 use tempfile::TempDir;
 

@@ -6,14 +6,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy::{
-    bag::{BagReader, BagWriter, WriterOptions},
-    exchange::{
-        Choice, ExchangeError, ExportFormat, ImportFormat, Streams, Supplement, export, import,
-    },
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{Message, ParticleFrame},
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_exchange::{
+    Choice, ExchangeError, ExportFormat, ImportFormat, Streams, Supplement, export, import,
 };
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use proptest::prelude::*;
 use tempfile::{TempDir, tempdir};
 use zip::{ZipArchive, ZipWriter, write::SimpleFileOptions};

@@ -8,10 +8,10 @@ use std::{
     time::Instant,
 };
 
-use eddy::{
-    msg::{DiagnosticArray, Message as _, PointCloud2, PredictionStatus, cdr, cloud::POINT_STEP},
-    transport::{FoxgloveServer, ListenAddress},
+use eddy_messages::{
+    DiagnosticArray, Message as _, PointCloud2, PredictionStatus, cdr, cloud::POINT_STEP,
 };
+use eddy_transport::{FoxgloveServer, ListenAddress};
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
 

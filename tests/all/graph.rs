@@ -2,18 +2,16 @@
 
 use std::{collections::BTreeMap, path::Path, process::Command, time::Duration};
 
-use eddy::{
-    bag::BagReader,
-    frame::Frame,
-    msg::{
-        Message, ParticleFrame,
-        services::{
-            Empty, GetParametersResponse, Parameter, ParameterNames, ParameterValue,
-            SetParametersRequest, SetParametersResponse, TriggerResponse,
-        },
+use eddy_bag::BagReader;
+use eddy_frames::Frame;
+use eddy_messages::{
+    Message, ParticleFrame,
+    services::{
+        Empty, GetParametersResponse, Parameter, ParameterNames, ParameterValue,
+        SetParametersRequest, SetParametersResponse, TriggerResponse,
     },
-    transport::{Reliability, TransportKind, TransportOptions, Transports},
 };
+use eddy_transport::{Reliability, TransportKind, TransportOptions, Transports};
 use tempfile::TempDir;
 
 use crate::{

@@ -13,12 +13,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    checkpoint::{Checkpoint, Description},
-    frame::{Frame, Material, Stamp},
-    msg::{DiagnosticArray, Message, ParticleFrame, RosString, cdr},
-    transport::{Link, Publisher, Reliability, Subscriber},
-};
+use eddy_frames::{Frame, Material, Stamp};
+use eddy_inference::checkpoint::{Checkpoint, Description};
+use eddy_messages::{DiagnosticArray, Message, ParticleFrame, RosString, cdr};
+use eddy_transport::{Link, Publisher, Reliability, Subscriber};
 
 use crate::support::{DEADLINE, Process, World, simulate, talking_eddy, unique, wait_for, word};
 

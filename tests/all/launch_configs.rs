@@ -2,7 +2,9 @@
 
 use std::{collections::BTreeSet, fs, os::unix::fs::symlink, path::Path};
 
-use eddy::{bag::BagReader, config, launch::Plan};
+use eddy_bag::BagReader;
+use eddy_node::launch::Plan;
+use eddy_settings as config;
 
 use crate::{
     support::{Process, talking_eddy, unique},

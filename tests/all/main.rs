@@ -1,5 +1,6 @@
 //! The integration tests: one binary, one module an area.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
 mod bad_input;
 mod bag;
@@ -17,9 +18,7 @@ mod graph;
 mod hostile;
 mod launch;
 mod launch_configs;
-mod layers;
 mod mpm;
-mod physics;
 mod pipeline;
 mod pytorch;
 mod record;
@@ -35,3 +34,4 @@ mod topic;
 mod train;
 mod transport;
 mod view;
+mod workspace;

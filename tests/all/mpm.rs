@@ -2,12 +2,10 @@
 
 use std::{collections::BTreeSet, fs, path::Path, process::Command, time::Duration};
 
-use eddy::{
-    bag::BagReader,
-    frame::{Frame, Stamp},
-    msg::{self, Message, ParticleFrame, cdr},
-    transport::{Link, TransportOptions, Transports},
-};
+use eddy_bag::BagReader;
+use eddy_frames::{Frame, Stamp};
+use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
+use eddy_transport::{Link, TransportOptions, Transports};
 
 use crate::support::{DEADLINE, Process, eddy, fail, succeed, talking_eddy, unique, wait_for};
 

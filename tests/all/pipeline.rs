@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use eddy::checkpoint::Checkpoint;
+use eddy_inference::checkpoint::Checkpoint;
 
 use crate::support::{simulate, succeed};
 

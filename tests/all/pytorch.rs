@@ -3,12 +3,10 @@
 
 use std::{collections::BTreeMap, fs, path::Path};
 
-use eddy::{
-    bag::{BagReader, BagWriter, WriterOptions},
-    checkpoint::{Checkpoint, Core},
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{Message, ParticleFrame},
-};
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::checkpoint::{Checkpoint, Core};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use safetensors::SafeTensors;
 
 use crate::support::succeed;

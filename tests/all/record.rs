@@ -9,12 +9,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    bag::BagReader,
-    clock,
-    msg::{Message, PredictionStatus, RosString, TypeSupport, cdr, type_support},
-    transport::{Publisher, Reliability},
-};
+use eddy_bag::BagReader;
+use eddy_frames::clock;
+use eddy_messages::{Message, PredictionStatus, RosString, TypeSupport, cdr, type_support};
+use eddy_transport::{Publisher, Reliability};
 use iceoryx2::prelude::{NodeBuilder, ipc};
 
 use crate::support::{

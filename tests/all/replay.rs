@@ -14,17 +14,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    bag::{BagWriter, Channel, Schema, WriterOptions},
-    frame::Stamp,
-    msg::{
-        Clock, Message, RosString, Time, TypeSupport, cdr,
-        playback::{Paused, PlayingRate, SeekRequest, Success},
-        services::Empty,
-        type_support,
-    },
-    transport::Subscriber,
+use eddy_bag::{BagWriter, Channel, Schema, WriterOptions};
+use eddy_frames::Stamp;
+use eddy_messages::{
+    Clock, Message, RosString, Time, TypeSupport, cdr,
+    playback::{Paused, PlayingRate, SeekRequest, Success},
+    services::Empty,
+    type_support,
 };
+use eddy_transport::Subscriber;
 use rustix::{
     pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
     termios::{LocalModes, tcgetattr},

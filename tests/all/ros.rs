@@ -12,22 +12,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    bag::BagReader,
-    checkpoint::Checkpoint,
-    engine::Surrogate,
-    frame::{Frame, Stamp},
-    msg::{
-        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus, cdr, cloud,
-        services::{Parameter, ParameterValue},
-    },
-    node::{
-        Control, FrameQueue, NodeSettings, Outputs, Presence, Request, RosTime, SurrogateNode,
-        drive,
-    },
-    transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+use eddy_bag::BagReader;
+use eddy_frames::{Frame, Stamp};
+use eddy_inference::{checkpoint::Checkpoint, engine::Surrogate};
+use eddy_messages::{
+    Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
+    cdr, cloud,
+    services::{Parameter, ParameterValue},
 };
+use eddy_node::{
+    Control, FrameQueue, NodeSettings, Outputs, Presence, Request, RosTime, SurrogateNode, drive,
+};
+use eddy_transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports};
 
 use crate::support::{DEADLINE, Process, World, domain, simulate, talking_eddy, wait_for};
 

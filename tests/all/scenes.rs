@@ -5,7 +5,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy::{bag::BagReader, frame::Frame};
+use eddy_bag::BagReader;
+use eddy_frames::Frame;
 use tempfile::TempDir;
 
 use crate::support::{fail, simulate, succeed};

@@ -7,11 +7,9 @@ use std::{
     process::Command,
 };
 
-use eddy::{
-    bag::{BagReader, BagWriter, WriterOptions},
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{Message, ParticleFrame},
-};
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
 use tempfile::TempDir;
 

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path, time::SystemTime};
 
-use eddy::eval::Report;
+use eddy_evaluation::Report;
 use tempfile::TempDir;
 
 use crate::{

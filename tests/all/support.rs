@@ -10,11 +10,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    bag::{BagReader, Survey},
-    msg::{Message, RosString, cdr},
-    transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports},
-};
+use eddy_bag::{BagReader, Survey};
+use eddy_messages::{Message, RosString, cdr};
+use eddy_transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports};
 use tempfile::TempDir;
 
 /// No test waits longer for anything.

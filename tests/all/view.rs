@@ -7,14 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    checkpoint::Checkpoint,
-    frame::{Domain, Frame, FrameView, Material, Stamp},
-    transport::ListenAddress,
-    viewer::{
-        Ahead, Command, Comparison, Controls, HEADER, Hub, NoControls, Program, State, Viewer,
-    },
+use eddy_frames::{Domain, Frame, FrameView, Material, Stamp};
+use eddy_inference::checkpoint::Checkpoint;
+use eddy_node::viewer::{
+    Ahead, Command, Comparison, Controls, HEADER, Hub, NoControls, Program, State, Viewer,
 };
+use eddy_transport::ListenAddress;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
 

@@ -4,6 +4,8 @@
 //! input that is being read lies in `fuzz_<kind>.last` of cargo's folder for temporary files, so that one
 //! that ends the process can be looked at. `README.md` beside this file tells of the long run.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
+#![expect(unsafe_code, reason = "an allocator that counts")]
 
 mod change;
 mod seeds;
@@ -21,10 +23,8 @@ use std::{
 };
 
 use change::Changer;
-use eddy::{
-    checkpoint::Architecture,
-    fuzzing::{TARGETS, Target},
-};
+use eddy_inference::checkpoint::Architecture;
+use eddy_lab::fuzzing::{TARGETS, Target};
 
 /// Memory that reading an input may take at the same time (bytes), and as a multiple of its length; of MCAP
 /// files, what zstd can make of a byte, twice.

@@ -3,15 +3,15 @@
 
 use std::{collections::BTreeMap, fs, path::Path};
 
-use eddy::{
-    bag::{BagWriter, Compression, WriterOptions},
+use eddy_bag::{BagWriter, Compression, WriterOptions};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::{
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, Weights, tensor_shapes},
     engine::Surrogate,
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{
-        Clock, DiagnosticArray, DiagnosticStatus, KeyValue, Message, ParticleFrame,
-        PredictionStatus, RosString, StreamState, cdr, services,
-    },
+};
+use eddy_messages::{
+    Clock, DiagnosticArray, DiagnosticStatus, FrameCdr, KeyValue, Message, ParticleFrame,
+    PredictionStatus, RosString, StreamState, cdr, services,
 };
 use mcap::records::MessageHeader;
 use serde::Serialize;

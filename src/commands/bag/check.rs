@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::bail;
 
 use super::survey;
-use eddy::bag::BagReader;
+use eddy_bag::BagReader;
 
 /// Says everything that is wrong with a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {

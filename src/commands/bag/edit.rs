@@ -9,15 +9,13 @@ use crate::{
     cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
     commands::{Interrupt, progress_bar},
 };
-use eddy::{
-    bag::{
-        BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, clouds,
-        extract, merge as merged, without_cloud,
-    },
-    frame::Stamp,
-    msg::{Message, ParticleFrame},
-    near,
+use eddy_bag::{
+    BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, clouds, extract,
+    merge as merged, without_cloud,
 };
+use eddy_frames::Stamp;
+use eddy_messages::{Message, ParticleFrame};
+use eddy_settings::near;
 
 /// Copies a part of the time of a bag.
 pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {

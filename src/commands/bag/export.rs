@@ -9,7 +9,7 @@ use crate::{
     cli::ExportArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy::exchange::{Choice, export};
+use eddy_exchange::{Choice, export};
 
 /// Writes frames as files of other programs.
 pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {

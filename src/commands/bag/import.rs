@@ -5,10 +5,8 @@ use crate::{
     cli::ImportArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy::{
-    exchange::{Supplement, import},
-    frame::Domain,
-};
+use eddy_exchange::{Supplement, import};
+use eddy_frames::Domain;
 
 /// Writes the trajectories of other programs' files as bags.
 pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {

@@ -5,10 +5,8 @@ use std::path::Path;
 use comfy_table::{CellAlignment, Table, presets};
 
 use super::survey;
-use eddy::{
-    bag::{BagReader, TopicSurvey},
-    frame::decimal,
-};
+use eddy_bag::{BagReader, TopicSurvey};
+use eddy_frames::decimal;
 
 /// Prints files, topics and streams of a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {

@@ -15,10 +15,8 @@ use indicatif::ProgressBar;
 
 use super::{Interrupt, progress_bar};
 use crate::cli::{BagArgs, BagCommand, NewBagArgs};
-use eddy::{
-    bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags},
-    exchange::{Choice, ExchangeError, Streams},
-};
+use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
+use eddy_exchange::{Choice, ExchangeError, Streams};
 
 /// So many messages pass between two looks at the progress bar.
 const PROGRESS_STEP: u64 = 64;

@@ -7,7 +7,7 @@ use crate::{
     cli::RecoverArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy::bag::{CopyOptions, Recovery};
+use eddy_bag::{CopyOptions, Recovery};
 
 /// Exit code when the new bag lacks something of the old one, as that of `mcap recover`.
 const LOSSY: u8 = 3;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{report, watch_bytes};
 use crate::commands::{Interrupt, progress_bar};
-use eddy::bag::{BagError, Recovery, Reindexing};
+use eddy_bag::{BagError, Recovery, Reindexing};
 
 /// Writes metadata and missing summaries anew.
 pub fn run(path: &Path, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {

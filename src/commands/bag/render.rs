@@ -12,11 +12,9 @@ use crate::{
     cli::{Color, RenderArgs},
     commands::{Interrupt, progress_bar},
 };
-use eddy::{
-    exchange::{Choice, ExchangeError, Output, Streams, Track},
-    frame::{Frame, Material},
-    picture::{Animation, Canvas, Coloring, Kind, Painter, write_png},
-};
+use eddy_evaluation::picture::{Animation, Canvas, Coloring, Kind, Painter, write_png};
+use eddy_exchange::{Choice, ExchangeError, Output, Streams, Track};
+use eddy_frames::{Frame, Material};
 
 /// Longer side of the domain in a strip (pixels).
 const STRIP_SIZE: usize = 240;

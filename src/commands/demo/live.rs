@@ -2,10 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use eddy::{
-    frame::Frame,
-    msg::PredictionStatus,
-    node::diagnostics::Monitor,
+use eddy_frames::Frame;
+use eddy_messages::PredictionStatus;
+use eddy_node::{
+    diagnostics::Monitor,
     viewer::{Ahead, Comparison, Explained, Summary},
 };
 

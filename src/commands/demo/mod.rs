@@ -30,19 +30,16 @@ use super::{
     surrogate,
 };
 use crate::cli::DemoArgs;
-use eddy::{
-    bag::{BagWriter, WriterOptions},
-    clock, dataset,
-    eval::{Settings, evaluate_model},
-    frame::Stamp,
-    msg::{self, Message, ParticleFrame, PredictionStatus},
-    node::{
-        Control, FrameQueue, NodeSettings, OpenClock, Outputs, Presence, Recorder, Remote, RosTime,
-        SurrogateNode, drive,
-    },
-    transport::{Link, ListenAddress, Reliability, Subscriber, TransportOptions, Transports},
+use eddy_bag::{BagWriter, WriterOptions};
+use eddy_evaluation::{Settings, dataset, evaluate_model};
+use eddy_frames::{Stamp, clock};
+use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
+use eddy_node::{
+    Control, FrameQueue, NodeSettings, OpenClock, Outputs, Presence, Recorder, Remote, RosTime,
+    SurrogateNode, drive,
     viewer::{Comparison, Program},
 };
+use eddy_transport::{Link, ListenAddress, Reliability, Subscriber, TransportOptions, Transports};
 
 /// The node's name in diagnostics.
 const NAME: &str = "eddy_demo";

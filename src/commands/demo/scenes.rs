@@ -4,13 +4,11 @@ use std::sync::Arc;
 
 use super::SCENE;
 use crate::commands::pace::Pace;
-use eddy::{
-    frame::{Frame, Stamp},
-    mpm::{self, Preset, Scene, Simulation},
-    msg::{self, cdr},
-    transport::Publisher,
-    viewer::Hub,
-};
+use eddy_frames::{Frame, Stamp};
+use eddy_messages::{self as msg, cdr};
+use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
+use eddy_node::viewer::Hub;
+use eddy_transport::Publisher;
 
 /// What is simulated, scene after scene.
 pub(super) struct Scenes {

@@ -10,13 +10,11 @@ use std::{
 use anyhow::Context;
 
 use super::{SCENE, live::Live};
-use eddy::{
-    bag::{BagSummary, TopicId},
-    clock::{self, Clock},
-    msg::{PredictionStatus, cdr},
-    node::Recorder,
-    transport::{Payload, Subscriber},
-};
+use eddy_bag::{BagSummary, TopicId};
+use eddy_frames::clock::{self, Clock};
+use eddy_messages::{PredictionStatus, cdr};
+use eddy_node::Recorder;
+use eddy_transport::{Payload, Subscriber};
 
 /// How long the watcher waits for a frame before it looks at everything else.
 const PATIENCE: Duration = Duration::from_millis(20);

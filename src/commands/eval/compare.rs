@@ -4,10 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use eddy::{
-    eval::{Comparison, Report, short_names},
-    page::Provenance,
-};
+use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
 
 /// Prints what reports have in common and where they differ, and writes it as a page if `output` says
 /// where.

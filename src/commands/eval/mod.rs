@@ -1,6 +1,6 @@
 //! `eddy eval`: judges checkpoints by free rollouts over bags.
 //!
-//! 1. [`eddy::eval::Evaluation`]: the streams, the models, the rollouts and the report.
+//! 1. [`eddy_evaluation::Evaluation`]: the streams, the models, the rollouts and the report.
 //! 2. [`compare`]: reports that were written before, side by side.
 
 mod compare;
@@ -9,14 +9,12 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 
-use super::{Interrupt, TerminalProgress, surrogate};
+use super::{Interrupt, TerminalProgress};
 use crate::cli::{EvalArgs, Rival, RuleName};
-use eddy::{
-    checkpoint::{Checkpoint, Rule},
-    dataset,
-    eval::{Evaluation, EvaluationRequest, Reference, Report, Settings},
-    page::Provenance,
+use eddy_evaluation::{
+    Evaluation, EvaluationRequest, Reference, Report, Settings, dataset, page::Provenance,
 };
+use eddy_inference::checkpoint::{Checkpoint, Rule};
 
 /// Judges all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -61,7 +59,7 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
     let mut checkpoints: Vec<(String, Checkpoint)> = args
         .checkpoint
         .iter()
-        .map(|path| Ok((path.display().to_string(), surrogate::checkpoint(Some(path))?)))
+        .map(|path| Ok((path.display().to_string(), Checkpoint::load_or_shipped(Some(path))?)))
         .collect::<anyhow::Result<_>>()?;
     switch_off(&args.without_rules, &mut checkpoints)?;
     let memory = dataset::available_memory() / 2;

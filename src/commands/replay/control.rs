@@ -2,11 +2,8 @@
 
 use std::sync::Arc;
 
-use eddy::{
-    node::{Asked, Remote, Service, player_services},
-    ros::RosNode,
-    transport::{Link, Served, TransportError, TransportKind, Transports},
-};
+use eddy_node::{Asked, Remote, Service, player_services, ros::RosNode};
+use eddy_transport::{Link, Served, TransportError, TransportKind, Transports};
 
 /// The services, as long as it lives.
 pub(super) struct RemoteControl {

@@ -1,4 +1,5 @@
 //! What the user wants, where standard input is a terminal.
+#![expect(unsafe_code, reason = "a signal handler")]
 
 use std::{
     io::{self, IsTerminal as _, stdin},
@@ -21,7 +22,7 @@ use signal_hook::{
     low_level::{emulate_default_handler, register, unregister},
 };
 
-use eddy::node::Wish;
+use eddy_node::Wish;
 
 /// A terminal that hands over each key at once and shows none; as before when dropped, when a signal
 /// asks for the end, and while the process is stopped (Ctrl-Z). Ctrl-C stays what it is.

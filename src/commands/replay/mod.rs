@@ -16,13 +16,10 @@ use indicatif::HumanCount;
 use super::{Interrupt, has_no_parameters, transport_options};
 use crate::cli::ReplayArgs;
 use control::RemoteControl;
-use eddy::{
-    bag::BagReader,
-    clock::Clock,
-    node::{Asked, Player, PlayerOptions, Stage, play},
-    ros::RosNode,
-    transport::Transports,
-};
+use eddy_bag::BagReader;
+use eddy_frames::clock::Clock;
+use eddy_node::{Asked, Player, PlayerOptions, Stage, play, ros::RosNode};
+use eddy_transport::Transports;
 use keyboard::Keyboard;
 use outputs::Outputs;
 use screen::Screen;
@@ -107,7 +104,7 @@ impl Stage for Theatre<'_> {
 
     fn message(
         &mut self,
-        message: eddy::bag::BagMessage,
+        message: eddy_bag::BagMessage,
         _: std::time::Duration,
     ) -> anyhow::Result<()> {
         self.outputs.publish(&message)?;
@@ -117,7 +114,7 @@ impl Stage for Theatre<'_> {
         Ok(())
     }
 
-    fn clock(&mut self, recorded: eddy::frame::Stamp) -> anyhow::Result<()> {
+    fn clock(&mut self, recorded: eddy_frames::Stamp) -> anyhow::Result<()> {
         self.outputs.tell(recorded)
     }
 

@@ -8,13 +8,11 @@ use crate::{
     cli::ReplayArgs,
     commands::{Interrupt, leaves_the_process, wait_for_subscribers},
 };
-use eddy::{
-    bag::{BagMessage, BagReader, TopicInfo},
-    frame::Stamp,
-    msg::{Clock, Message, TypeSupport, cdr, type_support},
-    ros::RosNode,
-    transport::{Link, Publisher, Reliability, TransportError, TransportKind, Transports},
-};
+use eddy_bag::{BagMessage, BagReader, TopicInfo};
+use eddy_frames::Stamp;
+use eddy_messages::{Clock, Message, TypeSupport, cdr, type_support};
+use eddy_node::ros::RosNode;
+use eddy_transport::{Link, Publisher, Reliability, TransportError, TransportKind, Transports};
 
 /// Where ROS looks for simulated time.
 const CLOCK: &str = "/clock";

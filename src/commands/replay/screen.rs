@@ -5,15 +5,15 @@ use std::{collections::BTreeMap, sync::Arc};
 use anyhow::Context;
 
 use crate::commands::page::{Desk, Page};
-use eddy::{
-    bag::{BagMessage, BagReader},
-    checkpoint::Checkpoint,
-    frame::{Frame, FrameView},
-    msg::{Message, ParticleFrame, PredictionStatus, cdr},
-    node::{Asked, Remote},
-    transport::ListenAddress,
+use eddy_bag::{BagMessage, BagReader};
+use eddy_frames::{Frame, FrameView};
+use eddy_inference::checkpoint::Checkpoint;
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, cdr};
+use eddy_node::{
+    Asked, Remote,
     viewer::{Ahead, Explained, Program},
 };
+use eddy_transport::ListenAddress;
 
 /// What the name of a topic with predictions ends in.
 const PREDICTION: &str = "prediction";

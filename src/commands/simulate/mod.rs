@@ -1,7 +1,7 @@
 //! `eddy simulate`: ground truth, as one bag a scene, as a live source, or both.
 //!
-//! 1. [`source`]: where scenes come from: a preset and a seed, or a file.
-//! 2. [`eddy::dataset::simulate`]: the scenes that are not there yet, in parallel, each into a bag.
+//! 1. [`mod@source`]: where scenes come from: a preset and a seed, or a file.
+//! 2. [`eddy_evaluation::dataset::simulate`]: the scenes that are not there yet, in parallel, each into a bag.
 //! 3. [`publish`]: scenes one after the other at the pace of real time.
 
 mod publish;
@@ -11,10 +11,8 @@ use anyhow::bail;
 
 use super::{Interrupt, TerminalProgress};
 use crate::cli::SimulateArgs;
-use eddy::{
-    dataset::simulate::{Job, SimulationRequest, Source},
-    mpm::Settings,
-};
+use eddy_evaluation::dataset::simulate::{Job, SimulationRequest, Source};
+use eddy_mpm::Settings;
 use source::source;
 
 /// Simulates the scenes that are not there yet.

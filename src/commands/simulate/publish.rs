@@ -6,13 +6,10 @@ use crate::{
     cli::SimulateArgs,
     commands::{Interrupt, leaves_the_process, pace::Pace, wait_for_subscribers},
 };
-use eddy::{
-    clock::Clock,
-    dataset::simulate::{Job, Recording, Store},
-    frame::Frame,
-    msg::{self, Message, ParticleFrame, cdr},
-    transport::{Link, Publisher, TransportError, TransportOptions, Transports},
-};
+use eddy_evaluation::dataset::simulate::{Job, Recording, Store};
+use eddy_frames::{Frame, clock::Clock};
+use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
+use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
 
 /// Frames of a scene that are too few to say whether the machine keeps the pace.
 const LATE_FRAMES: u32 = 30;

@@ -9,11 +9,9 @@ use clap::{
 };
 
 use crate::cli::SimulateArgs;
-use eddy::{
-    config,
-    dataset::simulate::Source,
-    mpm::{Extent, Preset},
-};
+use eddy_evaluation::dataset::simulate::Source;
+use eddy_mpm::{Extent, Preset};
+use eddy_settings as config;
 
 /// The scene files that come with the program, by the names that `--preset` takes.
 const SHIPPED: [(&str, &str); 6] = [

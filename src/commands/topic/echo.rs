@@ -10,14 +10,12 @@ use anyhow::Context;
 
 use super::{PATIENCE, find, print};
 use crate::{cli::TopicEchoArgs, commands::Interrupt};
-use eddy::{
-    msg::{
-        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus, RosString, cdr,
-    },
-    node::FrameQueue,
-    transport::{Payload, Reliability, Subscriber, TransportError, Transports},
+use eddy_messages::{
+    Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
+    RosString, cdr,
 };
+use eddy_node::FrameQueue;
+use eddy_transport::{Payload, Reliability, Subscriber, TransportError, Transports};
 
 /// Messages that wait to be printed; of more the oldest go.
 const WAITING: usize = 64;

@@ -6,7 +6,9 @@ use anyhow::Context;
 
 use super::{PATIENCE, find, print};
 use crate::{cli::TopicHzArgs, commands::Interrupt};
-use eddy::{clock::Clock, node::Rate, transport::Transports};
+use eddy_frames::clock::Clock;
+use eddy_node::Rate;
+use eddy_transport::Transports;
 
 /// Between two lines.
 const INTERVAL: Duration = Duration::from_secs(1);

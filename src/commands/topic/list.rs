@@ -7,10 +7,8 @@ use crate::{
     cli::TopicListArgs,
     commands::{Interrupt, leaves_the_process},
 };
-use eddy::{
-    clock::Clock,
-    transport::{Link, Transports},
-};
+use eddy_frames::clock::Clock;
+use eddy_transport::{Link, Transports};
 
 pub(super) fn run(
     args: &TopicListArgs,

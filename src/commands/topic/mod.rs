@@ -14,10 +14,8 @@ use anyhow::bail;
 
 use super::{Interrupt, leaves_the_process};
 use crate::cli::{TopicArgs, TopicCommand};
-use eddy::{
-    clock::Clock,
-    transport::{Link, SeenTopic, TransportOptions, Transports},
-};
+use eddy_frames::clock::Clock;
+use eddy_transport::{Link, SeenTopic, TransportOptions, Transports};
 
 /// This process in the ROS graph.
 const NAME: &str = "eddy_topic";

@@ -1,10 +1,7 @@
 //! Settings files: every key with its type, its defaults and its docs.
 
-use eddy::{
-    model::Architecture,
-    node::{NodeSettings, PARAMETERS},
-    train::TrainConfig,
-};
+use eddy_learning::{model::Architecture, train::TrainConfig};
+use eddy_node::{NodeSettings, PARAMETERS};
 
 use super::source::{Item, Member, Source, bare, is_list};
 
@@ -123,7 +120,10 @@ fn shown(value: &toml::Value) -> String {
 }
 
 fn training() -> String {
-    let source = Source::of(&["train/config.rs", "checkpoint/description.rs"]);
+    let source = Source::of(&[
+        "crates/learning/src/train/config.rs",
+        "crates/inference/src/checkpoint/description.rs",
+    ]);
     let [particle, frame] = [Architecture::Particle, Architecture::Frame]
         .map(|architecture| toml::Table::try_from(TrainConfig::defaults(architecture)).unwrap());
     let mut text =
@@ -146,7 +146,11 @@ fn training() -> String {
 }
 
 fn node() -> String {
-    let source = Source::of(&["commands/node.rs", "node/settings.rs", "transport/mod.rs"]);
+    let source = Source::of(&[
+        "src/commands/node.rs",
+        "crates/node/src/settings.rs",
+        "crates/transport/src/lib.rs",
+    ]);
     let mut rows = rows(&source, source.item("NodeFile"), "");
     let defaults = NodeSettings::default();
     for row in &mut rows {
@@ -160,15 +164,15 @@ fn node() -> String {
 
 /// The whole page.
 pub fn page() -> String {
-    let launch = Source::of(&["launch/plan.rs"]);
+    let launch = Source::of(&["crates/node/src/launch/plan.rs"]);
     let scene = Source::of(&[
-        "mpm/scene.rs",
-        "mpm/material.rs",
-        "mpm/attractor.rs",
-        "mpm/body.rs",
-        "mpm/shape.rs",
-        "mpm/flow.rs",
-        "frame.rs",
+        "crates/mpm/src/scene.rs",
+        "crates/mpm/src/material.rs",
+        "crates/mpm/src/attractor.rs",
+        "crates/mpm/src/body.rs",
+        "crates/mpm/src/shape.rs",
+        "crates/mpm/src/flow.rs",
+        "crates/frames/src/lib.rs",
     ]);
     format!(
         "# Configuration\n\n\

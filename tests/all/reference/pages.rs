@@ -2,15 +2,13 @@
 
 use std::{fs, path::Path};
 
-use eddy::{
-    checkpoint::{Checkpoint, tensor_shapes},
-    model::{Architecture, Core},
-    msg::{
-        services::{ParameterKind, ParameterValue},
-        type_support,
-    },
-    node::{Counters, NodeSettings, PARAMETERS, ParameterSpec, Values},
+use eddy_inference::checkpoint::{Checkpoint, tensor_shapes};
+use eddy_learning::model::{Architecture, Core};
+use eddy_messages::{
+    services::{ParameterKind, ParameterValue},
+    type_support,
 };
+use eddy_node::{Counters, NodeSettings, PARAMETERS, ParameterSpec, Values};
 
 use super::{
     configuration::{Row, rows, table},
@@ -74,7 +72,11 @@ pub fn messages() -> String {
             text.push_str(&format!("| `{name}` | `{}` |\n", known.hash));
         }
     }
-    let shm = Source::of(&["transport/shm/layout.rs", "frame/view.rs", "frame.rs"]);
+    let shm = Source::of(&[
+        "crates/transport/src/shm/layout.rs",
+        "crates/frames/src/view.rs",
+        "crates/frames/src/lib.rs",
+    ]);
     for (item, name, what) in [
         (
             "FrameHeader",
@@ -106,7 +108,11 @@ fn collect(folder: &Path, names: &mut Vec<String>) {
 
 /// `model.toml`, and the tensors of each network.
 pub fn checkpoint() -> String {
-    let source = Source::of(&["checkpoint/description.rs", "checkpoint/rules.rs", "frame.rs"]);
+    let source = Source::of(&[
+        "crates/inference/src/checkpoint/description.rs",
+        "crates/inference/src/checkpoint/rules.rs",
+        "crates/frames/src/lib.rs",
+    ]);
     let shipped = Checkpoint::shipped().unwrap();
     let mut keys = rows(&source, source.item("Description"), "");
     let version = shipped.description.format_version;
@@ -145,7 +151,7 @@ pub fn checkpoint() -> String {
     text
 }
 
-fn widths(sizes: &eddy::checkpoint::Sizes) -> String {
+fn widths(sizes: &eddy_inference::checkpoint::Sizes) -> String {
     let particles =
         sizes.particles.map_or(String::new(), |particles| format!(", {particles} particles"));
     format!("Here with encoder {}, hidden {}, one layer{particles}.", sizes.encoder, sizes.hidden)
@@ -172,7 +178,7 @@ pub fn value(value: &ParameterValue) -> String {
 
 /// Counters, levels, parameters.
 pub fn diagnostics() -> String {
-    let source = Source::of(&["node/counters.rs"]);
+    let source = Source::of(&["crates/node/src/counters.rs"]);
     let docs = |name: &str| {
         let member = source.item("Counters").members.iter().find(|member| member.name == name);
         member.unwrap_or_else(|| panic!("{name} is no field of Counters")).docs.clone()

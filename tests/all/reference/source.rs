@@ -32,11 +32,11 @@ pub struct Member {
 pub struct Source(BTreeMap<String, Item>);
 
 impl Source {
-    /// Reads files below `src`.
+    /// Reads files, named from the root of the workspace.
     pub fn of(files: &[&str]) -> Self {
         let mut items = BTreeMap::new();
         for file in files {
-            read(&fs::read_to_string(root().join("src").join(file)).unwrap(), &mut items);
+            read(&fs::read_to_string(root().join(file)).unwrap(), &mut items);
         }
         Self(items)
     }

@@ -3,10 +3,8 @@
 
 use std::{fs, path::Path};
 
-use eddy::{
-    checkpoint::{Architecture, Checkpoint, Core, Form, Pooling},
-    train::{Machine, Run, TrainConfig, train},
-};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, Form, Pooling};
+use eddy_learning::train::{Machine, Run, TrainConfig, train};
 
 use super::{dataset, files, load, run, settings, small, stream, write_bag};
 use crate::support::fail;

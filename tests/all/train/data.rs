@@ -2,10 +2,8 @@
 
 use std::fs;
 
-use eddy::{
-    checkpoint::{Architecture, Core},
-    dataset::{Dataset, Stream, load_trajectories},
-};
+use eddy_evaluation::dataset::{Dataset, Stream, load_trajectories};
+use eddy_inference::checkpoint::{Architecture, Core};
 
 use super::{DT, FRAMES, load, run, small, stream, write_bag};
 
@@ -22,7 +20,7 @@ fn long(id: u64) -> Stream {
     stream
 }
 
-fn ids(streams: &[eddy::dataset::Trajectory]) -> Vec<(u64, u64, usize)> {
+fn ids(streams: &[eddy_evaluation::dataset::Trajectory]) -> Vec<(u64, u64, usize)> {
     streams.iter().map(|stream| (stream.id, stream.first_sequence, stream.frames)).collect()
 }
 
@@ -42,7 +40,7 @@ fn what_is_on_disk_teaches_the_bits_of_what_is_in_memory() {
     assert_eq!(held.digest, stored.digest);
     assert_eq!(held.normalization, stored.normalization);
     let all = load_trajectories(&data, memory, &mut |_, _| ()).unwrap();
-    assert_eq!(held.digest, eddy::dataset::digest(&all, |_| ()).unwrap());
+    assert_eq!(held.digest, eddy_evaluation::dataset::digest(&all, |_| ()).unwrap());
 
     for architecture in [Architecture::Particle, Architecture::Frame] {
         let mut config = small(architecture, Core::MinGru);

@@ -2,10 +2,8 @@
 
 use std::fs;
 
-use eddy::{
-    checkpoint::{Architecture, Checkpoint, Core},
-    train::{LossKind, TrainConfig},
-};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_learning::train::{LossKind, TrainConfig};
 
 use super::{FRAMES, dataset, interrupted, run, small, stream};
 

@@ -13,15 +13,15 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy::{
-    bag::{BagWriter, Compression, WriterOptions},
-    checkpoint::{Architecture, Core, Normalization},
-    dataset::{Dataset, DatasetError, State, Stream, Trajectory},
-    frame::{Domain, Material, Stamp},
+use eddy_bag::{BagWriter, Compression, WriterOptions};
+use eddy_evaluation::dataset::{Dataset, DatasetError, State, Stream, Trajectory};
+use eddy_frames::{Domain, Material, Stamp};
+use eddy_inference::checkpoint::{Architecture, Core, Normalization};
+use eddy_learning::{
     model::DeviceKind,
-    msg::{Message, ParticleFrame},
     train::{Machine, Outcome, Run, Stage, TrainConfig, TrainError, train},
 };
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
 
 const DT: f32 = 0.016;
 pub const FRAMES: usize = 40;

@@ -2,10 +2,8 @@
 
 use std::{fs, path::Path};
 
-use eddy::{
-    checkpoint::{Architecture, Checkpoint, Core},
-    train::{Schedule, Stage, TrainConfig},
-};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_learning::train::{Schedule, Stage, TrainConfig};
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
 use crate::support::{Process, eddy, succeed, talking_eddy, wait_for};

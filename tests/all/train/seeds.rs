@@ -48,7 +48,7 @@ fn each_seed_has_a_run_and_a_table_compares_them() {
 
 /// The best validation loss, from the checkpoint.
 fn loss(output: &str) -> f64 {
-    let checkpoint = eddy::checkpoint::Checkpoint::load(output.as_ref()).unwrap();
+    let checkpoint = eddy_inference::checkpoint::Checkpoint::load(output.as_ref()).unwrap();
     checkpoint.description.training.validation_loss
 }
 

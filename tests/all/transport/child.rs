@@ -8,10 +8,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    msg::{Message, RosString},
-    transport::{Link, Reliability, TransportOptions, Transports},
-};
+use eddy_messages::{Message, RosString};
+use eddy_transport::{Link, Reliability, TransportOptions, Transports};
 
 use super::{DEADLINE, frame, frames_publisher, frames_subscriber, options};
 

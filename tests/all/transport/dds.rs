@@ -5,10 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    msg::{Message, ParticleFrame, RosString, cdr},
-    transport::{Payload, Reliability, TransportError, TransportOptions, Transports},
-};
+use eddy_messages::{Message, ParticleFrame, RosString, cdr};
+use eddy_transport::{Payload, Reliability, TransportError, TransportOptions, Transports};
 use ros2_client::dds::rustdds::{
     DomainParticipantBuilder, QosPolicyBuilder, TopicKind, WriteOptions, policy::History,
 };

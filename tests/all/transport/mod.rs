@@ -15,10 +15,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    frame::{Domain, Frame, Material, Stamp},
-    msg::{Message, ParticleFrame},
-    transport::{Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports},
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_messages::{Message, ParticleFrame};
+use eddy_transport::{
+    Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
 };
 
 use crate::support::{domain, unique};

@@ -5,10 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    msg::{Message, ParticleFrame},
-    transport::{Link, Payload, Reliability, Transports},
-};
+use eddy_messages::{Message, ParticleFrame};
+use eddy_transport::{Link, Payload, Reliability, Transports};
 use iceoryx2::prelude::*;
 
 use super::{

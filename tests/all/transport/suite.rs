@@ -5,10 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    msg::{DiagnosticArray, Message, ParticleFrame, RosString, cdr, type_support},
-    transport::{Link, Reliability, TransportError, Transports},
-};
+use eddy_messages::{DiagnosticArray, Message, ParticleFrame, RosString, cdr, type_support};
+use eddy_transport::{Link, Reliability, TransportError, Transports};
 
 use super::{
     DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame,

@@ -6,12 +6,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy::{
-    msg::{Message, ParticleFrame, RosString, cdr, service_hash, type_support},
-    transport::{
-        Link, Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions,
-        Transports,
-    },
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, cdr, service_hash, type_support};
+use eddy_transport::{
+    Link, Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions, Transports,
 };
 use zenoh::{
     Session, Wait,

@@ -1,0 +1,70 @@
+//! A moment of a bag, as people write it.
+
+use std::str::FromStr;
+
+use eddy_frames::Stamp;
+
+/// A moment of a bag: `2.5` seconds after its start, or at log time `1700000000000000000ns`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Moment {
+    /// So long after the first message (s).
+    After(f64),
+    /// This log time.
+    At(Stamp),
+}
+
+/// Why a word is no moment.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "moment: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 1700000000000000000ns"
+)]
+pub struct InvalidMoment {
+    /// The word.
+    pub found: String,
+}
+
+impl Moment {
+    /// The log time of this moment in a bag that starts then.
+    pub fn in_bag(self, start: Stamp) -> Stamp {
+        match self {
+            Self::After(seconds) => Stamp(start.0.saturating_add(Stamp::from_seconds(seconds).0)),
+            Self::At(time) => time,
+        }
+    }
+}
+
+impl FromStr for Moment {
+    type Err = InvalidMoment;
+
+    fn from_str(text: &str) -> Result<Self, InvalidMoment> {
+        let invalid = || InvalidMoment { found: text.to_owned() };
+        if let Some(nanoseconds) = text.strip_suffix("ns") {
+            let time = nanoseconds.parse().ok().filter(|&time: &i64| time >= 0);
+            return time.map(|time| Self::At(Stamp(time))).ok_or_else(invalid);
+        }
+        let seconds =
+            text.parse().ok().filter(|seconds: &f64| seconds.is_finite() && *seconds >= 0.0);
+        seconds.map(Self::After).ok_or_else(invalid)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seconds_count_from_the_start_and_nanoseconds_from_the_epoch() {
+        let at = |text: &str| text.parse::<Moment>().unwrap().in_bag(Stamp(1_000));
+        assert_eq!(at("0"), Stamp(1_000));
+        assert_eq!(at("2.5"), Stamp(2_500_001_000));
+        assert_eq!(at("1700000000000000000ns"), Stamp(1_700_000_000_000_000_000));
+    }
+
+    #[test]
+    fn other_words_are_refused_with_what_was_expected() {
+        for text in ["", "-1", "soon", "1e999", "-5ns", "2.5ns"] {
+            let message = text.parse::<Moment>().unwrap_err().to_string();
+            assert!(message.starts_with(&format!("moment: found `{text}`, expected")), "{message}");
+        }
+    }
+}

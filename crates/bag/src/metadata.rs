@@ -1,0 +1,377 @@
+//! `metadata.yaml`, version 9: written as rosbag2 writes it, read as far as eddy needs it.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    error::BagError,
+    layout::METADATA,
+    qos::{self, QosProfile},
+    writer::BagSummary,
+};
+use eddy_frames::Stamp;
+
+/// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
+const VERSION: u32 = 9;
+
+/// The value of a channel's `offered_qos_profiles` where eddy writes it, for publishers that keep so many
+/// messages for subscribers that come later: a list as a text.
+pub(super) fn offered_qos_profiles(kept: usize) -> String {
+    to_yaml(&[QosProfile::keeping(kept)])
+}
+
+fn to_yaml<T: Serialize>(value: &T) -> String {
+    serde_saphyr::to_string(value)
+        .expect("structs of numbers and strings with fixed keys are always YAML")
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    rosbag2_bagfile_information: Information<'a>,
+}
+
+#[derive(Serialize)]
+struct Information<'a> {
+    version: u32,
+    storage_identifier: &'static str,
+    duration: Nanoseconds,
+    starting_time: SinceEpoch,
+    message_count: u64,
+    topics_with_message_count: Vec<TopicWithCount<'a>>,
+    compression_format: &'static str,
+    compression_mode: &'static str,
+    relative_file_paths: Vec<&'a str>,
+    files: Vec<FileInformation<'a>>,
+    custom_data: Option<&'a BTreeMap<String, String>>,
+    ros_distro: &'static str,
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct Nanoseconds {
+    nanoseconds: i64,
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct SinceEpoch {
+    nanoseconds_since_epoch: i64,
+}
+
+#[derive(Serialize)]
+struct TopicWithCount<'a> {
+    topic_metadata: TopicMetadata<'a>,
+    message_count: u64,
+}
+
+#[derive(Serialize)]
+struct TopicMetadata<'a> {
+    name: &'a str,
+    r#type: &'a str,
+    serialization_format: &'a str,
+    offered_qos_profiles: Vec<QosProfile>,
+    type_description_hash: &'a str,
+}
+
+#[derive(Serialize)]
+struct FileInformation<'a> {
+    path: &'a str,
+    starting_time: SinceEpoch,
+    duration: Nanoseconds,
+    message_count: u64,
+}
+
+/// Writes `metadata.yaml` into the bag's directory, whole or not at all.
+pub(super) fn write(bag: &BagSummary) -> Result<(), BagError> {
+    let text = text(bag);
+    let path = bag.directory.join(METADATA);
+    let unfinished = bag.directory.join(format!("{METADATA}.tmp"));
+    fs::write(&unfinished, text).map_err(BagError::io(&unfinished, "writing the metadata"))?;
+    fs::rename(&unfinished, &path).map_err(BagError::io(path, "naming the metadata"))
+}
+
+fn text(bag: &BagSummary) -> String {
+    let files: Vec<FileInformation> = bag
+        .files
+        .iter()
+        .map(|file| FileInformation {
+            path: file.path.file_name().and_then(|name| name.to_str()).unwrap_or_default(),
+            starting_time: starting_time(file.start),
+            duration: duration(file.start, file.end),
+            message_count: file.messages,
+        })
+        .collect();
+    to_yaml(&Document {
+        rosbag2_bagfile_information: Information {
+            version: VERSION,
+            storage_identifier: "mcap",
+            duration: duration(bag.start, bag.end),
+            starting_time: starting_time(bag.start),
+            message_count: bag.messages,
+            topics_with_message_count: topics(bag),
+            // Compression is that of MCAP's chunks; these two are for whole files and messages.
+            compression_format: "",
+            compression_mode: "",
+            relative_file_paths: files.iter().map(|file| file.path).collect(),
+            files,
+            custom_data: (!bag.custom_data.is_empty()).then_some(&bag.custom_data),
+            ros_distro: "eddy",
+        },
+    })
+}
+
+fn starting_time(start: Option<Stamp>) -> SinceEpoch {
+    SinceEpoch { nanoseconds_since_epoch: start.map_or(0, |start| start.0) }
+}
+
+fn duration(start: Option<Stamp>, end: Option<Stamp>) -> Nanoseconds {
+    Nanoseconds { nanoseconds: start.zip(end).map_or(0, |(start, end)| end.0 - start.0) }
+}
+
+/// Each topic and type once, whatever else its writers said about it.
+fn topics(bag: &BagSummary) -> Vec<TopicWithCount<'_>> {
+    let mut topics: Vec<TopicWithCount> = Vec::new();
+    for topic in &bag.topics {
+        let offered = qos::parse(topic.channel.offered_qos());
+        let known = topics.iter_mut().find(|known| {
+            known.topic_metadata.name == topic.name
+                && known.topic_metadata.r#type == topic.type_name
+        });
+        if let Some(known) = known {
+            known.message_count += topic.messages;
+            for profile in offered {
+                if !known.topic_metadata.offered_qos_profiles.contains(&profile) {
+                    known.topic_metadata.offered_qos_profiles.push(profile);
+                }
+            }
+            continue;
+        }
+        topics.push(TopicWithCount {
+            topic_metadata: TopicMetadata {
+                name: &topic.name,
+                r#type: &topic.type_name,
+                serialization_format: &topic.channel.encoding,
+                offered_qos_profiles: offered,
+                type_description_hash: &topic.hash,
+            },
+            message_count: topic.messages,
+        });
+    }
+    topics
+}
+
+#[derive(Deserialize)]
+struct ReadDocument {
+    rosbag2_bagfile_information: ReadInformation,
+}
+
+#[derive(Deserialize)]
+struct ReadInformation {
+    version: u32,
+    storage_identifier: String,
+    relative_file_paths: Vec<String>,
+    message_count: u64,
+    #[serde(default)]
+    compression_mode: String,
+    #[serde(default)]
+    custom_data: Option<BTreeMap<String, String>>,
+}
+
+fn read(path: &Path) -> Result<ReadInformation, BagError> {
+    let text = fs::read_to_string(path).map_err(BagError::io(path, "reading the metadata"))?;
+    let document: ReadDocument = serde_saphyr::from_str(&text).map_err(|error| {
+        wrong(
+            path,
+            "rosbag2_bagfile_information",
+            error.to_string(),
+            "the keys that rosbag2 writes",
+        )
+    })?;
+    Ok(document.rosbag2_bagfile_information)
+}
+
+fn wrong(path: &Path, field: &'static str, found: String, expected: &'static str) -> BagError {
+    BagError::Metadata { path: path.into(), field, found, expected }
+}
+
+/// The MCAP files that `metadata.yaml` at `path` names, in the bag's `directory`.
+pub(super) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let information = read(path)?;
+    if information.version > VERSION {
+        return Err(wrong(path, "version", information.version.to_string(), "at most 9"));
+    }
+    if information.storage_identifier != "mcap" {
+        return Err(wrong(path, "storage_identifier", information.storage_identifier, "mcap"));
+    }
+    if !matches!(information.compression_mode.to_lowercase().as_str(), "" | "none") {
+        let expected = "an empty text: MCAP compresses its own chunks";
+        return Err(wrong(path, "compression_mode", information.compression_mode, expected));
+    }
+    // Only the last part of each path counts: bags are moved, and older versions wrote more.
+    let file = |name: &String| Path::new(name).file_name().map(|name| directory.join(name));
+    let files: Vec<PathBuf> = information.relative_file_paths.iter().filter_map(file).collect();
+    let expected = "the names of files beside metadata.yaml";
+    if let Some(missing) = files.iter().find(|file| !file.exists()) {
+        let found = format!("{}, which does not exist", missing.display());
+        return Err(wrong(path, "relative_file_paths", found, expected));
+    }
+    if files.is_empty() {
+        return Err(wrong(path, "relative_file_paths", "no file".into(), expected));
+    }
+    Ok(files)
+}
+
+/// `message_count` of the metadata of the bag at `bag`, if it has any.
+pub(super) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
+    let path = bag.join(METADATA);
+    if !path.exists() {
+        return Ok(None);
+    }
+    Ok(Some(read(&path)?.message_count))
+}
+
+/// `custom_data` of the metadata of the bag at `bag`, if it can be read.
+pub(super) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
+    read(&bag.join(METADATA)).ok()?.custom_data
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::{Channel, WrittenTopic, channel::OFFERED_QOS, writer::WrittenFile};
+
+    fn bag() -> BagSummary {
+        let channel = Channel {
+            topic: "/particles".into(),
+            schema: None,
+            encoding: "cdr".into(),
+            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), offered_qos_profiles(0))]),
+        };
+        let topic = WrittenTopic {
+            name: "/particles".into(),
+            type_name: "eddy_msgs/msg/ParticleFrame".into(),
+            hash: "RIHS01_00".into(),
+            messages: 3,
+            channel: Arc::new(channel),
+        };
+        let file = WrittenFile {
+            path: "run/run_0.mcap".into(),
+            messages: 3,
+            start: Some(Stamp(1_000)),
+            end: Some(Stamp(33_000)),
+            size: 0,
+        };
+        BagSummary {
+            directory: "run".into(),
+            files: vec![file],
+            messages: 3,
+            lost: 0,
+            start: Some(Stamp(1_000)),
+            end: Some(Stamp(33_000)),
+            topics: vec![topic],
+            custom_data: BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn every_file_of_a_split_bag_is_listed_with_what_the_recorder_had_to_say() {
+        let mut bag = bag();
+        let second = WrittenFile { path: "run/run_1.mcap".into(), ..bag.files[0].clone() };
+        bag.files.push(second);
+        bag.custom_data.insert("not_kept".into(), "7".into());
+        let text = text(&bag);
+        assert!(text.contains("relative_file_paths:\n  - run_0.mcap\n  - run_1.mcap\n"), "{text}");
+        assert!(text.contains("  - path: run_1.mcap\n"), "{text}");
+        assert!(text.contains("custom_data:\n    not_kept: \"7\"\n"), "{text}");
+    }
+
+    #[test]
+    fn the_text_is_that_of_rosbag2() {
+        insta::assert_snapshot!(text(&bag()), @r#"
+        rosbag2_bagfile_information:
+          version: 9
+          storage_identifier: mcap
+          duration:
+            nanoseconds: 32000
+          starting_time:
+            nanoseconds_since_epoch: 1000
+          message_count: 3
+          topics_with_message_count:
+          - topic_metadata:
+              name: /particles
+              type: eddy_msgs/msg/ParticleFrame
+              serialization_format: cdr
+              offered_qos_profiles:
+              - history: keep_last
+                depth: 10
+                reliability: reliable
+                durability: volatile
+                deadline:
+                  sec: 9223372036
+                  nsec: 854775807
+                lifespan:
+                  sec: 9223372036
+                  nsec: 854775807
+                liveliness: automatic
+                liveliness_lease_duration:
+                  sec: 9223372036
+                  nsec: 854775807
+                avoid_ros_namespace_conventions: false
+              type_description_hash: RIHS01_00
+            message_count: 3
+          compression_format: ""
+          compression_mode: ""
+          relative_file_paths:
+          - run_0.mcap
+          files:
+          - path: run_0.mcap
+            starting_time:
+              nanoseconds_since_epoch: 1000
+            duration:
+              nanoseconds: 32000
+            message_count: 3
+          custom_data: null
+          ros_distro: eddy
+        "#);
+    }
+
+    #[test]
+    fn metadata_that_cannot_be_used_names_field_found_and_expected() {
+        let good = text(&bag());
+        let cases = [
+            ("version: 9", "version: 10", "version: found 10, expected at most 9"),
+            (
+                "_identifier: mcap",
+                "_identifier: sqlite3",
+                "storage_identifier: found sqlite3, expected mcap",
+            ),
+            (
+                "compression_mode: \"\"",
+                "compression_mode: FILE",
+                "compression_mode: found FILE, expected an empty",
+            ),
+            (
+                "  - run_0.mcap",
+                "  - gone.mcap",
+                "gone.mcap, which does not exist, expected the names of files",
+            ),
+            ("message_count: 3", "message_count: many", "rosbag2_bagfile_information: found"),
+        ];
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(METADATA);
+        fs::write(directory.path().join("run_0.mcap"), "").unwrap();
+        fs::write(&path, &good).unwrap();
+        assert_eq!(files(&path, directory.path()).unwrap(), [directory.path().join("run_0.mcap")]);
+        for (from, to, expected) in cases {
+            assert!(good.contains(from), "{from} in {good}");
+            fs::write(&path, good.replacen(from, to, 1)).unwrap();
+            let message = files(&path, directory.path()).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! Everything that can be wrong with a bag, and what its streams are: one pass over all messages.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::Read,
+    path::Path,
+};
+
+use mcap::{
+    McapError,
+    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+};
+
+use super::{
+    error::BagError,
+    messages::BagMessage,
+    metadata,
+    reader::{BagReader, TopicInfo},
+    record::SIZE_LIMIT,
+};
+use eddy_frames::{Frame, Stamp, decimal};
+use eddy_messages::{
+    Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus, RosString, cdr,
+    type_support,
+};
+
+/// So many findings are kept; the rest is counted.
+const KEPT_FINDINGS: usize = 50;
+
+/// How much of a file is read at once for its checksums (bytes).
+const BLOCK: usize = 1 << 16;
+
+/// What a pass over all messages of a bag found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Survey {
+    /// For each topic of [`BagReader::topics`], in the same order.
+    pub topics: Vec<TopicSurvey>,
+    /// What is wrong, one sentence each; at most 50.
+    pub findings: Vec<String>,
+    /// How many more findings there were.
+    pub further_findings: u64,
+}
+
+/// What was found in a topic.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TopicSurvey {
+    /// Messages read.
+    pub messages: u64,
+    /// Its streams, by number, if it carries frames.
+    pub streams: BTreeMap<u64, StreamSurvey>,
+}
+
+/// What was found in a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamSurvey {
+    /// Usable frames.
+    pub frames: u64,
+    /// Fewest and most particles of a frame.
+    pub particles: (usize, usize),
+    /// Time between two frames (s), by its first frame.
+    pub dt: f32,
+    /// Highest sequence so far, and its stamp.
+    highest: (u64, Stamp),
+}
+
+impl Survey {
+    /// Reads every message: chunk checksums, CDR, finite numbers, sequences and stamps of every
+    /// stream, type hashes, and the counts that the files state. Calls `progress` with the number
+    /// of messages read so far.
+    ///
+    /// On topics whose name ends in `prediction` a sequence may come again: every observed frame
+    /// may have been followed by several predictions.
+    pub fn of(bag: &BagReader, mut progress: impl FnMut(u64)) -> Self {
+        let mut survey =
+            Self { topics: vec![TopicSurvey::default(); bag.topics().len()], ..Self::default() };
+        for topic in bag.topics() {
+            survey.check_hash(topic);
+        }
+        let mut read = 0;
+        for message in bag.messages() {
+            match message {
+                Ok(message) => survey.check_message(bag, &message),
+                Err(BagError::FurtherFaults { faults, .. }) => survey.further_findings += faults,
+                Err(error) => survey.found(error.to_string()),
+            }
+            read += 1;
+            progress(read);
+        }
+        survey.check_counts(bag);
+        survey
+    }
+
+    /// Checks the checksums over whole files, which reading messages does not look at.
+    pub fn check_files(&mut self, bag: &BagReader) {
+        if bag.is_unfinished() {
+            let files: BTreeSet<_> = bag.files().map(|file| file.display().to_string()).collect();
+            let files = files.into_iter().collect::<Vec<_>>().join(", ");
+            self.found(format!(
+                "{files}: found a file that was never closed, expected a finished bag"
+            ));
+            return;
+        }
+        if bag.damage().is_some() {
+            return;
+        }
+        for file in bag.files() {
+            match checksums(file) {
+                Ok(()) => {}
+                Err(McapError::Io(error)) => {
+                    self.found(BagError::io(file, "reading")(error).to_string());
+                }
+                Err(error) => self.found(format!("{}: {error}", file.display())),
+            }
+        }
+    }
+
+    fn found(&mut self, finding: String) {
+        if self.findings.len() < KEPT_FINDINGS {
+            self.findings.push(finding);
+        } else {
+            self.further_findings += 1;
+        }
+    }
+
+    fn check_hash(&mut self, topic: &TopicInfo) {
+        let Ok(ours) = type_support(&topic.type_name) else { return };
+        if let Some(hash) = topic.hash.as_ref().filter(|hash| **hash != ours.hash) {
+            let TopicInfo { name, type_name, .. } = topic;
+            let expected = &ours.hash;
+            self.found(format!(
+                "topic {name}: hash of {type_name}: found {hash}, expected {expected}"
+            ));
+        }
+    }
+
+    fn check_message(&mut self, bag: &BagReader, message: &BagMessage) {
+        let position = bag.topics().iter().position(|topic| {
+            *topic.name == *message.topic && *topic.type_name == *message.type_name
+        });
+        let Some(index) = position else { return };
+        let number = self.topics[index].messages;
+        self.topics[index].messages += 1;
+        let data = &message.data;
+        let decoded = match &*message.type_name {
+            ParticleFrame::TYPE => match Frame::from_cdr(data) {
+                Ok(frame) => {
+                    self.check_frame(index, message, &frame);
+                    Ok(())
+                }
+                Err(error) => Err(error.to_string()),
+            },
+            PredictionStatus::TYPE => check_cdr::<PredictionStatus>(data),
+            DiagnosticArray::TYPE => check_cdr::<DiagnosticArray>(data),
+            Clock::TYPE => check_cdr::<Clock>(data),
+            RosString::TYPE => check_cdr::<RosString>(data),
+            _ => Ok(()),
+        };
+        if let Err(reason) = decoded {
+            self.found(format!("topic {}, message {number}: {reason}", message.topic));
+        }
+    }
+
+    fn check_frame(&mut self, topic: usize, message: &BagMessage, frame: &Frame) {
+        let streams = &mut self.topics[topic].streams;
+        let Some(stream) = streams.get_mut(&frame.stream) else {
+            streams.insert(frame.stream, StreamSurvey::new(frame));
+            return;
+        };
+        let may_repeat = message.topic.ends_with("prediction");
+        for fault in stream.follow(frame, may_repeat).into_iter().flatten() {
+            let finding = format!("topic {}, stream {}: {fault}", message.topic, frame.stream);
+            self.found(finding);
+        }
+    }
+
+    fn check_counts(&mut self, bag: &BagReader) {
+        for (index, topic) in bag.topics().iter().enumerate() {
+            let (found, expected) = (self.topics[index].messages, topic.message_count);
+            if found != expected {
+                let name = &topic.name;
+                self.found(format!("topic {name}: found {found} messages, expected {expected}"));
+            }
+        }
+        match metadata::message_count(bag.path()) {
+            Ok(Some(stated)) if stated != bag.message_count() => {
+                let (path, found) = (bag.path().display(), bag.message_count());
+                self.found(format!(
+                    "{path}: found {found} messages, expected {stated} by metadata.yaml"
+                ));
+            }
+            Ok(_) => {}
+            Err(error) => self.found(error.to_string()),
+        }
+    }
+}
+
+impl StreamSurvey {
+    fn new(frame: &Frame) -> Self {
+        Self {
+            frames: 1,
+            particles: (frame.len(), frame.len()),
+            dt: frame.dt,
+            highest: (frame.sequence, frame.stamp),
+        }
+    }
+
+    /// Takes the next frame; says what does not fit those before it.
+    fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 2] {
+        let (fewest, most) = self.particles;
+        self.frames += 1;
+        self.particles = (fewest.min(frame.len()), most.max(frame.len()));
+        let (before, stamp_before) = self.highest;
+        let (sequence, stamp) = (frame.sequence, frame.stamp);
+        let order = if sequence > before + 1 {
+            Some(format!("found sequence {sequence} after {before}, expected {}", before + 1))
+        } else if sequence <= before {
+            let fault = format!("found sequence {sequence} again or late, expected {}", before + 1);
+            (!may_repeat).then_some(fault)
+        } else if stamp <= stamp_before {
+            let (found, last) = (stamp.seconds(), stamp_before.seconds());
+            Some(format!("sequence {sequence}: found stamp {found} s, expected more than {last} s"))
+        } else {
+            None
+        };
+        if sequence > before || !may_repeat {
+            self.highest = (sequence, stamp);
+        }
+        let (found, expected) = (decimal(frame.dt), decimal(self.dt));
+        let interval = (frame.dt != self.dt)
+            .then(|| format!("sequence {sequence}: found dt {found} s, expected {expected} s"));
+        [order, interval]
+    }
+}
+
+fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
+    cdr::decode::<M>(bytes).map(drop).map_err(|error| error.to_string())
+}
+
+/// Reads a file from end to end against the checksums of its data and its summary.
+fn checksums(path: &Path) -> Result<(), McapError> {
+    let mut file = File::open(path)?;
+    let mut reader = LinearReader::new_with_options(
+        LinearReaderOptions::default()
+            .with_emit_chunks(true)
+            .with_validate_data_section_crc(true)
+            .with_validate_summary_section_crc(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_record_length_limit(SIZE_LIMIT as usize),
+    );
+    while let Some(event) = reader.next_event() {
+        if let LinearReadEvent::ReadRequest(_) = event? {
+            let read = file.read(reader.insert(BLOCK))?;
+            reader.notify_read(read);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,173 @@
+//! How well anyone could predict: the truth itself, from positions that are slightly off.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{EvalError, Rollout};
+use crate::dataset::{State, Stream};
+use eddy_frames::{Frame, decimal};
+use eddy_mpm::{MpmError, Scene, Settings, Simulation};
+
+/// Largest displacement of a particle along each axis (domain lengths).
+pub const DISPLACEMENT: f32 = 1e-4;
+
+/// Its name in reports.
+pub const NAME: &str = "truth displaced by 1e-4";
+
+/// The whole scene is simulated again, hidden state included; at each of the frames `starts` every
+/// particle is displaced at random by up to [`DISPLACEMENT`] and followed for `reach` frames.
+///
+/// # Errors
+/// [`EvalError`] for a scene that cannot be simulated, or comes to another state at a start than was
+/// recorded. Every start has its rollout even so, from there on a lost one.
+pub fn roll_out(
+    scene: &Scene,
+    stream: &Stream,
+    starts: &[usize],
+    reach: usize,
+    each: &mut dyn FnMut(usize, Rollout),
+) -> Result<(), EvalError> {
+    let mut followed = 0;
+    let mut count = |number: usize, rollout: Rollout| {
+        followed = number + 1;
+        each(number, rollout);
+    };
+    let done = follow(scene, stream, starts, reach, &mut count);
+    for (number, &start) in starts.iter().enumerate().skip(followed) {
+        each(number, Rollout::lost(&stream.states[start], reach));
+    }
+    done
+}
+
+fn follow(
+    scene: &Scene,
+    stream: &Stream,
+    starts: &[usize],
+    reach: usize,
+    each: &mut dyn FnMut(usize, Rollout),
+) -> Result<(), EvalError> {
+    let of_rival = |reason| EvalError::Rival { stream: stream.id, reason };
+    let mut simulation = simulation(scene, stream, reach).map_err(of_rival)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(stream.id);
+    let mut done = 0;
+    for (number, &start) in starts.iter().enumerate() {
+        let wanted = stream.first_sequence + start as u64 + 1;
+        let frame = advance(&mut simulation, wanted - done).map_err(of_rival)?;
+        done = wanted;
+        let observed = &stream.states[start];
+        if frame.map(into_state).as_ref() != Some(observed) {
+            return Err(EvalError::OtherTruth { stream: stream.id, frame: start });
+        }
+        let mut other = simulation.clone();
+        let range = -DISPLACEMENT..DISPLACEMENT;
+        let displacement = || [rng.random_range(range.clone()), rng.random_range(range.clone())];
+        other.displace(displacement).map_err(of_rival)?;
+        let next = || other.next_frame().ok().flatten().map(into_state);
+        each(number, Rollout::collect(observed, reach, next));
+    }
+    Ok(())
+}
+
+/// The scene's simulation at the frame `start` of a stream, for `reach` frames more.
+///
+/// # Errors
+/// [`MpmError`] for a scene that cannot be simulated.
+pub(super) fn at(
+    scene: &Scene,
+    stream: &Stream,
+    start: usize,
+    reach: usize,
+) -> Result<Simulation, MpmError> {
+    let mut simulation = simulation(scene, stream, reach)?;
+    advance(&mut simulation, stream.first_sequence + start as u64 + 1)?;
+    Ok(simulation)
+}
+
+/// Takes so many frames, and gives the last of them.
+fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, MpmError> {
+    let mut last = None;
+    for _ in 0..frames {
+        last = simulation.next_frame()?;
+    }
+    Ok(last)
+}
+
+/// Whether `scene` is what the first frame of a stream came from.
+///
+/// # Errors
+/// [`MpmError`] for a scene that cannot be simulated.
+pub fn is_scene_of(scene: &Scene, stream: &Stream) -> Result<bool, MpmError> {
+    let mut simulation = simulation(scene, stream, 0)?;
+    advance(&mut simulation, stream.first_sequence)?;
+    Ok(simulation.next_frame()?.is_some_and(|frame| {
+        frame.material == stream.material && into_state(frame) == stream.states[0]
+    }))
+}
+
+/// The scene's simulation, long enough for `reach` frames after the stream.
+fn simulation(scene: &Scene, stream: &Stream, reach: usize) -> Result<Simulation, MpmError> {
+    let frames = stream.first_sequence as usize + stream.states.len() + reach + 1;
+    let duration = frames as f64 * decimal(scene.frames.interval);
+    Simulation::new(scene.clone(), &Settings { duration: Some(duration), ..Settings::default() })
+}
+
+fn into_state(frame: Frame) -> State {
+    State { position: frame.position, velocity: frame.velocity }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_mpm::Preset;
+
+    /// The first frames of a scene.
+    fn stream(scene: &Scene, frames: usize) -> Stream {
+        let mut simulation = Simulation::new(scene.clone(), &Settings::default()).unwrap();
+        let mut next = || simulation.next_frame().unwrap().unwrap();
+        let first = next();
+        let (domain, material) = (first.domain, first.material.clone());
+        let states = std::iter::once(into_state(first));
+        Stream {
+            id: scene.id,
+            source: "test".into(),
+            dt: scene.frames.interval,
+            domain,
+            material,
+            first_sequence: 0,
+            first_stamp: eddy_frames::Stamp(0),
+            states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
+        }
+    }
+
+    #[test]
+    fn a_stream_belongs_to_its_scene_and_to_no_other() {
+        let scene = |id| Scene::generate(Preset::Kinds, 5, id);
+        let stream = stream(&scene(2), 1);
+        assert!(is_scene_of(&scene(2), &stream).unwrap());
+        assert!(!is_scene_of(&scene(7), &stream).unwrap());
+    }
+
+    #[test]
+    fn a_displaced_truth_starts_at_most_a_displacement_beside_the_truth() {
+        let scene = Scene::generate(Preset::Kinds, 5, 2);
+        let (stream, start) = (stream(&scene, 5), 3);
+        let mut rollouts = Vec::new();
+        roll_out(&scene, &stream, &[start], 1, &mut |_, rollout| rollouts.push(rollout)).unwrap();
+        let found = rollouts[0].states[0].position.iter().zip(&stream.states[start + 1].position);
+        let apart = found.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f32::max);
+        // Within a frame the solver smooths differences between neighbours.
+        assert!(apart > 0.1 * DISPLACEMENT && apart < 3.0 * DISPLACEMENT, "{apart}");
+    }
+
+    #[test]
+    fn a_stream_that_is_not_what_its_scene_comes_to_is_followed_up_to_there() {
+        let scene = Scene::generate(Preset::Kinds, 5, 2);
+        let mut stream = stream(&scene, 6);
+        stream.states[3].position[7][0] += 1e-3;
+        let mut diverged = Vec::new();
+        let mut keep = |_: usize, rollout: Rollout| diverged.push(rollout.diverged);
+        let error = roll_out(&scene, &stream, &[1, 3, 4], 1, &mut keep).unwrap_err();
+        assert!(error.to_string().contains("stream 2: frame 3"), "{error}");
+        assert_eq!(diverged, [false, true, true]);
+    }
+}

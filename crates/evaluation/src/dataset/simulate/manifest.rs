@@ -1,0 +1,239 @@
+//! `manifest.json` beside the bags: what was asked for, and what came out.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::SimulateError;
+use eddy_frames::Material;
+use eddy_mpm::{Energy, Scene, Settings, Simulation};
+
+/// The file's name.
+const NAME: &str = "manifest.json";
+/// The most points of an energy curve.
+const CURVE_POINTS: usize = 33;
+
+/// What all scenes of a directory were asked to be: a directory is resumed by the same request only.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RecordedRequest {
+    /// Version of the program.
+    pub(super) eddy: String,
+    /// The preset, or the name of the scene's file.
+    pub(super) scene: String,
+    /// The seed of random scenes.
+    pub(super) seed: u64,
+    /// Particles of random scenes, where they are not 2,500.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) particles: Option<usize>,
+    /// What took the place of the scenes' own numbers.
+    pub(super) settings: Settings,
+}
+
+/// What a scene starts from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Start {
+    /// The scene's id.
+    pub id: u64,
+    /// The materials that occur.
+    pub materials: Vec<Material>,
+    /// Substeps a frame.
+    pub substeps: u32,
+    /// The scene itself, as a file of a scene would have it.
+    pub scene: Scene,
+}
+
+impl Start {
+    /// What this simulation starts from.
+    pub(super) fn of(simulation: &Simulation) -> Self {
+        let scene = simulation.scene();
+        Self {
+            id: scene.id,
+            materials: scene.materials(),
+            substeps: simulation.substeps_per_frame(),
+            scene: scene.clone(),
+        }
+    }
+}
+
+/// How much energy the particles had, at times spread evenly over a scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EnergyCurve {
+    /// When (s of simulated time).
+    time: Vec<f64>,
+    /// Kinetic energy (density x domain lengths^4 per s^2, like the others).
+    kinetic: Vec<f32>,
+    /// Elastic energy.
+    elastic: Vec<f32>,
+    /// Potential energy, that of height above the floor of the domain.
+    potential: Vec<f32>,
+}
+
+impl EnergyCurve {
+    /// Adds the energy of the next frame.
+    pub(super) fn push(&mut self, time: f64, energy: Energy) {
+        self.time.push(time);
+        self.kinetic.push(energy.kinetic as f32);
+        self.elastic.push(energy.elastic as f32);
+        self.potential.push(energy.potential as f32);
+    }
+
+    /// The curve with at most [`CURVE_POINTS`] points, the first and the last among them.
+    pub(super) fn thinned(&self) -> Self {
+        let last = self.time.len().saturating_sub(1);
+        let points = self.time.len().min(CURVE_POINTS);
+        let chosen: Vec<usize> = (0..points).map(|k| k * last / (points - 1).max(1)).collect();
+        let thin = |curve: &[f32]| chosen.iter().map(|&k| curve[k]).collect();
+        Self {
+            time: chosen.iter().map(|&k| self.time[k]).collect(),
+            kinetic: thin(&self.kinetic),
+            elastic: thin(&self.elastic),
+            potential: thin(&self.potential),
+        }
+    }
+}
+
+/// A finished scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finished {
+    /// What it started from.
+    #[serde(flatten)]
+    pub start: Start,
+    /// How many frames were recorded.
+    pub frames: u64,
+    /// The energy over time.
+    pub energy: EnergyCurve,
+    /// SHA-256 of the CDR bytes of all frames, one after the other.
+    pub sha256: String,
+}
+
+/// The manifest of a directory.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Manifest {
+    /// The directory.
+    #[serde(skip)]
+    output: PathBuf,
+    request: RecordedRequest,
+    /// The finished scenes, by id.
+    scenes: Vec<Finished>,
+}
+
+impl Manifest {
+    /// The manifest of a directory, or an empty one where there is none yet. Refuses one that was
+    /// made for another request.
+    pub(super) fn open(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
+        let Some(found) = read(output)? else {
+            return Ok(Self {
+                output: output.to_owned(),
+                request: request.clone(),
+                scenes: Vec::new(),
+            });
+        };
+        if found.request == *request {
+            return Ok(found);
+        }
+        let file = path(output);
+        let [there, here] = [&found.request, request].map(serde_json::to_value);
+        let invalid = |reason| SimulateError::NoManifest { file: file.clone(), reason };
+        let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
+        let mut fields = Vec::new();
+        differences("", &there, &here, &mut fields);
+        let text = |request| serde_json::to_string(request).map_err(invalid);
+        let (found, expected) = (text(&found.request)?, text(request)?);
+        Err(SimulateError::OtherRequest { file, fields, found, expected })
+    }
+
+    /// The directory.
+    pub(super) fn output(&self) -> &Path {
+        &self.output
+    }
+
+    /// The finished scene with this id.
+    pub(super) fn scene(&self, id: u64) -> Option<&Finished> {
+        self.scenes.iter().find(|scene| scene.start.id == id)
+    }
+
+    /// Adds a scene, or replaces the one with its id.
+    pub(super) fn insert(&mut self, scene: Finished) {
+        self.scenes.retain(|other| other.start.id != scene.start.id);
+        self.scenes.push(scene);
+        self.scenes.sort_by_key(|scene| scene.start.id);
+    }
+
+    /// Writes the manifest in one step: whoever reads it sees the old one or the new one.
+    pub(super) fn save(&self) -> Result<(), SimulateError> {
+        let path = path(&self.output);
+        let unfinished = path.with_extension("json.tmp");
+        let text = self
+            .text()
+            .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
+        let written = fs::write(&unfinished, text)
+            .and_then(|()| fs::rename(&unfinished, &path))
+            .map_err(SimulateError::io("write", &path));
+        if written.is_err() {
+            // What could not be written whole is of no use, and may be what fills the disk.
+            let _ = fs::remove_file(&unfinished);
+        }
+        written
+    }
+
+    /// JSON with one line a scene, to be read by people too.
+    fn text(&self) -> serde_json::Result<String> {
+        let scenes: Vec<String> =
+            self.scenes.iter().map(serde_json::to_string).collect::<serde_json::Result<_>>()?;
+        Ok(format!(
+            "{{\n\"request\": {},\n\"scenes\": [\n{}\n]\n}}\n",
+            serde_json::to_string(&self.request)?,
+            scenes.join(",\n")
+        ))
+    }
+}
+
+/// The scenes in the manifest of a directory, by id; `None` where there is none.
+///
+/// # Errors
+/// [`SimulateError::Io`], [`SimulateError::NoManifest`].
+pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>, SimulateError> {
+    let Some(Manifest { scenes, .. }) = read(directory)? else { return Ok(None) };
+    let scenes = scenes.into_iter().map(|Finished { start, .. }| (start.id, start.scene));
+    Ok(Some(scenes.collect()))
+}
+
+/// The manifest of a directory; `None` where there is none.
+fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
+    let file = path(output);
+    if !file.exists() {
+        return Ok(None);
+    }
+    let text = fs::read(&file).map_err(SimulateError::io("read", &file))?;
+    let found: Manifest = serde_json::from_slice(&text)
+        .map_err(|reason| SimulateError::NoManifest { file, reason })?;
+    Ok(Some(Manifest { output: output.to_owned(), ..found }))
+}
+
+/// Adds the paths of the fields in which two values differ, such as `settings.duration`.
+fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String>) {
+    let (Value::Object(one), Value::Object(other)) = (one, other) else {
+        if one != other {
+            fields.push(prefix.to_owned());
+        }
+        return;
+    };
+    let keys: BTreeSet<&String> = one.keys().chain(other.keys()).collect();
+    for key in keys {
+        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        let value = |map: &serde_json::Map<String, Value>| map.get(key).cloned();
+        let [one, other] = [one, other].map(|map| value(map).unwrap_or(Value::Null));
+        differences(&path, &one, &other, fields);
+    }
+}
+
+fn path(directory: &Path) -> PathBuf {
+    directory.join(NAME)
+}

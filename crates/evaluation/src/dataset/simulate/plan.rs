@@ -1,0 +1,84 @@
+//! Every scene set up once before the first is simulated.
+
+use std::fs;
+
+use rayon::prelude::*;
+
+use super::{
+    SimulateError, SimulationRequest, directory,
+    manifest::{Manifest, Start},
+};
+use crate::dataset::available_memory;
+use eddy_mpm::{MpmError, Scene, Settings, Simulation};
+
+/// A scene that has to be made.
+#[derive(Clone, Debug)]
+pub struct Planned {
+    /// What it starts from.
+    pub start: Start,
+    /// The most frames that it can have.
+    pub most_frames: u64,
+}
+
+/// The scenes to be made, without those that are there already. `at_once` of them will be
+/// simulated at a time.
+pub(super) fn plan(
+    request: &SimulationRequest,
+    manifest: Option<&Manifest>,
+    at_once: usize,
+) -> Result<Vec<Planned>, SimulateError> {
+    let available = available_memory();
+    let at_once = at_once.min(request.scenes as usize);
+    let planned: Vec<Option<Planned>> = (0..u64::from(request.scenes))
+        .into_par_iter()
+        .map(|index| {
+            let scene = request.scene(index);
+            let id = scene.id;
+            let planned = plan_scene(scene, at_once, available).map_err(|reason| {
+                SimulateError::Scene { scene: request.scene_name(id), reason: Box::new(reason) }
+            })?;
+            let Some(manifest) = manifest else { return Ok(Some(planned)) };
+            let directory = manifest.output().join(directory(id));
+            if fs::symlink_metadata(&directory).is_err() {
+                return Ok(Some(planned));
+            }
+            if manifest.scene(id).is_none_or(|found| found.start != planned.start) {
+                return Err(SimulateError::OtherScene { directory });
+            }
+            Ok(None)
+        })
+        .collect::<Result<_, SimulateError>>()?;
+    Ok(planned.into_iter().flatten().collect())
+}
+
+fn plan_scene(scene: Scene, at_once: usize, available: u64) -> Result<Planned, SimulateError> {
+    check_memory(&scene, at_once, available)?;
+    let simulation = Simulation::new(scene, &Settings::default())?;
+    let start = Start::of(&simulation);
+    Ok(Planned { start, most_frames: simulation.most_frames() })
+}
+
+/// Refuses a scene that does not fit, `at_once` of its size being simulated at a time.
+fn check_memory(scene: &Scene, at_once: usize, available: u64) -> Result<(), SimulateError> {
+    let needed = memory(scene)?.saturating_mul(at_once as u64);
+    if needed <= available {
+        return Ok(());
+    }
+    let (particles, cells) = (scene.estimate(), scene.grid()?.cells);
+    Err(SimulateError::Memory { needed, particles, cells, at_once, free: available })
+}
+
+fn memory(scene: &Scene) -> Result<u64, MpmError> {
+    scene.check()?;
+    scene.memory()
+}
+
+/// A number of bytes in the largest binary unit of which there is at least one.
+pub(super) fn bytes(count: u64) -> String {
+    const UNITS: [&str; 6] = ["KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
+    if count < 1024 {
+        return format!("{count} B");
+    }
+    let power = (count.ilog2() / 10) as usize;
+    format!("{:.2} {}", count as f64 / 1024f64.powi(power as i32), UNITS[power - 1])
+}

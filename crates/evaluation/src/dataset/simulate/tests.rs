@@ -1,0 +1,210 @@
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+    time::SystemTime,
+};
+
+use tempfile::TempDir;
+
+use super::*;
+use eddy_bag::BagReader;
+use eddy_frames::progress::Silent;
+use eddy_mpm::{Extent, Preset};
+
+/// Two frames of each of so many scenes, one after the other.
+fn request(scenes: u32) -> SimulationRequest {
+    SimulationRequest {
+        source: Source::Random(Extent::usual(Preset::Kinds)),
+        name: "kinds".to_owned(),
+        scene_name: None,
+        scenes,
+        seed: 1,
+        settings: Settings { duration: Some(0.032), ..Settings::default() },
+        threads: NonZeroUsize::new(1),
+    }
+}
+
+fn output() -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    (folder, output)
+}
+
+fn changed(output: &Path, id: u64) -> SystemTime {
+    let metadata = output.join(directory(id)).join("metadata.yaml");
+    fs::metadata(metadata).unwrap().modified().unwrap()
+}
+
+fn names(output: &Path) -> Vec<String> {
+    let entries = fs::read_dir(output).unwrap();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// Cancels after so many steps.
+struct CancelAfter(u64, AtomicU64);
+
+impl Progress for CancelAfter {
+    fn advance(&self, steps: u64) {
+        self.1.fetch_add(steps, Ordering::Relaxed);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.1.load(Ordering::Relaxed) >= self.0
+    }
+}
+
+#[test]
+fn a_cancelled_request_is_resumed_with_the_remaining_scenes() {
+    let (_folder, output) = output();
+    // In the middle of the second scene.
+    let progress = CancelAfter(3, AtomicU64::new(0));
+    let summary = simulate(&request(3), &output, &progress).unwrap();
+    let [first] = &summary.finished[..] else { panic!("{summary:?}") };
+    let first = first.start.id;
+    let error = summary.complete().unwrap_err();
+    assert!(matches!(error, SimulateError::Cancelled { finished: 1, scenes: 3 }), "{error}");
+    assert_eq!(names(&output), ["manifest.json".to_owned(), directory(first)]);
+
+    let before = changed(&output, first);
+    let summary = simulate(&request(3), &output, &Silent).unwrap();
+    let ids: Vec<u64> = summary.finished.iter().map(|scene| scene.start.id).collect();
+    assert_eq!((summary.present, summary.frames()), (1, 4));
+    assert_eq!(ids, (0..3).filter(|&id| id != first).collect::<Vec<_>>());
+    summary.complete().unwrap();
+    assert_eq!(changed(&output, first), before);
+    let whole = |id| BagReader::open(&output.join(directory(id))).unwrap().message_count() == 2;
+    assert!((0..3).all(whole));
+}
+
+#[test]
+fn a_finished_request_and_a_longer_one_keep_what_is_there() {
+    let (_folder, output) = output();
+    simulate(&request(1), &output, &Silent).unwrap();
+    let (before, manifest) = (changed(&output, 0), fs::read(output.join("manifest.json")).unwrap());
+    let summary = simulate(&request(1), &output, &Silent).unwrap();
+    assert_eq!((summary.present, summary.finished.len()), (1, 0));
+    summary.complete().unwrap();
+    assert_eq!(fs::read(output.join("manifest.json")).unwrap(), manifest);
+    assert_eq!(simulate(&request(2), &output, &Silent).unwrap().finished.len(), 1);
+    assert_eq!(changed(&output, 0), before);
+    assert_eq!(recorded_scenes(&output).unwrap().unwrap().len(), 2);
+}
+
+#[test]
+fn a_folder_of_another_request_is_refused_with_the_fields_that_differ() {
+    let (_folder, output) = output();
+    simulate(&request(1), &output, &Silent).unwrap();
+    let longer = Settings { duration: Some(0.048), ..request(1).settings };
+    let more = Source::Random(Extent::of(Preset::Kinds, 2600).unwrap());
+    for (other, expected) in [
+        (SimulationRequest { seed: 2, ..request(1) }, vec!["seed"]),
+        (SimulationRequest { settings: longer, ..request(1) }, vec!["settings.duration"]),
+        (
+            SimulationRequest { source: more, name: "other".to_owned(), ..request(1) },
+            vec!["particles", "scene"],
+        ),
+    ] {
+        let error = simulate(&other, &output, &Silent).unwrap_err();
+        assert!(error.to_string().contains("manifest.json: found {"), "{error}");
+        let SimulateError::OtherRequest { fields, .. } = error else { panic!("{error}") };
+        assert_eq!(fields, expected);
+    }
+}
+
+#[test]
+fn an_output_is_worked_in_by_one_job_at_a_time() {
+    let (_folder, output) = output();
+    let plan = || Job::plan(&request(1), Some(&output), None).unwrap();
+    let (first, second) = (plan(), plan());
+    let store = first.open_store(&output).unwrap();
+    let error = second.open_store(&output).unwrap_err();
+    assert!(matches!(error, SimulateError::Locked { .. }), "{error}");
+    first.write(&store, &Silent).complete().unwrap();
+    store.close();
+    // The scene that the second has planned is there now.
+    let error = second.open_store(&output).unwrap_err();
+    assert!(matches!(error, SimulateError::Changed { .. }), "{error}");
+}
+
+#[test]
+fn what_a_killed_process_left_is_made_again_with_the_same_frames() {
+    let (_folder, output) = output();
+    let before = simulate(&request(2), &output, &Silent).unwrap().finished;
+    // Killed after the entry in the manifest and before the bag was moved.
+    let staging = output.join(".incomplete");
+    fs::create_dir(&staging).unwrap();
+    fs::rename(output.join(directory(1)), staging.join(directory(1))).unwrap();
+    let again = simulate(&request(2), &output, &Silent).unwrap().finished;
+    assert_eq!(again, before[1..]);
+    assert_eq!(names(&output), ["manifest.json".to_owned(), directory(0), directory(1)]);
+}
+
+#[test]
+fn a_bag_that_is_not_in_the_manifest_is_not_replaced() {
+    let (_folder, output) = output();
+    fs::create_dir_all(output.join(directory(0))).unwrap();
+    let error = simulate(&request(1), &output, &Silent).unwrap_err();
+    assert!(matches!(error, SimulateError::OtherScene { .. }), "{error}");
+    assert_eq!(names(&output), [directory(0)]);
+}
+
+#[test]
+fn a_request_that_cannot_be_met_is_refused_before_anything_is_written() {
+    let (_folder, output) = output();
+    let scene = Box::new(Scene::generate(Preset::Kinds, 1, 0));
+    let few = Settings { substeps: Some(1), ..Settings::default() };
+    for (request, words) in [
+        (request(0), "scenes: found 0, expected at least 1"),
+        (
+            SimulationRequest { source: Source::Written(scene), ..request(2) },
+            "scenes: found 2, expected 1: a scene that is written down",
+        ),
+        (
+            SimulationRequest { threads: NonZeroUsize::new(1025), ..request(1) },
+            "threads: found 1025, expected 1 to 1024",
+        ),
+        (
+            SimulationRequest { settings: few, ..request(1) },
+            "scene 0: substeps: found 1, expected at least",
+        ),
+    ] {
+        let error = simulate(&request, &output, &Silent).unwrap_err();
+        assert!(error.to_string().contains(words), "{error}");
+        assert!(!output.exists());
+    }
+}
+
+#[test]
+fn failures_are_listed_with_what_to_do_about_them() {
+    let failed = |reason| SimulateError::Failed {
+        failures: vec![SimulateError::Scene { scene: "scene 3".into(), reason: Box::new(reason) }],
+        finished: 2,
+        scenes: 3,
+    };
+    let io = |kind: io::ErrorKind| SimulateError::io("write", Path::new("bag"))(kind.into());
+    let diverged = MpmError::Field { field: "x".into(), found: "1".into(), expected: "2".into() };
+    for (reason, end) in [
+        (
+            io(io::ErrorKind::StorageFull),
+            "and kept; no room is left: make some, and the same command makes the others",
+        ),
+        (io(io::ErrorKind::NotFound), "and kept; the same command makes the others"),
+        (diverged.into(), "2 of 3 scenes are finished and kept"),
+    ] {
+        let message = failed(reason).to_string();
+        assert!(message.starts_with("scene 3: ") && message.ends_with(end), "{message}");
+    }
+}
+
+#[test]
+fn bytes_are_told_in_the_largest_unit() {
+    let cases = [(0, "0 B"), (1023, "1023 B"), (1024, "1.00 KiB"), (3 << 29, "1.50 GiB")];
+    for (count, expected) in cases {
+        assert_eq!(plan::bytes(count), expected);
+    }
+    assert_eq!(plan::bytes(u64::MAX), "16.00 EiB");
+}

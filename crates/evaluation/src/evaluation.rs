@@ -1,0 +1,551 @@
+//! A whole evaluation: checkpoints beside trivial predictors and solvers, all on the same frames, then the time of
+//! a frame, then the report.
+
+use std::{collections::BTreeMap, num::NonZeroUsize, path::PathBuf};
+
+use rayon::{ThreadPoolBuildError, prelude::*};
+
+use super::{
+    Baseline, Contestant, Cost, EvalError, Judged, JudgedScene, Kind, Origin, Predictor, Report,
+    Role, Settings, Snapshot, chaos, cost, judge_scene,
+    references::{Reference, References},
+    selection::Selection,
+    snapshot::snapshot,
+};
+use crate::{
+    dataset::{DatasetError, Stream, Trajectory, simulate::SimulateError},
+    page::Provenance,
+};
+use eddy_frames::progress::Progress;
+use eddy_inference::{
+    checkpoint::Checkpoint,
+    engine::{ModelError, Surrogate},
+};
+use eddy_mpm::Scene;
+
+/// The most models whose rollouts are shown as pictures.
+const PICTURED_MODELS: usize = 4;
+/// The most threads.
+const MOST_THREADS: usize = 1024;
+
+/// What to evaluate, and on what.
+#[derive(Clone, Debug)]
+pub struct EvaluationRequest {
+    /// Checkpoints, each with the path that names it.
+    pub checkpoints: Vec<(String, Checkpoint)>,
+    /// Streams; those that a checkpoint has learned from are left out.
+    pub streams: Vec<Trajectory>,
+    /// Horizon, starts and measures.
+    pub settings: Settings,
+    /// Solvers that predict from the same frames.
+    pub references: Vec<Reference>,
+    /// Whether each checkpoint is also evaluated on streams joined in the middle.
+    pub join_late: bool,
+    /// Streams that are evaluated at a time; as many as there are cores if not given.
+    pub threads: Option<NonZeroUsize>,
+}
+
+/// Why checkpoints cannot be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluationError {
+    /// The request cannot be met.
+    #[error("{field}: found {found}, expected {expected}")]
+    Request {
+        /// The field of [`EvaluationRequest`].
+        field: &'static str,
+        /// Its value.
+        found: usize,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The threads cannot be started.
+    #[error("threads: {0}")]
+    Threads(#[from] ThreadPoolBuildError),
+    /// A checkpoint is no model that can predict.
+    #[error("{checkpoint}: {reason}")]
+    Checkpoint {
+        /// Its path.
+        checkpoint: String,
+        /// Why.
+        reason: Box<ModelError>,
+    },
+    /// A checkpoint cannot predict a stream.
+    #[error("{checkpoint}: {}: stream {stream}: {reason}", bag.display())]
+    Stream {
+        /// The checkpoint's path.
+        checkpoint: String,
+        /// The stream's bag.
+        bag: PathBuf,
+        /// The stream.
+        stream: u64,
+        /// Why.
+        reason: Box<ModelError>,
+    },
+    /// Every stream was used to train a checkpoint.
+    #[error(
+        "data: found {found} streams that a checkpoint was trained on, all in its training or validation part, \
+         expected some that it has not seen"
+    )]
+    Seen {
+        /// How many streams there are.
+        found: usize,
+    },
+    /// The streams cannot be evaluated.
+    #[error(transparent)]
+    Eval(#[from] EvalError),
+    /// A stream cannot be evaluated.
+    #[error("{}: {reason}", bag.display())]
+    Scene {
+        /// Its bag.
+        bag: PathBuf,
+        /// Why.
+        reason: Box<Self>,
+    },
+    /// A bag cannot be read again.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The manifest beside a bag cannot be read.
+    #[error(transparent)]
+    Manifest(#[from] SimulateError),
+    /// It was cancelled.
+    #[error("interrupted")]
+    Cancelled,
+}
+
+impl EvaluationError {
+    pub(super) fn request(field: &'static str, found: usize, expected: &'static str) -> Self {
+        Self::Request { field, found, expected }
+    }
+}
+
+impl EvaluationRequest {
+    /// Checks the numbers.
+    fn check(&self) -> Result<(), EvaluationError> {
+        let Settings { horizon, starts, .. } = self.settings;
+        let threads = self.threads.map_or(1, NonZeroUsize::get);
+        for (field, found, range, expected) in [
+            ("horizon", horizon, 1..=usize::MAX, "at least 1 frame"),
+            ("starts", starts, 1..=usize::MAX, "at least 1 a stream"),
+            ("threads", threads, 1..=MOST_THREADS, "1 to 1024"),
+        ] {
+            if !range.contains(&found) {
+                return Err(EvaluationError::request(field, found, expected));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An evaluation that can be run: everything is loaded and fits together.
+pub struct Evaluation {
+    selection: Selection,
+    references: References,
+    /// Names of the checkpoints.
+    names: Vec<String>,
+    /// The checkpoints' models, for one thread each: a set of them for every thread.
+    models: Vec<Vec<Surrogate>>,
+    join_late: bool,
+    remarks: Vec<String>,
+    pool: rayon::ThreadPool,
+}
+
+impl Evaluation {
+    /// Loads all models, and refuses streams that a checkpoint cannot predict before the first
+    /// prediction.
+    ///
+    /// # Errors
+    /// [`EvaluationError`] when a number is out of its range, a checkpoint cannot predict a stream, or no
+    /// stream is left that all checkpoints have not seen.
+    pub fn new(
+        request: EvaluationRequest,
+        progress: &dyn Progress,
+    ) -> Result<Self, EvaluationError> {
+        request.check()?;
+        let EvaluationRequest { checkpoints, streams, settings, references, join_late, threads } =
+            request;
+        let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
+        let selection = Selection::new(settings, &descriptions, streams)?;
+        // Zero stands for as many as there are cores.
+        let threads = threads.map_or(0, NonZeroUsize::get);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+        let load = |(name, checkpoint): &(String, Checkpoint)| {
+            Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)).map_err(|reason| {
+                EvaluationError::Checkpoint { checkpoint: name.clone(), reason: Box::new(reason) }
+            })
+        };
+        let models: Vec<Vec<Surrogate>> = (0..pool.current_num_threads())
+            .map(|_| checkpoints.iter().map(load).collect())
+            .collect::<Result<_, EvaluationError>>()?;
+        let names: Vec<String> = checkpoints.into_iter().map(|(name, _)| name).collect();
+        let mut counted = BTreeMap::new();
+        for stream in &selection.streams {
+            let first = stream.cut(0..1)?.frame(0);
+            for (name, model) in names.iter().zip(&models[0]) {
+                model.fits(&first).map_err(|reason| EvaluationError::Stream {
+                    checkpoint: name.clone(),
+                    bag: stream.source.clone(),
+                    stream: stream.id,
+                    reason: Box::new(reason),
+                })?;
+                for remark in model.remarks(&first) {
+                    *counted.entry(format!("{name}: {remark}")).or_insert(0) += 1;
+                }
+            }
+        }
+        let mut remarks = selection.remarks.clone();
+        for (remark, streams) in counted {
+            remarks.push(format!("{remark} ({streams} of {} streams)", selection.streams.len()));
+        }
+        if progress.cancelled() {
+            return Err(EvaluationError::Cancelled);
+        }
+        let references = pool.install(|| References::new(&references, &selection.streams))?;
+        Ok(Self { selection, references, names, models, join_late, remarks, pool })
+    }
+
+    /// What has to be said before it runs, one sentence each: streams that are left out, models that were made
+    /// for something else.
+    pub fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+
+    /// Evaluates and times all predictors. The report does not depend on the number of threads, but for times.
+    ///
+    /// # Errors
+    /// [`EvaluationError`] when a bag cannot be read again, a scene cannot be simulated again, or it was
+    /// cancelled.
+    pub fn run(&self, progress: &dyn Progress) -> Result<Report, EvaluationError> {
+        let Selection { streams, arena, digest, .. } = &self.selection;
+        progress.begin(streams.len() as u64, "scenes");
+        let judge = |(stream, scene): (&Trajectory, &Option<Scene>)| {
+            if progress.cancelled() {
+                return Err(EvaluationError::Cancelled);
+            }
+            let models = &self.models[rayon::current_thread_index().unwrap_or(0)];
+            let whole = stream.cut(0..stream.frames)?;
+            let predictors = self.predictors(models);
+            let judged =
+                judge_scene(arena, &predictors, &whole, scene.as_ref()).map_err(|error| {
+                    let reason = Box::new(EvaluationError::from(error));
+                    EvaluationError::Scene { bag: stream.source.clone(), reason }
+                })?;
+            progress.advance(1);
+            Ok(judged)
+        };
+        let pairs: Vec<_> = streams.iter().zip(&self.references.scenes).collect();
+        let scenes: Result<Vec<_>, EvaluationError> =
+            self.pool.install(|| pairs.into_par_iter().map(judge).collect());
+        progress.finish();
+        let scenes = scenes?;
+        let samples = self.samples()?;
+        let timed = self.predictors(&self.models[0]).into_iter();
+        let costs = timed.map(|predictor| cost::time(arena, predictor, &samples));
+        let costs = costs.collect::<Result<_, _>>()?;
+        let snapshots = self.snapshots(&samples)?;
+        Ok(self.report(scenes, costs, snapshots, digest.clone()))
+    }
+
+    /// One stream of each kind, to take the time on: the first that has a rollout.
+    fn samples(&self) -> Result<Vec<(Stream, Option<Scene>)>, EvaluationError> {
+        let all = || self.selection.streams.iter().zip(&self.references.scenes);
+        let has_rollouts =
+            |stream: &Trajectory| !self.selection.arena.starts(stream.frames).is_empty();
+        let first = |kind: Kind| {
+            all().find(|(stream, _)| Kind::of(&stream.material) == kind && has_rollouts(stream))
+        };
+        let cut = |(stream, scene): (&Trajectory, &Option<Scene>)| {
+            Ok((stream.cut(0..stream.frames)?, scene.clone()))
+        };
+        Kind::ALL.into_iter().filter_map(first).map(cut).collect()
+    }
+
+    /// Rollouts to look at: of a few models and the first solver.
+    fn snapshots(
+        &self,
+        samples: &[(Stream, Option<Scene>)],
+    ) -> Result<(Vec<usize>, Vec<Snapshot>), EvaluationError> {
+        let all = self.predictors(&self.models[0]);
+        let numbers = |wanted: fn(&Predictor<'_>) -> bool, most: usize| {
+            let found = all.iter().enumerate().filter(move |(_, predictor)| wanted(predictor));
+            found.map(|(number, _)| number).take(most)
+        };
+        let models = numbers(|p| matches!(p, Predictor::Model(_)), PICTURED_MODELS);
+        let chosen: Vec<usize> =
+            models.chain(numbers(|p| matches!(p, Predictor::Restart(_)), 1)).collect();
+        let predictors: Vec<_> = chosen.iter().map(|&number| all[number]).collect();
+        let arena = &self.selection.arena;
+        let take = |(stream, scene): &(Stream, Option<Scene>)| {
+            snapshot(arena, &predictors, stream, scene.as_ref()).transpose()
+        };
+        let snapshots = samples.iter().filter_map(take).collect::<Result<_, _>>()?;
+        Ok((chosen, snapshots))
+    }
+
+    /// All predictors, with the models of one thread.
+    fn predictors<'a>(&self, models: &'a [Surrogate]) -> Vec<Predictor<'a>> {
+        let late = models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
+        let references = self.references.predictors.iter().copied();
+        let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
+        let models = models.iter().map(Predictor::Model).chain(late);
+        models.chain(baselines).chain(references).chain([Predictor::Truth]).collect()
+    }
+
+    fn report(
+        &self,
+        scenes: Vec<JudgedScene>,
+        costs: Vec<Option<Cost>>,
+        snapshots: (Vec<usize>, Vec<Snapshot>),
+        data_digest: String,
+    ) -> Report {
+        let short = short_names(&self.names);
+        let mut models = 0;
+        let predictors = self.predictors(&self.models[0]);
+        let contestants = predictors.iter().map(|predictor| {
+            // Models come in the order of the checkpoints, once or twice.
+            let number = models % self.names.len();
+            if matches!(predictor, Predictor::Model(_) | Predictor::JoinedLate(_)) {
+                models += 1;
+            }
+            contestant(predictor, &short[number], &self.names[number])
+        });
+        let contestants = contestants.collect();
+        let notes = self.references.notes.clone();
+        let made = Provenance::here();
+        let judged = Judged { contestants, scenes, costs, data_digest, snapshots, notes, made };
+        Report::new(&self.selection.arena, judged)
+    }
+}
+
+/// Evaluates a single model beside trivial predictors, on one stream after the other, with all the threads that it
+/// has. Nothing is timed.
+///
+/// # Errors
+/// [`EvaluationError`] when no stream is left that it has not seen, or a bag cannot be read again.
+pub fn evaluate_model(
+    surrogate: &Surrogate,
+    name: &str,
+    streams: Vec<Trajectory>,
+    settings: Settings,
+    progress: &dyn Progress,
+) -> Result<Report, EvaluationError> {
+    let Selection { streams, arena, digest, remarks } =
+        Selection::new(settings, &[surrogate.description()], streams)?;
+    remarks.iter().for_each(|remark| progress.message(remark));
+    let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
+    let predictors: Vec<_> =
+        std::iter::once(Predictor::Model(surrogate)).chain(baselines).collect();
+    progress.begin(streams.len() as u64, "scenes");
+    let judge = |stream: &Trajectory| -> Result<JudgedScene, EvaluationError> {
+        let judged = judge_scene(&arena, &predictors, &stream.cut(0..stream.frames)?, None)?;
+        progress.advance(1);
+        Ok(judged)
+    };
+    let scenes: Result<Vec<_>, EvaluationError> = streams.iter().map(judge).collect();
+    progress.finish();
+    let contestants: Vec<_> = predictors.iter().map(|p| contestant(p, name, name)).collect();
+    let costs = vec![None; contestants.len()];
+    let snapshots = match streams.first() {
+        Some(stream) => snapshot(&arena, &predictors[..1], &stream.cut(0..stream.frames)?, None)?,
+        None => None,
+    };
+    let judged = Judged {
+        contestants,
+        scenes: scenes?,
+        costs,
+        data_digest: digest,
+        snapshots: (vec![0], snapshots.into_iter().collect()),
+        notes: Vec::new(),
+        made: Provenance::here(),
+    };
+    Ok(Report::new(&arena, judged))
+}
+
+/// What is said about a predictor; a model has a short name and a path.
+fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant {
+    let origin = |surrogate: &Surrogate| Origin {
+        checkpoint: path.to_owned(),
+        digest: surrogate.digest().to_owned(),
+        description: surrogate.description().clone(),
+    };
+    let (name, role, origin) = match predictor {
+        Predictor::Model(surrogate) => (short.to_owned(), Role::Model, Some(origin(surrogate))),
+        Predictor::JoinedLate(surrogate) => {
+            (format!("{short}, joined late"), Role::JoinedLate, Some(origin(surrogate)))
+        }
+        Predictor::Baseline(baseline) => (baseline.name().to_owned(), Role::Baseline, None),
+        Predictor::Mean => ("mean of the training".to_owned(), Role::Mean, None),
+        Predictor::Restart(restart) => (restart.name().to_owned(), Role::Rival, None),
+        Predictor::Chaos => (chaos::NAME.to_owned(), Role::Chaos, None),
+        Predictor::Truth => ("truth".to_owned(), Role::Truth, None),
+    };
+    Contestant { name, role, origin }
+}
+
+/// The last parts of paths, where they differ; else whole paths.
+pub fn short_names(paths: &[String]) -> Vec<String> {
+    let last = |path: &String| {
+        let name = std::path::Path::new(path).file_name();
+        name.map_or(path.clone(), |name| name.to_string_lossy().into_owned())
+    };
+    let mut short: Vec<String> = paths.iter().map(last).collect();
+    short.sort();
+    short.dedup();
+    if short.len() < paths.len() { paths.to_vec() } else { paths.iter().map(last).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use tempfile::TempDir;
+
+    use super::*;
+    use crate::dataset::{
+        load_trajectories,
+        simulate::{SimulationRequest, Source, simulate},
+    };
+    use eddy_frames::progress::Silent;
+    use eddy_mpm::{self as mpm, Extent, Preset};
+
+    /// Two streams of 13 frames.
+    fn truth() -> (TempDir, Vec<Trajectory>) {
+        let folder = tempfile::tempdir().unwrap();
+        let request = SimulationRequest {
+            source: Source::Random(Extent::usual(Preset::Kinds)),
+            name: "kinds".to_owned(),
+            scene_name: None,
+            scenes: 2,
+            seed: 5,
+            settings: mpm::Settings { duration: Some(0.2), ..mpm::Settings::default() },
+            threads: None,
+        };
+        simulate(&request, folder.path(), &Silent).unwrap().complete().unwrap();
+        let streams = load(folder.path());
+        (folder, streams)
+    }
+
+    fn load(folder: &Path) -> Vec<Trajectory> {
+        load_trajectories(&[folder.to_owned()], u64::MAX, &mut |_, _| ()).unwrap()
+    }
+
+    fn request(streams: &[Trajectory]) -> EvaluationRequest {
+        EvaluationRequest {
+            checkpoints: vec![("models/shipped".to_owned(), Checkpoint::shipped().unwrap())],
+            streams: streams.to_vec(),
+            settings: Settings::errors_only(3, 2),
+            references: Vec::new(),
+            join_late: false,
+            threads: NonZeroUsize::new(1),
+        }
+    }
+
+    fn evaluate(request: EvaluationRequest) -> Result<Report, EvaluationError> {
+        Evaluation::new(request, &Silent)?.run(&Silent)
+    }
+
+    /// Everything but when and how fast it was made.
+    fn content(mut report: Report) -> serde_json::Value {
+        report.made = Provenance::default();
+        let mut value = serde_json::to_value(report).unwrap();
+        for kind in ["predictors", "groups"] {
+            for entry in value[kind].as_array_mut().unwrap() {
+                entry.as_object_mut().unwrap().retain(|key, _| key != "cost" && key != "ms");
+            }
+        }
+        value
+    }
+
+    #[test]
+    fn the_report_does_not_depend_on_the_number_of_threads() {
+        let (_folder, streams) = truth();
+        let on = |threads| {
+            let threads = NonZeroUsize::new(threads);
+            content(evaluate(EvaluationRequest { threads, ..request(&streams) }).unwrap())
+        };
+        let one = on(1);
+        assert_eq!((&one["streams"], &one["windows"]), (&2.into(), &4.into()));
+        assert_eq!(one["predictors"][0]["name"], "shipped");
+        assert!(one == on(2));
+        // Nor do errors depend on the solvers that predict beside the model.
+        let references = vec![Reference::Restart, Reference::Chaos];
+        let with = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
+        let names: Vec<_> = with.predictors.iter().map(|entry| entry.name.clone()).collect();
+        assert!(names.iter().any(|name| name == chaos::NAME), "{names:?}");
+        assert_eq!(content(with)["predictors"][0]["errors"], one["predictors"][0]["errors"]);
+    }
+
+    #[test]
+    fn streams_that_a_checkpoint_has_learned_from_are_left_out_and_that_is_said() {
+        let (_folder, streams) = truth();
+        let mut seen = request(&streams);
+        let known = &mut seen.checkpoints[0].1.description.training.seen;
+        known.push(streams[0].fingerprint().unwrap());
+        let evaluation = Evaluation::new(seen.clone(), &Silent).unwrap();
+        let remark = "a checkpoint was trained on 1 of the 2 streams: they are left out";
+        assert!(evaluation.remarks().iter().any(|said| said == remark));
+        assert_eq!(evaluation.run(&Silent).unwrap().streams, 1);
+        seen.checkpoints[0].1.description.training.seen.push(streams[1].fingerprint().unwrap());
+        let error = evaluate(seen).unwrap_err();
+        assert!(matches!(error, EvaluationError::Seen { found: 2 }), "{error}");
+    }
+
+    #[test]
+    fn what_does_not_fit_together_is_named() {
+        let (_folder, streams) = truth();
+        let usual = || request(&streams);
+        let mut slower = usual();
+        slower.checkpoints[0].1.description.dt = 0.02;
+        for (request, words) in [
+            (
+                EvaluationRequest { settings: Settings::errors_only(0, 1), ..usual() },
+                "horizon: found 0, expected at least 1 frame",
+            ),
+            (
+                EvaluationRequest { settings: Settings::errors_only(1, 0), ..usual() },
+                "starts: found 0, expected at least 1 a stream",
+            ),
+            (
+                EvaluationRequest { threads: NonZeroUsize::new(1025), ..usual() },
+                "threads: found 1025, expected 1 to 1024",
+            ),
+            (
+                EvaluationRequest { checkpoints: Vec::new(), ..usual() },
+                "checkpoints: found 0, expected at least 1",
+            ),
+            (
+                EvaluationRequest { settings: Settings::errors_only(40, 1), ..usual() },
+                "streams: the longest has 13 frames, expected at least 43",
+            ),
+            (slower, "scene_0000: stream 0: dt: found 0.016 s, expected 0.02 s"),
+        ] {
+            let error = evaluate(request).unwrap_err();
+            assert!(error.to_string().contains(words), "{words}: {error}");
+        }
+    }
+
+    #[test]
+    fn without_its_scene_a_stream_is_evaluated_without_solvers() {
+        let (folder, streams) = truth();
+        std::fs::remove_file(folder.path().join("manifest.json")).unwrap();
+        let references = vec![Reference::Restart];
+        let report = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
+        assert!(report.notes[0].starts_with("no rivals: "), "{:?}", report.notes);
+        assert!(report.predictors.iter().all(|entry| entry.role != Role::Rival));
+    }
+
+    #[test]
+    fn a_cancelled_evaluation_has_no_report() {
+        struct Cancelled;
+        impl Progress for Cancelled {
+            fn cancelled(&self) -> bool {
+                true
+            }
+        }
+        let (_folder, streams) = truth();
+        let error = Evaluation::new(request(&streams), &Cancelled).map(|_| ()).unwrap_err();
+        assert!(matches!(error, EvaluationError::Cancelled), "{error}");
+        let evaluation = Evaluation::new(request(&streams), &Silent).unwrap();
+        let error = evaluation.run(&Cancelled).unwrap_err();
+        assert!(matches!(error, EvaluationError::Cancelled), "{error}");
+    }
+}

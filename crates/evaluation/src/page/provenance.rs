@@ -1,0 +1,156 @@
+//! How to make something again: what was typed, which program, where, when.
+
+use std::env;
+
+use serde::{Deserialize, Serialize};
+
+use eddy_frames::clock;
+
+/// Seconds of a day.
+const DAY: i64 = 86_400;
+
+/// How something was made. It differs between two makings of the same.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The command as it was typed, quoted for a shell.
+    pub command: String,
+    /// Version of eddy.
+    pub version: String,
+    /// When it was made (UTC, ISO 8601).
+    pub date: String,
+    /// What it was made on.
+    pub machine: Machine,
+}
+
+/// A machine.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Machine {
+    /// Name of the processor.
+    pub processor: String,
+    /// Cores that this process may use.
+    pub cores: usize,
+    /// Memory (bytes).
+    pub memory: u64,
+    /// Operating system.
+    pub system: String,
+    /// Architecture of the processor that the program was built for.
+    pub architecture: String,
+}
+
+impl Provenance {
+    /// What is made by this process, now.
+    pub fn here() -> Self {
+        let words: Vec<String> =
+            env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+        Self {
+            command: command_line(&words),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            date: date(clock::wall().0.div_euclid(1_000_000_000)),
+            machine: Machine::here(),
+        }
+    }
+
+    /// Everything but the command, with names.
+    pub(super) fn facts(&self) -> Vec<(String, String)> {
+        let Machine { processor, cores, memory, system, architecture } = &self.machine;
+        let memory = *memory as f64 / f64::from(1 << 30);
+        let machine =
+            format!("{processor}, {cores} cores, {memory:.1} GiB, {system}, {architecture}");
+        let facts = [
+            ("Version", format!("eddy {}", self.version)),
+            ("Machine", machine),
+            ("Date", self.date.clone()),
+        ];
+        facts.map(|(name, value)| (name.to_owned(), value)).into()
+    }
+}
+
+impl Machine {
+    /// This one.
+    pub fn here() -> Self {
+        let mut system = sysinfo::System::new();
+        system.refresh_memory();
+        system.refresh_cpu_list(sysinfo::CpuRefreshKind::nothing());
+        let processor = system.cpus().first().map_or("", |cpu| cpu.brand()).trim();
+        let unknown = || "unknown".to_owned();
+        Self {
+            processor: if processor.is_empty() { unknown() } else { processor.to_owned() },
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            memory: system.total_memory(),
+            system: sysinfo::System::long_os_version().unwrap_or_else(unknown),
+            architecture: env::consts::ARCH.to_owned(),
+        }
+    }
+}
+
+/// Words as a POSIX shell reads them back.
+pub fn command_line(words: &[String]) -> String {
+    words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+}
+
+/// A word as a POSIX shell reads it back.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+/// A time of day (s since the Unix epoch) in the Gregorian calendar (UTC). The days are counted from 1
+/// March 0000, so that the leap day is the last of a year (H. Hinnant, "chrono-Compatible Low-Level Date
+/// Algorithms", `civil_from_days`).
+fn date(seconds: i64) -> String {
+    let (days, second) = (seconds.div_euclid(DAY) + 719_468, seconds.rem_euclid(DAY));
+    let era = days.div_euclid(146_097);
+    let day_of_era = days.rem_euclid(146_097);
+    let year_of_era =
+        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let march_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * march_month + 2) / 5 + 1;
+    let month = if march_month < 10 { march_month + 3 } else { march_month - 9 };
+    let year = 400 * era + year_of_era + i64::from(month <= 2);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_date_is_that_of_the_calendar() {
+        // By `date -u -d @SECONDS +%FT%TZ`.
+        for (seconds, expected) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_709_251_199, "2024-02-29T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+            (-1, "1969-12-31T23:59:59Z"),
+        ] {
+            assert_eq!(date(seconds), expected);
+        }
+    }
+
+    #[test]
+    fn a_command_can_be_typed_again() {
+        for (word, expected) in [
+            ("--data", "--data"),
+            ("two words", "'two words'"),
+            ("", "''"),
+            ("it's $HOME", r"'it'\''s $HOME'"),
+        ] {
+            assert_eq!(quoted(word), expected);
+        }
+    }
+
+    #[test]
+    fn this_machine_has_cores_and_memory() {
+        let Provenance { command, machine, .. } = Provenance::here();
+        assert!(!command.is_empty());
+        assert!(machine.cores > 0 && machine.memory > 1 << 20, "{machine:?}");
+        assert!(!machine.processor.is_empty() && !machine.system.is_empty(), "{machine:?}");
+    }
+}

@@ -1,0 +1,243 @@
+//! One frame as a picture.
+
+use super::{
+    canvas::{Canvas, LINE},
+    palette::{self, BLACK, GREY, Rgb},
+};
+use eddy_frames::{Domain, Frame, Material};
+
+/// Space around the domain (pixels).
+const MARGIN: usize = 10;
+
+/// Share of a particle's part of the domain that its radius takes: discs of a filled region just
+/// overlap.
+const RADIUS: f32 = 0.35;
+
+/// Smallest and largest radius of a disc (pixels).
+const RADII: (f32, f32) = (1.0, 4.0);
+
+/// Smallest width and height of the domain (pixels).
+const SMALLEST: usize = 16;
+
+/// Steps of the speeds' scale.
+const STEPS: usize = 96;
+
+/// What the colours mean.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Coloring {
+    /// Each material has its colour; these occur.
+    Material(Vec<Material>),
+    /// The speed; this one and all above get the lightest colour (domain lengths per second).
+    Speed(f32),
+}
+
+/// Draws frames of one domain at one scale.
+#[derive(Clone, Debug)]
+pub struct Painter {
+    domain: Domain,
+    coloring: Coloring,
+    /// Width and height of the domain (pixels).
+    extent: [usize; 2],
+    /// Radius of a particle (pixels).
+    radius: f32,
+}
+
+impl Painter {
+    /// For frames of about so many `particles`; the longer side of the domain gets `size` pixels.
+    pub fn new(domain: Domain, particles: usize, size: usize, coloring: Coloring) -> Self {
+        let [width, height] = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
+        let scale = size as f32 / width.max(height);
+        let extent =
+            [width, height].map(|length| ((length * scale).round() as usize).max(SMALLEST));
+        let share = extent[0] as f32 * extent[1] as f32 / particles.max(1) as f32;
+        let radius = (RADIUS * share.sqrt()).clamp(RADII.0, RADII.1);
+        Self { domain, coloring, extent, radius }
+    }
+
+    /// Draws a frame: the domain with its particles, below it the time.
+    pub fn panel(&self, frame: &Frame) -> Canvas {
+        self.titled(Some(frame), &format!("t = {:.3} s", frame.stamp.seconds()))
+    }
+
+    /// Draws frames of one instant side by side, below each its title and the time; where there is no
+    /// frame, the domain is empty.
+    pub fn beside<'a>(&self, frames: impl Iterator<Item = (&'a str, &'a Option<Frame>)>) -> Canvas {
+        let panel = |(title, frame): (&str, &Option<Frame>)| {
+            let time = frame.as_ref().map(|frame| format!("  t = {:.3} s", frame.stamp.seconds()));
+            self.titled(frame.as_ref(), &format!("{title}{}", time.unwrap_or_default()))
+        };
+        row(&frames.map(panel).collect::<Vec<_>>())
+    }
+
+    /// Draws a frame with words below it.
+    fn titled(&self, frame: Option<&Frame>, words: &str) -> Canvas {
+        let [width, height] = self.extent;
+        let mut canvas = Canvas::new(width + 2 * MARGIN, height + 2 * MARGIN + LINE);
+        canvas.outline(MARGIN - 1, MARGIN - 1, width + 2, height + 2, GREY);
+        if let Some(frame) = frame {
+            canvas.paste(&self.particles(frame), MARGIN, MARGIN);
+        }
+        canvas.words(words, MARGIN, MARGIN + height + 6, BLACK);
+        canvas
+    }
+
+    /// Draws the particles of a frame and nothing else.
+    pub fn particles(&self, frame: &Frame) -> Canvas {
+        let [width, height] = self.extent;
+        let mut canvas = Canvas::new(width, height);
+        for particle in 0..frame.len() {
+            let place = self.place(frame.position[particle]);
+            canvas.disc(place, self.radius, self.color(frame, particle));
+        }
+        canvas
+    }
+
+    /// What the colours mean, in one line.
+    fn legend(&self) -> Canvas {
+        match &self.coloring {
+            Coloring::Material(materials) => of_materials(materials),
+            Coloring::Speed(top) => of_speeds(*top),
+        }
+    }
+
+    /// A panel with the legend below it.
+    pub fn picture(&self, panel: &Canvas) -> Canvas {
+        below(panel, &self.legend())
+    }
+
+    /// Frames side by side with the legend below them.
+    pub fn strip(&self, panels: &[Canvas]) -> Canvas {
+        below(&row(panels), &self.legend())
+    }
+
+    /// Where a position is (pixels); the second axis points up.
+    fn place(&self, position: [f32; 2]) -> [f32; 2] {
+        let share = |axis: usize| {
+            let (lower, upper) = (self.domain.lower[axis], self.domain.upper[axis]);
+            (position[axis] - lower) / (upper - lower)
+        };
+        let [width, height] = self.extent.map(|extent| extent as f32);
+        [share(0) * width, (1.0 - share(1)) * height]
+    }
+
+    fn color(&self, frame: &Frame, particle: usize) -> Rgb {
+        match self.coloring {
+            Coloring::Material(_) => palette::of_material(frame.material[particle]),
+            Coloring::Speed(top) => {
+                let [x, y] = frame.velocity[particle];
+                palette::of_share(x.hypot(y) / top.max(f32::MIN_POSITIVE))
+            }
+        }
+    }
+}
+
+/// Pictures side by side.
+fn row(panels: &[Canvas]) -> Canvas {
+    let width = panels.iter().map(Canvas::width).sum();
+    let height = panels.iter().map(Canvas::height).max().unwrap_or(0);
+    let mut row = Canvas::new(width, height);
+    let mut left = 0;
+    for panel in panels {
+        row.paste(panel, left, 0);
+        left += panel.width();
+    }
+    row
+}
+
+fn below(picture: &Canvas, legend: &Canvas) -> Canvas {
+    let width = picture.width().max(legend.width());
+    let mut both = Canvas::new(width, picture.height() + legend.height());
+    both.paste(picture, 0, 0);
+    both.paste(legend, 0, picture.height());
+    both
+}
+
+/// Height of a legend (pixels).
+const LEGEND: usize = LINE + 4;
+
+fn of_materials(materials: &[Material]) -> Canvas {
+    // A disc, its name, a gap.
+    let width = |material: &Material| 16 + Canvas::width_of(material.name()) + 14;
+    let mut legend = Canvas::new(MARGIN + materials.iter().map(width).sum::<usize>(), LEGEND);
+    let mut left = MARGIN;
+    for material in materials {
+        legend.disc([left as f32 + 5.0, 7.5], 5.0, palette::of_material(*material));
+        legend.words(material.name(), left + 16, 1, BLACK);
+        left += width(material);
+    }
+    legend
+}
+
+fn of_speeds(top: f32) -> Canvas {
+    let (low, high) = ("speed 0".to_owned(), format!("{top:.2}"));
+    let scale = MARGIN + Canvas::width_of(&low) + 8;
+    let end = scale + STEPS + 8;
+    let mut legend = Canvas::new(end + Canvas::width_of(&high) + MARGIN, LEGEND);
+    legend.words(&low, MARGIN, 1, BLACK);
+    for step in 0..STEPS {
+        let color = palette::of_share(step as f32 / (STEPS - 1) as f32);
+        legend.fill(scale + step, 2, 1, 11, color);
+    }
+    legend.words(&high, end, 1, BLACK);
+    legend
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_frames::Stamp;
+
+    fn frame(domain: Domain, position: [f32; 2]) -> Frame {
+        Frame {
+            stream: 0,
+            sequence: 0,
+            stamp: Stamp(0),
+            dt: 0.1,
+            domain,
+            position: vec![position],
+            velocity: vec![[0.0, 2.0]],
+            material: vec![Material::Rope],
+        }
+    }
+
+    /// Where the first pixel of this colour is.
+    fn find(canvas: &Canvas, color: Rgb) -> Option<[usize; 2]> {
+        let at = canvas.pixels().iter().position(|&pixel| pixel == color)?;
+        Some([at % canvas.width(), at / canvas.width()])
+    }
+
+    #[test]
+    fn a_particle_stands_where_it_is_in_a_domain_of_any_shape() {
+        let domain = Domain { lower: [-1.0, 2.0], upper: [3.0, 4.0] };
+        let painter = Painter::new(domain, 1, 200, Coloring::Material(vec![Material::Rope]));
+        let panel = painter.panel(&frame(domain, [2.0, 3.5]));
+        assert_eq!(panel.width(), 200 + 2 * MARGIN);
+        assert_eq!(panel.height(), 100 + 2 * MARGIN + LINE);
+        let [x, y] = find(&panel, palette::of_material(Material::Rope)).unwrap();
+        // The topmost pixel of a disc of radius 4 around (150, 25).
+        assert!(x.abs_diff(MARGIN + 150) <= 2 && y.abs_diff(MARGIN + 21) <= 1, "{x}, {y}");
+    }
+
+    #[test]
+    fn frames_stand_side_by_side_and_one_that_is_missing_leaves_its_place_empty() {
+        let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
+        let [there, missing] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
+        let both = painter.beside([("/a", &missing), ("/b", &there)].into_iter());
+        let panel = painter.panel(there.as_ref().unwrap());
+        assert_eq!((both.width(), both.height()), (2 * panel.width(), panel.height()));
+        let color = palette::of_share(1.0);
+        let [alone, beside] = [&panel, &both].map(|canvas| find(canvas, color).unwrap());
+        assert_eq!(beside, [alone[0] + panel.width(), alone[1]]);
+    }
+
+    #[test]
+    fn a_particle_as_fast_as_the_top_speed_has_the_lightest_colour() {
+        let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
+        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]));
+        assert!(find(&panel, palette::of_share(1.0)).is_some());
+        let still = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(0.0));
+        assert!(
+            find(&still.panel(&frame(Domain::UNIT, [0.5, 0.5])), palette::of_share(1.0)).is_some()
+        );
+    }
+}

@@ -1,0 +1,88 @@
+//! Pictures with the 256 colours that a GIF can have. The colours are the same in every picture, so
+//! that nothing flickers.
+
+use super::{
+    canvas::Canvas,
+    palette::{self, BLACK, GREY, Rgb, WHITE, mix},
+};
+use eddy_frames::Material;
+
+/// Shares of a colour over white at the edge of a disc.
+const SHARES: usize = 4;
+
+/// Shades of speed.
+const SHADES: usize = 56;
+
+/// Bits a channel by which nearest colours are remembered.
+const BITS: usize = 5;
+
+/// The colours of a GIF, and which of them is the nearest to any other.
+pub(super) struct Quantizer {
+    colors: Vec<Rgb>,
+    /// Index of the nearest colour, by the upper bits of red, green and blue.
+    nearest: Vec<u8>,
+}
+
+impl Quantizer {
+    /// Grey, the materials and the shades of speed, each mixed with white as at the edge of a disc.
+    pub(super) fn new() -> Self {
+        let materials = Material::ALL.map(palette::of_material);
+        let shades = (0..SHADES).map(|i| palette::of_share(i as f32 / (SHADES - 1) as f32));
+        let full = materials.into_iter().chain(shades).chain([BLACK, GREY]);
+        let mut colors = vec![WHITE];
+        colors.extend(full.flat_map(|color| {
+            (1..=SHARES).map(move |share| mix(WHITE, color, share as f32 / SHARES as f32))
+        }));
+        let cells = 1 << (3 * BITS);
+        let nearest = (0..cells).map(|cell| index_of_nearest(&colors, center(cell))).collect();
+        Self { colors, nearest }
+    }
+
+    /// Red, green, blue of each colour, one after the other.
+    pub(super) fn palette(&self) -> Vec<u8> {
+        self.colors.as_flattened().to_vec()
+    }
+
+    /// The picture as indices of colours.
+    pub(super) fn indices(&self, canvas: &Canvas) -> Vec<u8> {
+        canvas.pixels().iter().map(|&pixel| self.nearest[cell(pixel)]).collect()
+    }
+}
+
+fn cell([red, green, blue]: Rgb) -> usize {
+    let upper = |channel: u8| usize::from(channel) >> (8 - BITS);
+    (upper(red) << (2 * BITS)) | (upper(green) << BITS) | upper(blue)
+}
+
+/// The middle of a cell; the outermost cells stand for pure black and white.
+fn center(cell: usize) -> Rgb {
+    let mask = (1 << BITS) - 1;
+    let channel = |shift: usize| (((cell >> shift) & mask) * 255 / mask) as u8;
+    [channel(2 * BITS), channel(BITS), channel(0)]
+}
+
+fn index_of_nearest(colors: &[Rgb], color: Rgb) -> u8 {
+    let distance = |other: &Rgb| -> i32 {
+        (0..3).map(|i| (i32::from(other[i]) - i32::from(color[i])).pow(2)).sum()
+    };
+    let nearest = colors.iter().enumerate().min_by_key(|(_, other)| distance(other));
+    nearest.map_or(0, |(index, _)| index as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_that_occur_are_hardly_changed() {
+        let quantizer = Quantizer::new();
+        assert!(quantizer.colors.len() <= 256, "{}", quantizer.colors.len());
+        let shades = (0..=20u8).map(|i| palette::of_share(f32::from(i) / 20.0));
+        let occurring = Material::ALL.map(palette::of_material).into_iter().chain(shades);
+        for color in occurring.chain([WHITE, GREY]) {
+            let shown = quantizer.colors[usize::from(quantizer.nearest[cell(color)])];
+            let error = (0..3).map(|i| shown[i].abs_diff(color[i])).max().unwrap();
+            assert!(error <= 12, "{color:?} is shown as {shown:?}");
+        }
+    }
+}

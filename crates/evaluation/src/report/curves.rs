@@ -1,0 +1,81 @@
+//! Errors over the frames ahead.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Bulk, Errors, Mean, StepSums, numbers};
+
+/// Error curves of free rollouts; one number a frame ahead.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Curves {
+    /// Root mean square of |x - x'| (domain lengths).
+    #[serde(deserialize_with = "numbers::list")]
+    pub position_rmse: Vec<f64>,
+    /// Root mean square of |v - v'| (domain lengths per second).
+    #[serde(deserialize_with = "numbers::list")]
+    pub velocity_rmse: Vec<f64>,
+    /// Mean squared error of the features x, y, vx, vy, each divided by its range in the training of
+    /// the first checkpoint.
+    #[serde(deserialize_with = "numbers::list")]
+    pub minmax_mse: Vec<f64>,
+    /// As `minmax_mse`, divided by its standard deviation there.
+    #[serde(deserialize_with = "numbers::list")]
+    pub zscore_mse: Vec<f64>,
+}
+
+/// Position errors of predicted next frames beside those of free rollouts; one number a frame ahead.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StepCurves {
+    /// Root mean square of |r_k| (domain lengths): the frame k ahead of the start, predicted from the
+    /// true one before.
+    #[serde(deserialize_with = "numbers::list")]
+    pub one_step_rmse: Vec<f64>,
+    /// Root mean square of |r_1 + ... + r_k| (domain lengths).
+    #[serde(deserialize_with = "numbers::list")]
+    pub cumulated_rmse: Vec<f64>,
+}
+
+/// What all particles have together, means over windows; one number a frame ahead.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BulkCurves {
+    /// Kinetic energy per mass (domain lengths^2 per s^2).
+    #[serde(deserialize_with = "numbers::list")]
+    pub kinetic_energy: Vec<f64>,
+    /// Root mean square distance of the centre of mass from the true one (domain lengths).
+    #[serde(deserialize_with = "numbers::list")]
+    pub centre_rmse: Vec<f64>,
+    /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
+    #[serde(deserialize_with = "numbers::list")]
+    pub outside: Vec<f64>,
+}
+
+impl BulkCurves {
+    /// The curves of sums; `None` where nothing was measured.
+    pub(super) fn new(sums: &[Bulk]) -> Option<Self> {
+        let curve = |of: fn(&Bulk) -> &Mean| sums.iter().map(move |sums| of(sums).value());
+        (!sums.is_empty()).then(|| Self {
+            kinetic_energy: curve(|sums| &sums.kinetic_energy).collect(),
+            centre_rmse: curve(|sums| &sums.centre).map(f64::sqrt).collect(),
+            outside: curve(|sums| &sums.outside).collect(),
+        })
+    }
+}
+
+impl Curves {
+    /// The curves of sums, one a frame ahead.
+    pub(super) fn new(errors: &[Errors]) -> Self {
+        let curve = |f: fn(&Errors) -> f64| errors.iter().map(f).collect();
+        Self {
+            position_rmse: curve(Errors::position_rmse),
+            velocity_rmse: curve(Errors::velocity_rmse),
+            minmax_mse: curve(Errors::minmax_mse),
+            zscore_mse: curve(Errors::zscore_mse),
+        }
+    }
+}
+
+impl StepCurves {
+    /// The curves of sums.
+    pub(super) fn new(steps: &StepSums) -> Self {
+        Self { one_step_rmse: steps.single_rmse(), cumulated_rmse: steps.cumulated_rmse() }
+    }
+}

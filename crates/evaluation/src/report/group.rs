@@ -1,0 +1,120 @@
+//! Networks that differ in nothing but their training: seeds of one model.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Entry, Role};
+use crate::{BlowUps, Interval, Kind, Skills, numbers};
+use eddy_inference::checkpoint::{Description, Normalization, TrainingSummary};
+
+/// Seeds of one model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Group {
+    /// The model: architecture and core.
+    pub name: String,
+    /// Names of its checkpoints.
+    pub members: Vec<String>,
+    /// Rollouts of all seeds that blew up.
+    pub blow_ups: BlowUps,
+    /// Time of a frame on one thread, the mean over the seeds (ms); nothing where it was not taken.
+    pub ms: Option<f64>,
+    /// Mean skill over kinds.
+    #[serde(flatten)]
+    pub skill: GroupSkill,
+    /// By the kind of the scene.
+    pub kinds: Vec<(Kind, GroupSkill)>,
+}
+
+/// Skill of a group.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct GroupSkill {
+    /// Mean over the seeds; one number a frame ahead.
+    #[serde(deserialize_with = "numbers::list")]
+    pub skill: Vec<f64>,
+    /// Standard deviation of it between the seeds (of the sample); 0 for a single one.
+    #[serde(deserialize_with = "numbers::list")]
+    pub spread: Vec<f64>,
+    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
+    /// fewer than five scenes.
+    pub skill_intervals: Option<Vec<Interval>>,
+}
+
+impl Group {
+    /// All groups among the models, in the order of their first members. `networks` are the descriptions
+    /// of those that have one.
+    pub(super) fn all(
+        predictors: &[Entry],
+        networks: &[Option<Description>],
+        skills: &Skills,
+        shown: &[usize],
+    ) -> Vec<Self> {
+        let mut groups: Vec<(Description, Vec<usize>)> = Vec::new();
+        for (number, (entry, description)) in predictors.iter().zip(networks).enumerate() {
+            let (Some(description), Role::Model) = (description, entry.role) else { continue };
+            let network = untrained(description);
+            match groups.iter_mut().find(|(other, _)| *other == network) {
+                Some((_, members)) => members.push(number),
+                None => groups.push((network, vec![number])),
+            }
+        }
+        let group = |(network, members): (Description, Vec<usize>)| {
+            let entries: Vec<&Entry> = members.iter().map(|&member| &predictors[member]).collect();
+            let mut blow_ups = BlowUps::default();
+            entries.iter().for_each(|entry| blow_ups.merge(&entry.blow_ups));
+            let times: Option<Vec<f64>> =
+                entries.iter().map(|entry| entry.cost.as_ref().map(|cost| cost.p50)).collect();
+            let of_kind = |kind: Kind| {
+                let curves = members.iter().map(|&member| skills.of_kind(kind, member)).collect();
+                let intervals = skills.intervals_of_kind(kind, &members, shown);
+                (kind, GroupSkill::new(curves, intervals))
+            };
+            let curves = members.iter().map(|&member| skills.mean(member)).collect();
+            Self {
+                name: format!("{} {}", network.architecture.name(), network.core.name()),
+                members: entries.iter().map(|entry| entry.name.clone()).collect(),
+                blow_ups,
+                ms: times.map(|times| times.iter().sum::<f64>() / times.len() as f64),
+                skill: GroupSkill::new(curves, skills.intervals(&members, shown)),
+                kinds: skills.kinds().map(of_kind).collect(),
+            }
+        };
+        groups.into_iter().map(group).collect()
+    }
+}
+
+impl GroupSkill {
+    fn new(curves: Vec<Vec<f64>>, skill_intervals: Option<Vec<Interval>>) -> Self {
+        let (skill, spread) = mean_and_spread(&curves);
+        Self { skill, spread, skill_intervals }
+    }
+}
+
+/// A description without what comes from training and its data.
+fn untrained(description: &Description) -> Description {
+    let zero = [0.0; 4];
+    let normalization =
+        Normalization { minimum: zero, maximum: zero, mean: zero, standard_deviation: zero };
+    let training = TrainingSummary::default();
+    Description { data: String::new(), normalization, training, ..description.clone() }
+}
+
+fn mean_and_spread(curves: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
+    let count = curves.len() as f64;
+    let at = |frame: usize| {
+        let mean = curves.iter().map(|curve| curve[frame]).sum::<f64>() / count;
+        let squares: f64 = curves.iter().map(|curve| (curve[frame] - mean).powi(2)).sum();
+        (mean, (squares / (count - 1.0).max(1.0)).sqrt())
+    };
+    (0..curves.first().map_or(0, Vec::len)).map(at).unzip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_is_the_standard_deviation_of_the_sample() {
+        let (mean, spread) = mean_and_spread(&[vec![1.0, 5.0], vec![2.0, 5.0], vec![3.0, 5.0]]);
+        assert_eq!((mean, spread), (vec![2.0, 5.0], vec![1.0, 0.0]));
+        assert_eq!(mean_and_spread(&[vec![0.5]]), (vec![0.5], vec![0.0]));
+    }
+}

@@ -1,0 +1,160 @@
+//! The paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
+
+use super::{
+    super::{
+        Role,
+        scenes::{SceneEntry, SceneErrors, last, mean},
+    },
+    Report, error, frames_ahead, of_errors,
+};
+use crate::{
+    Kind,
+    page::{Cell, LinePlot, Section, Series, Table},
+};
+
+/// The most scenes of a table, and of a set of plots; `report.json` has all.
+const TABLE_SCENES: usize = 12;
+const PLOT_SCENES: usize = 6;
+
+/// An error of single scenes: its name, and which it is.
+type Error = (&'static str, fn(&SceneErrors) -> &Vec<f64>);
+
+/// What a table has of an error curve.
+type Take = fn(&[f64]) -> f64;
+
+/// All of them.
+const ERRORS: [Error; 3] = [
+    ("MinMax MSE", |errors| &errors.minmax_mse),
+    ("z-score MSE", |errors| &errors.zscore_mse),
+    ("position RMSE (domain lengths)", |errors| &errors.position_rmse),
+];
+
+impl Report {
+    pub(super) fn paper(&self, section: &mut Section) {
+        let frames = self.paper_frames();
+        section.paragraph(&format!(
+            "For each scene the mean error of frames 1 to {frames} of free rollouts, and the error at frame {frames}; \
+             means over all rollouts of the scene. The lowest error of each row is bold. The unit of the paper's MSE \
+             is not known: what can be compared with it is the order of the models, not the numbers."
+        ));
+        for (title, of_table) in self.paper_tables() {
+            if of_table.is_empty() {
+                continue;
+            }
+            section.heading(title);
+            let chosen = evenly(&of_table, TABLE_SCENES);
+            if chosen.len() < of_table.len() {
+                section.paragraph(&format!(
+                    "{} of {} scenes, evenly chosen; averages are those of all. report.json has all.",
+                    chosen.len(),
+                    of_table.len()
+                ));
+            }
+            let [first, others @ ..] = ERRORS;
+            self.scene_tables(section, &of_table, &chosen, first);
+            section.folded("The same as z-score MSE and as position RMSE", |inner| {
+                for error in others {
+                    self.scene_tables(inner, &of_table, &chosen, error);
+                }
+            });
+        }
+        section.heading("Error curves of single scenes (the paper's Figs. 4, 8 and 9)");
+        for (title, of_table) in self.paper_tables() {
+            let plots: Vec<LinePlot> = evenly(&of_table, PLOT_SCENES)
+                .into_iter()
+                .map(|scene| self.scene_plot(scene))
+                .collect();
+            if !plots.is_empty() {
+                section.paragraph(title).plots(&plots);
+            }
+        }
+    }
+
+    /// Scenes of liquid alone, as in Table 2, and the others, as in Table 3.
+    fn paper_tables(&self) -> [(&'static str, Vec<&SceneEntry>); 2] {
+        let of = |liquid: bool| {
+            self.scenes.iter().filter(move |scene| (scene.kind == Kind::Liquid) == liquid).collect()
+        };
+        [("Fluid scenes (Table 2)", of(true)), ("Scenes of other materials (Table 3)", of(false))]
+    }
+
+    /// Frames that the tables are about: the paper's twenty, if the horizon is not sooner.
+    fn paper_frames(&self) -> usize {
+        super::super::scenes::SCENE_FRAMES.min(self.horizon)
+    }
+
+    /// Names of those in the tables, with their numbers.
+    fn columns(&self) -> Vec<(usize, &str)> {
+        let all = self.predictors.iter().enumerate();
+        all.filter(|(_, entry)| {
+            matches!(entry.role, Role::Model | Role::Baseline | Role::Mean | Role::Rival)
+        })
+        .map(|(number, entry)| (number, entry.name.as_str()))
+        .collect()
+    }
+
+    /// Two tables: the mean over frames, and the last frame.
+    fn scene_tables(
+        &self,
+        section: &mut Section,
+        all: &[&SceneEntry],
+        chosen: &[&SceneEntry],
+        (name, of): Error,
+    ) {
+        let frames = self.paper_frames();
+        let columns = self.columns();
+        let blocks: [(String, Take); 2] = [
+            (format!("{name}, mean of frames 1 to {frames}"), mean),
+            (format!("{name} at frame {frames}"), last),
+        ];
+        for (caption, take) in blocks {
+            let titles = std::iter::once("scene").chain(columns.iter().map(|(_, name)| *name));
+            let mut table = Table::new(caption, titles);
+            let numbers = |scene: &SceneEntry| -> Vec<f64> {
+                columns.iter().map(|&(number, _)| take(of(&scene.errors[number]))).collect()
+            };
+            for scene in chosen {
+                table.row(scene.title(), Cell::lowest_bold(&numbers(scene), error));
+            }
+            let rows: Vec<Vec<f64>> = all.iter().map(|scene| numbers(scene)).collect();
+            let average =
+                |column: usize| mean(&rows.iter().map(|row| row[column]).collect::<Vec<_>>());
+            let averages: Vec<f64> = (0..columns.len()).map(average).collect();
+            table.row(Cell::bold("Average"), Cell::lowest_bold(&averages, error));
+            section.table(&table);
+        }
+    }
+
+    fn scene_plot(&self, scene: &SceneEntry) -> LinePlot {
+        let series = self
+            .columns()
+            .into_iter()
+            .map(|(number, name)| Series::ahead(name, &scene.errors[number].minmax_mse));
+        LinePlot {
+            title: scene.title(),
+            x: frames_ahead(),
+            y: of_errors("MinMax MSE"),
+            series: series.collect(),
+        }
+    }
+}
+
+/// At most so many of them, evenly spread.
+fn evenly<'a, T>(all: &[&'a T], most: usize) -> Vec<&'a T> {
+    let count = all.len().min(most);
+    (0..count).map(|k| all[k * all.len() / count]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_of_many_are_spread_over_all() {
+        let numbers: Vec<usize> = (0..10).collect();
+        let all: Vec<&usize> = numbers.iter().collect();
+        assert_eq!(evenly(&all, 4), [&0, &2, &5, &7]);
+        assert_eq!(evenly(&all, 40).len(), 10);
+        assert!(evenly::<usize>(&[], 3).is_empty());
+    }
+}

@@ -1,0 +1,55 @@
+//! Rollouts to look at (the paper's Fig. 7).
+
+use std::io;
+
+use super::{super::scenes::words, Report};
+use crate::{
+    Snapshot,
+    page::{Picture, PictureGrid, Section},
+    picture::{Coloring, Painter, png_bytes},
+};
+use eddy_frames::Frame;
+
+/// Longer side of the domain (pixels); it is shown at half of that.
+const SIZE: usize = 260;
+
+impl Report {
+    pub(super) fn pictures(&self, section: &mut Section) -> io::Result<()> {
+        section.paragraph(
+            "One rollout of a scene of each kind: the truth above what is predicted from the same frame, fed with \
+             its own output. Colours are materials: liquid dark blue, snow light blue, jelly orange, rope red.",
+        );
+        let (names, snapshots) = &self.snapshots;
+        for snapshot in snapshots {
+            section.pictures(&grid(names, snapshot)?);
+        }
+        Ok(())
+    }
+}
+
+fn grid(names: &[String], snapshot: &Snapshot) -> io::Result<PictureGrid> {
+    let Snapshot { scene, materials, start, ahead, truth, predicted } = snapshot;
+    let painter = truth.first().map(|first| {
+        Painter::new(first.domain, first.len(), SIZE, Coloring::Material(materials.clone()))
+    });
+    let row = |name: &str, frames: &[Frame]| -> io::Result<(String, Vec<Picture>)> {
+        let picture = |(frame, ahead): (&Frame, &usize)| {
+            let Some(painter) = &painter else { return Err(io::Error::other("no frame")) };
+            let canvas = painter.particles(frame);
+            let size = [canvas.width(), canvas.height()];
+            let words = format!("{scene}: {name}, {ahead} frames ahead");
+            Ok(Picture { png: png_bytes(&canvas)?, size, words })
+        };
+        let pictures = frames.iter().zip(ahead).map(picture).collect::<io::Result<_>>()?;
+        Ok((name.to_owned(), pictures))
+    };
+    let mut rows = vec![row("truth", truth)?];
+    for (name, frames) in names.iter().zip(predicted) {
+        rows.push(row(name, frames)?);
+    }
+    Ok(PictureGrid {
+        caption: format!("{scene} ({}), from frame {start} of the stream on.", words(materials)),
+        columns: ahead.iter().map(|ahead| format!("frame {ahead}")).collect(),
+        rows,
+    })
+}

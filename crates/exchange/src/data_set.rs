@@ -1,0 +1,102 @@
+//! What data sets of graph network simulators have in common: a file for each part of the split that
+//! `eddy train` makes (a lone stream trains), and `metadata.json` with the statistics of the training
+//! part.
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    error::ExchangeError,
+    metadata::{Metadata, Statistics},
+    streams::{Streams, Track, Watch},
+};
+use eddy_evaluation::dataset::Part;
+
+const SCALE_RULE: &str = "metadata.json has one dt and one domain for all trajectories";
+
+/// The files of a data set.
+const PARTS: [(&str, Part); 3] =
+    [("train", Part::Train), ("valid", Part::Validation), ("test", Part::Test)];
+
+/// Writes one file of trajectories, and counts them.
+pub(super) type Write = fn(
+    &Streams,
+    &[&Track],
+    &Path,
+    Option<&mut Statistics>,
+    &mut Watch<'_>,
+) -> Result<(), ExchangeError>;
+
+/// Writes a data set whose files have this extension.
+pub(super) fn write_set(
+    streams: &Streams,
+    directory: &Path,
+    extension: &str,
+    write: Write,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    let all: Vec<&Track> = streams.tracks().iter().collect();
+    one_scale(&all)?;
+    let mut statistics = Statistics::default();
+    for (name, part) in PARTS {
+        let tracks = part_of(&all, part);
+        if tracks.is_empty() {
+            continue;
+        }
+        let counted = (part == Part::Train).then_some(&mut statistics);
+        write(streams, &tracks, &directory.join(format!("{name}.{extension}")), counted, watch)?;
+    }
+    let (train, test) = (part_of(&all, Part::Train), part_of(&all, Part::Test));
+    Metadata::new(&all, &train, &test, &statistics).write(directory)
+}
+
+/// The streams of one part.
+fn part_of<'a>(all: &[&'a Track], part: Part) -> Vec<&'a Track> {
+    let ids: Vec<u64> = all.iter().map(|track| track.stream).collect();
+    all.iter().copied().filter(|track| Part::of(&ids, track.stream) == part).collect()
+}
+
+/// Checks that all streams have the same dt and domain, and do not change them.
+fn one_scale(all: &[&Track]) -> Result<(), ExchangeError> {
+    for track in all {
+        track.keeps(&["dt", "domain", "sequence"], SCALE_RULE)?;
+        let first = all[0];
+        let differ = |field, found: String, expected: String| {
+            Err(track.unfit(field, found, expected, SCALE_RULE))
+        };
+        if track.dt != first.dt {
+            return differ("dt", format!("{} s", track.dt), format!("{} s", first.dt));
+        }
+        if track.domain != first.domain {
+            let (found, expected) = (format!("{:?}", track.domain), format!("{:?}", first.domain));
+            return differ("domain", found, expected);
+        }
+    }
+    Ok(())
+}
+
+/// Checks that a stream keeps its materials.
+pub(super) fn one_material(track: &Track, rule: &'static str) -> Result<(), ExchangeError> {
+    if !track.material_varies {
+        return Ok(());
+    }
+    let (found, expected) = ("materials that change".into(), "one a particle".into());
+    Err(track.unfit("material", found, expected, rule))
+}
+
+/// The file, or the files of a data set in the order of its parts; `expected` names them.
+pub(super) fn files(
+    path: &Path,
+    extension: &str,
+    expected: &'static str,
+) -> Result<Vec<PathBuf>, ExchangeError> {
+    if !path.is_dir() {
+        return Ok(vec![path.into()]);
+    }
+    let parts = PARTS.map(|(name, _)| path.join(format!("{name}.{extension}")));
+    let files: Vec<PathBuf> = parts.into_iter().filter(|file| file.exists()).collect();
+    if files.is_empty() {
+        let found = "none of its files".into();
+        return Err(ExchangeError::File { path: path.into(), found, expected });
+    }
+    Ok(files)
+}

@@ -1,0 +1,276 @@
+//! `metadata.json`, as learned simulators read it: GNS (`learning_to_simulate`, `gns`) and
+//! LagrangeBench (`data_gen/lagrangebench_data/gen_dataset.py`). Keys that one of them does not know
+//! it passes over.
+
+use std::{fs, path::Path};
+
+use serde::{Deserialize, Serialize};
+
+use super::{error::ExchangeError, streams::Track};
+use eddy_frames::{Domain, Frame, decimal};
+
+/// Neighbours that a particle should have within the connectivity radius, as on a square grid with
+/// LagrangeBench's rule of 1.45 spacings.
+const NEIGHBOURS: usize = 8;
+
+/// LagrangeBench's connectivity radius (particle spacings).
+const RADIUS: f64 = 1.45;
+
+/// So many particles are asked how far their neighbours are.
+const SAMPLES: usize = 256;
+
+/// Deviations below this are taken for 1, so that nobody divides by them (as LagrangeBench does).
+const SMALLEST_DEVIATION: f64 = 1e-7;
+
+/// Describes a data set. Velocities and accelerations are differences between frames, without dt.
+#[derive(Debug, Serialize)]
+pub(super) struct Metadata {
+    case: &'static str,
+    solver: &'static str,
+    dim: usize,
+    /// Time between two frames (s).
+    dt: f64,
+    write_every: usize,
+    /// `[axis][lower, upper]`.
+    bounds: [[f64; 2]; 2],
+    periodic_boundary_conditions: [bool; 2],
+    /// Typical distance of neighbours in the first frame.
+    dx: f64,
+    default_connectivity_radius: f64,
+    num_particles_max: usize,
+    /// Frames that can be predicted: one less than there are, in the shortest trajectory.
+    sequence_length: usize,
+    sequence_length_train: usize,
+    num_trajs_train: usize,
+    sequence_length_test: usize,
+    num_trajs_test: usize,
+    vel_mean: [f64; 2],
+    vel_std: [f64; 2],
+    acc_mean: [f64; 2],
+    acc_std: [f64; 2],
+}
+
+/// What of it says how to read positions.
+#[derive(Debug, Deserialize)]
+pub(super) struct Scale {
+    pub(super) dt: f32,
+    /// `[axis][lower, upper]`.
+    bounds: Vec<[f32; 2]>,
+    write_every: Option<f32>,
+}
+
+impl Metadata {
+    /// `train` and `test` are the streams of those parts, `all` those of every part (at least one).
+    pub(super) fn new(
+        all: &[&Track],
+        train: &[&Track],
+        test: &[&Track],
+        statistics: &Statistics,
+    ) -> Self {
+        let shortest = |tracks: &[&Track]| {
+            tracks.iter().map(|track| track.frames - 1).min().unwrap_or_default()
+        };
+        let first = all[0];
+        let Domain { lower, upper } = first.domain;
+        let bound = |axis: usize| [decimal(lower[axis]), decimal(upper[axis])];
+        let radius = statistics.radius;
+        let (vel_mean, vel_std) = statistics.velocity.mean_and_deviation();
+        let (acc_mean, acc_std) = statistics.acceleration.mean_and_deviation();
+        Self {
+            case: "MPM",
+            solver: "MPM",
+            dim: 2,
+            dt: decimal(first.dt),
+            write_every: 1,
+            bounds: [bound(0), bound(1)],
+            periodic_boundary_conditions: [false; 2],
+            dx: radius / RADIUS,
+            default_connectivity_radius: radius,
+            num_particles_max: all.iter().map(|track| track.particles()).max().unwrap_or_default(),
+            sequence_length: shortest(all),
+            sequence_length_train: shortest(train),
+            num_trajs_train: train.len(),
+            sequence_length_test: shortest(test),
+            num_trajs_test: test.len(),
+            vel_mean,
+            vel_std,
+            acc_mean,
+            acc_std,
+        }
+    }
+
+    /// Writes it into the directory.
+    pub(super) fn write(&self, directory: &Path) -> Result<(), ExchangeError> {
+        let path = directory.join(FILE);
+        let text = serde_json::to_string_pretty(self).expect("numbers and words are JSON");
+        fs::write(&path, text).map_err(ExchangeError::io(&path, "writing"))
+    }
+}
+
+/// Its name.
+const FILE: &str = "metadata.json";
+
+impl Scale {
+    /// That of the data set in the directory, if it has one.
+    pub(super) fn read(directory: &Path) -> Result<Option<Self>, ExchangeError> {
+        let path = directory.join(FILE);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let text = fs::read_to_string(&path).map_err(ExchangeError::io(&path, "reading"))?;
+        let scale = serde_json::from_str(&text).map_err(|error| ExchangeError::File {
+            path,
+            found: error.to_string(),
+            expected: "dt and bounds [[left, right], [bottom, top]]",
+        })?;
+        Ok(Some(scale))
+    }
+
+    /// Time between two frames (s).
+    pub(super) fn interval(&self) -> f32 {
+        self.dt * self.write_every.unwrap_or(1.0)
+    }
+
+    /// The box, if it has two dimensions.
+    pub(super) fn domain(&self) -> Option<Domain> {
+        match self.bounds.as_slice() {
+            &[x, y] => Some(Domain { lower: [x[0], y[0]], upper: [x[1], y[1]] }),
+            _ => None,
+        }
+    }
+}
+
+/// Differences between frames over a training part.
+#[derive(Debug, Default)]
+pub(super) struct Statistics {
+    velocity: Moments,
+    acceleration: Moments,
+    radius: f64,
+    last: Option<Last>,
+}
+
+/// The last frame of a trajectory.
+#[derive(Debug)]
+struct Last {
+    position: Vec<[f32; 2]>,
+    /// Differences from the frame before, if there was one.
+    velocity: Option<Vec<[f32; 2]>>,
+}
+
+impl Statistics {
+    /// The next frame begins another trajectory.
+    pub(super) fn begin_trajectory(&mut self) {
+        self.last = None;
+    }
+
+    /// Takes the next frame of the trajectory.
+    pub(super) fn add(&mut self, frame: &Frame) {
+        if self.radius == 0.0 {
+            self.radius = connectivity_radius(&frame.position);
+        }
+        let position = frame.position.clone();
+        let velocity = self.last.take().map(|last| {
+            let velocity = differences(&last.position, &position);
+            self.velocity.add(&velocity);
+            if let Some(before) = last.velocity {
+                self.acceleration.add(&differences(&before, &velocity));
+            }
+            velocity
+        });
+        self.last = Some(Last { position, velocity });
+    }
+}
+
+fn differences(before: &[[f32; 2]], after: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    before.iter().zip(after).map(|(a, b)| [b[0] - a[0], b[1] - a[1]]).collect()
+}
+
+#[derive(Debug, Default)]
+struct Moments {
+    count: f64,
+    sum: [f64; 2],
+    squares: [f64; 2],
+}
+
+impl Moments {
+    fn add(&mut self, vectors: &[[f32; 2]]) {
+        self.count += vectors.len() as f64;
+        for vector in vectors {
+            for (axis, &x) in vector.iter().enumerate() {
+                self.sum[axis] += f64::from(x);
+                self.squares[axis] += f64::from(x).powi(2);
+            }
+        }
+    }
+
+    fn mean_and_deviation(&self) -> ([f64; 2], [f64; 2]) {
+        let mean = self.sum.map(|sum| sum / self.count.max(1.0));
+        let deviation = |axis: usize| {
+            let variance = self.squares[axis] / self.count.max(1.0) - mean[axis].powi(2);
+            let deviation = variance.max(0.0).sqrt();
+            if deviation < SMALLEST_DEVIATION { 1.0 } else { deviation }
+        };
+        (mean, [deviation(0), deviation(1)])
+    }
+}
+
+/// The median distance to the eighth neighbour, rounded up to two digits.
+fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
+    let step = position.len().div_ceil(SAMPLES);
+    let mut radii: Vec<f64> = position
+        .iter()
+        .step_by(step)
+        .map(|a| {
+            let squared = |b: &[f32; 2]| f64::from((b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2));
+            let mut distances: Vec<f64> = position.iter().map(squared).collect();
+            // The particle itself is its nearest.
+            let rank = NEIGHBOURS.min(distances.len() - 1);
+            distances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
+        })
+        .collect();
+    let middle = radii.len() / 2;
+    let median = *radii.select_nth_unstable_by(middle, f64::total_cmp).1;
+    if median == 0.0 {
+        return 0.0;
+    }
+    let digit = 10f64.powf(median.log10().floor() - 1.0);
+    // A last rounding to decimal digits: 0.023, not 0.023000000000000003.
+    decimal(((median / digit).ceil() * digit) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_radius_on_a_grid_is_that_of_lagrangebench() {
+        let spacing = 0.01;
+        let grid: Vec<[f32; 2]> =
+            (0..900).map(|i| [(i % 30) as f32 * spacing, (i / 30) as f32 * spacing]).collect();
+        assert_eq!(connectivity_radius(&grid), 0.015);
+        assert_eq!(connectivity_radius(&[[0.5, 0.5]]), 0.0);
+    }
+
+    #[test]
+    fn statistics_are_of_differences_between_frames() {
+        let mut statistics = Statistics::default();
+        // x = t^2 for one particle, at rest for the other: velocities 1, 3 and 0, 0.
+        for t in 0..3u8 {
+            let x = f32::from(t).powi(2);
+            statistics.add(&Frame {
+                stream: 0,
+                sequence: t.into(),
+                stamp: eddy_frames::Stamp(0),
+                dt: 0.1,
+                domain: Domain::UNIT,
+                position: vec![[x, 0.0], [0.0, 0.0]],
+                velocity: vec![[0.0; 2]; 2],
+                material: vec![eddy_frames::Material::Snow; 2],
+            });
+        }
+        let (mean, deviation) = statistics.velocity.mean_and_deviation();
+        assert_eq!((mean, deviation), ([1.0, 0.0], [1.5f64.sqrt(), 1.0]));
+        let (mean, deviation) = statistics.acceleration.mean_and_deviation();
+        assert_eq!((mean, deviation), ([1.0, 0.0], [1.0, 1.0]));
+    }
+}

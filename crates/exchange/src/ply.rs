@@ -1,0 +1,62 @@
+//! PLY, binary, one file a frame: vertices `x y z vx vy vz` (z = 0) and `material`.
+//!
+//! Format: G. Turk, "The PLY Polygon File Format" (1994).
+
+use std::{
+    fs::{self, File},
+    io::{self, BufWriter, Write},
+    path::Path,
+};
+
+use super::{
+    error::ExchangeError,
+    streams::{Streams, Watch},
+};
+use eddy_frames::Frame;
+
+/// Writes `stream_0007/000000.ply` and so on into the directory.
+pub(super) fn write(
+    streams: &Streams,
+    directory: &Path,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    for track in streams.tracks() {
+        let folder = directory.join(track.name());
+        fs::create_dir(&folder).map_err(ExchangeError::io(&folder, "creating the directory"))?;
+        let mut number = 0;
+        streams.read(track, watch, |frame| {
+            let path = folder.join(format!("{number:06}.ply"));
+            number += 1;
+            let file = File::create_new(&path);
+            file.and_then(|file| vertices(BufWriter::new(file), &frame))
+                .map_err(ExchangeError::io(&path, "writing"))
+        })?;
+    }
+    Ok(())
+}
+
+fn vertices(mut file: impl Write, frame: &Frame) -> io::Result<()> {
+    write!(
+        file,
+        "ply\nformat binary_little_endian 1.0\n\
+         comment time {} s, stream {}, sequence {}\n\
+         comment material: 0 liquid, 1 snow, 2 jelly, 3 rope\n\
+         element vertex {}\n",
+        frame.stamp.seconds(),
+        frame.stream,
+        frame.sequence,
+        frame.len()
+    )?;
+    for name in ["x", "y", "z", "vx", "vy", "vz"] {
+        writeln!(file, "property float {name}")?;
+    }
+    write!(file, "property uchar material\nend_header\n")?;
+    for particle in 0..frame.len() {
+        let ([x, y], [vx, vy]) = (frame.position[particle], frame.velocity[particle]);
+        for number in [x, y, 0.0, vx, vy, 0.0] {
+            file.write_all(&number.to_le_bytes())?;
+        }
+        file.write_all(&[frame.material[particle] as u8])?;
+    }
+    file.flush()
+}

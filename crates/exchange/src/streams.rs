@@ -1,0 +1,250 @@
+//! The streams of some bags: what they are, found in one reading, and their frames in later ones.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use super::error::ExchangeError;
+use eddy_bag::{BagReader, find_bags};
+use eddy_frames::{Domain, Frame, Material, Stamp, decimal};
+
+/// Called after each frame that was read; `false` ends the work with
+/// [`ExchangeError::Interrupted`].
+pub type Watch<'a> = dyn FnMut() -> bool + 'a;
+
+/// Which frames of which bags.
+#[derive(Clone, Debug, Default)]
+pub struct Choice {
+    /// Bags, or directories of bags.
+    pub bags: Vec<PathBuf>,
+    /// The topic with the frames.
+    pub topic: String,
+    /// Only this stream; all if `None`.
+    pub stream: Option<u64>,
+    /// Only the first so many frames of each stream, which must have them; all if `None`.
+    pub frames: Option<usize>,
+}
+
+/// One stream of one bag.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// The bag.
+    pub bag: PathBuf,
+    /// The stream's number.
+    pub stream: u64,
+    /// How many frames are taken.
+    pub frames: usize,
+    /// Stamp of the first frame.
+    pub first: Stamp,
+    /// Stamp of the last frame.
+    pub last: Stamp,
+    /// Time between two frames (s), by the first frame.
+    pub dt: f32,
+    /// The box that holds the particles, by the first frame.
+    pub domain: Domain,
+    /// Materials of the first frame, `[N]`.
+    pub material: Vec<Material>,
+    /// Whether a later frame has other materials.
+    pub material_varies: bool,
+    /// The highest speed that 99 % of the particles stay below in every frame (domain lengths per
+    /// second).
+    pub top_speed: f32,
+    /// First differences from the first frame: by field, with what was found and expected.
+    changes: BTreeMap<&'static str, (String, String)>,
+    /// Sequence of the last frame.
+    sequence: u64,
+}
+
+/// Share of the particles whose speed is at most a frame's top speed; the fastest few would
+/// otherwise set the scale for all.
+const TOP_SPEED_SHARE: f64 = 0.99;
+
+impl Track {
+    fn begin(bag: &Path, frame: &Frame) -> Self {
+        Self {
+            bag: bag.into(),
+            stream: frame.stream,
+            frames: 1,
+            first: frame.stamp,
+            last: frame.stamp,
+            dt: frame.dt,
+            domain: frame.domain,
+            material: frame.material.clone(),
+            material_varies: false,
+            top_speed: top_speed(frame),
+            changes: BTreeMap::new(),
+            sequence: frame.sequence,
+        }
+    }
+
+    fn follow(&mut self, frame: &Frame) {
+        let at = |what: String| format!("{what} at sequence {}", frame.sequence);
+        let mut differ = |field, found: String, expected: String| {
+            self.changes.entry(field).or_insert((at(found), expected));
+        };
+        if frame.len() != self.material.len() {
+            differ("particles", frame.len().to_string(), self.material.len().to_string());
+        }
+        if frame.dt != self.dt {
+            differ("dt", format!("{} s", decimal(frame.dt)), format!("{} s", decimal(self.dt)));
+        }
+        if frame.domain != self.domain {
+            differ("domain", format!("{:?}", frame.domain), format!("{:?}", self.domain));
+        }
+        if self.sequence.checked_add(1) != Some(frame.sequence) {
+            let found = format!("{} after {}", frame.sequence, self.sequence);
+            self.changes.entry("sequence").or_insert((found, "consecutive numbers".into()));
+        }
+        self.material_varies |= frame.material != self.material;
+        self.top_speed = self.top_speed.max(top_speed(frame));
+        self.sequence = frame.sequence;
+        self.last = frame.stamp;
+        self.frames += 1;
+    }
+
+    /// Number of particles, by the first frame.
+    pub fn particles(&self) -> usize {
+        self.material.len()
+    }
+
+    /// Refuses the stream when one of `fields` (`particles`, `dt`, `domain`, `sequence`) changes.
+    pub(super) fn keeps(
+        &self,
+        fields: &[&'static str],
+        rule: &'static str,
+    ) -> Result<(), ExchangeError> {
+        let changed = fields.iter().find_map(|field| self.changes.get_key_value(field));
+        match changed {
+            None => Ok(()),
+            Some((field, (found, expected))) => {
+                Err(self.unfit(field, found.clone(), expected.clone(), rule))
+            }
+        }
+    }
+
+    pub(super) fn unfit(
+        &self,
+        field: &'static str,
+        found: String,
+        expected: String,
+        rule: &'static str,
+    ) -> ExchangeError {
+        let (bag, stream) = (self.bag.clone(), self.stream);
+        ExchangeError::Unfit { bag, stream, field, found, expected, rule }
+    }
+
+    /// Its name in file names: `stream_0007`.
+    pub fn name(&self) -> String {
+        format!("stream_{:04}", self.stream)
+    }
+}
+
+fn top_speed(frame: &Frame) -> f32 {
+    let mut speeds: Vec<f32> = frame.velocity.iter().map(|[x, y]| x.hypot(*y)).collect();
+    let rank = ((speeds.len() - 1) as f64 * TOP_SPEED_SHARE) as usize;
+    *speeds.select_nth_unstable_by(rank, f32::total_cmp).1
+}
+
+/// Streams of some bags.
+#[derive(Clone, Debug)]
+pub struct Streams {
+    topic: String,
+    /// In the order of their numbers.
+    tracks: Vec<Track>,
+}
+
+impl Streams {
+    /// Reads every frame of the choice once and describes its streams.
+    ///
+    /// # Errors
+    /// [`ExchangeError::Bag`] when a bag cannot be read, holds no such topic, or a frame that cannot
+    /// be used; [`ExchangeError::NoStream`], [`ExchangeError::SameStream`],
+    /// [`ExchangeError::TooShort`], [`ExchangeError::Interrupted`].
+    pub fn find(choice: &Choice, watch: &mut Watch<'_>) -> Result<Self, ExchangeError> {
+        let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
+        let mut present = BTreeMap::new();
+        for bag in find_bags(&choice.bags)? {
+            for frame in BagReader::open(&bag)?.frames(&choice.topic)? {
+                let frame = frame?;
+                if !watch() {
+                    return Err(ExchangeError::Interrupted);
+                }
+                present.entry(frame.stream).or_insert(());
+                if choice.stream.is_some_and(|stream| stream != frame.stream) {
+                    continue;
+                }
+                let Some(track) = tracks.get_mut(&frame.stream) else {
+                    tracks.insert(frame.stream, Track::begin(&bag, &frame));
+                    continue;
+                };
+                if track.bag != bag {
+                    return Err(ExchangeError::SameStream {
+                        stream: frame.stream,
+                        first: track.bag.clone(),
+                        second: bag,
+                    });
+                }
+                if choice.frames.is_none_or(|frames| track.frames < frames) {
+                    track.follow(&frame);
+                }
+            }
+        }
+        if let Some(wanted) = choice.stream.filter(|_| tracks.is_empty()) {
+            let found = present.keys().map(u64::to_string).collect::<Vec<_>>().join(", ");
+            return Err(ExchangeError::NoStream { found, wanted });
+        }
+        let tracks: Vec<Track> = tracks.into_values().collect();
+        if let Some(wanted) = choice.frames
+            && let Some(track) = tracks.iter().find(|track| track.frames < wanted)
+        {
+            let (bag, stream) = (track.bag.clone(), track.stream);
+            return Err(ExchangeError::TooShort { bag, stream, found: track.frames, wanted });
+        }
+        Ok(Self { topic: choice.topic.clone(), tracks })
+    }
+
+    /// The streams, in the order of their numbers.
+    pub fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// How many frames they have together.
+    pub fn frames(&self) -> usize {
+        self.tracks.iter().map(|track| track.frames).sum()
+    }
+
+    /// The frames of one stream, in order.
+    ///
+    /// # Errors
+    /// [`ExchangeError::Bag`], also in between, when the bag cannot be read any more.
+    pub fn frames_of(
+        &self,
+        track: &Track,
+    ) -> Result<impl Iterator<Item = Result<Frame, ExchangeError>> + use<>, ExchangeError> {
+        let (stream, frames) = (track.stream, track.frames);
+        let of_stream = BagReader::open(&track.bag)?
+            .frames(&self.topic)?
+            .filter(move |frame| frame.as_ref().map_or(true, |frame| frame.stream == stream));
+        Ok(of_stream.take(frames).map(|frame| Ok(frame?)))
+    }
+
+    /// Hands over every frame of one stream, in order.
+    ///
+    /// # Errors
+    /// Those of `each`, [`ExchangeError::Bag`] and [`ExchangeError::Interrupted`].
+    pub(super) fn read(
+        &self,
+        track: &Track,
+        watch: &mut Watch<'_>,
+        mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
+    ) -> Result<(), ExchangeError> {
+        for frame in self.frames_of(track)? {
+            each(frame?)?;
+            if !watch() {
+                return Err(ExchangeError::Interrupted);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,253 @@
+//! Arrays of one stream, as files hold them, and the frames they make.
+
+use std::path::{Path, PathBuf};
+
+use super::{arrays::Array, error::ExchangeError, import::Supplement};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+
+/// Which numbers stand for the materials, in the order of [`Material::ALL`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Types(pub(super) [u8; Material::COUNT]);
+
+impl Types {
+    /// The numbers of `eddy_msgs/msg/ParticleFrame`.
+    pub(super) const EDDY: Self = Self([0, 1, 2, 3]);
+
+    pub(super) fn number(self, material: Material) -> u8 {
+        self.0[material as usize]
+    }
+
+    fn material(self, number: i64) -> Option<Material> {
+        Material::ALL.into_iter().find(|&material| i64::from(self.number(material)) == number)
+    }
+
+    fn words(self) -> String {
+        let words = Material::ALL
+            .map(|material| format!("{} ({})", self.number(material), material.name()));
+        format!("{}, or --material to say what all particles are", words.join(", "))
+    }
+}
+
+/// What a file tells about one stream. `T` frames, `N` particles.
+#[derive(Debug)]
+pub(super) struct Found {
+    path: PathBuf,
+    frames: usize,
+    particles: usize,
+    /// `[T, N, 2]`.
+    position: Vec<f32>,
+    /// `[T, N, 2]`.
+    pub(super) velocity: Option<Array<f32>>,
+    /// `[N]`, `[T, N]` or `[]`, with what its numbers mean.
+    pub(super) material: Option<(Array<i64>, Types)>,
+    /// `[T]` (ns).
+    pub(super) stamp: Option<Array<i64>>,
+    /// `[T]`.
+    pub(super) sequence: Option<Array<u64>>,
+    /// (s)
+    pub(super) dt: Option<f32>,
+    pub(super) domain: Option<Domain>,
+    pub(super) stream: Option<u64>,
+}
+
+impl Found {
+    /// Only positions, `[T, N, 2]`.
+    pub(super) fn new(path: &Path, position: Array<f32>) -> Result<Self, ExchangeError> {
+        let &[frames, particles, 2] = position.shape.as_slice() else {
+            return Err(ExchangeError::Array {
+                path: path.into(),
+                array: "position".into(),
+                found: format!("shape {:?}", position.shape),
+                expected: "[frames, particles, 2]".into(),
+            });
+        };
+        if frames == 0 || particles == 0 {
+            return Err(ExchangeError::Array {
+                path: path.into(),
+                array: "position".into(),
+                found: format!("{frames} frames of {particles} particles"),
+                expected: "at least one of each".into(),
+            });
+        }
+        Ok(Self {
+            path: path.into(),
+            frames,
+            particles,
+            position: position.values,
+            velocity: None,
+            material: None,
+            stamp: None,
+            sequence: None,
+            dt: None,
+            domain: None,
+            stream: None,
+        })
+    }
+
+    fn fault(&self, array: &str, found: String, expected: impl Into<String>) -> ExchangeError {
+        let expected = expected.into();
+        ExchangeError::Array { path: self.path.clone(), array: array.into(), found, expected }
+    }
+
+    /// The number in an array of one.
+    pub(super) fn one<T: Copy>(
+        &self,
+        name: &str,
+        array: Option<Array<T>>,
+    ) -> Result<Option<T>, ExchangeError> {
+        match array {
+            None => Ok(None),
+            Some(Array { values, .. }) if values.len() == 1 => Ok(Some(values[0])),
+            Some(Array { shape, .. }) => {
+                Err(self.fault(name, format!("shape {shape:?}"), "one number"))
+            }
+        }
+    }
+
+    /// The domain, where both corners are there.
+    pub(super) fn corners(
+        &self,
+        lower: Option<Array<f32>>,
+        upper: Option<Array<f32>>,
+    ) -> Result<Option<Domain>, ExchangeError> {
+        let (Some(lower), Some(upper)) = (lower, upper) else { return Ok(None) };
+        let corner = |name, array: Array<f32>| {
+            let two = <[f32; 2]>::try_from(array.values);
+            two.map_err(|found| self.fault(name, format!("{found:?}"), "two numbers"))
+        };
+        Ok(Some(Domain { lower: corner("lower", lower)?, upper: corner("upper", upper)? }))
+    }
+
+    /// Number of the stream, if the file tells.
+    pub(super) fn stream(&self) -> Option<u64> {
+        self.stream
+    }
+
+    pub(super) fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Puts the frames together. What `supplement` gives goes before what the file tells; velocities
+    /// that the file lacks are backward differences of the positions (forward for the first frame).
+    ///
+    /// # Errors
+    /// [`ExchangeError::Array`] when something is missing or has the wrong shape,
+    /// [`ExchangeError::Frame`] when the parts make no frame, and those of `each`.
+    pub(super) fn hand_over(
+        self,
+        stream: u64,
+        supplement: &Supplement,
+        mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
+    ) -> Result<(), ExchangeError> {
+        let dt = self.interval(supplement)?;
+        let domain = self.box_of_particles(supplement)?;
+        let whole = [self.frames, self.particles, 2];
+        self.shaped("velocity", self.velocity.as_ref(), &[&whole])?;
+        self.shaped("stamp", self.stamp.as_ref(), &[&[self.frames]])?;
+        self.shaped("sequence", self.sequence.as_ref(), &[&[self.frames]])?;
+        let position: &[[f32; 2]] = self.position.as_chunks().0;
+        for (index, now) in position.chunks_exact(self.particles).enumerate() {
+            let velocity = match &self.velocity {
+                Some(velocity) => {
+                    let of_frame = index * self.particles..(index + 1) * self.particles;
+                    velocity.values.as_chunks().0[of_frame].to_vec()
+                }
+                None => self.differences(index, dt)?,
+            };
+            let sequence = self.sequence.as_ref().map_or(index as u64, |array| array.values[index]);
+            let stamp = match &self.stamp {
+                Some(stamps) => Stamp(stamps.values[index]),
+                None => Stamp(0).advance(dt, index as u32),
+            };
+            let material = self.materials(index, supplement)?;
+            let frame =
+                Frame::new(stream, sequence, stamp, dt, domain, now.to_vec(), velocity, material);
+            each(frame.map_err(|reason| ExchangeError::Frame {
+                path: self.path.clone(),
+                frame: index,
+                reason,
+            })?)?;
+        }
+        Ok(())
+    }
+
+    fn shaped<T>(
+        &self,
+        name: &str,
+        array: Option<&Array<T>>,
+        shapes: &[&[usize]],
+    ) -> Result<(), ExchangeError> {
+        match array {
+            Some(array) if !shapes.contains(&array.shape.as_slice()) => {
+                let expected: Vec<String> =
+                    shapes.iter().map(|shape| format!("{shape:?}")).collect();
+                let expected = format!("{} as position has", expected.join(" or "));
+                Err(self.fault(name, format!("shape {:?}", array.shape), expected))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn interval(&self, supplement: &Supplement) -> Result<f32, ExchangeError> {
+        let by_stamps = || match self.stamp.as_ref()?.values.as_slice() {
+            [first, second, ..] => Some(Stamp(second.checked_sub(*first)?).seconds() as f32),
+            _ => None,
+        };
+        let dt = supplement.dt.or(self.dt).or_else(by_stamps);
+        dt.ok_or_else(|| self.fault("dt", "none".into(), "one in the file, or --dt SECONDS"))
+    }
+
+    fn box_of_particles(&self, supplement: &Supplement) -> Result<Domain, ExchangeError> {
+        if let Some(domain) = supplement.domain.or(self.domain) {
+            return Ok(domain);
+        }
+        let inside = |x: &f32| (0.0..=1.0).contains(x);
+        match self.position.iter().find(|x| !inside(x)) {
+            None => Ok(Domain::UNIT),
+            Some(x) => Err(self.fault(
+                "domain",
+                format!("none, and a coordinate {x} outside the unit square"),
+                "lower and upper in the file, or --domain LEFT BOTTOM RIGHT TOP",
+            )),
+        }
+    }
+
+    fn differences(&self, index: usize, dt: f32) -> Result<Vec<[f32; 2]>, ExchangeError> {
+        if self.frames < 2 {
+            let expected = "velocities in the file, or at least two frames to take them from";
+            return Err(self.fault("velocity", "none, and one frame".into(), expected));
+        }
+        let numbers = 2 * self.particles;
+        let later = index.max(1) * numbers;
+        let (before, after) = self.position[later - numbers..later + numbers].split_at(numbers);
+        let velocity: Vec<f32> = before.iter().zip(after).map(|(a, b)| (b - a) / dt).collect();
+        Ok(velocity.as_chunks().0.to_vec())
+    }
+
+    fn materials(
+        &self,
+        frame: usize,
+        supplement: &Supplement,
+    ) -> Result<Vec<Material>, ExchangeError> {
+        if let Some(material) = supplement.material {
+            return Ok(vec![material; self.particles]);
+        }
+        let Some((array, types)) = &self.material else {
+            let expected = "materials in the file, or --material to say what all particles are";
+            return Err(self.fault("material", "none".into(), expected));
+        };
+        let (frames, particles) = (self.frames, self.particles);
+        self.shaped("material", Some(array), &[&[particles], &[frames, particles], &[]])?;
+        let of_frame = match array.shape.len() {
+            0 => return Ok(vec![self.material_of(array.values[0], *types)?; particles]),
+            1 => &array.values[..],
+            _ => &array.values[frame * particles..][..particles],
+        };
+        of_frame.iter().map(|&number| self.material_of(number, *types)).collect()
+    }
+
+    fn material_of(&self, number: i64, types: Types) -> Result<Material, ExchangeError> {
+        let material = types.material(number);
+        material.ok_or_else(|| self.fault("material", number.to_string(), types.words()))
+    }
+}

@@ -1,0 +1,124 @@
+//! VTK unstructured grids, one `.vtu` a frame, with a `.pvd` collection a stream: open the `.pvd`
+//! in ParaView. Every particle is a vertex with `velocity` and `material`.
+//!
+//! Format: "VTK XML Formats" (docs.vtk.org), inline base64 with 64-bit headers.
+
+use std::{fmt::Write as _, fs, path::Path};
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+
+use super::{
+    error::ExchangeError,
+    streams::{Streams, Watch},
+};
+use eddy_frames::Frame;
+
+/// VTK's number for a vertex (`vtkCellType.h`).
+const VERTEX: u8 = 1;
+
+/// Writes `stream_0007.pvd`, `stream_0007/000000.vtu` and so on into the directory.
+pub(super) fn write(
+    streams: &Streams,
+    directory: &Path,
+    watch: &mut Watch<'_>,
+) -> Result<(), ExchangeError> {
+    for track in streams.tracks() {
+        let name = track.name();
+        let folder = directory.join(&name);
+        fs::create_dir(&folder).map_err(ExchangeError::io(&folder, "creating the directory"))?;
+        let mut collection = header("Collection");
+        collection.push_str("  <Collection>\n");
+        let mut number = 0;
+        streams.read(track, watch, |frame| {
+            let path = folder.join(format!("{number:06}.vtu"));
+            let time = frame.stamp.seconds();
+            line(
+                &mut collection,
+                format_args!(
+                    "    <DataSet timestep=\"{time}\" part=\"0\" file=\"{name}/{number:06}.vtu\"/>"
+                ),
+            );
+            number += 1;
+            fs::write(&path, grid(&frame)).map_err(ExchangeError::io(&path, "writing"))
+        })?;
+        collection.push_str("  </Collection>\n</VTKFile>\n");
+        let path = directory.join(format!("{name}.pvd"));
+        fs::write(&path, collection).map_err(ExchangeError::io(&path, "writing"))?;
+    }
+    Ok(())
+}
+
+/// One frame as the text of a `.vtu` file.
+fn grid(frame: &Frame) -> String {
+    let particles = frame.len();
+    let spatial = |vectors: &[[f32; 2]]| -> Vec<f32> {
+        vectors.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect()
+    };
+    let material = frame.material.iter().map(|&material| [material as u8]);
+    let count = particles as i64;
+    let mut text = header("UnstructuredGrid");
+    text.push_str("  <UnstructuredGrid>\n    <FieldData>\n");
+    array(
+        &mut text,
+        "TimeValue",
+        "Float64",
+        "NumberOfTuples=\"1\"",
+        [frame.stamp.seconds().to_le_bytes()],
+    );
+    text.push_str("    </FieldData>\n");
+    line(
+        &mut text,
+        format_args!("    <Piece NumberOfPoints=\"{particles}\" NumberOfCells=\"{particles}\">"),
+    );
+    text.push_str("    <Points>\n");
+    let position = spatial(&frame.position);
+    array(&mut text, "Points", "Float32", VECTOR, position.iter().map(|x| x.to_le_bytes()));
+    text.push_str("    </Points>\n    <PointData Scalars=\"material\" Vectors=\"velocity\">\n");
+    let velocity = spatial(&frame.velocity);
+    array(&mut text, "velocity", "Float32", VECTOR, velocity.iter().map(|x| x.to_le_bytes()));
+    array(&mut text, "material", "UInt8", "", material);
+    text.push_str("    </PointData>\n    <Cells>\n");
+    array(&mut text, "connectivity", "Int64", "", (0..count).map(i64::to_le_bytes));
+    array(&mut text, "offsets", "Int64", "", (1..=count).map(i64::to_le_bytes));
+    array(&mut text, "types", "UInt8", "", (0..count).map(|_| [VERTEX]));
+    text.push_str("    </Cells>\n    </Piece>\n  </UnstructuredGrid>\n</VTKFile>\n");
+    text
+}
+
+/// Three numbers a particle.
+const VECTOR: &str = "NumberOfComponents=\"3\"";
+
+fn header(kind: &str) -> String {
+    format!(
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\" version=\"1.0\" \
+         byte_order=\"LittleEndian\" header_type=\"UInt64\">\n"
+    )
+}
+
+fn line(text: &mut String, line: std::fmt::Arguments<'_>) {
+    writeln!(text, "{line}").expect("a String takes everything");
+}
+
+/// An array: its length in bytes, then its bytes, together in base64.
+fn array<const SIZE: usize>(
+    text: &mut String,
+    name: &str,
+    number: &str,
+    extent: &str,
+    values: impl IntoIterator<Item = [u8; SIZE]>,
+) {
+    let mut bytes = vec![0; size_of::<u64>()];
+    for value in values {
+        bytes.extend_from_slice(&value);
+    }
+    let length = (bytes.len() - size_of::<u64>()) as u64;
+    bytes[..size_of::<u64>()].copy_from_slice(&length.to_le_bytes());
+    let encoded = STANDARD.encode(&bytes);
+    line(
+        text,
+        format_args!(
+            "      <DataArray type=\"{number}\" Name=\"{name}\" {extent} format=\"binary\">\
+             {encoded}</DataArray>"
+        ),
+    );
+}

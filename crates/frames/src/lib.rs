@@ -1,0 +1,320 @@
+//! Frames: all particles at one instant, checked and typed.
+//!
+//! A [`Frame`] is always whole: its lengths agree, every number is finite, every material is known.
+//! Whatever comes from outside becomes a frame through [`Frame::new`], which refuses the rest with an
+//! [`InvalidFrame`] that names the field, what was found and what was expected. A [`FrameView`] is a frame
+//! that is read where it lies.
+
+pub mod clock;
+pub mod progress;
+mod view;
+
+pub use view::{FrameView, Particle, Particles};
+
+use std::io::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+/// Simulation time, in nanoseconds since the start of the simulation's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Stamp(pub i64);
+
+/// Nanoseconds in a second.
+const NANOSECONDS: f64 = 1e9;
+
+impl Stamp {
+    /// The stamp `seconds` after zero, to the nearest nanosecond.
+    pub fn from_seconds(seconds: f64) -> Self {
+        Self((seconds * NANOSECONDS).round() as i64)
+    }
+
+    /// Seconds since zero.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 / NANOSECONDS
+    }
+
+    /// The stamp `steps` intervals of `dt` seconds later. The interval is rounded to whole
+    /// nanoseconds first, so that `advance(dt, 2)` equals two times `advance(dt, 1)`.
+    pub fn advance(self, dt: f32, steps: u32) -> Self {
+        let interval = (decimal(dt) * NANOSECONDS).round() as i64;
+        Self(self.0.saturating_add(interval.saturating_mul(i64::from(steps))))
+    }
+}
+
+/// The double that a person meant who wrote `value`: 0.016f32 is 0.016, not 0.01599999964.
+pub fn decimal(value: f32) -> f64 {
+    // As `to_string`, which asks for memory: at most nine digits, two signs, a point and an exponent.
+    let mut text = [0; 24];
+    let mut rest = text.as_mut_slice();
+    let written = write!(rest, "{value:e}").is_ok();
+    let left = rest.len();
+    let length = text.len() - left;
+    let digits = str::from_utf8(&text[..length]).ok().filter(|_| written);
+    digits.and_then(|digits| digits.parse().ok()).unwrap_or(f64::from(value))
+}
+
+/// What a particle is made of. The numbers are those of `eddy_msgs/msg/ParticleFrame`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[repr(u8)]
+pub enum Material {
+    /// Weakly compressible, no shear stiffness.
+    Liquid = 0,
+    /// Elastoplastic: yields, packs and hardens.
+    Snow = 1,
+    /// Soft elastic solid.
+    Jelly = 2,
+    /// Stiff elastic strip.
+    Rope = 3,
+}
+
+impl Material {
+    /// How many materials there are.
+    pub const COUNT: usize = 4;
+    /// Every material, in the order of its number.
+    pub const ALL: [Self; Self::COUNT] = [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope];
+
+    /// The material's word, as in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Liquid => "liquid",
+            Self::Snow => "snow",
+            Self::Jelly => "jelly",
+            Self::Rope => "rope",
+        }
+    }
+}
+
+impl TryFrom<u8> for Material {
+    type Error = u8;
+
+    fn try_from(number: u8) -> Result<Self, u8> {
+        Self::ALL.get(usize::from(number)).copied().ok_or(number)
+    }
+}
+
+/// An axis-aligned box that holds the particles (domain lengths).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Domain {
+    /// Corner with the smallest coordinates.
+    pub lower: [f32; 2],
+    /// Corner with the largest coordinates.
+    pub upper: [f32; 2],
+}
+
+impl Domain {
+    /// The unit square of the paper.
+    pub const UNIT: Self = Self { lower: [0.0; 2], upper: [1.0; 2] };
+
+    /// Whether the corners are finite and `lower` is below `upper` on both axes.
+    pub fn is_whole(&self) -> bool {
+        let Self { lower, upper } = self;
+        (0..2).all(|axis| {
+            lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
+        })
+    }
+}
+
+/// All particles at one instant. `N` is the number of particles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Which simulated trajectory this frame belongs to.
+    pub stream: u64,
+    /// Number of this frame in its stream; consecutive.
+    pub sequence: u64,
+    /// Simulation time of this frame.
+    pub stamp: Stamp,
+    /// Time between two frames of the stream (s).
+    pub dt: f32,
+    /// The box that holds the particles.
+    pub domain: Domain,
+    /// Positions, `[N, 2]` (domain lengths).
+    pub position: Vec<[f32; 2]>,
+    /// Velocities, `[N, 2]` (domain lengths per second).
+    pub velocity: Vec<[f32; 2]>,
+    /// Materials, `[N]`.
+    pub material: Vec<Material>,
+}
+
+/// Why something is no frame.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum InvalidFrame {
+    /// The domain has another number of dimensions than two.
+    #[error("{field}: found {found} dimensions, expected 2")]
+    Dimension {
+        /// The domain corner: `lower` or `upper`.
+        field: &'static str,
+        /// Number of coordinates of that corner.
+        found: usize,
+    },
+    /// The domain is empty or not finite.
+    #[error("lower, upper: found {found:?}, expected finite corners with lower < upper")]
+    Domain {
+        /// The corners, lower first.
+        found: [[f32; 2]; 2],
+    },
+    /// An array does not fit the number of particles.
+    #[error("{field}: found {found} numbers, expected {expected} for {particles} particles")]
+    Length {
+        /// The field with the wrong length.
+        field: &'static str,
+        /// Its length.
+        found: usize,
+        /// The length it should have.
+        expected: usize,
+        /// The number of particles, by the length of `material`.
+        particles: usize,
+    },
+    /// There is no particle.
+    #[error("material: found 0 particles, expected at least 1")]
+    Empty,
+    /// A number is NaN or infinite.
+    #[error("{field}[{particle}]: found {found}, expected a finite number")]
+    NotFinite {
+        /// The field with the number.
+        field: &'static str,
+        /// Index of the first particle concerned.
+        particle: usize,
+        /// The number.
+        found: f32,
+    },
+    /// A material has no known number.
+    #[error(
+        "material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)"
+    )]
+    Material {
+        /// Index of the first particle concerned.
+        particle: usize,
+        /// Its material number.
+        found: u8,
+    },
+    /// No frame can follow this one.
+    #[error("sequence: found {found}, expected a number that can be followed")]
+    Sequence {
+        /// The sequence number.
+        found: u64,
+    },
+    /// The frame interval is no positive number.
+    #[error("dt: found {found} s, expected a positive number")]
+    Interval {
+        /// The interval (s).
+        found: f32,
+    },
+}
+
+impl Frame {
+    /// Puts a frame together, or says why its parts are none.
+    ///
+    /// # Errors
+    /// [`InvalidFrame`] when there is no particle, lengths disagree, a number is not finite, the
+    /// domain is empty or `dt` is not positive.
+    #[expect(clippy::too_many_arguments, reason = "one argument for each field of the message")]
+    pub fn new(
+        stream: u64,
+        sequence: u64,
+        stamp: Stamp,
+        dt: f32,
+        domain: Domain,
+        position: Vec<[f32; 2]>,
+        velocity: Vec<[f32; 2]>,
+        material: Vec<Material>,
+    ) -> Result<Self, InvalidFrame> {
+        let frame = Self { stream, sequence, stamp, dt, domain, position, velocity, material };
+        frame.check()?;
+        Ok(frame)
+    }
+
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        self.material.len()
+    }
+
+    /// Whether there is no particle (never, for a frame from [`Frame::new`]).
+    pub fn is_empty(&self) -> bool {
+        self.material.is_empty()
+    }
+
+    /// Checks what [`Frame::new`] promises.
+    ///
+    /// # Errors
+    /// As [`Frame::new`].
+    pub fn check(&self) -> Result<(), InvalidFrame> {
+        let particles = self.material.len();
+        for (field, found) in [("position", self.position.len()), ("velocity", self.velocity.len())]
+        {
+            // Without particles, that is said instead.
+            if found != particles && particles > 0 {
+                return Err(InvalidFrame::Length {
+                    field,
+                    found: 2 * found,
+                    expected: 2 * particles,
+                    particles,
+                });
+            }
+        }
+        FrameView::from(self).check()
+    }
+}
+
+/// The example of the README, which a test runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two_particles() -> Frame {
+        Frame {
+            stream: 1,
+            sequence: 0,
+            stamp: Stamp(0),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            position: vec![[0.25, 0.5], [0.75, 0.5]],
+            velocity: vec![[0.0, -1.0], [1.0, 0.0]],
+            material: vec![Material::Liquid, Material::Rope],
+        }
+    }
+
+    #[test]
+    fn a_whole_frame_passes() {
+        assert_eq!(two_particles().check(), Ok(()));
+    }
+
+    #[test]
+    fn a_nan_is_named_with_its_field_and_particle() {
+        let mut frame = two_particles();
+        frame.velocity[1][0] = f32::NAN;
+        let message = frame.check().unwrap_err().to_string();
+        assert_eq!(message, "velocity[1]: found NaN, expected a finite number");
+    }
+
+    #[test]
+    fn unequal_lengths_are_named_in_numbers_of_the_message() {
+        let mut frame = two_particles();
+        frame.position.pop();
+        let message = frame.check().unwrap_err().to_string();
+        assert_eq!(message, "position: found 2 numbers, expected 4 for 2 particles");
+    }
+
+    #[test]
+    fn decimals_are_those_that_are_shown() {
+        for value in
+            [0.016_f32, 1.0 / 3.0, f32::MAX, f32::MIN_POSITIVE / 3.0, -1.234_567_9e-30, 0.0]
+        {
+            assert_eq!(decimal(value), value.to_string().parse::<f64>().unwrap(), "{value}");
+        }
+        assert!(decimal(f32::NAN).is_nan());
+    }
+
+    #[test]
+    fn stamps_advance_in_whole_intervals() {
+        let dt = 0.016;
+        let two = Stamp(5).advance(dt, 1).advance(dt, 1);
+        assert_eq!(two, Stamp(5).advance(dt, 2));
+        assert_eq!(two, Stamp(32_000_005));
+    }
+}

@@ -1,0 +1,126 @@
+//! The two files on disk, and how both are replaced at once.
+//!
+//! Two renames are not one. So the new pair is first written whole beside the old one, weights before
+//! description, each under its name with `.new` behind; then the weights are renamed, then the
+//! description. Whoever comes after a crash finds one of three states:
+//!
+//! | `model.safetensors.new` | `model.toml.new` | state |
+//! |---|---|---|
+//! | any | none | the old pair counts |
+//! | there | there | not yet decided: the old pair counts |
+//! | none | there | the weights are already the new ones: `model.toml.new` belongs to them |
+
+use std::{
+    collections::BTreeMap,
+    fs::{self, File},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use safetensors::{
+    SafeTensors,
+    tensor::{Dtype, TensorView},
+};
+
+use super::{CheckpointError, Weights};
+use eddy_settings::near;
+
+/// Name of the description within the directory.
+pub const DESCRIPTION_FILE: &str = "model.toml";
+/// Name of the weights within the directory.
+pub const WEIGHTS_FILE: &str = "model.safetensors";
+
+/// The names under which the new pair is written, weights first.
+fn incoming(directory: &Path) -> [PathBuf; 2] {
+    [WEIGHTS_FILE, DESCRIPTION_FILE].map(|name| directory.join(format!("{name}.new")))
+}
+
+/// Whether a writer was stopped between the two renames.
+fn half_renamed(directory: &Path) -> bool {
+    let [weights, description] = incoming(directory);
+    description.exists() && !weights.exists()
+}
+
+/// Replaces both files.
+pub(super) fn write(
+    directory: &Path,
+    description: &str,
+    weights: &[u8],
+) -> Result<(), CheckpointError> {
+    let attempt = |file: &Path, result: io::Result<()>| {
+        result.map_err(|reason| CheckpointError::Write { file: file.to_owned(), reason })
+    };
+    attempt(directory, fs::create_dir_all(directory))?;
+    let [new_weights, new_description] = incoming(directory);
+    let [old_weights, old_description] =
+        [WEIGHTS_FILE, DESCRIPTION_FILE].map(|name| directory.join(name));
+    if half_renamed(directory) {
+        attempt(&old_description, fs::rename(&new_description, &old_description))?;
+    }
+    attempt(&new_weights, write_through(&new_weights, weights))?;
+    attempt(&new_description, write_through(&new_description, description.as_bytes()))?;
+    attempt(&old_weights, fs::rename(&new_weights, &old_weights))?;
+    attempt(&old_description, fs::rename(&new_description, &old_description))
+}
+
+/// Writes a file and waits until the disk has it.
+pub fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(file)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// Reads both files: the description's text, the weights' bytes.
+pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointError> {
+    let [_, new_description] = incoming(directory);
+    let description =
+        if half_renamed(directory) { new_description } else { directory.join(DESCRIPTION_FILE) };
+    let weights = directory.join(WEIGHTS_FILE);
+    let failed = |file: &Path, reason| CheckpointError::Read {
+        file: file.to_owned(),
+        reason: near::in_folder(file, reason),
+    };
+    let text = fs::read_to_string(&description).map_err(|reason| failed(&description, reason))?;
+    let bytes = fs::read(&weights).map_err(|reason| failed(&weights, reason))?;
+    Ok((text, bytes))
+}
+
+/// The bytes of a safetensors file.
+pub fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
+    let bytes: Vec<Vec<u8>> = tensors
+        .values()
+        .map(|weights| weights.values.iter().flat_map(|value| value.to_le_bytes()).collect())
+        .collect();
+    let views = tensors.iter().zip(&bytes).map(|((name, weights), bytes)| {
+        let view = TensorView::new(Dtype::F32, weights.shape.clone(), bytes)
+            .expect("four bytes a number, as many as the checked shape holds");
+        (name, view)
+    });
+    safetensors::serialize(views, None).expect("names and shapes are all JSON")
+}
+
+/// The tensors in the bytes of a safetensors file; `file` is named in errors.
+pub fn parse_weights(
+    file: &Path,
+    bytes: &[u8],
+) -> Result<BTreeMap<String, Weights>, CheckpointError> {
+    let parsed = SafeTensors::deserialize(bytes).map_err(|error| CheckpointError::Corrupt {
+        file: file.to_owned(),
+        found: error.to_string(),
+    })?;
+    let mut tensors = BTreeMap::new();
+    for (name, view) in parsed.iter() {
+        if view.dtype() != Dtype::F32 {
+            return Err(CheckpointError::NumberType {
+                file: file.to_owned(),
+                tensor: name.to_owned(),
+                found: format!("{:?}", view.dtype()),
+            });
+        }
+        let values =
+            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let weights = Weights { shape: view.shape().to_vec(), values: values.collect() };
+        tensors.insert(name.to_owned(), weights);
+    }
+    Ok(tensors)
+}

@@ -1,0 +1,194 @@
+//! Names and shapes of a network's tensors, derived from its description.
+//!
+//! Every layer is linear with a bias, stored as PyTorch does: `NAME.weight` `[out, in]`,
+//! `NAME.bias` `[out]`. `F` is the number of input features, `E`, `H` the widths of encoder and hidden
+//! state, `l` counts the recurrent layers from 0.
+//!
+//! | layer | widths |
+//! |---|---|
+//! | `encoder.0` | F -> E |
+//! | `encoder.1` | E -> H (frame model), E -> C0 (particle model) |
+//! | `grid.*` (particle model) | see below |
+//! | `context` (particle model) | F + C0 -> H |
+//! | `core.l.linear` (MLP) | H -> H |
+//! | `core.l.gate`, `core.l.candidate` (minGRU) | H -> H |
+//! | `core.l.forget_gate`, `core.l.input_gate`, `core.l.candidate` (minLSTM) | H -> H |
+//! | `core.*_ih_ll`, `core.*_hh_ll` (GRU; gates r, z, n) | H -> 3 H |
+//! | `core.*_ih_ll`, `core.*_hh_ll` (LSTM; gates i, f, g, o) | H -> 4 H |
+//! | `mixer` | H -> H |
+//! | `decoder` | H -> 2 N (frame model), H -> 4 (particle model) |
+//!
+//! GRU and LSTM have the names that PyTorch gives to a stack of layers, `core.weight_ih_l0`,
+//! `core.bias_ih_l0` and so on. Where mean and maximum are pooled, the input of the first layer of the
+//! core is 2 H wide.
+//!
+//! The particle model's grid has three levels of C0, C1 and C2 channels. A convolution is a linear
+//! layer whose input is the nodes around a node, side by side, row by row from the lower left:
+//!
+//! | layer | widths |
+//! |---|---|
+//! | `grid.0.a`, `grid.0.b` | 9 (C0 + 5) -> C0, 9 C0 -> C0 |
+//! | `grid.1.down`, `grid.1.a` | 4 C0 -> C1, 9 C1 -> C1 |
+//! | `grid.2.down`, `grid.2.a`, `grid.2.b` | 4 C1 -> C2, 9 C2 -> C2, 9 C2 -> C2 |
+//! | `grid.1.up`, `grid.1.b` | C2 -> 4 C1 (one map for each child; they share the bias), 9 C1 -> C1 |
+//! | `grid.0.up`, `grid.0.c` | C1 -> 4 C0, likewise, 9 C0 -> C0 |
+
+use std::{collections::BTreeMap, path::Path};
+
+use super::{
+    Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Surroundings, Weights,
+};
+use eddy_frames::Material;
+
+/// Input features of the frame model: x, y, vx, vy and the material.
+pub fn frame_features(material: MaterialInput) -> usize {
+    match material {
+        MaterialInput::OneHot => 4 + Material::COUNT,
+        MaterialInput::Scalar => 5,
+    }
+}
+
+/// Input features of the particle model; `model/features.rs` says which.
+pub const PARTICLE_FEATURES: usize = 19 + Material::COUNT;
+/// What a node of the grid knows beside the channels: how full it is, and how near each wall is.
+pub const NODE_FEATURES: usize = 5;
+
+/// A linear layer: its tensors' names and its widths.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinearLayer {
+    /// Name of the matrix, `[output, input]`.
+    pub weight: String,
+    /// Name of the bias, `[output]`.
+    pub bias: String,
+    /// Columns of the matrix.
+    pub input: usize,
+    /// Rows of the matrix.
+    pub output: usize,
+    /// How many numbers of the output share one of the bias.
+    pub sharing: usize,
+}
+
+/// The linear parts of a layer of the core, and how many gates each computes.
+pub fn core_parts(core: Core) -> &'static [(&'static str, usize)] {
+    match core {
+        Core::Mlp => &[("linear", 1)],
+        Core::Lstm => &[("ih", 4), ("hh", 4)],
+        Core::Gru => &[("ih", 3), ("hh", 3)],
+        Core::MinLstm => &[("forget_gate", 1), ("input_gate", 1), ("candidate", 1)],
+        Core::MinGru => &[("gate", 1), ("candidate", 1)],
+    }
+}
+
+/// Names of weight and bias of a part of a layer of the core.
+pub fn core_names(core: Core, layer: usize, part: &str) -> [String; 2] {
+    ["weight", "bias"].map(|tensor| match core {
+        Core::Lstm | Core::Gru => format!("core.{tensor}_{part}_l{layer}"),
+        Core::Mlp | Core::MinLstm | Core::MinGru => format!("core.{layer}.{part}.{tensor}"),
+    })
+}
+
+/// Names of weight and bias of a layer outside the core.
+pub fn names(layer: &str) -> [String; 2] {
+    ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
+}
+
+/// Names, inputs, outputs and sharers of the layers on the grid, in order.
+pub fn grid_layers(surroundings: &Surroundings) -> [(&'static str, usize, usize, usize); 11] {
+    let [c0, c1, c2] = surroundings.channels;
+    [
+        ("grid.0.a", 9 * (c0 + NODE_FEATURES), c0, 1),
+        ("grid.0.b", 9 * c0, c0, 1),
+        ("grid.1.down", 4 * c0, c1, 1),
+        ("grid.1.a", 9 * c1, c1, 1),
+        ("grid.2.down", 4 * c1, c2, 1),
+        ("grid.2.a", 9 * c2, c2, 1),
+        ("grid.2.b", 9 * c2, c2, 1),
+        ("grid.1.up", c2, 4 * c1, 4),
+        ("grid.1.b", 9 * c1, c1, 1),
+        ("grid.0.up", c1, 4 * c0, 4),
+        ("grid.0.c", 9 * c0, c0, 1),
+    ]
+}
+
+/// The linear layers of a network, from input to output.
+pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
+    let Description { architecture, core, sizes, frame, surroundings, .. } = description;
+    let hidden = sizes.hidden;
+    let (features, outputs) = match architecture {
+        Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
+        Architecture::Particle => (PARTICLE_FEATURES, 4),
+    };
+    let encoded = surroundings.map_or(hidden, |surroundings| surroundings.channels[0]);
+    let pooled = match frame.pooling {
+        Pooling::Mean | Pooling::Max => hidden,
+        Pooling::MeanMax => 2 * hidden,
+    };
+    let linear = |[weight, bias]: [String; 2], input, output| LinearLayer {
+        weight,
+        bias,
+        input,
+        output,
+        sharing: 1,
+    };
+    let mut layers = vec![
+        linear(names("encoder.0"), features, sizes.encoder),
+        linear(names("encoder.1"), sizes.encoder, encoded),
+    ];
+    for (name, input, output, sharing) in surroundings.iter().flat_map(grid_layers) {
+        layers.push(LinearLayer { sharing, ..linear(names(name), input, output) });
+    }
+    if surroundings.is_some() {
+        layers.push(linear(names("context"), features + encoded, hidden));
+    }
+    for layer in 0..sizes.layers {
+        for &(part, gates) in core_parts(*core) {
+            let input = if layer == 0 && part != "hh" { pooled } else { hidden };
+            layers.push(linear(core_names(*core, layer, part), input, gates * hidden));
+        }
+    }
+    layers.push(linear(names("mixer"), hidden, hidden));
+    layers.push(linear(names("decoder"), hidden, outputs));
+    layers
+}
+
+/// Name and shape of every tensor of the network.
+pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> {
+    linear_layers(description)
+        .into_iter()
+        .flat_map(|LinearLayer { weight, bias, input, output, sharing }| {
+            [(weight, vec![output, input]), (bias, vec![output / sharing])]
+        })
+        .collect()
+}
+
+/// Checks that the tensors are exactly those of the network, and finite.
+pub(super) fn check(
+    file: &Path,
+    description: &Description,
+    tensors: &BTreeMap<String, Weights>,
+) -> Result<(), CheckpointError> {
+    let file = || file.to_owned();
+    let shapes = tensor_shapes(description);
+    for (tensor, expected) in &shapes {
+        let (tensor, expected) = (tensor.clone(), expected.clone());
+        let Some(found) = tensors.get(&tensor) else {
+            return Err(CheckpointError::Missing { file: file(), tensor, expected });
+        };
+        if found.shape != expected || found.values.len() != expected.iter().product::<usize>() {
+            let found = found.shape.clone();
+            return Err(CheckpointError::Shape { file: file(), tensor, found, expected });
+        }
+        if let Some(index) = found.values.iter().position(|value| !value.is_finite()) {
+            let found = found.values[index];
+            return Err(CheckpointError::NotFinite { file: file(), tensor, index, found });
+        }
+    }
+    match tensors.iter().find(|(name, _)| !shapes.contains_key(*name)) {
+        None => Ok(()),
+        Some((tensor, weights)) => Err(CheckpointError::Unexpected {
+            file: file(),
+            tensor: tensor.clone(),
+            found: weights.shape.clone(),
+        }),
+    }
+}

@@ -1,0 +1,150 @@
+//! Checkpoints: a trained network on disk, readable without the library that trained it.
+//!
+//! A checkpoint is a directory with two files:
+//!
+//! 1. `model.toml`, the [`Description`]: what the network is, what it was trained on, how its numbers
+//!    are scaled (`description`), and which rules correct its predictions (`rules`).
+//! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
+//!    that `layout` derives from the description.
+//!
+//! `initial` draws the weights of an untrained network. `files` writes and reads the two so that a crash between any two system calls leaves a whole
+//! checkpoint, the old one or the new one. `error` says why something is no checkpoint.
+
+mod description;
+mod error;
+mod files;
+mod initial;
+pub mod layout;
+mod rules;
+
+pub use description::{
+    Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
+    FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings, TrainingSummary,
+};
+pub use error::CheckpointError;
+pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
+pub use files::{parse_weights, render_weights, write_through};
+pub use initial::initial_weights;
+pub use layout::tensor_shapes;
+pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
+
+use std::{collections::BTreeMap, path::Path};
+
+use sha2::{Digest, Sha256};
+
+/// A trained network: what it is, and its weights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// What the network is and how its numbers are scaled.
+    pub description: Description,
+    /// The weights by name, as [`tensor_shapes`] lists them.
+    pub tensors: BTreeMap<String, Weights>,
+}
+
+/// One tensor of weights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// Length of each axis; `[out, in]` for the matrix of a linear layer.
+    pub shape: Vec<usize>,
+    /// The numbers, last axis fastest.
+    pub values: Vec<f32>,
+}
+
+impl Checkpoint {
+    /// Writes the checkpoint into the directory `directory`, which is made if need be. A checkpoint
+    /// already there is replaced at once: a crash leaves it or the new one, never half of each.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Write`] when a file cannot be written, and what [`Checkpoint::check`] says.
+    pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
+        self.check(directory)?;
+        files::write(directory, &self.render_description(), &self.render_weights())
+    }
+
+    /// Reads the checkpoint in the directory `directory`.
+    ///
+    /// # Errors
+    /// [`CheckpointError`]: a file cannot be read or is damaged, the format version is another one, a
+    /// key of the description is unknown or missing, or the weights do not fit the description.
+    pub fn load(directory: &Path) -> Result<Self, CheckpointError> {
+        let (description, weights) = files::read(directory)?;
+        Self::parse(directory, &description, &weights)
+    }
+
+    /// The particle model that ships inside this program; `checkpoints/README.md` says how it was
+    /// made.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`]; a test loads it, so only a broken build has any.
+    pub fn shipped() -> Result<Self, CheckpointError> {
+        Self::parse(
+            "checkpoints/particle-mingru".as_ref(),
+            include_str!("../../checkpoints/particle-mingru/model.toml"),
+            include_bytes!("../../checkpoints/particle-mingru/model.safetensors"),
+        )
+    }
+
+    /// The checkpoint at `path`, or [`Checkpoint::shipped`] where there is none.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`].
+    pub fn load_or_shipped(path: Option<&Path>) -> Result<Self, CheckpointError> {
+        path.map_or_else(Self::shipped, Self::load)
+    }
+
+    /// The checkpoint in the contents of its two files, which `directory` names in errors.
+    pub fn parse(
+        directory: &Path,
+        description: &str,
+        weights: &[u8],
+    ) -> Result<Self, CheckpointError> {
+        let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
+        let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
+        let checkpoint = Self { description, tensors };
+        checkpoint.check(directory)?;
+        Ok(checkpoint)
+    }
+
+    /// Checks the description's numbers, and that the weights are those it asks for: no tensor
+    /// missing, none too many, each of its shape and finite. `directory` is named in errors.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Field`], [`CheckpointError::Missing`], [`CheckpointError::Unexpected`],
+    /// [`CheckpointError::Shape`], [`CheckpointError::NotFinite`].
+    pub fn check(&self, directory: &Path) -> Result<(), CheckpointError> {
+        description::check(&directory.join(DESCRIPTION_FILE), &self.description)?;
+        layout::check(&directory.join(WEIGHTS_FILE), &self.description, &self.tensors)
+    }
+
+    /// SHA-256 in hexadecimal over both files as [`Checkpoint::save`] writes them, the description
+    /// first (`cat model.toml model.safetensors | sha256sum`). It passes over all weights: keep it.
+    pub fn digest(&self) -> String {
+        let mut hash = Sha256::new();
+        hash.update(self.render_description());
+        hash.update(self.render_weights());
+        format!("{:x}", hash.finalize())
+    }
+
+    /// The first twelve digits of [`Checkpoint::digest`], for people.
+    pub fn short_digest(&self) -> String {
+        let mut digest = self.digest();
+        digest.truncate(12);
+        digest
+    }
+
+    /// How many numbers the network has learned.
+    pub fn parameters(&self) -> usize {
+        self.tensors.values().map(|weights| weights.values.len()).sum()
+    }
+
+    fn render_description(&self) -> String {
+        description::render(&self.description)
+    }
+
+    fn render_weights(&self) -> Vec<u8> {
+        render_weights(&self.tensors)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,78 @@
+//! The rules after any predictor.
+
+use super::{
+    super::{Ballistic, crew::Parts},
+    Observed, Predicted, RuleSet, Stage,
+};
+use crate::{
+    checkpoint::{Description, Surroundings},
+    kernels::{
+        nodes::{Nodes, Window},
+        rest::Rest,
+    },
+};
+use eddy_frames::{Domain, Frame};
+
+/// The rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
+#[derive(Clone, Debug)]
+pub struct Corrector {
+    rules: RuleSet,
+    stages: Vec<Stage>,
+    ballistic: Ballistic,
+    /// The domain that the checkpoint was trained in.
+    domain: Domain,
+    /// Of the grid that tells bodies apart (domain lengths).
+    cell_width: f32,
+}
+
+impl Corrector {
+    /// The rules of the described network; a frame model has none.
+    pub fn new(description: &Description) -> Self {
+        let rules = RuleSet::new(description);
+        let cell_width = |surroundings: Surroundings| surroundings.cell_width;
+        Self {
+            stages: rules.stages(),
+            rules,
+            ballistic: Ballistic::of(description),
+            domain: description.domain,
+            cell_width: description.surroundings.map_or(0.0, cell_width),
+        }
+    }
+
+    /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is the
+    /// shape in which its solids rest.
+    ///
+    /// # Panics
+    /// When there are not as many particles in all three.
+    pub fn correct(&self, rest: &Rest, before: &Frame, predicted: &mut Frame) {
+        if self.stages.is_empty() {
+            return;
+        }
+        let particles = before.len();
+        assert_eq!([rest.len(), predicted.len()], [particles; 2], "particles of the same stream");
+        let Domain { lower, upper } = before.domain;
+        let mut nodes = Nodes::default();
+        let window = Window { particles: 0..particles, lower, upper };
+        nodes.rebuild(&before.position, &[window], self.cell_width);
+        let order: Vec<u32> = (0..particles as u32).collect();
+        let observed = Observed {
+            position: &before.position,
+            velocity: &before.velocity,
+            nodes: &nodes,
+            ballistic: self.ballistic.moved(&self.domain, &before.domain),
+            domain: before.domain,
+            rest,
+            order: &order,
+        };
+        let predicted = Predicted {
+            position: Parts::new(&mut predicted.position),
+            velocity: Parts::new(&mut predicted.velocity),
+            material: &predicted.material,
+        };
+        let mut scratch = self.rules.scratch();
+        let correction = self.rules.begin(&mut scratch, observed, predicted);
+        for &stage in &self.stages {
+            (0..correction.items(stage)).for_each(|item| correction.run(stage, item));
+        }
+    }
+}

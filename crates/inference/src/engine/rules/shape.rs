@@ -1,0 +1,357 @@
+//! Jelly and rope keep their shape: where predicted particles are out of line with their neighbours, or stretched
+//! further than such matter is, they are moved to where their neighbours and the shape at rest have them ("As-rigid-as-possible
+//! surface modeling", Sorkine and Alexa 2007, with limits of strain in place of rotations).
+//!
+//! The network's errors of a frame are small, but they add up: a body would crumple in a second.
+//!
+//! 1. Align: positions in the order of the stream's memory.
+//! 2. Limit: the deformation gradient F of each particle, with its stretches limited ([`ShapeRule::strain_limit`]).
+//! 3. Lean: how far a particle is from its neighbours' mean, if they are as at rest but for F: the mean of
+//!    (F + F_j) (X - X_j) / 2, X being places at rest.
+//! 4. Restore, [`ShapeRule::sweeps`] times: each particle goes there.
+//! 5. Adopt: velocities change with positions.
+
+use std::ops::Range;
+
+use super::super::{Ballistic, crew::Parts};
+use crate::{
+    checkpoint::ShapeRule,
+    kernels::rest::{Rest, deformation},
+};
+
+/// Rows of an item.
+const ROWS: usize = 256;
+
+/// A deformation gradient, by rows.
+type Gradient = [[f32; 2]; 2];
+
+/// A step towards the shape at rest; items are some rows of the stream's memory.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) enum Step {
+    Align,
+    Limit,
+    Lean,
+    /// The number of the sweep.
+    Restore(usize),
+    Adopt,
+}
+
+/// The steps, in order.
+pub(super) fn steps(rule: ShapeRule) -> impl Iterator<Item = Step> {
+    let sweeps = (0..rule.sweeps).map(Step::Restore);
+    [Step::Align, Step::Limit, Step::Lean].into_iter().chain(sweeps).chain([Step::Adopt])
+}
+
+/// Scratch buffers between steps, by rows of the stream's memory.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    /// Positions before and after a sweep, in turn.
+    place: [Vec<[f32; 2]>; 2],
+    limited: Vec<Gradient>,
+    lean: Vec<[f32; 2]>,
+}
+
+/// The shapes of a frame.
+pub(super) struct Shape<'a> {
+    rule: ShapeRule,
+    rest: &'a Rest,
+    /// The particle of the frame in each row.
+    order: &'a [u32],
+    place: [Parts<'a, [f32; 2]>; 2],
+    limited: Parts<'a, Gradient>,
+    lean: Parts<'a, [f32; 2]>,
+}
+
+impl Scratch {
+    /// For the particles that rest in `rest`, `order` having that of each row.
+    pub(super) fn shape<'a>(
+        &'a mut self,
+        rule: ShapeRule,
+        rest: &'a Rest,
+        order: &'a [u32],
+    ) -> Shape<'a> {
+        let Self { place, limited, lean } = self;
+        let rows = order.len();
+        place.iter_mut().for_each(|list| list.resize(rows, [0.0; 2]));
+        limited.resize(rows, Gradient::default());
+        lean.resize(rows, [0.0; 2]);
+        let place = place.each_mut().map(|list| Parts::new(list));
+        Shape { rule, rest, order, place, limited: Parts::new(limited), lean: Parts::new(lean) }
+    }
+}
+
+impl Shape<'_> {
+    /// How many items each step has; none where nothing has a shape.
+    pub(super) fn items(&self) -> usize {
+        if self.rest.is_shapeless() { 0 } else { self.order.len().div_ceil(ROWS) }
+    }
+
+    /// An item of a step; `position` and `velocity` are the frame's.
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        step: Step,
+        item: usize,
+        position: &Parts<'_, [f32; 2]>,
+        velocity: &Parts<'_, [f32; 2]>,
+        walls: &Ballistic,
+    ) {
+        let rows = item * ROWS..((item + 1) * ROWS).min(self.order.len());
+        match step {
+            Step::Align => self.align(rows, position),
+            Step::Limit => self.limit(rows),
+            Step::Lean => self.lean(rows),
+            Step::Restore(sweep) => self.restore(sweep, rows, walls),
+            Step::Adopt => self.adopt(rows, position, velocity, walls),
+        }
+    }
+
+    #[inline(always)]
+    fn align(&self, rows: Range<usize>, position: &Parts<'_, [f32; 2]>) {
+        // SAFETY: this step only reads the positions, and the rows are those of this item alone.
+        let (position, [first, second]) = unsafe {
+            let place = [self.place[0].part(rows.clone()), self.place[1].part(rows.clone())];
+            (position.read(0..position.len()), place)
+        };
+        for ((&particle, first), second) in self.order[rows].iter().zip(first).zip(second) {
+            // What has no shape stays in both.
+            (*first, *second) = (position[particle as usize], position[particle as usize]);
+        }
+    }
+
+    #[inline(always)]
+    fn limit(&self, rows: Range<usize>) {
+        // SAFETY: this step only reads the places, and the rows are those of this item alone.
+        let (place, limits) =
+            unsafe { (self.place[0].read(0..self.order.len()), self.limited.part(rows.clone())) };
+        for (row, limit) in rows.zip(limits) {
+            let links = self.rest.links(row);
+            *limit = match links {
+                [] => [[1.0, 0.0], [0.0, 1.0]],
+                links => limited(deformation(links, place, place[row]).0, self.rule.strain_limit),
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn lean(&self, rows: Range<usize>) {
+        // SAFETY: this step only reads the gradients, and the rows are those of this item alone.
+        let (limited, leans) =
+            unsafe { (self.limited.read(0..self.order.len()), self.lean.part(rows.clone())) };
+        for (row, lean) in rows.zip(leans) {
+            let own = limited[row];
+            *lean = [0.0; 2];
+            for (tie, &[x, y]) in self.rest.ties(row).iter().zip(self.rest.offsets(row)) {
+                let theirs = limited[tie.particle as usize];
+                for axis in 0..2 {
+                    let (a, b) = (own[axis][0] + theirs[axis][0], own[axis][1] + theirs[axis][1]);
+                    lean[axis] -= 0.5 * tie.share * (a * x + b * y);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn restore(&self, sweep: usize, rows: Range<usize>, walls: &Ballistic) {
+        let (from, to) = (&self.place[sweep % 2], &self.place[(sweep + 1) % 2]);
+        // SAFETY: a sweep reads one of the lists and what leans, and writes the other; there the rows are those
+        // of this item alone.
+        let (from, leans, to) = unsafe {
+            (from.read(0..self.order.len()), self.lean.read(rows.clone()), to.part(rows.clone()))
+        };
+        for ((row, lean), to) in rows.zip(leans).zip(to) {
+            let ties = self.rest.ties(row);
+            if ties.is_empty() {
+                continue;
+            }
+            let mut place = *lean;
+            for tie in ties {
+                let neighbour = from[tie.particle as usize];
+                place[0] += tie.share * neighbour[0];
+                place[1] += tie.share * neighbour[1];
+            }
+            for axis in 0..2 {
+                to[axis] = walls.hold(axis, place[axis]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn adopt(
+        &self,
+        rows: Range<usize>,
+        position: &Parts<'_, [f32; 2]>,
+        velocity: &Parts<'_, [f32; 2]>,
+        walls: &Ballistic,
+    ) {
+        // SAFETY: this step only reads the places.
+        let places = unsafe { self.place[self.rule.sweeps % 2].read(rows.clone()) };
+        for (row, place) in rows.zip(places) {
+            if self.rest.links(row).is_empty() {
+                continue;
+            }
+            let particle = self.order[row] as usize;
+            // SAFETY: a particle has one row, which is in this item alone.
+            let (x, v) = unsafe {
+                let x = position.part(particle..particle + 1);
+                (&mut x[0], &mut velocity.part(particle..particle + 1)[0])
+            };
+            for axis in 0..2 {
+                v[axis] += (place[axis] - x[axis]) / walls.dt;
+            }
+            *x = *place;
+        }
+    }
+}
+
+/// The gradient with its stretches, the singular values, limited; what was turned inside out is turned back.
+#[inline(always)]
+fn limited([[a, b], [c, d]]: Gradient, strain: f32) -> Gradient {
+    // The sum of a turn with a scaling, [[p, -q], [q, p]], and a mirroring with a scaling, [[r, s], [s, -r]]: the
+    // stretches are the sum and the difference of their sizes.
+    let (p, q) = (0.5 * (a + d), 0.5 * (c - b));
+    let (r, s) = (0.5 * (a - d), 0.5 * (c + b));
+    let (turn, mirror) = ((p * p + q * q).sqrt(), (r * r + s * s).sqrt());
+    let most = (turn + mirror).clamp(1.0 - strain, 1.0 + strain);
+    let least = (turn - mirror).clamp(1.0 - strain, 1.0 + strain);
+    let turned = 0.5 * (most + least) / turn.max(f32::MIN_POSITIVE);
+    let mirrored = 0.5 * (most - least) / mirror.max(f32::MIN_POSITIVE);
+    let (p, q, r, s) = (p * turned, q * turned, r * mirrored, s * mirrored);
+    [[p + r, s - q], [s + q, p - r]]
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::checkpoint::Rules;
+    use eddy_frames::Material;
+
+    const SPACING: f32 = 1.0 / 128.0;
+    const COLUMNS: usize = 24;
+    const RULE: ShapeRule = Rules::STANDARD.shape.unwrap();
+    const STRAIN: f32 = RULE.strain_limit;
+    const WALLS: Ballistic =
+        Ballistic { gravity: [0.0, -9.8], dt: 0.016, lower: [0.03; 2], upper: [0.97; 2] };
+
+    /// A block of 24 x 12 particles.
+    fn block() -> Vec<[f32; 2]> {
+        let at = |k: usize| [(k % COLUMNS) as f32, (k / COLUMNS) as f32];
+        (0..COLUMNS * 12).map(|k| at(k).map(|x| 0.4 + SPACING * x)).collect()
+    }
+
+    /// Where particles are that were changed from the block, after their shape was restored so many times, and
+    /// their velocities, which were zero before the last.
+    fn restored(
+        material: Material,
+        mut position: Vec<[f32; 2]>,
+        times: usize,
+    ) -> [Vec<[f32; 2]>; 2] {
+        let rest = Rest::new(&block(), &vec![material; position.len()], 1, SPACING);
+        let order: Vec<u32> = (0..position.len() as u32).collect();
+        let mut velocity = Vec::new();
+        for _ in 0..times {
+            velocity = vec![[0.0; 2]; position.len()];
+            let mut scratch = Scratch::default();
+            let shape = scratch.shape(RULE, &rest, &order);
+            let (x, v) = (Parts::new(&mut position), Parts::new(&mut velocity));
+            for step in steps(RULE) {
+                (0..shape.items()).for_each(|item| shape.run(step, item, &x, &v, &WALLS));
+            }
+        }
+        [position, velocity]
+    }
+
+    /// Root mean square of what distances to the right and upwards are off those at rest, relative to these.
+    fn distortion(position: &[[f32; 2]]) -> f32 {
+        let off = |a: usize, b: usize| {
+            let [x, y] = [0, 1].map(|axis| position[b][axis] - position[a][axis]);
+            (x.hypot(y) / SPACING - 1.0).powi(2)
+        };
+        let pairs = (0..position.len()).flat_map(|k| {
+            let right = (k % COLUMNS + 1 < COLUMNS).then_some(k + 1);
+            let above = (k + COLUMNS < position.len()).then_some(k + COLUMNS);
+            right.into_iter().chain(above).map(move |other| (k, other))
+        });
+        let (sum, count) = pairs.fold((0.0, 0), |(sum, n), (a, b)| (sum + off(a, b), n + 1));
+        (sum / count as f32).sqrt()
+    }
+
+    fn farthest(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+        let apart = |(a, b): (&[f32; 2], &[f32; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
+        a.iter().zip(b).map(apart).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn a_block_that_moved_turned_and_is_a_little_strained_stays() {
+        let (sin, cos) = 0.7f32.sin_cos();
+        let moved = |[x, y]: [f32; 2]| {
+            let (x, y) = (1.02 * (x - 0.5), 0.985 * (y - 0.5));
+            [0.5 + cos * x - sin * y, 0.45 + sin * x + cos * y]
+        };
+        let position: Vec<_> = block().into_iter().map(moved).collect();
+        let [after, velocity] = restored(Material::Jelly, position.clone(), 1);
+        assert!(farthest(&after, &position) < 1e-3 * SPACING);
+        let fastest = farthest(&velocity, &vec![[0.0; 2]; velocity.len()]);
+        assert!(fastest < 1e-3 * SPACING / WALLS.dt, "{fastest}");
+    }
+
+    #[test]
+    fn rows_that_went_out_of_line_come_back_and_the_centre_stays() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut jolted = |x: [f32; 2]| x.map(|x| x + random.random_range(-0.2..0.2) * SPACING);
+        let position: Vec<_> = block().into_iter().map(&mut jolted).collect();
+        for material in [Material::Jelly, Material::Rope] {
+            let [after, velocity] = restored(material, position.clone(), 1);
+            let (before, left) = (distortion(&position), distortion(&after));
+            assert!(before > 0.15 && left < 0.25 * before, "{before} {left}");
+            let mean = |list: &[[f32; 2]], axis: usize| {
+                list.iter().map(|x| x[axis]).sum::<f32>() / list.len() as f32
+            };
+            for axis in 0..2 {
+                let shift = mean(&after, axis) - mean(&position, axis);
+                assert!(shift.abs() < 0.02 * SPACING, "{shift}");
+                let faster = mean(&velocity, axis) - shift / WALLS.dt;
+                assert!(faster.abs() < 1e-3, "{faster}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_block_pressed_to_half_its_width_grows_wide_again() {
+        let pressed = |[x, y]: [f32; 2]| [0.5 + 0.5 * (x - 0.5), y];
+        let position: Vec<_> = block().into_iter().map(pressed).collect();
+        let [after, _] = restored(Material::Jelly, position.clone(), 100);
+        let (before, left) = (distortion(&position), distortion(&after));
+        assert!(before > 0.3 && left < 1.2 * STRAIN, "{before} {left}");
+    }
+
+    #[test]
+    fn what_has_no_shape_stays_where_it_is() {
+        for material in [Material::Liquid, Material::Snow] {
+            let position: Vec<_> = block().into_iter().map(|[x, y]| [0.5 * x, y]).collect();
+            let [after, velocity] = restored(material, position.clone(), 1);
+            assert_eq!(after, position);
+            assert!(velocity.iter().all(|v| *v == [0.0; 2]));
+        }
+    }
+
+    #[test]
+    fn limited_gradients_keep_their_directions() {
+        let (sin, cos) = 0.3f32.sin_cos();
+        let turned = |x: f32, y: f32| [[cos * x, -sin * y], [sin * x, cos * y]];
+        for (found, expected) in [
+            (turned(1.01, 0.99), turned(1.01, 0.99)),
+            (turned(1.5, 1.0), turned(1.0 + STRAIN, 1.0)),
+            (turned(0.2, 1.2), turned(1.0 - STRAIN, 1.0 + STRAIN)),
+            (turned(1.2, -0.4), turned(1.0 + STRAIN, 1.0 - STRAIN)),
+        ] {
+            let limited = limited(found, STRAIN);
+            let off = limited.as_flattened().iter().zip(expected.as_flattened());
+            assert!(off.clone().all(|(a, b)| (a - b).abs() < 1e-5), "{limited:?} {expected:?}");
+        }
+        assert!(limited([[0.0; 2]; 2], STRAIN).as_flattened().iter().all(|x| x.is_finite()));
+    }
+}

@@ -1,0 +1,224 @@
+//! Products of matrices.
+#![expect(unsafe_code, reason = "calls a matrix product that takes pointers")]
+
+use std::ops::Range;
+
+use gemm::Parallelism;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Multiplications and additions that are worth other threads.
+const LARGE: usize = 1 << 18;
+
+/// A matrix in a list of numbers, which need not lie side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Matrix<'a> {
+    values: &'a [f32],
+    /// Rows and columns.
+    shape: [usize; 2],
+    /// Numbers from one row to the next, and from one column to the next.
+    strides: [usize; 2],
+}
+
+impl<'a> Matrix<'a> {
+    /// Rows one after the other.
+    ///
+    /// # Panics
+    /// When there are not that many numbers.
+    pub fn new(values: &'a [f32], rows: usize, columns: usize) -> Self {
+        Self::with_stride(values, rows, columns, columns)
+    }
+
+    /// Rows `stride` numbers apart.
+    ///
+    /// # Panics
+    /// When there are not that many numbers.
+    pub fn with_stride(values: &'a [f32], rows: usize, columns: usize, stride: usize) -> Self {
+        assert!(rows == 0 || values.len() >= (rows - 1) * stride + columns, "a matrix too short");
+        Self { values, shape: [rows, columns], strides: [stride, 1] }
+    }
+
+    /// Rows and columns.
+    pub fn shape(&self) -> [usize; 2] {
+        self.shape
+    }
+
+    /// One number.
+    #[inline(always)]
+    pub fn at(&self, row: usize, column: usize) -> f32 {
+        self.values[row * self.strides[0] + column * self.strides[1]]
+    }
+
+    /// Puts some columns, from number `first` on, into `packed`, `[rows, lanes]`; where there are fewer,
+    /// it stays as it is.
+    pub(super) fn pack(&self, first: usize, lanes: usize, packed: &mut [f32]) {
+        let ([_, columns], [down, across]) = (self.shape, self.strides);
+        let end = columns.min(first + lanes);
+        if across == 1 {
+            for (row, packed) in packed.chunks_exact_mut(lanes).enumerate() {
+                packed[..end - first].copy_from_slice(&self.values[row * down..][first..end]);
+            }
+            return;
+        }
+        for (lane, column) in (first..end).enumerate() {
+            let numbers = self.values[column * across..].iter().step_by(down);
+            packed[lane..]
+                .iter_mut()
+                .step_by(lanes)
+                .zip(numbers)
+                .for_each(|(to, from)| *to = *from);
+        }
+    }
+
+    /// Rows and columns exchanged.
+    pub fn transposed(self) -> Self {
+        let ([rows, columns], [row, column]) = (self.shape, self.strides);
+        Self { shape: [columns, rows], strides: [column, row], ..self }
+    }
+}
+
+/// What happens to the numbers that were there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Into {
+    /// They are replaced.
+    Replace,
+    /// The product is added to them.
+    Add,
+}
+
+/// Puts `a b` into `product`, whose rows lie one after the other.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
+    assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
+    // SAFETY: there is a place for each number, and each holds one.
+    unsafe { gemm(a, b, product.as_mut_ptr(), into, parallelism(a, b)) }
+}
+
+/// `a b`, its rows one after the other.
+///
+/// # Panics
+/// When the shapes do not fit.
+pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
+    let length = a.shape[0] * b.shape[1];
+    let mut product = Vec::with_capacity(length);
+    // SAFETY: there is a place for each number, each is written, and none is read before.
+    unsafe {
+        gemm(a, b, product.as_mut_ptr(), Into::Replace, parallelism(a, b));
+        product.set_len(length);
+    }
+    product
+}
+
+/// Other threads only for what is large.
+fn parallelism(a: Matrix, b: Matrix) -> Parallelism {
+    let large = a.shape[0] * a.shape[1] * b.shape[1] >= LARGE;
+    if large { Parallelism::Rayon(0) } else { Parallelism::None }
+}
+
+/// # Safety
+/// There is a place for each number of the product; if the product is added, each holds a number.
+unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into, parallelism: Parallelism) {
+    let ([m, k], [inner, n]) = (a.shape, b.shape);
+    assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
+    let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
+    // SAFETY: the shapes fit, every matrix was checked to be inside its list, and the caller answers
+    // for the product.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            product,
+            1,
+            n as isize,
+            into == Into::Add,
+            a.values.as_ptr(),
+            stride(a.strides, 1),
+            stride(a.strides, 0),
+            b.values.as_ptr(),
+            stride(b.strides, 1),
+            stride(b.strides, 0),
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            parallelism,
+        );
+    }
+}
+
+/// Adds up the rows of a matrix with rows of `sums.len()` numbers.
+pub fn sum_rows(values: &[f32], sums: &mut [f32]) {
+    Arch::new().dispatch(SumRows { values, sums });
+}
+
+struct SumRows<'a> {
+    values: &'a [f32],
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for SumRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { values, sums } = self;
+        let width = sums.len();
+        let mut first = 0;
+        while width - first >= 4 * S::F32_LANES {
+            sum_columns::<S, 4>(simd, values, sums, first..first + 4 * S::F32_LANES);
+            first += 4 * S::F32_LANES;
+        }
+        while width - first >= S::F32_LANES {
+            sum_columns::<S, 1>(simd, values, sums, first..first + S::F32_LANES);
+            first += S::F32_LANES;
+        }
+        if first < width {
+            let mut sum = simd.partial_load_f32s(&sums[first..]);
+            for row in values.chunks_exact(width) {
+                sum = simd.add_f32s(sum, simd.partial_load_f32s(&row[first..]));
+            }
+            simd.partial_store_f32s(&mut sums[first..], sum);
+        }
+    }
+}
+
+/// V vectors of columns.
+#[inline(always)]
+fn sum_columns<S: Simd, const V: usize>(
+    simd: S,
+    values: &[f32],
+    sums: &mut [f32],
+    columns: Range<usize>,
+) {
+    let (vectors, _) = S::as_mut_simd_f32s(&mut sums[columns.clone()]);
+    let mut sum = [simd.splat_f32s(0.0); V];
+    sum.copy_from_slice(vectors);
+    for row in values.chunks_exact(sums.len()) {
+        let (row, _) = S::as_simd_f32s(&row[columns.clone()]);
+        for (sum, &number) in sum.iter_mut().zip(row) {
+            *sum = simd.add_f32s(*sum, number);
+        }
+    }
+    let (vectors, _) = S::as_mut_simd_f32s(&mut sums[columns]);
+    vectors.copy_from_slice(&sum);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_of_strided_and_transposed_matrices() {
+        let a = [1.0, 2.0, 9.0, 3.0, 4.0, 9.0]; // rows (1, 2), (3, 4)
+        let b = [5.0, 6.0, 7.0, 8.0];
+        let a = Matrix::with_stride(&a, 2, 2, 3);
+        let mut product = [1.0; 4];
+        multiply(a, Matrix::new(&b, 2, 2), &mut product, Into::Replace);
+        assert_eq!(product, [19.0, 22.0, 43.0, 50.0]);
+        multiply(a.transposed(), Matrix::new(&b, 2, 2), &mut product, Into::Add);
+        assert_eq!(product, [19.0 + 26.0, 22.0 + 30.0, 43.0 + 38.0, 50.0 + 44.0]);
+    }
+}

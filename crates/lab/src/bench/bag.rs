@@ -1,0 +1,252 @@
+//! How fast bags are written and read: frames as fast as they go, and live at a rate.
+
+use std::{
+    fs::{self, File},
+    io::{self, Write},
+    path::{Path, PathBuf},
+    thread,
+    time::Duration,
+};
+
+use serde::Serialize;
+
+use eddy_bag::{BagError, BagReader, BagWriter, Compression, WriterOptions};
+use eddy_frames::{
+    Domain, Frame, Material, Stamp,
+    clock::{self, Clock},
+};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_node::{Cache, Recorder, Taken};
+use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
+
+/// Frames that are made before the clock starts, and come again and again.
+const DIFFERENT: u64 = 8;
+/// Memory for frames that wait to be written live (bytes), as `eddy record` has it.
+const CACHE: usize = 100 << 20;
+/// The topic.
+const TOPIC: &str = "/particles";
+/// How long a wait may last before the end is looked for.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// What is measured.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Particles of a frame.
+    pub particles: usize,
+    /// Frames a second, live.
+    pub hertz: f64,
+    /// About how long each is measured (s).
+    pub seconds: f64,
+    /// An empty directory on the disk that is measured.
+    pub directory: PathBuf,
+}
+
+/// Why a measurement failed.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// A bag could not be written or read.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// Frames could not be carried.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// The disk could not be measured.
+    #[error("{path}: {reason}", path = .path.display())]
+    Disk {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        reason: io::Error,
+    },
+}
+
+/// What one compression allows. Rates count the bytes of messages before compression.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Timing {
+    /// The compression.
+    pub compression: &'static str,
+    /// Written as fast as it goes, to the disk (bytes/s).
+    pub write: f64,
+    /// Read again from the system's cache (bytes/s).
+    pub read: f64,
+    /// File size by size of the messages.
+    pub size: f64,
+    /// Frames published live at the plan's rate.
+    pub published: u64,
+    /// Of them in the bag.
+    pub recorded: u64,
+}
+
+/// How fast a plain file of `bytes` is written and brought to the disk (bytes/s).
+///
+/// # Errors
+/// [`BenchError::Disk`].
+pub fn disk(directory: &Path, bytes: u64) -> Result<f64, BenchError> {
+    let path = directory.join("plain");
+    let block = block();
+    let write = || -> io::Result<f64> {
+        let clock = Clock::start();
+        let mut file = File::create_new(&path)?;
+        let mut written = 0;
+        while written < bytes {
+            file.write_all(&block)?;
+            written += block.len() as u64;
+        }
+        file.sync_all()?;
+        let rate = written as f64 / clock.now().as_secs_f64();
+        fs::remove_file(&path)?;
+        Ok(rate)
+    };
+    write().map_err(|reason| BenchError::Disk { path: path.clone(), reason })
+}
+
+/// A mebibyte that no file system can make shorter.
+fn block() -> Vec<u8> {
+    let mut state = 1u64;
+    let mut next = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 56) as u8
+    };
+    (0..1 << 20).map(|_| next()).collect()
+}
+
+/// Measures one compression.
+///
+/// # Errors
+/// [`BenchError`].
+pub fn time(plan: &Plan, compression: Compression) -> Result<Timing, BenchError> {
+    let frames: Vec<Frame> = (0..DIFFERENT).map(|number| frame(plan.particles, number)).collect();
+    let path = plan.directory.join("fast");
+    let (write, messages, size) = write(plan, &frames, compression, &path)?;
+    let clock = Clock::start();
+    let mut read = 0;
+    for message in BagReader::open(&path)?.messages() {
+        read += message?.data.len();
+    }
+    let read = read as f64 / clock.now().as_secs_f64();
+    remove(&path)?;
+    let (published, recorded) = live(plan, frames, compression)?;
+    let compression = match compression {
+        Compression::None => "none",
+        Compression::Lz4 => "lz4",
+        Compression::Zstd => "zstd",
+    };
+    Ok(Timing { compression, write, read, size: size / messages, published, recorded })
+}
+
+/// Particles on their way, no two frames alike.
+fn frame(particles: usize, number: u64) -> Frame {
+    let wave = |i: usize, speed: f32| 0.5 + 0.4 * (i as f32 * speed + number as f32 * 0.01).sin();
+    Frame {
+        stream: 0,
+        sequence: number,
+        stamp: Stamp(0).advance(0.01, number as u32),
+        dt: 0.01,
+        domain: Domain::UNIT,
+        position: (0..particles).map(|i| [wave(i, 0.7), wave(i, 1.3)]).collect(),
+        velocity: (0..particles).map(|i| [wave(i, 2.1), wave(i, 3.7)]).collect(),
+        material: vec![Material::Snow; particles],
+    }
+}
+
+fn options(compression: Compression) -> WriterOptions {
+    WriterOptions { compression, ..WriterOptions::default() }
+}
+
+/// Bytes a second, bytes of messages, bytes of the file.
+fn write(
+    plan: &Plan,
+    frames: &[Frame],
+    compression: Compression,
+    path: &Path,
+) -> Result<(f64, f64, f64), BenchError> {
+    let messages: Vec<Vec<u8>> = frames.iter().map(Frame::to_cdr).collect();
+    let clock = Clock::start();
+    let mut bag = BagWriter::create(path, options(compression))?;
+    let topic = bag.topic(TOPIC, ParticleFrame::TYPE)?;
+    let mut written = 0;
+    for (number, message) in (0..).zip(messages.iter().cycle()) {
+        if clock.now().as_secs_f64() >= plan.seconds {
+            break;
+        }
+        bag.write(topic, Stamp(number), Stamp(number), message)?;
+        written += message.len();
+    }
+    let bag = bag.finish()?;
+    let size: u64 = bag.files.iter().map(|file| file.size).sum();
+    Ok((written as f64 / clock.now().as_secs_f64(), written as f64, size as f64))
+}
+
+/// Records what is published at the plan's rate, as `eddy record` does: one thread receives, one writes.
+/// Frames published and frames in the bag.
+fn live(
+    plan: &Plan,
+    frames: Vec<Frame>,
+    compression: Compression,
+) -> Result<(u64, u64), BenchError> {
+    let transports = Transports::new(TransportOptions::new("eddy_bench"));
+    let link = Link::memory(TOPIC);
+    let mut subscriber = transports.subscriber(&link, ParticleFrame::TYPE)?;
+    // Who dropped would hide what the recorder cannot take: this one says how much that is.
+    let mut publisher = transports.publisher(&link, ParticleFrame::TYPE, Reliability::Drop)?;
+    let path = plan.directory.join("live");
+    let mut recorder =
+        Recorder::new(BagWriter::create(&path, options(compression))?, clock::wall());
+    let topic = recorder.topic(TOPIC, ParticleFrame::TYPE)?;
+    let count = (plan.seconds * plan.hertz).ceil() as u64;
+    let hertz = plan.hertz;
+    let cache = Cache::<(Payload, Stamp)>::new(CACHE);
+    let producer = cache.producer();
+    let outcome = thread::scope(|scope| -> Result<(), BenchError> {
+        let publishing = scope.spawn(move || -> Result<(), TransportError> {
+            let clock = Clock::start();
+            for (number, frame) in (0..count).zip(frames.iter().cycle()) {
+                let due = Duration::from_secs_f64(number as f64 / hertz);
+                thread::sleep(due.saturating_sub(clock.now()));
+                publisher.publish_frame(frame)?;
+            }
+            Ok(())
+        });
+        let receiving = scope.spawn(move || -> Result<(), TransportError> {
+            loop {
+                let over = publishing.is_finished();
+                match subscriber.receive(PATIENCE)? {
+                    Some(payload) => {
+                        let size = payload.size();
+                        producer.bring((payload, clock::wall()), size, Duration::ZERO);
+                    }
+                    None if over => break,
+                    None => {}
+                }
+            }
+            publishing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        let written = write_live(&mut recorder, topic, &cache);
+        cache.close();
+        receiving.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        Ok(written?)
+    });
+    outcome?;
+    let recorded = recorder.finish()?.messages;
+    remove(&path)?;
+    Ok((count, recorded))
+}
+
+fn write_live(
+    recorder: &mut Recorder,
+    topic: eddy_bag::TopicId,
+    cache: &Cache<(Payload, Stamp)>,
+) -> Result<(), BagError> {
+    loop {
+        match cache.take(PATIENCE) {
+            Taken::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
+            Taken::Nothing => {}
+            Taken::Ended => return Ok(()),
+        }
+        recorder.on_tick(clock::wall())?;
+    }
+}
+
+fn remove(path: &Path) -> Result<(), BenchError> {
+    fs::remove_dir_all(path).map_err(|reason| BenchError::Disk { path: path.into(), reason })
+}

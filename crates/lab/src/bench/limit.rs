@@ -1,0 +1,100 @@
+//! An estimate of the fastest that the solver could be on this machine: the slower one of doing its
+//! arithmetic and of moving its data. And how fast memory is read, which limits streaming networks.
+
+use std::{hint::black_box, thread};
+
+use pulp::Arch;
+use serde::Serialize;
+
+use eddy_frames::clock::Clock;
+use eddy_mpm as mpm;
+
+/// Additions and multiplications for one particle in a substep, counted in `mpm::fast` for an elastic
+/// particle: velocities gathered from nine nodes 128, deformation and stress 65, momentum scattered
+/// to nine nodes 130, stencils and positions 45. Quotients and square roots count as one.
+const OPERATIONS: f64 = 368.0;
+
+/// Bytes of one particle that are read and written in a substep: position, velocity, C, F, Jp.
+const BYTES: f64 = 2.0 * 52.0;
+
+/// Rounds of arithmetic that are timed: some 20 ms.
+const ROUNDS: u64 = 2_000_000;
+/// Numbers that each thread moves when memory is timed: far more than caches hold.
+const NUMBERS: usize = 1 << 24;
+/// Bytes that each thread reads when reading is timed: some 50 ms.
+const PASSED: usize = 1 << 29;
+/// Times that something is timed; the best one counts.
+const TRIES: usize = 5;
+
+/// What this machine does at most.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Limit {
+    /// Threads that work at once.
+    pub threads: usize,
+    /// Additions and multiplications in the solver's vectors (1/s).
+    pub operations: f64,
+    /// Bytes read and written in memory, outside of caches (1/s).
+    pub bytes: f64,
+}
+
+impl Limit {
+    /// Measures the limit with so many threads. Takes some tenths of a second.
+    pub fn measure(threads: usize) -> Self {
+        let operations = best(threads, || mpm::multiply_and_add(ROUNDS) as f64);
+        let mut memory: Vec<Vec<f32>> = vec![vec![1.0; NUMBERS]; threads];
+        let moved = (2 * size_of::<f32>() * NUMBERS) as f64;
+        let bytes = best_of(&mut memory, |numbers| {
+            for number in numbers.iter_mut() {
+                *number += 1.0;
+            }
+            black_box(numbers);
+            moved
+        });
+        Self { threads, operations, bytes }
+    }
+
+    /// The least time for one particle in a substep (s), where `in_memory` says whether the particles
+    /// are too many for the caches.
+    pub fn per_particle(&self, in_memory: bool) -> f64 {
+        let arithmetic = OPERATIONS / self.operations;
+        if in_memory { arithmetic.max(BYTES / self.bytes) } else { arithmetic }
+    }
+}
+
+/// How fast so many threads together read a list of so many bytes, again and again (bytes/s).
+pub fn read_rate(threads: usize, bytes: usize) -> f64 {
+    let length = (bytes / size_of::<u32>() / threads).max(1);
+    let mut lists: Vec<Vec<u32>> = (0..threads).map(|_| vec![1; length]).collect();
+    let rounds = (PASSED / (length * size_of::<u32>())).max(1);
+    best_of(&mut lists, |list| {
+        for _ in 0..rounds {
+            let sum = Arch::new().dispatch(
+                #[inline(always)]
+                || black_box(&*list).iter().fold(0u32, |sum, &number| sum.wrapping_add(number)),
+            );
+            black_box(sum);
+        }
+        (rounds * length * size_of::<u32>()) as f64
+    })
+}
+
+/// The best rate at which so many threads do `work` at once; `work` says how much it did.
+fn best(threads: usize, work: impl Fn() -> f64 + Sync) -> f64 {
+    best_of(&mut vec![(); threads], |()| work())
+}
+
+/// The best rate at which all items are worked on at once, each on a thread of its own.
+fn best_of<T: Send>(items: &mut [T], work: impl Fn(&mut T) -> f64 + Sync) -> f64 {
+    (0..TRIES)
+        .map(|_| {
+            let clock = Clock::start();
+            let done: f64 = thread::scope(|scope| {
+                let work = &work;
+                let threads: Vec<_> =
+                    items.iter_mut().map(|item| scope.spawn(move || work(item))).collect();
+                threads.into_iter().filter_map(|thread| thread.join().ok()).sum()
+            });
+            done / clock.now().as_secs_f64()
+        })
+        .fold(0.0, f64::max)
+}

@@ -1,0 +1,34 @@
+//! Particles to measure with.
+
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::checkpoint::Description;
+
+/// Particles all over the unit square.
+pub(super) fn frame(particles: usize) -> Frame {
+    all_over(Domain::UNIT, &Material::ALL, 0.016, particles)
+}
+
+/// Particles all over the box, of the network's materials.
+pub(super) fn frame_for(description: &Description, particles: usize) -> Frame {
+    let Description { domain, materials, dt, .. } = description;
+    all_over(*domain, materials, *dt, particles)
+}
+
+fn all_over(domain: Domain, materials: &[Material], dt: f32, particles: usize) -> Frame {
+    // Multiples of irrational numbers fill the box evenly.
+    let place = |n: usize, axis: usize| {
+        let part = (n as f64 * [0.618_033_988_7, 0.754_877_666_2][axis]).fract() as f32;
+        domain.lower[axis] + (0.1 + 0.8 * part) * (domain.upper[axis] - domain.lower[axis])
+    };
+    let pace = |n: usize| [(n as f32 * 0.7).sin(), (n as f32 * 1.3).cos()];
+    Frame {
+        stream: 0,
+        sequence: 0,
+        stamp: Stamp(0),
+        dt,
+        domain,
+        position: (0..particles).map(|n| [place(n, 0), place(n, 1)]).collect(),
+        velocity: (0..particles).map(pace).collect(),
+        material: (0..particles).map(|n| materials[n % materials.len()]).collect(),
+    }
+}

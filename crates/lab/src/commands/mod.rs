@@ -1,0 +1,37 @@
+//! `eddy bench` and `eddy study`: arguments, tables in a terminal, as JSON, as a page.
+
+mod args;
+mod bag;
+mod inference;
+mod node;
+mod replay;
+mod sheet;
+mod solver;
+mod study;
+mod training;
+mod transport;
+mod view;
+
+pub use args::{BenchArgs, BenchCommand, StudyArgs};
+pub use study::run as study;
+
+use eddy_frames::progress::Progress;
+use sheet::{Sheet, printed, table};
+
+/// Runs one of the benchmarks, and prints its tables.
+///
+/// # Errors
+/// Those of the benchmark; an argument out of its range.
+pub fn bench(args: BenchArgs, progress: &dyn Progress) -> anyhow::Result<()> {
+    let html = args.html.as_deref();
+    match args.command {
+        BenchCommand::Solver(args) => solver::run(args, html, progress),
+        BenchCommand::Inference(args) => inference::run(args, html, progress),
+        BenchCommand::Training(args) => training::run(args, html, progress),
+        BenchCommand::Bag(args) => bag::run(args, html, progress),
+        BenchCommand::Transport(args) => transport::run(args, html, progress),
+        BenchCommand::Node(args) => node::run(args, html, progress),
+        BenchCommand::Replay(args) => replay::run(args, html, progress),
+        BenchCommand::View(args) => view::run(args, html, progress),
+    }
+}

@@ -1,0 +1,53 @@
+//! `eddy bench replay`: how exactly messages are played.
+
+use std::path::Path;
+
+use anyhow::{Context, ensure};
+use serde::Serialize;
+
+use super::args::BenchReplayArgs;
+use super::{Sheet, table};
+use crate::bench::replay::{Plan, Timing, time};
+use eddy_frames::progress::Progress;
+
+/// How often replay and timer have their turn.
+const TURNS: usize = 15;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    particles: usize,
+    hertz: f64,
+    timing: Timing,
+}
+
+/// Plays a bag, and sleeps, in turns.
+pub fn run(
+    args: BenchReplayArgs,
+    html: Option<&Path>,
+    progress: &dyn Progress,
+) -> anyhow::Result<()> {
+    let BenchReplayArgs { particles, hertz, seconds, json } = args;
+    ensure!(
+        (0.0..=3600.0).contains(&seconds) && seconds > 0.0,
+        "seconds: found {seconds}, expected more than 0 and at most 3600"
+    );
+    ensure!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
+    let folder = tempfile::tempdir().context("a folder for the bag")?;
+    let frames = (seconds * hertz / TURNS as f64).ceil() as u32;
+    let plan = Plan { particles, hertz, frames, turns: TURNS };
+    let timing = time(&folder.path().join("bag"), &plan, &|| progress.cancelled())?;
+    ensure!(!progress.cancelled(), "interrupted");
+    let rows = [("replay", timing.replay), ("timer", timing.timer)].map(|(what, spread)| {
+        vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
+    });
+    let note = format!(
+        "frames of {particles} particles at {hertz} Hz, {TURNS} turns of {frames} frames; timer: a loop that only \
+         sleeps until each is due; p99 {:.2} times that",
+        timing.replay.p99 / timing.timer.p99
+    );
+    let table = table("How late frames are", ["late", "p50 (ms)", "p99 (ms)"], rows);
+    let (title, tables) = ("eddy bench replay", vec![table]);
+    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
+    sheet.show(&Report { particles, hertz, timing }, json, html)
+}

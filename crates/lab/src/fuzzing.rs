@@ -1,0 +1,202 @@
+//! One function for each kind of bytes that others hand to this program: whatever they are, it neither
+//! panics nor asks for memory or time without bound. `tests/fuzz` calls them.
+
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use eddy_bag::{
+    BagReader, CopyOptions, Recovery, Reindexing, Selection, Survey, WriterOptions, extract,
+};
+use eddy_frames::Frame;
+use eddy_inference::{
+    checkpoint::{Architecture, Checkpoint},
+    engine::Surrogate,
+};
+use eddy_learning::train::TrainConfig;
+use eddy_messages::{
+    Clock, DiagnosticArray, FrameCdr, ParticleFrame, PredictionStatus, RosString, cdr, services,
+};
+use eddy_mpm::Scene;
+use eddy_node::{NodeSettings, launch::Plan};
+use eddy_settings::{self as config, Overrides};
+use eddy_transport::foreign;
+
+/// A kind of input: its name, which is that of its folder in `tests/fuzz/corpus`, and what reads it.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// All kinds.
+pub const TARGETS: [Target; 9] = [
+    ("cdr", messages),
+    ("mcap", bag),
+    ("metadata", metadata),
+    ("attachment", foreign::attachment),
+    ("names", names),
+    ("shm", foreign::shm_sample),
+    ("checkpoint", checkpoint),
+    ("toml", settings),
+    ("scene", scene),
+];
+
+/// Reads an input of a kind.
+///
+/// # Panics
+/// When there is no such kind, and when the input shows a fault of this program.
+pub fn read(kind: &str, bytes: &[u8]) {
+    let known = TARGETS.iter().find(|(name, _)| *name == kind);
+    let (_, read) = known.expect("one of TARGETS");
+    read(bytes);
+}
+
+/// Reads CDR as each message and each part of a service that arrives from outside.
+fn messages(bytes: &[u8]) {
+    reads::<ParticleFrame>(bytes);
+    reads::<PredictionStatus>(bytes);
+    reads::<DiagnosticArray>(bytes);
+    reads::<Clock>(bytes);
+    reads::<RosString>(bytes);
+    reads::<services::Empty>(bytes);
+    reads::<services::TriggerResponse>(bytes);
+    reads::<services::ParameterNames>(bytes);
+    reads::<services::GetParametersResponse>(bytes);
+    reads::<services::GetParameterTypesResponse>(bytes);
+    reads::<services::SetParametersRequest>(bytes);
+    reads::<services::SetParametersResponse>(bytes);
+    reads::<services::SetParametersAtomicallyResponse>(bytes);
+    reads::<services::ListParametersRequest>(bytes);
+    reads::<services::ListParametersResponse>(bytes);
+    reads::<services::DescribeParametersResponse>(bytes);
+    if let Ok(frame) = Frame::from_cdr(bytes) {
+        frame.check().expect("a frame that is handed on is whole");
+        assert_eq!(Frame::from_cdr(&frame.to_cdr()).as_ref(), Ok(&frame));
+    }
+}
+
+/// What can be read can be written, and read again as the same.
+fn reads<M: Serialize + DeserializeOwned>(bytes: &[u8]) {
+    if let Ok(message) = cdr::decode::<M>(bytes) {
+        let written = cdr::encode(&message);
+        let again: M = cdr::decode(&written).expect("what was written can be read");
+        assert_eq!(cdr::encode(&again), written);
+    }
+}
+
+/// A folder of this process, empty at the start and removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        // Where there is one, in memory: thousands of files come and go.
+        let shared = Path::new("/dev/shm");
+        let parent = if shared.is_dir() { shared.to_owned() } else { std::env::temp_dir() };
+        let folder = parent.join(format!("eddy_fuzz_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        fs::create_dir_all(&folder).expect("the folder for temporary files can be written to");
+        Self(folder)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Reads an MCAP file in every way: as a bag, as a survey, to copy it, to recover it, to index it again.
+fn bag(bytes: &[u8]) {
+    let folder = Folder::new();
+    let at = |name: &str| folder.0.join(name);
+    let file = at("input.mcap");
+    fs::write(&file, bytes).expect("the folder can be written to");
+    if let Ok(bag) = BagReader::open(&file) {
+        let read = bag.messages().filter(Result::is_ok).count();
+        for topic in bag.topics() {
+            if let Ok(frames) = bag.frames(&topic.name) {
+                frames.for_each(drop);
+            }
+        }
+        let mut survey = Survey::of(&bag, |_| ());
+        survey.check_files(&bag);
+        let go_on: &mut dyn FnMut() -> bool = &mut || true;
+        let options = CopyOptions { writer: WriterOptions::default(), go_on };
+        if let Ok(copy) = extract(&bag, &Selection::default(), &at("copy"), options) {
+            assert_eq!(copy.messages, read as u64, "a copy has every message");
+        }
+    }
+    if let Ok(recovery) = Recovery::open(&file, &mut |_| true) {
+        let go_on: &mut dyn FnMut() -> bool = &mut || true;
+        let options = CopyOptions { writer: WriterOptions::default(), go_on };
+        if let Ok(saved) = recovery.save(&at("saved"), options) {
+            let bag = BagReader::open(&at("saved")).expect("what was saved is a bag");
+            assert!(bag.damage().is_none(), "what was saved is whole: {:?}", bag.damage());
+            assert_eq!(bag.messages().filter(Result::is_ok).count() as u64, saved.bag.messages);
+        }
+    }
+    let reindexing = Reindexing::open(&file, &mut |_| true);
+    if reindexing.and_then(|reindexing| reindexing.save(&mut |_| true)).is_ok() {
+        let bag = BagReader::open(&file).expect("what was indexed is a bag");
+        assert!(bag.damage().is_none(), "what was indexed is whole: {:?}", bag.damage());
+    }
+}
+
+/// Reads a `metadata.yaml`, beside a file that it may name.
+fn metadata(bytes: &[u8]) {
+    let folder = Folder::new();
+    fs::write(folder.0.join("metadata.yaml"), bytes).expect("the folder can be written to");
+    fs::write(folder.0.join("bag_0.mcap"), b"").expect("the folder can be written to");
+    if let Ok(bag) = BagReader::open(&folder.0) {
+        Survey::of(&bag, |_| ());
+    }
+    let _ = Recovery::open(&folder.0, &mut |_| true);
+}
+
+/// Reads names as they come from other programs and from users.
+fn names(bytes: &[u8]) {
+    foreign::names(&String::from_utf8_lossy(bytes));
+}
+
+/// Reads a checkpoint: its description up to the first zero byte, its weights after it.
+fn checkpoint(bytes: &[u8]) {
+    let (description, weights) = halves(bytes);
+    let description = String::from_utf8_lossy(description);
+    if let Ok(checkpoint) = Checkpoint::parse(Path::new("input"), &description, weights) {
+        checkpoint.digest();
+        // A network that is too large for its memory, or of a kind that does not stream, is refused.
+        let _ = Surrogate::load(&checkpoint, Some(NonZeroUsize::MIN));
+    }
+}
+
+fn halves(bytes: &[u8]) -> (&[u8], &[u8]) {
+    let middle = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
+    (&bytes[..middle], bytes.get(middle + 1..).unwrap_or_default())
+}
+
+/// Reads the files that users write, of every kind.
+fn settings(bytes: &[u8]) {
+    let (file, text) = (Path::new("input.toml"), String::from_utf8_lossy(bytes));
+    if let Ok(plan) = config::parse::<Plan>(file, &text) {
+        let _ = plan.check();
+    }
+    let _ = config::parse::<NodeSettings>(file, &text);
+    if let Ok(overrides) = Overrides::parse(file, &text) {
+        for architecture in [Architecture::Frame, Architecture::Particle] {
+            if let Ok(config) = overrides.over(&TrainConfig::defaults(architecture)) {
+                let _ = config.check();
+            }
+        }
+    }
+}
+
+/// Reads a scene, and judges it before it is simulated.
+fn scene(bytes: &[u8]) {
+    let (file, text) = (Path::new("input.toml"), String::from_utf8_lossy(bytes));
+    if let Ok(scene) = config::parse::<Scene>(file, &text)
+        && scene.check().is_ok()
+    {
+        let _ = (scene.memory(), scene.estimate(), scene.materials(), scene.fastest());
+    }
+}

@@ -1,0 +1,89 @@
+//! The command lines that do by hand what a study does: they are told on the way and kept in its reports. A study
+//! itself calls the functions behind these commands.
+
+use std::path::Path;
+
+use super::{Comparison, Folders, StudyConfig, Variant, plan::runs};
+use eddy_evaluation::page::command_line;
+use eddy_learning::model::DeviceKind;
+
+/// What command lines are made of.
+pub(super) struct CommandLines<'a> {
+    pub(super) folders: &'a Folders,
+    pub(super) comparison: Comparison,
+    pub(super) study: &'a StudyConfig,
+    pub(super) variants: &'a [Variant],
+    pub(super) presets: &'a [String],
+    /// The device that trains.
+    pub(super) device: DeviceKind,
+}
+
+impl CommandLines<'_> {
+    /// The command that simulates a preset's scenes.
+    pub(super) fn simulation(&self, preset: &str) -> Vec<String> {
+        let data = &self.study.data;
+        let mut words = command("simulate");
+        words.extend(["--preset".into(), preset.to_owned()]);
+        words.extend(["--scenes".into(), data.scenes.to_string()]);
+        words.extend(["--seed".into(), data.seed.to_string()]);
+        if let Some(duration) = data.duration {
+            words.extend(["--duration".into(), duration.to_string()]);
+        }
+        words.extend(["--output".into(), in_words(&self.folders.data(preset))]);
+        words
+    }
+
+    /// The command that trains a network with a seed. Its settings are in a file beside its folder.
+    pub(super) fn training(&self, preset: &str, variant: &Variant, seed: u64) -> Vec<String> {
+        let output = self.folders.run(preset, &variant.name, seed);
+        let mut words = command("train");
+        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
+        words.extend(["--config".into(), in_words(&output.with_extension("toml"))]);
+        words.extend(["--output".into(), in_words(&output), "--resume".into()]);
+        if self.device != DeviceKind::default() {
+            words.extend(["--device".into(), self.device.name().into()]);
+        }
+        words
+    }
+
+    /// The command that evaluates a preset's networks.
+    pub(super) fn evaluation(&self, preset: &str) -> Vec<String> {
+        let mut words = command("eval");
+        words.push("--checkpoint".into());
+        let run = |(variant, seed): (&Variant, u64)| {
+            in_words(&self.folders.run(preset, &variant.name, seed))
+        };
+        words.extend(runs(self.study, self.variants).map(run));
+        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
+        words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
+        words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
+        let folder = self.folders.judgement(self.comparison, preset);
+        words.extend(["--output".into(), in_words(&folder)]);
+        words
+    }
+
+    /// Every command that this study stands for, in order; learning curves have none.
+    pub(super) fn all(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for preset in self.presets {
+            lines.push(command_line(&self.simulation(preset)));
+            for (variant, seed) in runs(self.study, self.variants) {
+                lines.push(command_line(&self.training(preset, variant, seed)));
+            }
+            if !self.variants.is_empty() {
+                lines.push(command_line(&self.evaluation(preset)));
+            }
+        }
+        lines
+    }
+}
+
+/// The first words of a command line.
+fn command(name: &str) -> Vec<String> {
+    vec!["eddy".to_owned(), name.to_owned()]
+}
+
+/// A path as it is typed.
+pub(super) fn in_words(path: &Path) -> String {
+    path.display().to_string()
+}

@@ -1,0 +1,341 @@
+//! What networks came to on a preset, as tables and plots.
+
+use super::{Comparison, Trained, Variant};
+use eddy_evaluation::{
+    Entry, Interval, Report, Role,
+    bootstrap::{FEWEST, bootstrap},
+    page::{Axis, Cell, LinePlot, Series, Table},
+};
+
+/// Networks on one preset: every variant with every seed, all judged on the same scenes.
+pub struct Networks<'a> {
+    /// What is compared.
+    pub comparison: Comparison,
+    /// The variants.
+    pub variants: &'a [Variant],
+    /// The seeds.
+    pub seeds: &'a [u64],
+    /// Trainings: all variants with the first seed, then all with the second, and so on.
+    pub trained: Vec<Trained>,
+    /// The judgement, in which the networks come first and in the same order.
+    pub report: Report,
+}
+
+impl Networks<'_> {
+    /// The place of a variant's networks among all, one for each seed.
+    fn places(&self, variant: usize) -> impl Iterator<Item = usize> {
+        let count = self.variants.len();
+        (0..self.seeds.len()).map(move |seed| seed * count + variant)
+    }
+
+    fn entries(&self, variant: usize) -> impl Iterator<Item = &Entry> {
+        self.places(variant).map(|place| &self.report.predictors[place])
+    }
+
+    /// Who learns nothing.
+    fn trivial(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        let trivial =
+            |(_, entry): &(usize, &Entry)| matches!(entry.role, Role::Baseline | Role::Mean);
+        self.report.predictors.iter().enumerate().filter(trivial)
+    }
+
+    /// Mean over the frames ahead of a predictor's MinMax MSE in each scene.
+    fn by_scene(&self, place: usize) -> Vec<f64> {
+        let scenes = self.report.scenes.iter();
+        scenes.map(|scene| mean(scene.errors[place].minmax_mse.iter().copied())).collect()
+    }
+
+    /// The same at the last frame.
+    fn at_the_end(&self, place: usize) -> Vec<f64> {
+        let scenes = self.report.scenes.iter();
+        scenes.map(|scene| last(&scene.errors[place].minmax_mse)).collect()
+    }
+
+    /// A row for each variant: size, errors with the spread of the seeds, skill, time of a frame.
+    pub fn summary(&self) -> Table {
+        let horizon = self.report.horizon;
+        let end = format!("RMSE at {horizon} (domain lengths)");
+        let mut table = Table::new(
+            format!(
+                "Free rollouts: mean over seeds, and lowest to highest seed; {} scenes, {} rollouts",
+                self.report.streams, self.report.windows
+            ),
+            [
+                "",
+                "parameters",
+                "MSE, mean of frames",
+                "lowest to highest",
+                &end,
+                "skill at 1",
+                &format!("skill at {horizon}"),
+                "ms a frame",
+            ],
+        );
+        for (number, variant) in self.variants.iter().enumerate() {
+            let errors: Vec<f64> =
+                self.places(number).map(|place| mean(self.by_scene(place).into_iter())).collect();
+            let [lowest, highest] = extremes(&errors);
+            let of = |value: fn(&Entry) -> f64| mean(self.entries(number).map(value));
+            let cells = [
+                self.trained[number].parameters.to_string(),
+                scientific(mean(errors.iter().copied())),
+                format!("{} to {}", scientific(lowest), scientific(highest)),
+                format!("{:.4}", of(|entry| last(&entry.curves.position_rmse))),
+                format!("{:+.3}", of(|entry| entry.skill[0])),
+                format!("{:+.3}", of(|entry| last(&entry.skill))),
+                milliseconds(of(|entry| entry.cost.as_ref().map_or(f64::NAN, |cost| cost.p50))),
+            ];
+            table.row(variant.setting.as_str(), cells);
+        }
+        for (place, entry) in self.trivial() {
+            let is_baseline = entry.role == Role::Baseline;
+            let skill = |skill: f64| if is_baseline { format!("{skill:+.3}") } else { "-".into() };
+            let cells = [
+                "-".to_owned(),
+                scientific(mean(self.by_scene(place).into_iter())),
+                "-".to_owned(),
+                format!("{:.4}", last(&entry.curves.position_rmse)),
+                skill(entry.skill[0]),
+                skill(last(&entry.skill)),
+                "-".to_owned(),
+            ];
+            table.row(entry.name.as_str(), cells);
+        }
+        table
+    }
+
+    /// The paper's Tables 2 and 3: MinMax MSE by scene, mean over the frames and at the last; mean over seeds.
+    pub fn by_scenes(&self) -> [Table; 2] {
+        let end = format!("MinMax MSE at frame {}", self.report.horizon);
+        [
+            self.of_scenes("MinMax MSE, mean over the frames ahead", Self::by_scene),
+            self.of_scenes(&end, Self::at_the_end),
+        ]
+    }
+
+    fn of_scenes(&self, caption: &str, errors: fn(&Self, usize) -> Vec<f64>) -> Table {
+        let trivial = self.trivial().map(|(_, entry)| entry.name.clone());
+        let names = self.variants.iter().map(|variant| variant.setting.clone()).chain(trivial);
+        let mut table = Table::new(
+            format!("{caption}; mean over {} seeds, the lowest in bold", self.seeds.len()),
+            std::iter::once("scene".to_owned()).chain(names),
+        );
+        let networks = (0..self.variants.len()).map(|variant| {
+            let seeds: Vec<Vec<f64>> =
+                self.places(variant).map(|place| errors(self, place)).collect();
+            (0..self.report.scenes.len())
+                .map(|scene| mean(seeds.iter().map(|s| s[scene])))
+                .collect()
+        });
+        let trivial = self.trivial().map(|(place, _)| errors(self, place));
+        let columns: Vec<Vec<f64>> = networks.chain(trivial).collect();
+        for (number, scene) in self.report.scenes.iter().enumerate() {
+            let row: Vec<f64> = columns.iter().map(|column| column[number]).collect();
+            table.row(scene.title(), Cell::lowest_bold(&row, scientific));
+        }
+        let row: Vec<f64> = columns.iter().map(|column| mean(column.iter().copied())).collect();
+        table.row("mean", Cell::lowest_bold(&row, scientific));
+        table
+    }
+
+    /// Errors of one variant over those of another, with intervals over scenes and seeds.
+    pub fn ratios(&self) -> Table {
+        let mut table = Table::new(
+            "MinMax MSE over that of another; below 1 is better",
+            ["", "mean of frames", "95 %", "last frame", "95 %"],
+        );
+        for [mine, other] in self.comparison.pairs(self.variants) {
+            let cells = [Self::by_scene, Self::at_the_end].into_iter().flat_map(|errors| {
+                let of = |variant| -> Vec<Vec<f64>> {
+                    self.places(variant).map(|place| errors(self, place)).collect()
+                };
+                let (ratio, interval) = ratio(&of(mine), &of(other));
+                let words = |Interval { lower, upper }| format!("{lower:.3} to {upper:.3}");
+                [format!("{ratio:.3}"), interval.map_or("-".to_owned(), words)]
+            });
+            let [mine, other] = [mine, other].map(|number| &self.variants[number].setting);
+            table.row(format!("{mine} / {other}"), cells.collect::<Vec<_>>());
+        }
+        table
+    }
+
+    /// The paper's Table 4 for these trainings: means over the seeds.
+    pub fn training(&self) -> Table {
+        let at_once = self.trained.iter().map(|trained| trained.at_once).max().unwrap_or(1);
+        let mut table = Table::new(
+            format!("Training, up to {at_once} at a time: means over seeds"),
+            [
+                "",
+                "epochs",
+                "best epoch",
+                "time (s)",
+                "time a sample (ms)",
+                "time an epoch (s)",
+                "validation loss",
+            ],
+        );
+        for (number, variant) in self.variants.iter().enumerate() {
+            let runs: Vec<&Trained> =
+                self.places(number).map(|place| &self.trained[place]).collect();
+            let of = |value: fn(&Trained) -> f64| mean(runs.iter().map(|run| value(run)));
+            let cells = [
+                format!("{:.0}", of(|run| run.epochs.len() as f64)),
+                format!(
+                    "{:.1}",
+                    of(|run| run.best().map_or(f64::NAN, |best| f64::from(best.epoch)))
+                ),
+                format!("{:.0}", of(|run| run.seconds)),
+                format!("{:.2}", of(|run| 1e3 * run.seconds / run.samples as f64)),
+                format!("{:.1}", of(|run| run.seconds / run.epochs.len() as f64)),
+                format!(
+                    "{:.4}",
+                    of(|run| run.best().map_or(f64::NAN, |best| best.validation_loss))
+                ),
+            ];
+            table.row(variant.setting.as_str(), cells);
+        }
+        table
+    }
+
+    /// Errors over the frames ahead (the paper's Figs. 4, 8 and 9), and validation losses over the epochs.
+    pub fn plots(&self) -> [LinePlot; 2] {
+        let seeds = |variant: usize, curve: &dyn Fn(usize) -> Vec<f64>| {
+            let curves: Vec<Vec<f64>> = self.places(variant).map(curve).collect();
+            spread(&self.variants[variant].setting, &curves)
+        };
+        let variants = 0..self.variants.len();
+        let mse = |place: usize| self.report.predictors[place].curves.minmax_mse.clone();
+        let trivial =
+            self.trivial().map(|(_, entry)| Series::ahead(&entry.name, &entry.curves.minmax_mse));
+        let errors = variants.clone().map(|variant| seeds(variant, &mse)).chain(trivial);
+        let loss = |place: usize| -> Vec<f64> {
+            self.trained[place].epochs.iter().map(|epoch| epoch.validation_loss).collect()
+        };
+        [
+            LinePlot {
+                title: "Free rollouts, all scenes; bands: lowest to highest seed".into(),
+                x: Axis::linear("frames ahead"),
+                y: Axis::logarithmic("MinMax MSE"),
+                series: errors.collect(),
+            },
+            LinePlot {
+                title: "Validation".into(),
+                x: Axis::linear("epoch"),
+                y: Axis::linear("error / best trivial predictor's"),
+                series: variants.map(|variant| seeds(variant, &loss)).collect(),
+            },
+        ]
+    }
+}
+
+/// The mean of curves over 1, 2, 3, ..., with a band from the lowest to the highest.
+pub(super) fn spread(name: &str, curves: &[Vec<f64>]) -> Series {
+    let length = curves.iter().map(Vec::len).min().unwrap_or(0);
+    let at = |index: usize| curves.iter().map(move |curve| curve[index]);
+    let middle: Vec<f64> = (0..length).map(|index| mean(at(index))).collect();
+    let band = (0..length).map(|index| {
+        let [lowest, highest] = extremes(&at(index).collect::<Vec<_>>());
+        [(index + 1) as f64, lowest, highest]
+    });
+    let band = if curves.len() > 1 { band.collect() } else { Vec::new() };
+    Series { band, ..Series::ahead(name, &middle) }
+}
+
+impl Comparison {
+    /// Whose errors are divided by whose.
+    fn pairs(self, variants: &[Variant]) -> Vec<[usize; 2]> {
+        let named = |name: &str| variants.iter().position(|variant| variant.name == name);
+        match self {
+            Self::Cores => {
+                [["minlstm", "lstm"], ["mingru", "gru"], ["minlstm", "mlp"], ["mingru", "mlp"]]
+                    .into_iter()
+                    .filter_map(|[mine, other]| Some([named(mine)?, named(other)?]))
+                    .collect()
+            }
+            _ => (1..variants.len()).map(|number| [number, 0]).collect(),
+        }
+    }
+}
+
+/// Ratio of two variants' means over seeds and scenes, and its interval by bootstrap: the same scenes for both,
+/// seeds for each. Fewer than five scenes have none.
+fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Option<Interval>) {
+    let scenes = mine.first().map_or(0, Vec::len);
+    let over = |runs: &[Vec<f64>], seeds: &[usize], scenes: &[usize]| {
+        mean(seeds.iter().flat_map(|&seed| scenes.iter().map(move |&scene| runs[seed][scene])))
+    };
+    let all = |count: usize| (0..count).collect::<Vec<_>>();
+    let of = |a: &[usize], b: &[usize], c: &[usize]| over(mine, a, c) / over(other, b, c);
+    let whole = of(&all(mine.len()), &all(other.len()), &all(scenes));
+    if scenes < FEWEST {
+        return (whole, None);
+    }
+    let interval = bootstrap(|draw| {
+        let [a, b, c] = [mine.len(), other.len(), scenes].map(|count| draw.of(count));
+        vec![of(&a, &b, &c)]
+    });
+    (whole, interval.into_iter().next())
+}
+
+/// The mean of what is a number.
+pub(super) fn mean(numbers: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for number in numbers.filter(|number| !number.is_nan()) {
+        sum += number;
+        count += 1;
+    }
+    sum / f64::from(count)
+}
+
+fn last(numbers: &[f64]) -> f64 {
+    numbers.last().copied().unwrap_or(f64::NAN)
+}
+
+pub(super) fn extremes(numbers: &[f64]) -> [f64; 2] {
+    let lowest = numbers.iter().copied().fold(f64::INFINITY, f64::min);
+    [lowest, numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max)]
+}
+
+pub(super) fn scientific(number: f64) -> String {
+    format!("{number:.2e}")
+}
+
+fn milliseconds(number: f64) -> String {
+    if number.is_nan() { "-".to_owned() } else { format!("{number:.2}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ratio_lies_in_its_interval_which_scenes_and_seeds_make_wide() {
+        let other = vec![vec![1.0, 2.0, 4.0, 3.0, 1.0, 2.0]; 3];
+        let twice: Vec<Vec<f64>> =
+            other.iter().map(|seed| seed.iter().map(|x| 2.0 * x).collect()).collect();
+        let (all, interval) = ratio(&twice, &other);
+        assert_eq!((all, interval), (2.0, Some(Interval { lower: 2.0, upper: 2.0 })));
+
+        let mut uneven = twice;
+        uneven[0].iter_mut().for_each(|x| *x *= 0.25);
+        let (all, interval) = ratio(&uneven, &other);
+        let Interval { lower, upper } = interval.unwrap();
+        assert_eq!(all, 1.5);
+        assert!(lower < 1.0 && upper > 1.9, "{lower} {upper}");
+        assert_eq!(ratio(&[vec![2.0; 4]], &[vec![1.0; 4]]), (2.0, None));
+    }
+
+    #[test]
+    fn a_spread_goes_from_the_lowest_to_the_highest() {
+        let series = spread("a", &[vec![1.0, 2.0, 9.0], vec![3.0, 2.0]]);
+        assert_eq!(series.points, [[1.0, 2.0], [2.0, 2.0]]);
+        assert_eq!(series.band, [[1.0, 1.0, 3.0], [2.0, 2.0, 2.0]]);
+        assert!(spread("a", &[vec![1.0]]).band.is_empty());
+    }
+
+    #[test]
+    fn what_is_no_number_has_no_part_in_a_mean() {
+        assert_eq!(mean([1.0, f64::NAN, 3.0].into_iter()), 2.0);
+        assert!(mean(std::iter::empty()).is_nan());
+    }
+}

@@ -1,0 +1,197 @@
+//! The report of a comparison: a page, and its tables as Markdown.
+
+use super::{
+    Comparison, Curve, Networks, Speed, StudyConfig,
+    networks::{mean, scientific, spread},
+};
+use crate::bench::training::{CORES, Timing};
+use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
+use eddy_inference::checkpoint::{Activation, Core};
+use eddy_learning::train::exercise::Part;
+
+/// A report on its way.
+pub struct StudyReport {
+    page: Page,
+    tables: Vec<(String, Table)>,
+}
+
+impl StudyReport {
+    /// The beginning: what is compared, on what, with how much training.
+    pub fn new(comparison: Comparison, study: &StudyConfig) -> Self {
+        let title = match comparison {
+            Comparison::Cores => "Five cores of the frame model",
+            Comparison::Activations => "Activations",
+            Comparison::Loss => "With the density loss and without",
+            Comparison::Window => "Frames that are observed",
+        };
+        let data = &study.data;
+        let lead = format!(
+            "{} scenes of each preset ({}, seed {}): the first 80 % train, the next 10 % validate, the rest judge. \
+             Seeds {}.",
+            data.scenes,
+            comparison.presets(study).join(", "),
+            data.seed,
+            study.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", "),
+        );
+        Self { page: Page::new(title, lead), tables: Vec::new() }
+    }
+
+    /// The networks on a preset.
+    pub fn networks(&mut self, preset: &str, study: &StudyConfig, networks: &Networks) {
+        let windows = &study.training.windows;
+        let budget = format!(
+            "Each network took at most {} steps of Adam with {} windows each.",
+            study.training.batches() * study.training.epochs as usize,
+            windows.batch,
+        );
+        let [errors, ends] = networks.by_scenes();
+        let tables = [networks.summary(), networks.ratios(), errors, ends, networks.training()];
+        let section = self.page.section(preset.to_owned());
+        section.paragraph(&budget);
+        section.plots(&networks.plots());
+        tables.iter().for_each(|table| _ = section.table(table));
+        section.paragraph(
+            "Errors are mean squared differences of x, y, vx, vy, each divided by its range in the training part. Skill is \
+             1 - squared position error / that of the best of persistence, constant velocity and ballistic. Intervals \
+             hold 95 % of 1,000 draws of scenes and seeds with replacement; fewer than five scenes have none.",
+        );
+        self.tables.extend(tables.into_iter().map(|table| (preset.to_owned(), table)));
+    }
+
+    /// Learning curves on a preset.
+    pub fn curves(&mut self, preset: &str, study: &StudyConfig, curves: &[Curve]) {
+        let dense = &study.dense;
+        let about = format!(
+            "A dense network of {} layers of {} and an output layer predicts the next frame's x, y, vx, vy of all \
+             particles from one frame's; {} epochs of {} pairs, {} a batch, Adam at {}.",
+            dense.layers,
+            dense.width,
+            dense.epochs,
+            dense.per_epoch,
+            dense.batch,
+            dense.learning_rate
+        );
+        let of = |activation: Activation| -> Vec<&Curve> {
+            curves.iter().filter(|curve| curve.activation == activation).collect()
+        };
+        let mut table = Table::new(
+            "MinMax MSE of the next frame after the last epoch: mean over seeds",
+            ["", "training", "validation", "lowest to highest", "best validation"],
+        );
+        for &activation in &study.activations {
+            let ends: Vec<_> =
+                of(activation).iter().filter_map(|c| c.curve.epochs.last().copied()).collect();
+            let validation: Vec<f64> = ends.iter().map(|end| end.validation_loss).collect();
+            let [lowest, highest] = super::networks::extremes(&validation);
+            let best = of(activation).into_iter().map(|curve| {
+                let losses = curve.curve.epochs.iter().map(|epoch| epoch.validation_loss);
+                losses.fold(f64::INFINITY, f64::min)
+            });
+            let cells = [
+                scientific(mean(ends.iter().map(|end| end.training_loss))),
+                scientific(mean(validation.iter().copied())),
+                format!("{} to {}", scientific(lowest), scientific(highest)),
+                scientific(mean(best)),
+            ];
+            table.row(activation.name(), cells);
+        }
+        if let Some(Curve { curve, .. }) = curves.first() {
+            let row =
+                |loss: f64| ["-".to_owned(), scientific(loss), "-".to_owned(), "-".to_owned()];
+            table.row("next frame = this frame", row(curve.persistence));
+            table.row("mean of the training", row(curve.mean));
+        }
+        let plot = |title: &str, loss: fn(&Curve) -> Vec<f64>| LinePlot {
+            title: title.to_owned(),
+            x: Axis::linear("epoch"),
+            y: Axis::logarithmic("MinMax MSE"),
+            series: study
+                .activations
+                .iter()
+                .map(|&activation| {
+                    let curves: Vec<Vec<f64>> = of(activation).into_iter().map(loss).collect();
+                    spread(activation.name(), &curves)
+                })
+                .collect(),
+        };
+        let plots = [
+            plot("Training", |c| c.curve.epochs.iter().map(|e| e.training_loss).collect()),
+            plot("Validation", |c| c.curve.epochs.iter().map(|e| e.validation_loss).collect()),
+        ];
+        let section = self.page.section(preset.to_owned());
+        section.paragraph(&about).plots(&plots).table(&table);
+        self.tables.push((preset.to_owned(), table));
+    }
+
+    /// How long training steps take.
+    pub fn speed(&mut self, speed: &Speed) {
+        let mut lengths: Vec<(Part, usize)> =
+            speed.steps.iter().map(|step| (step.what, step.frames)).collect();
+        lengths.dedup();
+        let time = |core: Core, (part, frames): (Part, usize)| {
+            let same = |step: &&Timing| (step.core, step.what, step.frames) == (core, part, frames);
+            speed.steps.iter().find(same).map_or(f64::NAN, |step| step.milliseconds)
+        };
+        let title = |&(part, frames): &(Part, usize)| {
+            let part = if part == Part::Frame { "network" } else { "core" };
+            format!("{part}, T = {frames}")
+        };
+        let windows = speed.steps.first().map_or(0, |step| step.windows);
+        let mut table = Table::new(
+            format!("Time of a training step of {windows} windows (ms), by frames a window"),
+            std::iter::once(String::new()).chain(lengths.iter().map(title)),
+        );
+        for core in CORES {
+            let cells = lengths.iter().map(|&length| format!("{:.1}", time(core, length)));
+            table.row(core.name(), cells.collect::<Vec<_>>());
+        }
+        for [slow, fast] in [[Core::Lstm, Core::MinLstm], [Core::Gru, Core::MinGru]] {
+            let ratio =
+                |&length: &(Part, usize)| format!("{:.2}", time(slow, length) / time(fast, length));
+            let cells: Vec<String> = lengths.iter().map(ratio).collect();
+            table.row(format!("{} / {}", slow.name(), fast.name()), cells);
+        }
+        let section = self.page.section("Speed of training");
+        section.table(&table).paragraph(&format!(
+            "The paper's Table 4, by the length of the window; on {} cores of {}, device {}.",
+            speed.machine.cores,
+            speed.machine.processor,
+            speed.device.name()
+        ));
+        self.tables.push(("Speed of training".to_owned(), table));
+    }
+
+    /// The page, with the commands that make it again.
+    pub fn page(mut self, made: &Provenance, commands: &[String]) -> Page {
+        let section = self.page.section("How to make this again");
+        section.provenance(made);
+        section.folded("The commands that this stands for", |section| {
+            section.code(&commands.join("\n"));
+        });
+        self.page
+    }
+
+    /// The tables as Markdown, under their headings.
+    pub fn markdown(&self) -> String {
+        let mut text = String::new();
+        let mut heading = "";
+        for (of, table) in &self.tables {
+            if of != heading {
+                text.push_str(&format!("## {of}\n\n"));
+                heading = of;
+            }
+            text.push_str(&format!("{}\n", table.markdown()));
+        }
+        text
+    }
+
+    /// The first table under each heading, for a terminal.
+    pub fn summaries(&self) -> impl Iterator<Item = (&str, &Table)> {
+        let mut last = "";
+        self.tables.iter().filter_map(move |(of, table)| {
+            let first = of != last;
+            last = of;
+            first.then_some((of.as_str(), table))
+        })
+    }
+}

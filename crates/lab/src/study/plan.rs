@@ -1,0 +1,179 @@
+//! Which networks a comparison needs, and where everything of a study is.
+
+use std::path::{Path, PathBuf};
+
+use super::StudyConfig;
+use eddy_inference::checkpoint::Core;
+use eddy_learning::train::TrainConfig;
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Comparison {
+    /// The five cores on every preset: the paper's Tables 2 and 3, and its Table 4 for this machine.
+    Cores,
+    /// Activations of a dense network: the paper's Fig. 5.
+    Activations,
+    /// With the density loss and without.
+    Loss,
+    /// How many frames are observed before one is predicted.
+    Window,
+}
+
+/// A network that is trained once with every seed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Variant {
+    /// Its name in tables, and that of its folder. The same network has the same name in every comparison.
+    pub name: String,
+    /// What stands out about it, with its unit.
+    pub setting: String,
+    /// How it is trained; the seed is set for every run.
+    pub config: TrainConfig,
+}
+
+impl Comparison {
+    /// The word on the command line, and the name of its folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cores => "cores",
+            Self::Activations => "activations",
+            Self::Loss => "loss",
+            Self::Window => "window",
+        }
+    }
+
+    /// The networks that are trained and judged; none for the activations, whose network is no model.
+    pub fn variants(self, study: &StudyConfig) -> Vec<Variant> {
+        let base = &study.training;
+        let all: Vec<TrainConfig> = match self {
+            Self::Activations => Vec::new(),
+            Self::Cores => {
+                study.cores.iter().map(|&core| TrainConfig { core, ..base.clone() }).collect()
+            }
+            Self::Loss => {
+                let weighted = |&weight: &f32| {
+                    let mut config = base.clone();
+                    config.loss.density_weight = weight;
+                    config
+                };
+                study.density_weights.iter().map(weighted).collect()
+            }
+            Self::Window => {
+                let observing = |core: Core, frames: usize| {
+                    let mut config = TrainConfig { core, ..base.clone() };
+                    config.windows.warm_up = frames;
+                    config
+                };
+                let cores = study.windowed_cores.iter();
+                cores
+                    .flat_map(|&core| study.windows.iter().map(move |&t| observing(core, t)))
+                    .collect()
+            }
+        };
+        all.into_iter().map(|config| Variant::new(self, config, base)).collect()
+    }
+
+    /// The presets it is about: all for the cores, the first for the others.
+    pub fn presets(self, study: &StudyConfig) -> &[String] {
+        match self {
+            Self::Cores => &study.data.presets,
+            Self::Activations | Self::Loss | Self::Window => &study.data.presets[..1],
+        }
+    }
+}
+
+impl Variant {
+    fn new(comparison: Comparison, config: TrainConfig, base: &TrainConfig) -> Self {
+        let core = config.core.name();
+        let density = config.loss.density_weight;
+        let frames = config.windows.warm_up;
+        let setting = match comparison {
+            Comparison::Loss => format!("density weight {density}"),
+            Comparison::Window => format!("{core}, T = {frames}"),
+            Comparison::Cores | Comparison::Activations => core.to_owned(),
+        };
+        let mut name = core.to_owned();
+        if density != base.loss.density_weight {
+            name.push_str(&format!("-density-{density}"));
+        }
+        if frames != base.windows.warm_up {
+            name.push_str(&format!("-window-{frames}"));
+        }
+        Self { name, setting, config }
+    }
+}
+
+/// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+pub(super) fn runs<'a>(
+    study: &'a StudyConfig,
+    variants: &'a [Variant],
+) -> impl Iterator<Item = (&'a Variant, u64)> {
+    study.seeds.iter().flat_map(|&seed| variants.iter().map(move |variant| (variant, seed)))
+}
+
+/// The folders of a study. Comparisons with the same folder share data and networks.
+#[derive(Clone, Debug)]
+pub struct Folders {
+    root: PathBuf,
+}
+
+impl Folders {
+    /// Of the study in `root`.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_owned() }
+    }
+
+    /// The bags of a preset.
+    pub fn data(&self, preset: &str) -> PathBuf {
+        self.root.join("data").join(preset)
+    }
+
+    /// A network trained with one seed.
+    pub fn run(&self, preset: &str, variant: &str, seed: u64) -> PathBuf {
+        self.root.join("runs").join(preset).join(variant).join(format!("seed-{seed}"))
+    }
+
+    /// The learning curve of a dense network.
+    pub fn curve(&self, preset: &str, activation: &str, seed: u64) -> PathBuf {
+        let name = format!("{activation}-{seed}.toml");
+        self.root.join("curves").join(preset).join(name)
+    }
+
+    /// The judgement of a comparison's networks on a preset.
+    pub fn judgement(&self, comparison: Comparison, preset: &str) -> PathBuf {
+        self.report(comparison).join(preset)
+    }
+
+    /// The report of a comparison.
+    pub fn report(&self, comparison: Comparison) -> PathBuf {
+        self.root.join(comparison.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(comparison: Comparison) -> Vec<String> {
+        let variants = comparison.variants(&StudyConfig::paper());
+        variants.into_iter().map(|variant| variant.name).collect()
+    }
+
+    #[test]
+    fn a_network_has_one_name_in_every_comparison() {
+        assert_eq!(names(Comparison::Cores), ["mingru", "minlstm", "lstm", "gru", "mlp"]);
+        assert_eq!(names(Comparison::Loss), ["mingru-density-0", "mingru", "mingru-density-0.01"]);
+        assert_eq!(names(Comparison::Window), ["mingru-window-1", "mingru", "mingru-window-4"]);
+    }
+
+    #[test]
+    fn networks_of_one_name_are_trained_alike() {
+        let study = StudyConfig::paper();
+        let all = [Comparison::Cores, Comparison::Loss, Comparison::Window];
+        let all: Vec<Variant> = all.iter().flat_map(|one| one.variants(&study)).collect();
+        for one in &all {
+            for other in all.iter().filter(|other| other.name == one.name) {
+                assert_eq!(one.config, other.config);
+            }
+        }
+    }
+}

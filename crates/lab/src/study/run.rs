@@ -1,0 +1,274 @@
+//! A comparison from nothing to its report. What has come to its end is not done again.
+
+use std::{
+    collections::VecDeque,
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+};
+
+use anyhow::{Context, bail, ensure};
+
+use super::{
+    Comparison, Folders, StudyConfig, Trained, Variant,
+    command_lines::{CommandLines, in_words},
+    learning_curves, step_times, training, write,
+};
+use eddy_evaluation::{
+    Evaluation, EvaluationRequest, Report, Settings,
+    dataset::{self, simulate::simulate},
+    page::{Table, command_line},
+};
+use eddy_frames::progress::Progress;
+use eddy_inference::checkpoint::Checkpoint;
+use eddy_learning::{model::DeviceKind, train::TrainConfig};
+
+/// Which comparison to run, and where.
+#[derive(Clone, Debug)]
+pub struct StudyRequest {
+    /// What is compared.
+    pub comparison: Comparison,
+    /// Data, networks and budget.
+    pub study: StudyConfig,
+    /// The folder of data, networks, evaluations and reports. Comparisons in the same folder share data and
+    /// networks.
+    pub output: PathBuf,
+    /// Networks that are trained at a time.
+    pub jobs: NonZeroUsize,
+    /// The device that trains the networks of cores, losses and windows, and takes the timed steps.
+    pub device: DeviceKind,
+}
+
+/// A comparison that has come to its end.
+#[derive(Debug)]
+pub struct StudyOutcome {
+    /// The first table under each heading of the report.
+    pub summaries: Vec<(String, Table)>,
+    /// The report's page.
+    pub page: PathBuf,
+}
+
+impl StudyRequest {
+    /// Checks all settings.
+    ///
+    /// # Errors
+    /// The first setting that cannot be used.
+    pub fn check(&self) -> anyhow::Result<()> {
+        self.study.check()?;
+        self.study.dense.check()?;
+        for Variant { config, .. } in self.comparison.variants(&self.study) {
+            config.check()?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs a comparison: simulates its scenes, trains its networks with every seed, evaluates them on the scenes that
+/// none of them was trained on, and writes the report. The same request goes on where it was cancelled.
+///
+/// # Errors
+/// What stopped it, also that it was cancelled. What has come to its end is kept.
+pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<StudyOutcome> {
+    request.check()?;
+    let StudyRequest { comparison, study, output, jobs, device } = request;
+    if *comparison == Comparison::Activations {
+        ensure!(
+            *device == DeviceKind::Flex,
+            "--device: found {}, expected flex: dense networks are trained on it",
+            device.name()
+        );
+    }
+    device.check()?;
+    let work = Work {
+        folders: Folders::new(output),
+        comparison: *comparison,
+        variants: comparison.variants(study),
+        presets: comparison.presets(study),
+        study,
+        jobs: jobs.get(),
+        device: *device,
+        progress,
+        failed: AtomicBool::new(false),
+    };
+    work.simulate()?;
+    match comparison {
+        Comparison::Activations => learning_curves::run(&work)?,
+        Comparison::Cores | Comparison::Loss | Comparison::Window => training::run(&work)?,
+    }
+    if progress.cancelled() {
+        bail!("interrupted: the same command goes on");
+    }
+    work.evaluate()?;
+    if *comparison == Comparison::Cores {
+        step_times::run(&work)?;
+    }
+    if progress.cancelled() {
+        bail!("interrupted: the same command goes on");
+    }
+    write::write(&work)
+}
+
+/// A comparison on its way.
+pub(super) struct Work<'a> {
+    pub(super) folders: Folders,
+    pub(super) comparison: Comparison,
+    pub(super) study: &'a StudyConfig,
+    pub(super) variants: Vec<Variant>,
+    pub(super) presets: &'a [String],
+    /// Networks that are trained at a time.
+    pub(super) jobs: usize,
+    /// The device that trains the networks whose cores, losses or windows are compared.
+    pub(super) device: DeviceKind,
+    pub(super) progress: &'a dyn Progress,
+    /// Whether one of them has failed: the others stop.
+    failed: AtomicBool,
+}
+
+impl Work<'_> {
+    /// Whether what runs is to stop.
+    pub(super) fn stops(&self) -> bool {
+        self.progress.cancelled() || self.failed.load(Ordering::Relaxed)
+    }
+
+    /// The command lines that do the same by hand.
+    pub(super) fn command_lines(&self) -> CommandLines<'_> {
+        CommandLines {
+            folders: &self.folders,
+            comparison: self.comparison,
+            study: self.study,
+            variants: &self.variants,
+            presets: self.presets,
+            device: self.device,
+        }
+    }
+
+    /// Simulates the scenes of every preset that are not there yet.
+    fn simulate(&self) -> anyhow::Result<()> {
+        for preset in self.presets {
+            let request = self.study.data.simulation(preset)?;
+            self.tell(&command_line(&self.command_lines().simulation(preset)));
+            simulate(&request, &self.folders.data(preset), self.progress)?.complete()?;
+        }
+        Ok(())
+    }
+
+    /// Evaluates every network on each preset, unless this very evaluation is there.
+    fn evaluate(&self) -> anyhow::Result<()> {
+        for preset in self.presets {
+            let folder = self.folders.judgement(self.comparison, preset);
+            if self.variants.is_empty() || self.is_evaluated(preset, &folder)? {
+                continue;
+            }
+            let command = command_line(&self.command_lines().evaluation(preset));
+            self.tell(&command);
+            let evaluation = Evaluation::new(self.evaluation(preset)?, self.progress)?;
+            evaluation.remarks().iter().for_each(|remark| self.tell(remark));
+            let mut report = evaluation.run(self.progress)?;
+            report.made.command = command;
+            report.save(&folder).with_context(|| in_words(&folder))?;
+        }
+        Ok(())
+    }
+
+    /// All networks on the scenes of a preset.
+    fn evaluation(&self, preset: &str) -> anyhow::Result<EvaluationRequest> {
+        let load = |(variant, seed): (&Variant, u64)| {
+            let path = self.folders.run(preset, &variant.name, seed);
+            Ok((in_words(&path), Checkpoint::load(&path)?))
+        };
+        let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
+        let (data, memory) = (self.folders.data(preset), dataset::available_memory() / 2);
+        let judging = &self.study.judging;
+        Ok(EvaluationRequest {
+            checkpoints,
+            streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
+            settings: Settings::full(judging.horizon, judging.starts),
+            references: Vec::new(),
+            join_late: false,
+            threads: None,
+        })
+    }
+
+    /// Whether the report in `folder` is that of all the networks.
+    fn is_evaluated(&self, preset: &str, folder: &Path) -> anyhow::Result<bool> {
+        if !folder.exists() {
+            return Ok(false);
+        }
+        let report = Report::load(folder)?;
+        let evaluated: Vec<_> =
+            report.predictors.iter().filter_map(|p| p.digest.as_ref()).collect();
+        let networks = self.trained(preset)?;
+        let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
+        Ok(report.made.command == command_line(&self.command_lines().evaluation(preset))
+            && evaluated == networks)
+    }
+
+    /// What the networks' training came to, in the order of [`Work::runs`].
+    pub(super) fn trained(&self, preset: &str) -> anyhow::Result<Vec<(&Variant, Trained)>> {
+        let mut all = Vec::new();
+        for (variant, seed) in self.runs() {
+            let folder = self.folders.run(preset, &variant.name, seed);
+            let config = TrainConfig { seed, ..variant.config.clone() };
+            let trained = Trained::find(&folder, &config, self.device)?.with_context(|| {
+                format!("{}: found no trained network, expected one", folder.display())
+            })?;
+            all.push((variant, trained));
+        }
+        Ok(all)
+    }
+
+    /// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+    pub(super) fn runs(&self) -> impl Iterator<Item = (&Variant, u64)> {
+        super::plan::runs(self.study, &self.variants)
+    }
+
+    /// Does tasks, `jobs` at a time, until one fails or all are to stop. What comes out is a line to tell, or nothing
+    /// where a task was stopped.
+    pub(super) fn each<T: Send>(
+        &self,
+        tasks: VecDeque<T>,
+        what: &str,
+        run: impl Fn(T) -> anyhow::Result<Option<String>> + Sync,
+    ) -> anyhow::Result<()> {
+        self.progress.begin(tasks.len() as u64, what);
+        let jobs = self.jobs.min(tasks.len());
+        let tasks = Mutex::new(tasks);
+        let next = || tasks.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+        let worker = || -> anyhow::Result<()> {
+            while let (false, Some(task)) = (self.stops(), next()) {
+                let outcome = run(task);
+                let line = outcome.inspect_err(|_| self.failed.store(true, Ordering::Relaxed))?;
+                if let Some(line) = line {
+                    self.tell(&line);
+                    self.progress.advance(1);
+                }
+            }
+            Ok(())
+        };
+        let outcomes: Vec<anyhow::Result<()>> = thread::scope(|scope| {
+            let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
+            let join = |worker: thread::ScopedJoinHandle<'_, _>| {
+                worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            workers.into_iter().map(join).collect()
+        });
+        self.progress.finish();
+        outcomes.into_iter().collect()
+    }
+
+    fn tell(&self, line: &str) {
+        self.progress.message(line);
+    }
+}
+
+/// Writes a settings file, so that its command line can be given by hand.
+pub(super) fn write_settings(file: &Path, text: &str) -> anyhow::Result<()> {
+    let folder = file.parent().unwrap_or(Path::new("."));
+    let written = fs::create_dir_all(folder).and_then(|()| fs::write(file, text));
+    written.with_context(|| file.display().to_string())
+}

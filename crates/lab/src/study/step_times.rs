@@ -1,0 +1,30 @@
+//! Time of training steps: the paper's Table 4 for this machine.
+
+use super::{Speed, run::Work};
+use crate::bench::training::paper_steps;
+use eddy_evaluation::page::Machine;
+
+/// Windows a batch.
+const WINDOWS: usize = 16;
+
+/// Times a step of every recurrent core with each of the lengths of a window, unless that was done.
+pub(super) fn run(work: &Work) -> anyhow::Result<()> {
+    let folder = work.folders.report(work.comparison);
+    if Speed::find(&folder, work.device)?.is_some() {
+        return Ok(());
+    }
+    let kinds = paper_steps(&work.study.step_frames);
+    work.progress.begin(kinds.len() as u64, "training steps timed");
+    let mut steps = Vec::new();
+    for step in kinds {
+        if work.stops() {
+            work.progress.finish();
+            return Ok(());
+        }
+        steps.push(step.time(WINDOWS, work.study.step_seconds, work.device));
+        work.progress.advance(1);
+    }
+    work.progress.finish();
+    Speed { machine: Machine::here(), device: work.device, steps }.save(&folder)?;
+    Ok(())
+}

@@ -1,0 +1,163 @@
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::Path,
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::SystemTime,
+};
+
+use super::*;
+use eddy_evaluation::Report;
+use eddy_frames::progress::Progress;
+use eddy_inference::checkpoint::Core;
+use eddy_learning::model::DeviceKind;
+
+/// Small enough for a test: three scenes, two networks of two epochs, or two learning curves.
+fn request(comparison: Comparison, output: &Path) -> StudyRequest {
+    let mut study = StudyConfig::quick();
+    study.seeds = vec![1, 2];
+    (study.data.scenes, study.data.duration) = (3, Some(0.4));
+    study.data.presets.truncate(1);
+    study.cores = vec![Core::MinGru];
+    study.density_weights = vec![0.0];
+    (study.dense.width, study.dense.epochs) = (8, 2);
+    (study.dense.batch, study.dense.per_epoch) = (4, 8);
+    study.activations.truncate(1);
+    let training = &mut study.training;
+    (training.network.encoder, training.network.hidden) = (8, 16);
+    (training.windows.batch, training.windows.per_epoch, training.epochs) = (4, 8, 2);
+    (study.judging.horizon, study.judging.starts) = (3, 1);
+    (study.step_frames, study.step_seconds) = (vec![2], 0.01);
+    let (output, device) = (output.to_owned(), DeviceKind::Flex);
+    StudyRequest { comparison, study, output, jobs: NonZeroUsize::MIN, device }
+}
+
+/// Keeps the lines that are told; cancels after the first that contains some words.
+#[derive(Default)]
+struct Lines {
+    cancel_at: Option<&'static str>,
+    told: Mutex<Vec<String>>,
+    cancelled: AtomicBool,
+}
+
+impl Lines {
+    fn until(words: &'static str) -> Self {
+        Self { cancel_at: Some(words), ..Self::default() }
+    }
+
+    /// How many lines contain the words.
+    fn count(&self, words: &str) -> usize {
+        self.told.lock().unwrap().iter().filter(|line| line.contains(words)).count()
+    }
+}
+
+impl Progress for Lines {
+    fn message(&self, line: &str) {
+        self.told.lock().unwrap().push(line.to_owned());
+        if self.cancel_at.is_some_and(|words| line.contains(words)) {
+            self.cancelled.store(true, Ordering::Relaxed);
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+fn changed(file: &Path) -> SystemTime {
+    fs::metadata(file).unwrap().modified().unwrap()
+}
+
+#[test]
+fn a_cancelled_study_goes_on_without_what_has_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let request = request(Comparison::Loss, folder.path());
+    let first = Lines::until("seed 1: 2 epochs in");
+    let error = run(&request, &first).unwrap_err();
+    assert!(error.to_string().contains("interrupted"), "{error}");
+    assert_eq!(first.count("epochs in"), 1);
+    let folders = Folders::new(folder.path());
+    assert!(!folders.report(Comparison::Loss).exists());
+    let name = &Comparison::Loss.variants(&request.study)[0].name;
+    let [network, other] = [1, 2].map(|seed| folders.run("fluid", name, seed).join("trained.toml"));
+    let before = changed(&network);
+    assert!(!other.exists());
+
+    let second = Lines::default();
+    let outcome = run(&request, &second).unwrap();
+    assert_eq!((second.count("seed 1:"), second.count("seed 2: 2 epochs in")), (0, 1));
+    assert_eq!(changed(&network), before);
+    assert!(outcome.page.exists());
+    assert_eq!(outcome.summaries.len(), 1);
+
+    // Everything is there: nothing is simulated, trained or evaluated again.
+    let folder = folders.judgement(Comparison::Loss, "fluid");
+    let before = changed(&folder.join("report.json"));
+    let third = Lines::default();
+    run(&request, &third).unwrap();
+    assert_eq!(third.count("3 of 3 scenes are in"), 1);
+    assert_eq!((third.count("epochs in"), third.count("eddy eval")), (0, 0));
+    assert_eq!(changed(&folder.join("report.json")), before);
+}
+
+#[test]
+fn the_evaluation_of_a_study_says_which_command_gives_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let request = request(Comparison::Loss, folder.path());
+    let lines = Lines::default();
+    run(&request, &lines).unwrap();
+    let report = Folders::new(folder.path()).judgement(Comparison::Loss, "fluid");
+    let command = Report::load(&report).unwrap().made.command;
+    let root = folder.path().display();
+    let networks =
+        ["seed-1", "seed-2"].map(|seed| format!("{root}/runs/fluid/mingru-density-0/{seed}"));
+    let expected = format!(
+        "eddy eval --checkpoint {} {} --data {root}/data/fluid --horizon 3 --starts 1 --output {root}/loss/fluid",
+        networks[0], networks[1]
+    );
+    assert_eq!(command, expected);
+    assert_eq!(lines.count(&command), 1);
+    // Evaluated again where another number of rollouts is asked for.
+    let mut more = request;
+    more.study.judging.starts = 2;
+    let lines = Lines::default();
+    run(&more, &lines).unwrap();
+    assert_eq!((lines.count("epochs in"), lines.count("--starts 2")), (0, 1));
+}
+
+#[test]
+fn learning_curves_that_are_there_are_not_computed_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let request = request(Comparison::Activations, folder.path());
+    let first = Lines::until("seed 1: a validation loss of");
+    run(&request, &first).unwrap_err();
+    let second = Lines::default();
+    run(&request, &second).unwrap();
+    let loss = "a validation loss of";
+    assert_eq!((first.count(loss), second.count(loss)), (1, 1));
+}
+
+#[test]
+fn a_request_that_cannot_be_used_is_refused_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    let usual = request(Comparison::Loss, &output);
+    let mut unknown = usual.clone();
+    unknown.study.data.presets = vec!["gas".to_owned()];
+    let mut narrow = usual.clone();
+    narrow.study.training.network.hidden = 0;
+    let mut elsewhere = request(Comparison::Activations, &output);
+    elsewhere.device = DeviceKind::Ndarray;
+    for (request, words) in [
+        (unknown, "data.presets: found gas, expected multi-material, fluid, stiff or kinds"),
+        (narrow, "network.hidden: found 0, expected at least 1"),
+        (elsewhere, "--device: found ndarray, expected flex"),
+    ] {
+        let error = run(&request, &Lines::default()).unwrap_err();
+        assert!(error.to_string().contains(words), "{error}");
+        assert!(!output.exists());
+    }
+}

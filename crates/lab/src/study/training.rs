@@ -1,0 +1,101 @@
+//! Networks that are trained once with every seed.
+
+use std::{collections::VecDeque, fs, path::PathBuf};
+
+use anyhow::{Context, bail};
+
+use super::{
+    Trained,
+    run::{Work, write_settings},
+};
+use eddy_evaluation::{
+    dataset::{Dataset, available_memory},
+    page::command_line,
+};
+use eddy_learning::train::{LAST_FOLDER, Machine, Run, TrainConfig, train};
+
+/// A network with one seed.
+struct Task {
+    /// Its name in what is printed.
+    name: String,
+    config: TrainConfig,
+    output: PathBuf,
+    /// The command that does the same.
+    command: String,
+}
+
+/// Trains what is not trained yet.
+pub(super) fn run(work: &Work) -> anyhow::Result<()> {
+    for preset in work.presets {
+        let mut tasks = VecDeque::new();
+        for (variant, seed) in work.runs() {
+            let config = TrainConfig { seed, ..variant.config.clone() };
+            let output = work.folders.run(preset, &variant.name, seed);
+            if Trained::find(&output, &config, work.device)?.is_none() {
+                let name = format!("{preset} {} seed {seed}", variant.name);
+                let command = command_line(&work.command_lines().training(preset, variant, seed));
+                tasks.push_back(Task { name, config, output, command });
+            }
+        }
+        if tasks.is_empty() {
+            continue;
+        }
+        let data = work.folders.data(preset);
+        let dataset = Dataset::load(&[data], available_memory() / 2, &mut |_, _| ())?;
+        let at_once = work.jobs.min(tasks.len());
+        let memory = available_memory() / at_once as u64;
+        work.each(tasks, "networks", |task| task.run(work, &dataset, memory, at_once))?;
+        if work.stops() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+impl Task {
+    /// Trains it, and gives a line about it; none when it was stopped.
+    fn run(
+        &self,
+        work: &Work,
+        dataset: &Dataset,
+        memory: u64,
+        at_once: usize,
+    ) -> anyhow::Result<Option<String>> {
+        let Self { name, config, output, command } = self;
+        // Beside the folder, as this is made by who trains.
+        write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
+        let run = Run {
+            device: work.device,
+            output,
+            resume: true,
+            machine: Machine::with_free_disk(memory, output)?,
+            command: command.clone(),
+            quiet: true,
+            interrupted: &|| work.stops(),
+        };
+        let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
+        if outcome.interrupted {
+            return Ok(None);
+        }
+        let Some(best) = outcome.best else { bail!("{name}: found no epoch, expected one") };
+        let trained = Trained {
+            checkpoint: best.digest().to_owned(),
+            parameters: best.parameters(),
+            seconds: outcome.seconds,
+            at_once,
+            samples: outcome.samples,
+            device: work.device,
+            config: config.clone(),
+            epochs: outcome.epochs,
+        };
+        trained.save(output)?;
+        // What is needed to go on is three times as large as the network, and not needed any more.
+        let last = output.join(LAST_FOLDER);
+        fs::remove_dir_all(&last).with_context(|| last.display().to_string())?;
+        let best = &best.description.training;
+        Ok(Some(format!(
+            "{name}: {} epochs in {:.0} s, best {} with a validation loss of {:.3}",
+            best.epochs, trained.seconds, best.best_epoch, best.validation_loss
+        )))
+    }
+}

@@ -1,0 +1,59 @@
+//! What a comparison came to: `report.html`, and `tables.md` for who writes about it.
+
+use anyhow::Context;
+
+use super::{
+    Comparison, Curve, Networks, Speed, StudyReport,
+    command_lines::in_words,
+    run::{StudyOutcome, Work, write_settings},
+};
+use eddy_evaluation::{Report, page::Provenance};
+
+/// Writes both.
+pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
+    let folder = work.folders.report(work.comparison);
+    let mut report = StudyReport::new(work.comparison, work.study);
+    for preset in work.presets {
+        match work.comparison {
+            Comparison::Activations => {
+                report.curves(preset, work.study, &curves(work, preset)?);
+            }
+            comparison => {
+                let trained = work.trained(preset)?.into_iter().map(|(_, trained)| trained);
+                let networks = Networks {
+                    comparison,
+                    variants: &work.variants,
+                    seeds: &work.study.seeds,
+                    trained: trained.collect(),
+                    report: Report::load(&work.folders.judgement(comparison, preset))?,
+                };
+                report.networks(preset, work.study, &networks);
+            }
+        }
+    }
+    if let Some(speed) = Speed::find(&folder, work.device)? {
+        report.speed(&speed);
+    }
+    let summaries = report.summaries();
+    let summaries = summaries.map(|(heading, table)| (heading.to_owned(), table.clone())).collect();
+    write_settings(&folder.join("tables.md"), &report.markdown())?;
+    let html = folder.join("report.html");
+    let page = report.page(&Provenance::here(), &work.command_lines().all());
+    page.save(&html).with_context(|| in_words(&html))?;
+    Ok(StudyOutcome { summaries, page: html })
+}
+
+/// The learning curves of a preset.
+fn curves(work: &Work, preset: &str) -> anyhow::Result<Vec<Curve>> {
+    let mut curves = Vec::new();
+    for &seed in &work.study.seeds {
+        for activation in &work.study.activations {
+            let file = work.folders.curve(preset, activation.name(), seed);
+            let curve = Curve::find(&file, &work.study.dense)?;
+            curves.push(curve.with_context(|| {
+                format!("{}: found no learning curve, expected one", file.display())
+            })?);
+        }
+    }
+    Ok(curves)
+}

@@ -1,0 +1,123 @@
+//! The sparse grid in tensor operations: the plain form of what [`training`](super::training) has
+//! kernels for.
+
+use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
+
+use super::surroundings::Ground;
+use eddy_inference::{
+    engine::scales::{FULL, LEAST_MASS},
+    kernels::nodes::{MISSING, Nodes},
+};
+
+/// Which nodes' rows a linear layer on the grid takes side by side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Table {
+    /// The 3 x 3 around each node of a level.
+    Neighbours(usize),
+    /// The 2 x 2 below each node of a level, in the next finer one.
+    Children(usize),
+}
+
+/// `[M', C']` to `[M, C]`: rows of the table side by side times `weight`, `[k C', C]`, and `bias`, `[C]`.
+pub(crate) fn gathered(
+    nodes: &Nodes,
+    table: Table,
+    rows: Tensor<2>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let table = match table {
+        Table::Neighbours(level) => nodes.level(level).neighbours.as_flattened(),
+        Table::Children(level) => nodes.level(level).children.as_flattened(),
+    };
+    let ([present, width], [inputs, _]) = (rows.dims(), weight.dims());
+    let device = rows.device();
+    let rows = Tensor::cat(vec![rows, Tensor::zeros([1, width], &device)], 0);
+    let place = |&node: &u32| if node == MISSING { present as u32 } else { node };
+    let rows = rows.select(0, indices(table.iter().map(place), &device)); // [M k, C']
+    rows.reshape([table.len() * width / inputs, inputs]).matmul(weight) + bias.unsqueeze()
+}
+
+/// `[M', C']` of a level's parents to `[M, C]`: `weight`, `[C', 4 C]`, has a map for each child; `bias`,
+/// `[C]`.
+pub(crate) fn spread(
+    nodes: &Nodes,
+    level: usize,
+    parents: Tensor<2>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let ([count, _], [_, four]) = (parents.dims(), weight.dims());
+    let device = parents.device();
+    let children = parents.matmul(weight).reshape([count * 4, four / 4]); // [M' 4, C]
+    let places = nodes.level(level).parent.iter().copied();
+    children.select(0, indices(places, &device)) + bias.unsqueeze()
+}
+
+/// `[R, C]` to `[M0, C + 5]`: averages, mass, nearness of the walls.
+pub(crate) fn write(ground: &Ground, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+    let nodes = &ground.nodes;
+    let device = encoded.device();
+    let ([rows, width], count) = (encoded.dims(), nodes.level(0).len());
+    let weights = weights(ground, position); // [R 9, 1]
+    let stencils = indices(stencils(nodes, rows).into_iter().flatten(), &device);
+    let add = |values: Tensor<2>| {
+        let [_, width] = values.dims();
+        let zeros = Tensor::zeros([count, width], &device);
+        zeros.select_assign(0, stencils.clone(), values, IndexingUpdateOp::Add)
+    };
+    let nine = encoded.unsqueeze_dim::<3>(1).repeat(&[1, 9, 1]).reshape([rows * 9, width]);
+    let (sum, mass) = (add(nine * weights.clone()), add(weights)); // [M0, C], [M0, 1]
+    let walls = ground.walls.as_flattened().to_vec();
+    let walls = Tensor::from_data(TensorData::new(walls, [count, 4]), &device);
+    Tensor::cat(vec![sum / mass.clone().add_scalar(LEAST_MASS), mass.div_scalar(FULL), walls], 1)
+}
+
+/// `[M0, C]` to `[R, C]`.
+pub(crate) fn read(ground: &Ground, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+    let device = rows.device();
+    let ([_, width], [particles, _]) = (rows.dims(), position.dims());
+    let stencils = indices(stencils(&ground.nodes, particles).into_iter().flatten(), &device);
+    let nine = rows.select(0, stencils) * weights(ground, position); // [R 9, C]
+    nine.reshape([particles, 9, width]).sum_dim(1).reshape([particles, width])
+}
+
+/// Each particle's nine nodes, row by row from the lower left.
+fn stencils(nodes: &Nodes, particles: usize) -> Vec<[u32; 9]> {
+    let mut stencils = vec![[0; 9]; particles];
+    for cell in nodes.cells() {
+        for slot in cell.slots() {
+            let particle = nodes.order()[slot] as usize;
+            stencils[particle] = std::array::from_fn(|k| cell.nodes[k / 3] + (k % 3) as u32);
+        }
+    }
+    stencils
+}
+
+/// Each particle's weights of its nine nodes, `[R 9, 1]`, with their slopes by the position.
+fn weights(ground: &Ground, position: Tensor<2>) -> Tensor<2> {
+    let device = position.device();
+    let [rows, _] = position.dims();
+    let origin = Tensor::<1>::from_floats(ground.origin, &device).unsqueeze::<2>();
+    let place = (position - origin).div_scalar(ground.nodes.width()); // in cells
+    let base = place.clone().detach().sub_scalar(0.5).floor();
+    let offset = place - base; // [R, 2], 0.5..1.5
+    let three = [
+        (offset.clone() - 1.5).square().mul_scalar(0.5),
+        (offset.clone() - 1.0).square().neg().add_scalar(0.75),
+        (offset - 0.5).square().mul_scalar(0.5),
+    ];
+    let axis = |axis: usize| {
+        Tensor::cat(three.iter().map(|w| w.clone().slice([0..rows, axis..axis + 1])).collect(), 1)
+    }; // [R, 3]
+    let columns = axis(0).unsqueeze_dim::<3>(1).repeat(&[1, 3, 1]); // [R, row, column]
+    let rows_of = axis(1).unsqueeze_dim::<3>(2).repeat(&[1, 1, 3]);
+    (columns * rows_of).reshape([rows * 9, 1])
+}
+
+/// Numbers of rows.
+pub(crate) fn indices(values: impl Iterator<Item = u32>, device: &Device) -> Tensor<1, Int> {
+    let values: Vec<i32> = values.map(|value| value as i32).collect();
+    let count = values.len();
+    Tensor::from_data(TensorData::new(values, [count]), device)
+}

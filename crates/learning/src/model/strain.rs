@@ -1,0 +1,50 @@
+//! The shape of solids, strain and bend, against the one they rest in: [`Rest::shape`] over tensors.
+
+use std::sync::Arc;
+
+use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
+
+use super::{fused, sparse::indices, training};
+use eddy_inference::kernels::rest::{LARGEST, Link, Rest, SCALE};
+
+/// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 5]`.
+pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<Rest>) -> Tensor<2> {
+    if fused::runs_on(&position.device()) {
+        return training::shape(rest.clone(), position.clone());
+    }
+    let [count, _] = position.dims();
+    let frames = count / rest.len().max(1);
+    let links = (0..frames).flat_map(|frame| {
+        let rows = (0..rest.len()).flat_map(|row| rest.links(row).iter().map(move |l| (row, *l)));
+        let first = frame * rest.len();
+        rows.map(move |(row, link)| (first + row, first + link.particle as usize, link))
+    });
+    let links: Vec<(usize, usize, Link)> = links.collect();
+    let device = position.device();
+    let row = |pick: fn(&(usize, usize, Link)) -> usize| {
+        indices(links.iter().map(|link| pick(link) as u32), &device)
+    };
+    let number = |pick: fn(&Link) -> f32| {
+        let values: Vec<f32> = links.iter().map(|(.., link)| pick(link)).collect();
+        Tensor::<2>::from_data(TensorData::new(values, [links.len(), 1]), &device)
+    };
+    let (own, other) = (row(|link| link.0), row(|link| link.1));
+    let apart = position.clone().select(0, other) - position.clone().select(0, own.clone()); // [L, 2]
+    let sum = |coefficient: Tensor<2>| {
+        let zeros = Tensor::zeros([count, 2], &device);
+        zeros.select_assign(0, own.clone(), apart.clone() * coefficient, IndexingUpdateOp::Add)
+    };
+    let first = sum(number(|link| link.coefficient[0])); // F_xx, F_yx
+    let second = sum(number(|link| link.coefficient[1])); // F_xy, F_yy
+    let bend = sum(number(|link| link.share));
+    let squares = first.clone().square() + second.clone().square(); // B_xx, B_yy
+    let across = |f: Tensor<2>| f.clone().slice([0..count, 0..1]) * f.slice([0..count, 1..2]);
+    let product = across(first) + across(second); // B_xy
+    let solid: Vec<f32> = (0..count)
+        .map(|row| if rest.links(row % rest.len()).is_empty() { 0.0 } else { 1.0 })
+        .collect();
+    let solid = Tensor::<2>::from_data(TensorData::new(solid, [count, 1]), &device);
+    let scale = Tensor::<1>::from_floats(SCALE, &device).unsqueeze::<2>();
+    let shape = Tensor::cat(vec![squares - solid, product, bend], 1);
+    (shape * scale).clamp(-LARGEST, LARGEST)
+}

@@ -1,0 +1,354 @@
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor, TensorData, activation::elu};
+use proptest::prelude::*;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    core::{LayerState, RecurrentLayer},
+    frame_model::FrameModel,
+    layers::Layers,
+    network::{Dropout, Hidden, Network},
+    *,
+};
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::{
+    checkpoint::{
+        Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
+        Normalization, Pooling, Rules, Sizes, Surroundings, Weights, initial_weights,
+        tensor_shapes,
+    },
+    engine::Ballistic,
+};
+
+const PARTICLES: usize = 7;
+const DT: f32 = 0.016;
+
+fn description(architecture: Architecture, core: Core) -> Description {
+    let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
+    // So wide apart that all are neighbours.
+    let surroundings = Surroundings { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
+    Description {
+        surroundings: particles.is_none().then_some(surroundings),
+        materials: vec![Material::Liquid, Material::Jelly],
+        // The networks alone.
+        rules: Rules::default(),
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -4.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.1, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        ..Description::untrained(
+            architecture,
+            core,
+            Sizes { encoder: 6, hidden: 5, layers: 2, particles },
+        )
+    }
+}
+
+/// Initial weights, but with a decoder that says something.
+fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial_weights(description, seed);
+    for name in ["decoder.weight", "decoder.bias"] {
+        for value in &mut tensors.get_mut(name).unwrap().values {
+            *value = random.random_range(-0.3..0.3);
+        }
+    }
+    tensors
+}
+
+/// Particles that jump about: no network can tell them from truth.
+fn frames(count: u64) -> Vec<Frame> {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut pairs = |low: f32, high: f32| {
+        (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    (0..count)
+        .map(|sequence| Frame {
+            stream: 4,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: pairs(0.06, 0.94),
+            velocity: pairs(-2.0, 2.0),
+            material: (0..PARTICLES)
+                .map(|i| if i < 3 { Material::Liquid } else { Material::Jelly })
+                .collect(),
+        })
+        .collect()
+}
+
+/// Windows that start with these frames, at rest there.
+fn matter(description: &Description, starts: &[Frame], device: &Device) -> Matter {
+    let material: Vec<_> = starts.iter().flat_map(|frame| frame.material.clone()).collect();
+    let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
+    Matter::new(&material, &rest, starts.len(), description.surroundings.as_ref(), device)
+}
+
+fn track(frames: &[Frame], device: &Device) -> Track {
+    let rows = |values: &[[f32; 2]]| {
+        let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);
+        Tensor::<2>::from_data(data, device)
+    };
+    let bodies =
+        frames.iter().map(|f| Bodies { position: rows(&f.position), velocity: rows(&f.velocity) });
+    Track::stack(bodies.collect())
+}
+
+fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
+    tensor.clone().into_data().try_to_vec().unwrap()
+}
+
+fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+fn every_network() -> impl Iterator<Item = (Architecture, Core)> {
+    let both = [Architecture::Frame, Architecture::Particle];
+    both.into_iter().flat_map(|architecture| Core::ALL.map(|core| (architecture, core)))
+}
+
+#[test]
+fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
+    let frames = frames(9);
+    for (architecture, core) in every_network() {
+        let description = description(architecture, core);
+        let checkpoint =
+            Checkpoint { tensors: weights(&description, 1), description: description.clone() };
+        let device = DeviceKind::Flex.device();
+        let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
+        let matter = matter(&description, &frames[..1], &device);
+        let none = &mut Dropout::none();
+        // In two parts, so that the carried state counts as well.
+        let (start, rest) = frames.split_at(4);
+        let (first, hidden) =
+            network.observe(&track(start, &device), &matter, Hidden::default(), none);
+        let (second, _) = network.observe(&track(rest, &device), &matter, hidden, none);
+        let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
+
+        let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+        let mut memory = reference.start(&frames[0]);
+        let streamed: Vec<Frame> =
+            frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
+        let flat = |pick: fn(&Frame) -> &Vec<[f32; 2]>| -> Vec<f32> {
+            streamed.iter().flat_map(|f| pick(f).as_flattened()).copied().collect()
+        };
+        for (part, found) in [flat(|f| &f.position), flat(|f| &f.velocity)].iter().enumerate() {
+            let expected = [expected[0][part].clone(), expected[1][part].clone()].concat();
+            let difference = largest_difference(found, &expected);
+            assert!(difference <= 1e-5, "{architecture:?} {core:?}: {difference}");
+        }
+        assert_eq!(streamed[8].sequence, 9);
+        assert_eq!(streamed[8].stamp, Stamp(9 * 16_000_000));
+    }
+}
+
+#[test]
+fn flex_and_ndarray_agree() {
+    let frames = frames(6);
+    for (architecture, core) in every_network() {
+        let description = description(architecture, core);
+        let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
+        let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
+            let reference = Reference::load(&checkpoint, device).unwrap();
+            let mut memory = reference.start(&frames[0]);
+            let last = frames.iter().map(|frame| reference.step(&mut memory, frame)).last();
+            last.unwrap()
+        });
+        for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
+            let difference = largest_difference(a.as_flattened(), b.as_flattened());
+            assert!(difference <= 1e-4, "{architecture:?} {core:?}: {difference}");
+        }
+    }
+}
+
+/// Descriptions that together have every core, form, pooling, activation, scaling and kind of input.
+fn every_option() -> Vec<Description> {
+    let mut all: Vec<Description> =
+        every_network().map(|(architecture, core)| description(architecture, core)).collect();
+    let frame = |core, change: fn(&mut Description)| {
+        let mut description = description(Architecture::Frame, core);
+        change(&mut description);
+        description
+    };
+    all.extend([
+        frame(Core::MinGru, |d| d.form = Form::Log),
+        frame(Core::MinLstm, |d| d.form = Form::Log),
+        frame(Core::MinLstm, |d| d.normalize_gates = false),
+        frame(Core::MinLstm, |d| {
+            d.form = Form::Log;
+            d.normalize_gates = false;
+        }),
+        frame(Core::MinGru, |d| d.frame.pooling = Pooling::Max),
+        frame(Core::Gru, |d| d.frame.pooling = Pooling::MeanMax),
+        frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
+        frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
+    ]);
+    // So wide that threads share the work.
+    all.extend([Core::Lstm, Core::Gru, Core::MinLstm, Core::MinGru].map(|core| {
+        frame(core, |d| d.sizes = Sizes { encoder: 40, hidden: 600, ..d.sizes.clone() })
+    }));
+    all.extend(Activation::ALL.map(|activation| {
+        let mut description = description(Architecture::Frame, Core::Mlp);
+        description.frame.activation = activation;
+        description
+    }));
+    all
+}
+
+/// Predictions over a warm-up and two free frames of three windows' particles, and the gradients of
+/// their weighted squares by every tensor.
+fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Vec<f32>> {
+    let recorded = device.device().autodiff();
+    let mut network = Network::new(description, &weights(description, 3), &recorded);
+    let frames = frames(9);
+    let windows: Vec<Track> =
+        frames.chunks(3).map(|frames| track(frames, &device.device())).collect();
+    let side_by_side = |pick: fn(&Track) -> &Tensor<3>| {
+        Tensor::cat(windows.iter().map(|track| pick(track).clone()).collect(), 1)
+    };
+    let track =
+        Track { position: side_by_side(|t| &t.position), velocity: side_by_side(|t| &t.velocity) };
+    let starts: Vec<Frame> = frames.chunks(3).map(|frames| frames[0].clone()).collect();
+    let matter = matter(description, &starts, &device.device());
+    let none = &mut Dropout::none();
+    let (steps, hidden) = network.observe(&track, &matter, Hidden::default(), none);
+    let (next, hidden) = network.step(&steps.at(2), &matter, hidden, none);
+    let (after, _) = network.step(&next, &matter, hidden, none);
+    let mut values = vec![numbers(&steps.position), numbers(&steps.velocity)];
+    values.extend([&next, &after].map(|bodies| numbers(&bodies.velocity)));
+    let loss = steps.velocity.square().sum()
+        + next.position.square().sum()
+        + after.velocity.square().sum().mul_scalar(0.5);
+    let mut gradients = loss.backward();
+    network.layers_mut().update(&mut gradients, |_, _, gradient| values.push(gradient.to_vec()));
+    values
+}
+
+#[test]
+fn kernels_and_tensor_operations_give_the_same_values_and_gradients() {
+    for description in every_option() {
+        let fused = values_and_gradients(&description, DeviceKind::Flex);
+        let plain = values_and_gradients(&description, DeviceKind::Ndarray);
+        let tensors = tensor_shapes(&description).len();
+        assert!(fused.len() == plain.len() && fused.len() >= tensors, "{}", fused.len());
+        for (index, (found, expected)) in fused.iter().zip(&plain).enumerate() {
+            let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
+            let difference = largest_difference(found, expected) / largest;
+            assert!(difference <= 2e-5, "{index}: {difference}: {description:?}");
+        }
+    }
+}
+
+/// Outputs of a layer, its state after the last frame, and the gradients of a sum of their squares by
+/// the inputs, by the state before the first (learned, or carried from earlier frames) and by the
+/// weights.
+fn from_a_state(description: &Description, frames: usize, device: DeviceKind) -> Vec<Vec<f32>> {
+    const ROWS: usize = 2;
+    let recorded = device.device().autodiff();
+    let mut layers = Layers::new(description, &weights(description, 3), &recorded);
+    let width = description.sizes.hidden;
+    let mut random = ChaCha8Rng::seed_from_u64(frames as u64);
+    let mut made_up =
+        |count: usize| -> Vec<f32> { (0..count).map(|_| random.random_range(-1.0..1.0)).collect() };
+    let input = TensorData::new(made_up(frames * ROWS * width), [frames, ROWS, width]);
+    let input = Tensor::<3>::from_data(input, &recorded).require_grad();
+    let mut state = || {
+        let data = TensorData::new(made_up(ROWS * width), [ROWS, width]);
+        Tensor::<2>::from_data(data, &recorded).require_grad()
+    };
+    let (hidden, cell) = (state(), state());
+    let has_cell = description.core == Core::Lstm;
+    let before = LayerState { hidden: hidden.clone(), cell: has_cell.then(|| cell.clone()) };
+    let (outputs, after) = layers.core[0].observe(input.clone(), Some(before));
+    let mut values = vec![numbers(&outputs), numbers(&after.hidden)];
+    let mut loss = outputs.square().sum() + after.hidden.square().sum();
+    if let Some(cell) = &after.cell {
+        values.push(numbers(cell));
+        loss = loss + cell.clone().square().sum();
+    }
+    let mut gradients = loss.backward();
+    values.push(numbers(&input.grad(&gradients).unwrap()));
+    values.extend(hidden.grad(&gradients).map(|by| numbers(&by)));
+    values.extend(cell.grad(&gradients).map(|by| numbers(&by)));
+    layers.update(&mut gradients, |_, _, gradient| values.push(gradient.to_vec()));
+    values
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn layers_go_on_from_a_state_by_kernels_as_by_tensor_operations(
+        frames in (0u32..=10).prop_flat_map(|power| (1usize << power) / 2 + 1..=1 << power),
+    ) {
+        let cores = every_option().into_iter().filter(|d| d.frame == FrameOptions::default());
+        for description in cores.filter(|d| d.sizes.hidden < 100) {
+            let fused = from_a_state(&description, frames, DeviceKind::Flex);
+            let plain = from_a_state(&description, frames, DeviceKind::Ndarray);
+            let recurrent = description.core != Core::Mlp;
+            prop_assert!(fused.len() == plain.len() && fused.len() >= 5 + usize::from(recurrent));
+            for (index, (found, expected)) in fused.iter().zip(&plain).enumerate() {
+                let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
+                let difference = largest_difference(found, expected) / largest;
+                prop_assert!(difference <= 5e-5, "{index}: {difference}: {:?}", description.core);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_untrained_particle_model_is_the_ballistic_step() {
+    let description = description(Architecture::Particle, Core::MinGru);
+    let checkpoint = Checkpoint { tensors: initial_weights(&description, 5), description };
+    let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+    let frames = frames(3);
+    let mut memory = reference.start(&frames[0]);
+    for frame in &frames {
+        let next = reference.step(&mut memory, frame);
+        let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
+        Ballistic::of(&checkpoint.description).step_all(&mut position, &mut velocity);
+        let found = [next.position.as_flattened(), next.velocity.as_flattened()].concat();
+        let expected = [position.as_flattened(), velocity.as_flattened()].concat();
+        assert!(largest_difference(&found, &expected) <= 1e-6);
+    }
+}
+
+#[test]
+fn pooling_before_the_second_linear_is_exact() {
+    let description = description(Architecture::Frame, Core::MinGru);
+    let device = DeviceKind::Flex.device();
+    let layers = Layers::new(&description, &weights(&description, 1), &device);
+    let model = FrameModel::new(&description, layers.clone(), &device);
+    let frame = &frames(1)[0];
+    let bodies = track(std::slice::from_ref(frame), &device).at(0);
+    let material = matter(&description, std::slice::from_ref(frame), &device).material;
+
+    // Table 1, to the letter: both layers for every particle, then the mean.
+    let points = model.scaling.frame(&description.frame, &bodies, material.clone());
+    let points = elu(layers.encoder[0].forward(points), 1.0);
+    let literal = layers.encoder[1].forward(points).mean_dim(0); // [1, H]
+
+    let pooled = model.encode(&bodies, &material);
+    assert!(largest_difference(&numbers(&pooled), &numbers(&literal)) <= 1e-6);
+}
+
+#[test]
+fn gates_of_an_untrained_network_are_open() {
+    for core in [Core::MinGru, Core::MinLstm] {
+        let description = description(Architecture::Particle, core);
+        let device = DeviceKind::Flex.device();
+        let layers = Layers::new(&description, &initial_weights(&description, 1), &device);
+        let nothing = Tensor::<2>::zeros([1, 5], &device);
+        let (kept, _) = match &layers.core[0] {
+            RecurrentLayer::MinGru(layer) => layer.coefficients(nothing),
+            RecurrentLayer::MinLstm(layer) => layer.coefficients(nothing),
+            other => panic!("{other:?}"),
+        };
+        assert!(numbers(&kept).iter().all(|a| *a <= 0.5), "{core:?}");
+    }
+}

@@ -1,0 +1,329 @@
+//! The networks' parts as [`fused`](super::fused) operations: which kernel computes which.
+//!
+//! Here are the layers; `grid` has what is on the particle model's grid, `motion` what is before the
+//! encoder and behind the decoder.
+
+mod grid;
+mod motion;
+
+pub(crate) use grid::{gathered, read, spread, write};
+pub(crate) use motion::{foretell, move_on, perceive, shape};
+
+use burn::tensor::Tensor;
+
+use super::fused::{Operation, apply, input};
+use eddy_inference::{
+    checkpoint::Activation,
+    kernels::{
+        activation::{Elu, Relu, Sigmoid, Tanh, through},
+        encoder::{Encoder, Gradients},
+        gru::{self, Gru},
+        linear::Linear,
+        lstm::{self, Lstm},
+        minimal::Minimal,
+    },
+};
+
+/// A linear layer, with a ReLU behind it or without: `input` `[R, I]`, `weight` `[I, O]` and `bias`
+/// `[O]` to `[R, O]`.
+pub(crate) fn linear(
+    rectify: bool,
+    input: Tensor<2>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let shape = [input.dims()[0], bias.dims()[0]];
+    let inputs = [self::input(input), self::input(weight), self::input(bias)];
+    apply(LinearLayer { rectify }, inputs, shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LinearLayer {
+    rectify: bool,
+}
+
+impl Operation<3> for LinearLayer {
+    type Kept = ();
+
+    fn forward(&self, [input, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+        (Linear { weight, bias, rectify: self.rectify }.forward(input), ())
+    }
+
+    fn backward(
+        &self,
+        [input, weight, bias]: [&[f32]; 3],
+        output: &[f32],
+        (): (),
+        gradient: &[f32],
+        [by_input, by_weight, _]: [bool; 3],
+    ) -> [Vec<f32>; 3] {
+        let layer = Linear { weight, bias, rectify: self.rectify };
+        let by = layer.backward(input, output, gradient, by_input, by_weight);
+        [by.input, by.weight, by.bias]
+    }
+}
+
+/// A linear layer with a ReLU behind it whose inputs are side by side: `left` `[R, I]`, `right` `[R, J]`,
+/// `weight` `[I + J, O]` and `bias` `[O]` to `[R, O]`.
+pub(crate) fn beside(
+    [left, right]: [Tensor<2>; 2],
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let [rows, width] = left.dims();
+    let shape = [rows, bias.dims()[0]];
+    apply(Beside { width }, [input(left), input(right), input(weight), input(bias)], shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Beside {
+    /// I.
+    width: usize,
+}
+
+impl Beside {
+    /// The layers of the two inputs; the second one's output, added to the first one's, is the whole's.
+    fn layers<'a>(&self, weight: &'a [f32], bias: &'a [f32]) -> [Linear<'a>; 2] {
+        let (left, right) = weight.split_at(self.width * bias.len());
+        [
+            Linear { weight: left, bias, rectify: false },
+            Linear { weight: right, bias, rectify: true },
+        ]
+    }
+}
+
+impl Operation<4> for Beside {
+    type Kept = ();
+
+    fn forward(&self, [left, right, weight, bias]: [&[f32]; 4]) -> (Vec<f32>, ()) {
+        let [first, second] = self.layers(weight, bias);
+        let mut output = first.forward(left);
+        second.add(right, &mut output);
+        (output, ())
+    }
+
+    fn backward(
+        &self,
+        [left, right, weight, bias]: [&[f32]; 4],
+        output: &[f32],
+        (): (),
+        gradient: &[f32],
+        [by_left, by_right, by_weight, _]: [bool; 4],
+    ) -> [Vec<f32>; 4] {
+        let [first, second] = self.layers(weight, bias);
+        let gradient = through(second.rectify, output, gradient);
+        let second = Linear { rectify: false, ..second };
+        let left = first.backward(left, output, &gradient, by_left, by_weight);
+        let right = second.backward(right, output, &gradient, by_right, by_weight);
+        [left.input, right.input, [left.weight, right.weight].concat(), left.bias]
+    }
+}
+
+/// Mean over the particles of the activated linear layer: `points` `[B N, F]`, `weight` `[F, E]` and
+/// `bias` `[E]` to `[B, E]`. `F` is 5 or 8.
+pub(crate) fn encode(
+    activation: Activation,
+    particles: usize,
+    points: Tensor<2>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+) -> Tensor<2> {
+    let [rows, features] = points.dims();
+    let shape = [rows / particles, bias.dims()[0]];
+    let inputs = [input(points), input(weight), input(bias)];
+    let kind = Encode { activation, particles };
+    match features {
+        5 => apply(EncodeOf::<5>(kind), inputs, shape),
+        8 => apply(EncodeOf::<8>(kind), inputs, shape),
+        other => unreachable!("{other} features: materials enter as one number or as four"),
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Encode {
+    activation: Activation,
+    particles: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct EncodeOf<const F: usize>(Encode);
+
+impl<const F: usize> Operation<3> for EncodeOf<F> {
+    type Kept = ();
+
+    fn forward(&self, [points, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+        let Encode { activation, particles } = self.0;
+        let layer = Encoder::<F> { weight, bias, particles };
+        let means = match activation {
+            Activation::Sigmoid => layer.forward(Sigmoid, points),
+            Activation::Tanh => layer.forward(Tanh, points),
+            Activation::Relu => layer.forward(Relu, points),
+            Activation::Elu => layer.forward(Elu, points),
+        };
+        (means, ())
+    }
+
+    fn backward(
+        &self,
+        [points, weight, bias]: [&[f32]; 3],
+        _means: &[f32],
+        (): (),
+        gradient: &[f32],
+        [by_points, _, _]: [bool; 3],
+    ) -> [Vec<f32>; 3] {
+        let Encode { activation, particles } = self.0;
+        let layer = Encoder::<F> { weight, bias, particles };
+        let Gradients { points, weight, bias } = match activation {
+            Activation::Sigmoid => layer.backward(Sigmoid, points, gradient, by_points),
+            Activation::Tanh => layer.backward(Tanh, points, gradient, by_points),
+            Activation::Relu => layer.backward(Relu, points, gradient, by_points),
+            Activation::Elu => layer.backward(Elu, points, gradient, by_points),
+        };
+        [points, weight, bias]
+    }
+}
+
+/// The states of minGRU: gate and candidate `[T, R, H]`, the state before `[R, H]`, to `[T, R, H]`.
+pub(crate) fn mingru(
+    kind: Minimal,
+    gate: Tensor<3>,
+    candidate: Tensor<3>,
+    carried: Tensor<2>,
+) -> Tensor<3> {
+    let shape = gate.dims();
+    apply(kind, [input(gate), input(candidate), input(carried)], shape)
+}
+
+impl Operation<3> for Minimal {
+    type Kept = ();
+
+    fn forward(&self, [gate, candidate, carried]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+        (Minimal::forward(*self, [gate], candidate, carried), ())
+    }
+
+    fn backward(
+        &self,
+        [gate, candidate, carried]: [&[f32]; 3],
+        states: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 3],
+    ) -> [Vec<f32>; 3] {
+        let by = Minimal::backward(*self, [gate], candidate, carried, states, gradient);
+        let [gate] = by.gates;
+        [gate, by.candidate, by.carried]
+    }
+}
+
+/// The states of minLSTM: gates and candidate `[T, R, H]`, the state before `[R, H]`, to `[T, R, H]`.
+pub(crate) fn minlstm(
+    kind: Minimal,
+    [forget, update]: [Tensor<3>; 2],
+    candidate: Tensor<3>,
+    carried: Tensor<2>,
+) -> Tensor<3> {
+    let shape = forget.dims();
+    apply(kind, [input(forget), input(update), input(candidate), input(carried)], shape)
+}
+
+impl Operation<4> for Minimal {
+    type Kept = ();
+
+    fn forward(&self, [forget, update, candidate, carried]: [&[f32]; 4]) -> (Vec<f32>, ()) {
+        (Minimal::forward(*self, [forget, update], candidate, carried), ())
+    }
+
+    fn backward(
+        &self,
+        [forget, update, candidate, carried]: [&[f32]; 4],
+        states: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 4],
+    ) -> [Vec<f32>; 4] {
+        let by = Minimal::backward(*self, [forget, update], candidate, carried, states, gradient);
+        let [forget, update] = by.gates;
+        [forget, update, by.candidate, by.carried]
+    }
+}
+
+/// The states of a GRU layer: products of the inputs `[T, R, 3 H]`, recurrent weights `[H, 3 H]` and
+/// bias `[3 H]`, the state before `[R, H]`, to `[T, R, H]`.
+pub(crate) fn gru(
+    inputs: Tensor<3>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+    hidden: Tensor<2>,
+) -> Tensor<3> {
+    let [frames, rows, _] = inputs.dims();
+    let shape = [frames, rows, hidden.dims()[1]];
+    apply(GruLayer, [input(inputs), input(weight), input(bias), input(hidden)], shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct GruLayer;
+
+impl Operation<4> for GruLayer {
+    /// Gates and recurrent products.
+    type Kept = [Vec<f32>; 2];
+
+    fn forward(&self, [inputs, weight, bias, hidden]: [&[f32]; 4]) -> (Vec<f32>, Self::Kept) {
+        let gru::Run { states, gates, recurrent } = Gru { inputs, weight, bias, hidden }.forward();
+        (states, [gates, recurrent])
+    }
+
+    fn backward(
+        &self,
+        [inputs, weight, bias, hidden]: [&[f32]; 4],
+        states: &[f32],
+        [gates, recurrent]: Self::Kept,
+        gradient: &[f32],
+        [_, _, _, by_start]: [bool; 4],
+    ) -> [Vec<f32>; 4] {
+        let layer = Gru { inputs, weight, bias, hidden };
+        let by = layer.backward(states, &gates, &recurrent, gradient, by_start);
+        [by.inputs, by.weight, by.bias, by.hidden]
+    }
+}
+
+/// Outputs and cells of an LSTM layer, side by side: products of the inputs `[T, R, 4 H]`, recurrent
+/// weights `[H, 4 H]` and bias `[4 H]`, output and cell before, `[R, H]`, to `[T, R, 2 H]`.
+pub(crate) fn lstm(
+    inputs: Tensor<3>,
+    weight: Tensor<2>,
+    bias: Tensor<1>,
+    [hidden, cell]: [Tensor<2>; 2],
+) -> Tensor<3> {
+    let [frames, rows, _] = inputs.dims();
+    let shape = [frames, rows, 2 * hidden.dims()[1]];
+    let inputs = [input(inputs), input(weight), input(bias), input(hidden), input(cell)];
+    apply(LstmLayer, inputs, shape)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LstmLayer;
+
+impl Operation<5> for LstmLayer {
+    /// Gates.
+    type Kept = Vec<f32>;
+
+    fn forward(&self, inputs: [&[f32]; 5]) -> (Vec<f32>, Self::Kept) {
+        let [inputs, weight, bias, hidden, cell] = inputs;
+        let lstm::Run { states, gates } = Lstm { inputs, weight, bias, hidden, cell }.forward();
+        (states, gates)
+    }
+
+    fn backward(
+        &self,
+        inputs: [&[f32]; 5],
+        states: &[f32],
+        gates: Self::Kept,
+        gradient: &[f32],
+        [_, _, _, by_hidden, by_cell]: [bool; 5],
+    ) -> [Vec<f32>; 5] {
+        let [inputs, weight, bias, hidden, cell] = inputs;
+        let layer = Lstm { inputs, weight, bias, hidden, cell };
+        let by = layer.backward(states, &gates, gradient, by_hidden || by_cell);
+        [by.inputs, by.weight, by.bias, by.hidden, by.cell]
+    }
+}

@@ -1,0 +1,313 @@
+//! What is before the particle model's encoder and behind its decoder.
+
+use std::sync::Arc;
+
+use burn::tensor::Tensor;
+use pulp::Arch;
+use rayon::prelude::*;
+
+use crate::model::fused::{Operation, apply, input};
+use eddy_inference::{
+    checkpoint::layout::PARTICLE_FEATURES,
+    engine::{
+        Ballistic,
+        scales::{FAR, NEAR},
+    },
+    kernels::{
+        activation::Exponentials,
+        rest::{Rest, SHAPE_FEATURES},
+    },
+};
+
+/// Rows that a thread takes at once.
+const ROWS: usize = 1 << 10;
+/// Nearness of four walls at two scales.
+const NEARNESSES: usize = 8;
+/// Features before the shape.
+const BEFORE: usize = 6 + NEARNESSES;
+
+/// [`strain::shape`](crate::model::strain::shape): positions `[T R, 2]` to `[T R, 5]`.
+pub(crate) fn shape(rest: Arc<Rest>, position: Tensor<2>) -> Tensor<2> {
+    let shape = [position.dims()[0], SHAPE_FEATURES];
+    apply(Shape(rest), [input(position)], shape)
+}
+
+#[derive(Clone, Debug)]
+struct Shape(Arc<Rest>);
+
+impl Operation<1> for Shape {
+    type Kept = ();
+
+    fn forward(&self, [position]: [&[f32]; 1]) -> (Vec<f32>, ()) {
+        (self.0.shape(position.as_chunks().0), ())
+    }
+
+    fn backward(
+        &self,
+        [position]: [&[f32]; 1],
+        _shape: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 1],
+    ) -> [Vec<f32>; 1] {
+        [self.0.backward(position.as_chunks().0, gradient)]
+    }
+}
+
+/// Velocities that the ballistic step foretells, `[R, 2]`, from positions and velocities, `[R, 2]` each.
+pub(crate) fn foretell(
+    ballistic: Ballistic,
+    position: Tensor<2>,
+    velocity: Tensor<2>,
+) -> Tensor<2> {
+    let shape = velocity.dims();
+    apply(Foretell(ballistic), [input(position), input(velocity)], shape)
+}
+
+#[derive(Clone, Debug)]
+struct Foretell(Ballistic);
+
+impl Operation<2> for Foretell {
+    type Kept = ();
+
+    fn forward(&self, [position, velocity]: [&[f32]; 2]) -> (Vec<f32>, ()) {
+        let (x, v) = (pairs(position).par_iter(), pairs(velocity));
+        let foretold: Vec<_> = x.zip(v).map(|(x, v)| self.0.step(*x, *v).1).collect();
+        (foretold.into_flattened(), ())
+    }
+
+    fn backward(
+        &self,
+        [position, velocity]: [&[f32]; 2],
+        _foretold: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 2],
+    ) -> [Vec<f32>; 2] {
+        let rows = pairs(position).par_iter().zip(pairs(velocity)).zip(pairs(gradient));
+        let by: Vec<_> = rows
+            .map(|((x, v), g)| {
+                let moving = moving(&self.0, x, v);
+                [0, 1].map(|axis| if moving[axis] { g[axis] } else { 0.0 })
+            })
+            .collect();
+        [vec![0.0; position.len()], by.into_flattened()]
+    }
+}
+
+/// Whether a particle moves on freely, by axis.
+fn moving(ballistic: &Ballistic, x: &[f32; 2], v: &[f32; 2]) -> [bool; 2] {
+    let free = ballistic.free(*x, *v);
+    let held = ballistic.step(*x, *v).0;
+    [0, 1].map(|axis| free.0[axis] == held[axis])
+}
+
+/// [`Scaling::particle`](crate::model::features::Scaling::particle): positions, velocities and foretold
+/// velocities `[R, 2]`, shapes `[R, 5]` to features `[R, F]`. `material` is one-hot, `[R' 4]`, for every
+/// R' rows.
+pub(crate) fn perceive(
+    ballistic: Ballistic,
+    velocity_unit: f32,
+    material: Arc<Vec<f32>>,
+    [position, velocity, foretold, shape]: [Tensor<2>; 4],
+) -> Tensor<2> {
+    let size = [position.dims()[0], PARTICLE_FEATURES];
+    let inputs = [input(position), input(velocity), input(foretold), input(shape)];
+    apply(Perceive { ballistic, velocity_unit, material }, inputs, size)
+}
+
+#[derive(Clone, Debug)]
+struct Perceive {
+    ballistic: Ballistic,
+    velocity_unit: f32,
+    material: Arc<Vec<f32>>,
+}
+
+impl Perceive {
+    /// Distances of the left, lower, right and upper wall; negative beyond.
+    fn distances(&self, [x, y]: [f32; 2]) -> [f32; 4] {
+        let Ballistic { lower, upper, .. } = self.ballistic;
+        [x - lower[0], y - lower[1], upper[0] - x, upper[1] - y]
+    }
+}
+
+impl Operation<4> for Perceive {
+    type Kept = ();
+
+    fn forward(&self, [position, velocity, foretold, shape]: [&[f32]; 4]) -> (Vec<f32>, ()) {
+        let (position, velocity, foretold) = (pairs(position), pairs(velocity), pairs(foretold));
+        let (shape, _) = shape.as_chunks::<SHAPE_FEATURES>();
+        let (material, _) = self.material.as_chunks::<4>();
+        let mut features = vec![[0.0; PARTICLE_FEATURES]; position.len()];
+        features.par_chunks_mut(ROWS).enumerate().for_each(|(part, rows)| {
+            let first = part * ROWS;
+            let mut nearness = vec![[0.0; NEARNESSES]; rows.len()];
+            for (nearness, x) in nearness.iter_mut().zip(&position[first..]) {
+                for (wall, distance) in self.distances(*x).into_iter().enumerate() {
+                    nearness[wall] = distance.max(0.0) * (-1.0 / NEAR);
+                    nearness[4 + wall] = distance.max(0.0) * (-1.0 / FAR);
+                }
+            }
+            Arch::new().dispatch(Exponentials(nearness.as_flattened_mut()));
+            for (row, features) in rows.iter_mut().enumerate() {
+                let (at, v) = (first + row, velocity[first + row]);
+                let free = self.ballistic.free(position[at], v).1;
+                let held = self.ballistic.step(position[at], v).1;
+                for axis in 0..2 {
+                    features[axis] = v[axis] / self.velocity_unit;
+                    features[2 + axis] = (v[axis] - foretold[at][axis]) / self.velocity_unit;
+                    features[4 + axis] = (held[axis] - free[axis]) / self.velocity_unit;
+                }
+                features[6..BEFORE].copy_from_slice(&nearness[row]);
+                features[BEFORE..BEFORE + SHAPE_FEATURES].copy_from_slice(&shape[at]);
+                features[BEFORE + SHAPE_FEATURES..].copy_from_slice(&material[at % material.len()]);
+            }
+        });
+        (features.into_flattened(), ())
+    }
+
+    fn backward(
+        &self,
+        [position, velocity, _, shape]: [&[f32]; 4],
+        features: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 4],
+    ) -> [Vec<f32>; 4] {
+        let rows = position.len() / 2;
+        let unit = 1.0 / self.velocity_unit;
+        let mut by_position = vec![[0.0; 2]; rows];
+        let mut by_velocity = vec![[0.0; 2]; rows];
+        let mut by_foretold = vec![[0.0; 2]; rows];
+        let mut by_shape = vec![[0.0; SHAPE_FEATURES]; shape.len() / SHAPE_FEATURES];
+        let (features, _) = features.as_chunks::<PARTICLE_FEATURES>();
+        let (gradient, _) = gradient.as_chunks::<PARTICLE_FEATURES>();
+        let states = pairs(position).par_iter().zip(pairs(velocity));
+        let above = states.zip(features.par_iter().zip(gradient));
+        let below = by_position.par_iter_mut().zip(&mut by_velocity);
+        let below = below.zip(by_foretold.par_iter_mut().zip(&mut by_shape));
+        let all = above.zip(below).with_min_len(ROWS);
+        all.for_each(|(((x, v), (features, g)), ((position, velocity), (foretold, shape)))| {
+            let moving = moving(&self.ballistic, x, v);
+            for axis in 0..2 {
+                let stop = if moving[axis] { 0.0 } else { g[4 + axis] };
+                velocity[axis] = unit * (g[axis] + g[2 + axis] - stop);
+                foretold[axis] = -unit * g[2 + axis];
+            }
+            for (wall, distance) in self.distances(*x).into_iter().enumerate() {
+                // The features fall with the distance, which the right and upper walls count downwards.
+                let side = if wall < 2 { -1.0 } else { 1.0 };
+                if distance > 0.0 {
+                    position[wall % 2] += side
+                        * (g[6 + wall] * features[6 + wall] / NEAR
+                            + g[10 + wall] * features[10 + wall] / FAR);
+                }
+            }
+            shape.copy_from_slice(&g[BEFORE..BEFORE + SHAPE_FEATURES]);
+        });
+        [
+            by_position.into_flattened(),
+            by_velocity.into_flattened(),
+            by_foretold.into_flattened(),
+            by_shape.into_flattened(),
+        ]
+    }
+}
+
+/// The next positions and below them the next velocities, `[2 R, 2]`, from these and the decoder's
+/// output, `[R, 4]`.
+pub(crate) fn move_on(
+    ballistic: Ballistic,
+    velocity_unit: f32,
+    limits: [[f32; 2]; 2],
+    [position, velocity, output]: [Tensor<2>; 3],
+) -> Tensor<2> {
+    let [rows, _] = output.dims();
+    let inputs = [input(position), input(velocity), input(output)];
+    apply(MoveOn { ballistic, velocity_unit, limits }, inputs, [2 * rows, 2])
+}
+
+#[derive(Clone, Debug)]
+struct MoveOn {
+    ballistic: Ballistic,
+    velocity_unit: f32,
+    /// The smallest and the largest velocities.
+    limits: [[f32; 2]; 2],
+}
+
+impl MoveOn {
+    /// The next position and velocity before they are limited.
+    fn unlimited(&self, x: &[f32; 2], v: &[f32; 2], o: &[f32; 4]) -> [f32; 4] {
+        let (x, v) = self.ballistic.step(*x, *v);
+        let (unit, step) = (self.velocity_unit, self.velocity_unit * self.ballistic.dt);
+        [x[0] + step * o[2], x[1] + step * o[3], v[0] + unit * o[0], v[1] + unit * o[1]]
+    }
+
+    /// The limits of both.
+    fn bounds(&self) -> [[f32; 4]; 2] {
+        let Ballistic { lower, upper, .. } = self.ballistic;
+        let [slowest, fastest] = self.limits;
+        let join = |[a, b]: [f32; 2], [c, d]: [f32; 2]| [a, b, c, d];
+        [join(lower, slowest), join(upper, fastest)]
+    }
+}
+
+impl Operation<3> for MoveOn {
+    type Kept = ();
+
+    fn forward(&self, [position, velocity, output]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+        let [low, high] = self.bounds();
+        let mut next = vec![[0.0; 2]; position.len()];
+        let (to_position, to_velocity) = next.split_at_mut(position.len() / 2);
+        let states = pairs(position).par_iter().zip(pairs(velocity)).zip(output.as_chunks::<4>().0);
+        let all = states.zip(to_position.par_iter_mut().zip(to_velocity)).with_min_len(ROWS);
+        all.for_each(|(((x, v), o), (position, velocity))| {
+            let next = self.unlimited(x, v, o);
+            let [x, y, u, v] = std::array::from_fn(|k| next[k].max(low[k]).min(high[k]));
+            (*position, *velocity) = ([x, y], [u, v]);
+        });
+        (next.into_flattened(), ())
+    }
+
+    fn backward(
+        &self,
+        [position, velocity, output]: [&[f32]; 3],
+        _next: &[f32],
+        (): (),
+        gradient: &[f32],
+        _wanted: [bool; 3],
+    ) -> [Vec<f32>; 3] {
+        let [low, high] = self.bounds();
+        let dt = self.ballistic.dt;
+        let mut by_position = vec![[0.0; 2]; position.len() / 2];
+        let mut by_velocity = vec![[0.0; 2]; position.len() / 2];
+        let mut by_output = vec![[0.0; 4]; position.len() / 2];
+        let states = pairs(position).par_iter().zip(pairs(velocity));
+        let (by_next, by_fallen) = pairs(gradient).split_at(position.len() / 2);
+        let above = by_next.par_iter().zip(by_fallen);
+        let above = states.zip(output.as_chunks::<4>().0.par_iter().zip(above));
+        let below = by_position.par_iter_mut().zip(&mut by_velocity).zip(&mut by_output);
+        let all = above.zip(below).with_min_len(ROWS);
+        all.for_each(|(((x, v), (o, (g, h))), ((position, velocity), output))| {
+            let next = self.unlimited(x, v, o);
+            let g = [g[0], g[1], h[0], h[1]];
+            let within = |k: usize| next[k] >= low[k] && next[k] <= high[k];
+            let g: [f32; 4] = std::array::from_fn(|k| if within(k) { g[k] } else { 0.0 });
+            let moving = moving(&self.ballistic, x, v);
+            for axis in 0..2 {
+                if moving[axis] {
+                    position[axis] = g[axis];
+                    velocity[axis] = dt * g[axis] + g[2 + axis];
+                }
+                output[axis] = self.velocity_unit * g[2 + axis];
+                output[2 + axis] = self.velocity_unit * dt * g[axis];
+            }
+        });
+        [by_position.into_flattened(), by_velocity.into_flattened(), by_output.into_flattened()]
+    }
+}
+
+/// `[R, 2]` as pairs.
+fn pairs(values: &[f32]) -> &[[f32; 2]] {
+    values.as_chunks().0
+}

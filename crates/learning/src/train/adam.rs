@@ -1,0 +1,184 @@
+//! Adam (Kingma and Ba 2015), one pass over the numbers of a tensor, and the running average of the
+//! weights (Polyak and Juditsky 1992) that is judged and kept in their place.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::OptimizerConfig;
+use eddy_inference::kernels::vectors::zip;
+
+/// Numbers that a thread takes at once.
+const CHUNK: usize = 1 << 16;
+
+/// Decay of the mean of gradients.
+const BETA_1: f32 = 0.9;
+/// Decay of the mean of squared gradients.
+const BETA_2: f32 = 0.999;
+
+/// What is remembered of the gradients of each tensor.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Adam {
+    /// Steps done.
+    pub(super) steps: u32,
+    /// By the tensor's number; empty before its first step.
+    pub(super) moments: Vec<Moments>,
+}
+
+/// Running means of a tensor's gradient, number by number.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Moments {
+    /// Of the gradient.
+    pub(super) first: Vec<f32>,
+    /// Of its square.
+    pub(super) second: Vec<f32>,
+    /// Of the tensor itself; empty where weights are not averaged.
+    pub(super) average: Vec<f32>,
+}
+
+/// One step for all tensors.
+pub(super) struct AdamStep<'a> {
+    adam: &'a mut Adam,
+    /// Learning rate, corrected for the first moment's start from zero.
+    rate: f32,
+    /// Square root of the second moment's correction.
+    correction: f32,
+    epsilon: f32,
+    clip: f32,
+    /// What of the average stays.
+    kept: f32,
+    /// Whether norms are computed although nothing is shortened.
+    measured: bool,
+    /// Sum of the squared norms of the gradients so far.
+    squares: f64,
+}
+
+impl Adam {
+    /// Begins a step.
+    pub(super) fn step(&mut self, rate: f64, config: &OptimizerConfig) -> AdamStep<'_> {
+        self.steps += 1;
+        let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
+        AdamStep {
+            adam: self,
+            rate: (rate / (1.0 - f64::from(BETA_1).powi(steps))) as f32,
+            correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
+            epsilon: config.epsilon,
+            clip: config.clip,
+            // The first averages are over few steps: the start is forgotten soon.
+            kept: config.average.min((1.0 + steps as f32) / (10.0 + steps as f32)),
+            measured: false,
+            squares: 0.0,
+        }
+    }
+}
+
+impl AdamStep<'_> {
+    /// Changes one tensor. A gradient whose norm is above the limit is shortened to it.
+    pub(super) fn change(&mut self, tensor: usize, values: &mut [f32], gradient: &[f32]) {
+        let moments = &mut self.adam.moments;
+        if moments.len() <= tensor {
+            moments.resize_with(tensor + 1, Moments::default);
+        }
+        let Moments { first, second, average } = &mut moments[tensor];
+        first.resize(values.len(), 0.0);
+        second.resize(values.len(), 0.0);
+        let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
+        self.squares += f64::from(norm) * f64::from(norm);
+        let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
+        let numbers = Numbers {
+            scale,
+            rate: self.rate,
+            inverse: 1.0 / self.correction,
+            epsilon: self.epsilon,
+        };
+        values
+            .par_chunks_mut(CHUNK)
+            .zip(gradient.par_chunks(CHUNK))
+            .zip(first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK)))
+            .for_each(|((values, gradient), (first, second))| {
+                Arch::new().dispatch(Change { numbers, values, gradient, first, second });
+            });
+        if self.kept > 0.0 {
+            average.resize(values.len(), 0.0);
+            for (mean, value) in average.iter_mut().zip(values) {
+                *mean = *value + self.kept * (*mean - *value);
+            }
+        }
+    }
+
+    /// The same step, with [`AdamStep::gradient_norm`] known whatever the limit is.
+    pub(super) fn measured(self) -> Self {
+        Self { measured: true, ..self }
+    }
+
+    /// Norm of the gradient by all tensors changed so far, before any was shortened.
+    pub(super) fn gradient_norm(&self) -> f64 {
+        self.squares.sqrt()
+    }
+}
+
+/// What is the same for all numbers of a tensor.
+#[derive(Clone, Copy)]
+struct Numbers {
+    /// What gradients are multiplied by.
+    scale: f32,
+    rate: f32,
+    /// By which the root of the second moment grows.
+    inverse: f32,
+    epsilon: f32,
+}
+
+struct Change<'a> {
+    numbers: Numbers,
+    values: &'a mut [f32],
+    gradient: &'a [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl WithSimd for Change<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Numbers { scale, rate, inverse, epsilon } = self.numbers;
+        let [scale, rate, inverse, epsilon] =
+            [scale, -rate, inverse, epsilon].map(|number| simd.splat_f32s(number));
+        let (to_first, to_second) = (simd.splat_f32s(1.0 - BETA_1), simd.splat_f32s(1.0 - BETA_2));
+        zip(
+            simd,
+            [self.gradient],
+            [self.values, self.first, self.second],
+            #[inline(always)]
+            |[gradient], [value, first, second]| {
+                let gradient = simd.mul_f32s(gradient, scale);
+                let change = simd.sub_f32s(gradient, first);
+                let first = simd.mul_add_e_f32s(to_first, change, first);
+                let change = simd.sub_f32s(simd.mul_f32s(gradient, gradient), second);
+                let second = simd.mul_add_e_f32s(to_second, change, second);
+                let root = simd.sqrt_f32s(second);
+                let slope = simd.div_f32s(first, simd.mul_add_e_f32s(root, inverse, epsilon));
+                [simd.mul_add_e_f32s(rate, slope, value), first, second]
+            },
+        );
+    }
+}
+
+/// Euclidean norm. Summed chunk by chunk in a fixed order, so that the number of threads does not
+/// matter.
+fn norm(gradient: &[f32]) -> f32 {
+    let sums: Vec<f64> = gradient
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            let mut lanes = [0.0f32; 16];
+            let (packs, rest) = chunk.as_chunks::<16>();
+            for pack in packs {
+                for (sum, g) in lanes.iter_mut().zip(pack) {
+                    *sum += g * g;
+                }
+            }
+            let rest: f32 = rest.iter().map(|g| g * g).sum();
+            lanes.iter().map(|&sum| f64::from(sum)).sum::<f64>() + f64::from(rest)
+        })
+        .collect();
+    sums.iter().sum::<f64>().sqrt() as f32
+}

@@ -1,0 +1,76 @@
+//! What a run will need, estimated before it starts: a lower bound, so that what is refused would
+//! really have failed.
+
+use super::{Machine, Run, TrainConfig, TrainError};
+use eddy_inference::checkpoint::{
+    Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
+};
+
+/// Bytes of a number.
+const NUMBER: usize = 4;
+
+/// Copies of the weights in memory: network, gradient, Adam's two moments, best checkpoint. At the end
+/// of an epoch the gradients are gone, and there are the new checkpoint, its network for validation
+/// and its bytes on the way to the disk instead.
+const IN_TRAINING: usize = 5;
+const IN_VALIDATION: usize = 7;
+
+/// Copies of the weights that come to the disk: the best checkpoint, the last one with the moments, and
+/// the next last one before that one goes. A run that goes on has all but the next last one.
+const ON_DISK: usize = 7;
+const ON_DISK_AGAIN: usize = 3;
+
+/// Refuses a run that does not fit into what is free. The streams have at least so many `particles`.
+pub(super) fn check(
+    config: &TrainConfig,
+    description: &Description,
+    particles: usize,
+    run: &Run,
+) -> Result<(), TrainError> {
+    let Machine { memory: free, disk: found } = run.machine;
+    let numbers: usize =
+        tensor_shapes(description).values().map(|shape| shape.iter().product::<usize>()).sum();
+    let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
+    let batch = bytes(batch_numbers(config, description, particles));
+    let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
+    let batch = if training.saturating_add(batch) < validation { 0 } else { batch };
+    let weights = if batch == 0 { validation } else { training };
+    if weights.saturating_add(batch) > free {
+        return Err(TrainError::Memory { weights, batch, free });
+    }
+    let copies = if run.goes_on() { ON_DISK_AGAIN } else { ON_DISK };
+    let expected = bytes(copies * numbers);
+    if found < expected {
+        return Err(TrainError::Disk { output: run.output.to_owned(), found, expected });
+    }
+    Ok(())
+}
+
+/// The windows of a batch, and the output of every layer with its gradient.
+fn batch_numbers(config: &TrainConfig, description: &Description, particles: usize) -> usize {
+    let sizes = &description.sizes;
+    let (encoder, hidden) = (sizes.encoder, sizes.hidden);
+    let gates: usize = tensor_shapes(description)
+        .iter()
+        .filter(|(name, shape)| name.starts_with("core.") && shape.len() == 1)
+        .map(|(_, shape)| shape[0])
+        .sum();
+    let unroll = config.unroll.iter().map(|stage| stage.frames).max().unwrap_or(1);
+    let frames = config.windows.warm_up + unroll;
+    let batch = config.windows.batch;
+    // Numbers a frame: in rows of particles, and in rows of windows.
+    let (particles, of_particle, of_window) = match description.architecture {
+        Architecture::Frame => {
+            let pooled = match description.frame.pooling {
+                Pooling::Mean => 0,
+                Pooling::Max | Pooling::MeanMax => hidden,
+            };
+            (particles, encoder + pooled, 2 * hidden + gates + 2 * particles)
+        }
+        // Nodes are fewer than particles, and not known.
+        Architecture::Particle => (particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0),
+    };
+    let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
+    let computed = 2 * (particles * of_particle + of_window);
+    batch.saturating_mul(frames).saturating_mul(window + computed)
+}

@@ -1,0 +1,263 @@
+//! Networks, losses, gradients and Adam against PyTorch, by the data in `tests/golden/torch`;
+//! `generate.py` there made it and says what each tensor is.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use burn::tensor::{Device, Tensor};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::Deserialize;
+
+use super::{
+    OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, weigh::Scale, window::Window,
+};
+use crate::model::{
+    DeviceKind, Track,
+    network::{Dropout, Hidden, Network},
+};
+use eddy_evaluation::dataset::State;
+use eddy_frames::Material;
+use eddy_inference::{
+    checkpoint::{Architecture, Description, Weights},
+    engine::Ballistic,
+};
+
+/// Of forward, loss and gradients; like every limit here, of the largest number in the tensor.
+const NEAR: f64 = 1e-5;
+/// Of what ten steps of Adam change.
+const NEAR_AFTER_ADAM: f64 = 1e-3;
+const STEPS: u32 = 10;
+const LEARNING_RATE: f64 = 1e-3;
+const EPSILON: f32 = 1e-8;
+
+/// What PyTorch computed with one network.
+struct Golden {
+    name: String,
+    description: Description,
+    config: TrainConfig,
+    windows: Vec<Window>,
+    /// By name, `forward.position` and the like.
+    tensors: BTreeMap<String, Vec<f32>>,
+    weights: BTreeMap<String, Weights>,
+    loss: f64,
+}
+
+/// What the metadata holds.
+#[derive(Deserialize)]
+struct Row {
+    description: Description,
+    training: Training,
+}
+
+/// What was minimised; the rest is as [`TrainConfig`] has it.
+#[derive(Deserialize)]
+struct Training {
+    warm_up: usize,
+    observed_weight: f32,
+    clip: Option<f32>,
+}
+
+/// Little-endian numbers of a tensor.
+fn numbers(tensor: &TensorView) -> Vec<f32> {
+    let (bytes, _) = tensor.data().as_chunks::<4>();
+    bytes.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+impl Golden {
+    fn read(file: &Path) -> Self {
+        let bytes = fs::read(file).unwrap();
+        let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
+        let words = header.metadata().as_ref().unwrap();
+        let Row { description, training } = serde_json::from_str(&words["row"]).unwrap();
+        // Mean squared errors, also of the particle model.
+        let mut config = TrainConfig::defaults(Architecture::Frame);
+        config.windows.warm_up = training.warm_up;
+        config.loss.observed_weight = training.observed_weight;
+        config.loss.density_weight = 0.0;
+        config.optimizer.epsilon = EPSILON;
+        config.optimizer.clip = training.clip.unwrap_or(f32::INFINITY);
+
+        let data = SafeTensors::deserialize(&bytes).unwrap();
+        let loss = data.tensor("loss").unwrap().data().try_into().unwrap();
+        let floats = || data.iter().filter(|(_, tensor)| tensor.dtype() == Dtype::F32);
+        let weights = floats().filter_map(|(name, tensor)| {
+            let name = name.strip_prefix("weight.")?.to_owned();
+            Some((name, Weights { shape: tensor.shape().to_vec(), values: numbers(&tensor) }))
+        });
+        let weights = weights.collect();
+        let tensors: BTreeMap<_, _> =
+            floats().map(|(name, tensor)| (name.to_owned(), numbers(&tensor))).collect();
+        let windows = windows(&data.tensor("input.material").unwrap(), &tensors);
+        let name = file.file_stem().unwrap().to_string_lossy().into_owned();
+        Self {
+            name,
+            description,
+            config,
+            windows,
+            tensors,
+            weights,
+            loss: f64::from_le_bytes(loss),
+        }
+    }
+
+    fn network(&self, device: &Device) -> Network {
+        Network::new(&self.description, &self.weights, device)
+    }
+
+    /// The windows, of which the first `warm_up` frames are observed.
+    fn batch(&self, warm_up: usize, device: &Device) -> Batch {
+        let scale = Scale {
+            loss: &self.config.loss,
+            normalization: &self.description.normalization,
+            ballistic: Ballistic::of(&self.description),
+            common: Vec::new(),
+        };
+        Batch::new(&self.windows, warm_up, &scale, self.description.surroundings.as_ref(), device)
+    }
+
+    /// The loss of the network on the golden windows.
+    fn loss(&self, network: &Network, device: &Device) -> Tensor<1> {
+        let batch = self.batch(self.config.windows.warm_up, device);
+        let (predicted, steps) = loss::unroll(network, &batch, &mut Dropout::none());
+        loss::loss(&self.config.loss, &batch, &predicted, &steps, self.description.domain)
+    }
+
+    /// Holds a track against the golden one, `NAME.position` and `NAME.velocity`.
+    fn compare_track(&self, name: &str, found: Track, device: DeviceKind) {
+        for (part, found) in [("position", found.position), ("velocity", found.velocity)] {
+            let found: Vec<f32> = found.into_data().iter::<f32>().collect();
+            self.compare(&format!("{name}.{part}"), &found, NEAR, device);
+        }
+    }
+
+    /// Holds every tensor of a network against the golden one, `PREFIX.NAME`.
+    fn compare_layers(
+        &self,
+        prefix: &str,
+        found: &BTreeMap<String, Weights>,
+        near: f64,
+        device: DeviceKind,
+    ) {
+        assert_eq!(found.len(), self.weights.len());
+        for (name, found) in found {
+            self.compare(&format!("{prefix}.{name}"), &found.values, near, device);
+        }
+    }
+
+    /// Holds numbers against those of the golden tensor `name`: max|a - b| <= `near` max|b|.
+    fn compare(&self, name: &str, found: &[f32], near: f64, device: DeviceKind) {
+        let expected = &self.tensors[name];
+        assert_eq!(found.len(), expected.len(), "{}: {name}", self.name);
+        let largest = expected.iter().fold(0.0, |largest: f64, b| largest.max(f64::from(b.abs())));
+        let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs());
+        let difference = found.iter().zip(expected).map(apart).fold(0.0, f64::max);
+        // Written so that NaN fails.
+        assert!(
+            difference <= near * largest,
+            "{}, {device:?}: {name}: {difference:.2e} of {largest:.2e}",
+            self.name
+        );
+    }
+}
+
+/// The golden input, window by window.
+fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<Window> {
+    let [count, particles] = material.shape().try_into().unwrap();
+    let pairs = |name: &str| tensors[name].as_chunks::<2>().0;
+    let (position, velocity) = (pairs("input.position"), pairs("input.velocity"));
+    let frames = position.len() / (count * particles);
+    let window = |window: usize| {
+        let kinds = &material.data()[window * particles..(window + 1) * particles];
+        let states = (0..frames).map(|frame| {
+            let start = (frame * count + window) * particles;
+            let of = |values: &[[f32; 2]]| values[start..start + particles].to_vec();
+            State { position: of(position), velocity: of(velocity) }
+        });
+        Window {
+            stream: window as u64,
+            start: 0,
+            material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
+            rest: position[window * particles..(window + 1) * particles].to_vec(),
+            states: states.collect(),
+            disturbed: None,
+        }
+    };
+    (0..count).map(window).collect()
+}
+
+/// Calls `check` with every golden network on every device.
+fn for_all(check: impl Fn(&Golden, DeviceKind)) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/torch");
+    let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let files: Vec<_> = files
+        .filter(|file| file.extension().is_some_and(|extension| extension == "safetensors"))
+        .collect();
+    assert_eq!(files.len(), 27, "the rows of generate.py");
+    for golden in files.iter().map(|file| Golden::read(file)) {
+        for device in [DeviceKind::Flex, DeviceKind::Ndarray] {
+            check(&golden, device);
+        }
+    }
+}
+
+#[test]
+fn every_network_predicts_what_pytorch_predicts() {
+    for_all(|golden, kind| {
+        let device = kind.device();
+        let network = golden.network(&device);
+        let none = &mut Dropout::none();
+        let all = golden.batch(golden.windows[0].states.len() - 1, &device);
+        let frames = Track {
+            position: Tensor::cat(vec![all.observed.position, all.future.position], 0),
+            velocity: Tensor::cat(vec![all.observed.velocity, all.future.velocity], 0),
+        };
+        let (forward, _) = network.observe(&frames, &all.matter, Hidden::default(), none);
+        golden.compare_track("forward", forward, kind);
+
+        let batch = golden.batch(golden.config.windows.warm_up, &device);
+        let (future, _) = loss::unroll(&network, &batch, none);
+        golden.compare_track("unroll", future, kind);
+    });
+}
+
+#[test]
+fn losses_and_gradients_are_those_of_pytorch() {
+    for_all(|golden, kind| {
+        let device = kind.device();
+        let mut network = golden.network(&device.clone().autodiff());
+        let loss = golden.loss(&network, &device);
+        let value = f64::from(loss.clone().inner().into_scalar::<f32>());
+        let difference = (value - golden.loss).abs();
+        assert!(difference <= NEAR * golden.loss, "{}: {value} {}", golden.name, golden.loss);
+
+        // Gradients in the weights' places come out by name and in PyTorch's layout.
+        let mut gradients = loss.backward();
+        let put = |_, weight: &mut [f32], gradient: &[f32]| weight.copy_from_slice(gradient);
+        network.layers_mut().update(&mut gradients, put);
+        let gradients = network.layers().tensors(&golden.description);
+        golden.compare_layers("gradient", &gradients, NEAR, kind);
+    });
+}
+
+#[test]
+fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
+    for_all(|golden, kind| {
+        let device = kind.device();
+        let mut network = golden.network(&device.clone().autodiff());
+        let mut adam = Adam::default();
+        let config: &OptimizerConfig = &golden.config.optimizer;
+        for _ in 0..STEPS {
+            let mut gradients = golden.loss(&network, &device).backward();
+            let mut step = adam.step(LEARNING_RATE, config);
+            network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
+                step.change(tensor, values, gradient);
+            });
+        }
+        let mut changes = network.layers().tensors(&golden.description);
+        for (name, change) in &mut changes {
+            for (after, before) in change.values.iter_mut().zip(&golden.weights[name].values) {
+                *after -= before;
+            }
+        }
+        golden.compare_layers("change", &changes, NEAR_AFTER_ADAM, kind);
+    });
+}

@@ -1,0 +1,110 @@
+//! Which learning rate and which length of unroll at which moment of the run.
+
+use super::{OptimizerConfig, Schedule, Stage, TrainConfig};
+
+/// The learning rate; `progress` runs from 0 to 1.
+pub(super) fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
+    let OptimizerConfig { learning_rate, warm_up, schedule, final_share, .. } = *config;
+    if progress < warm_up {
+        return learning_rate * progress / warm_up;
+    }
+    match schedule {
+        Schedule::Constant => learning_rate,
+        Schedule::Cosine => {
+            let after = ((progress - warm_up) / (1.0 - warm_up)).clamp(0.0, 1.0);
+            let left = 0.5 * (1.0 + (std::f64::consts::PI * after).cos());
+            learning_rate * (final_share + (1.0 - final_share) * left)
+        }
+    }
+}
+
+/// The stage that holds at `progress`, 0 to 1.
+pub(super) fn stage(stages: &[Stage], progress: f64) -> usize {
+    let total: f32 = stages.iter().map(|stage| stage.share).sum();
+    let mut end = 0.0;
+    stages
+        .iter()
+        .position(|stage| {
+            end += f64::from(stage.share / total);
+            progress < end
+        })
+        .unwrap_or(stages.len() - 1)
+}
+
+/// How much of the run is done before a batch of an epoch, both from 1: 0 at the first.
+pub(super) fn progress(config: &TrainConfig, epoch: u32, batch: usize) -> f64 {
+    let per_epoch = config.batches();
+    let all = per_epoch * config.epochs as usize;
+    ((epoch as usize - 1) * per_epoch + batch - 1) as f64 / all as f64
+}
+
+/// The batches of an epoch, from `batch` on, for which the stage stays the same.
+pub(super) fn batches_of_stage(config: &TrainConfig, epoch: u32, batch: usize) -> usize {
+    let stage_of = |batch| stage(&config.unroll, progress(config, epoch, batch));
+    let now = stage_of(batch);
+    (batch..=config.batches()).take_while(|&batch| stage_of(batch) == now).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_inference::checkpoint::Architecture;
+
+    fn config(schedule: Schedule, warm_up: f64) -> OptimizerConfig {
+        OptimizerConfig {
+            learning_rate: 1e-3,
+            warm_up,
+            schedule,
+            final_share: 0.1,
+            clip: 1.0,
+            epsilon: 1e-8,
+            average: 0.0,
+        }
+    }
+
+    #[test]
+    fn the_learning_rate_falls_from_the_first_to_the_last() {
+        let config = config(Schedule::Cosine, 0.0);
+        assert_eq!(learning_rate(&config, 0.0), 1e-3);
+        assert!((learning_rate(&config, 0.5) - 5.5e-4).abs() < 1e-12);
+        assert!((learning_rate(&config, 1.0) - 1e-4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_constant_learning_rate_stays() {
+        for progress in [0.0, 0.3, 1.0] {
+            assert_eq!(learning_rate(&config(Schedule::Constant, 0.0), progress), 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_warm_up_rises_evenly_to_where_the_schedule_begins() {
+        for schedule in [Schedule::Cosine, Schedule::Constant] {
+            let config = config(schedule, 0.2);
+            assert_eq!(learning_rate(&config, 0.0), 0.0);
+            assert!((learning_rate(&config, 0.1) - 5e-4).abs() < 1e-12);
+            assert!((learning_rate(&config, 0.2) - 1e-3).abs() < 1e-12);
+        }
+        assert!((learning_rate(&config(Schedule::Cosine, 0.2), 0.6) - 5.5e-4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn stages_take_their_shares_of_the_run() {
+        let stages = [Stage { share: 1.0, frames: 2 }, Stage { share: 3.0, frames: 6 }];
+        let found = [0.0, 0.24, 0.26, 0.99, 1.0].map(|progress| stage(&stages, progress));
+        assert_eq!(found, [0, 0, 1, 1, 1]);
+    }
+
+    #[test]
+    fn batches_ahead_end_with_the_stage_and_with_the_epoch() {
+        let mut config = TrainConfig::defaults(Architecture::Particle);
+        config.epochs = 2;
+        (config.windows.batch, config.windows.per_epoch) = (1, 10);
+        config.unroll = vec![Stage { share: 1.0, frames: 2 }, Stage { share: 3.0, frames: 6 }];
+        assert_eq!(progress(&config, 2, 1), 0.5);
+        assert_eq!(batches_of_stage(&config, 1, 1), 5);
+        assert_eq!(batches_of_stage(&config, 1, 4), 2);
+        assert_eq!(batches_of_stage(&config, 1, 6), 5);
+        assert_eq!(batches_of_stage(&config, 2, 1), 10);
+    }
+}

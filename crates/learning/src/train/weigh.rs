@@ -1,0 +1,158 @@
+//! How much each particle's squared error counts.
+//!
+//! Mean squared error: 1 / range^2 of each feature, averaged over particles, frames and features.
+//!
+//! Relative error: divided by what the best trivial predictor gets wrong for the same material and
+//! frame ahead, so that 1 means "no better than trivial" for every frame ahead. The divisor is between
+//! the window's own and the mean over all windows; with the window's own alone, windows at rest, where
+//! nothing is left to learn, would count as much as a splash, with the mean alone they would not
+//! count at all. Errors below [`RESOLUTION`] are not worth distinguishing.
+
+use super::{LossConfig, LossKind, window::Window};
+use eddy_evaluation::{Baseline, dataset::State};
+use eddy_frames::Material;
+use eddy_inference::{checkpoint::Normalization, engine::Ballistic};
+
+/// Position error below which nothing is gained (domain lengths): a thirtieth of a cell.
+const RESOLUTION: f64 = 5e-4;
+
+/// Squared errors of one material: position, velocity.
+type Pair = [f64; 2];
+
+/// Mean squared errors of the best trivial predictor, by frame ahead and material.
+pub(super) type TrivialErrors = Vec<[Pair; Material::COUNT]>;
+
+/// What the weights are computed from.
+pub(super) struct Scale<'a> {
+    pub(super) loss: &'a LossConfig,
+    pub(super) normalization: &'a Normalization,
+    /// What the trivial predictors know.
+    pub(super) ballistic: Ballistic,
+    /// Trivial errors over many windows.
+    pub(super) common: TrivialErrors,
+}
+
+impl Scale<'_> {
+    /// Weights of squared position and velocity errors for the last `unroll` frames of a window,
+    /// `[K, N, 2]` each. A particle that is everywhere as wrong as the divisor gives the sum 1.
+    pub(super) fn weights(&self, window: &Window, unroll: usize) -> [Vec<f32>; 2] {
+        let particles = window.material.len();
+        let sums = [self.loss.position_weight, self.loss.velocity_weight].map(f64::from);
+        let sum = sums[0] + sums[1];
+        let mut weights = [Vec::new(), Vec::new()];
+        match self.loss.kind {
+            LossKind::Mse => {
+                let even = (unroll * particles * 2) as f64 * sum;
+                for (part, weights) in weights.iter_mut().enumerate() {
+                    let axis = |axis: usize| {
+                        let feature = 2 * part + axis;
+                        let low = self.normalization.minimum[feature];
+                        let range = f64::from(self.normalization.maximum[feature] - low);
+                        (sums[part] / (range * range * even)) as f32
+                    };
+                    let pair = [axis(0), axis(1)];
+                    *weights = pair.repeat(unroll * particles);
+                }
+            }
+            LossKind::Relative => {
+                let own = self.trivial(window, unroll);
+                let counts = counts(&window.material);
+                let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
+                let share = f64::from(self.loss.common_share);
+                for (own, common) in own.iter().zip(&self.common) {
+                    for (part, weights) in weights.iter_mut().enumerate() {
+                        let floor = self.floor(part);
+                        let of = |m: usize| {
+                            let error = (own[m][part] + floor).powf(1.0 - share)
+                                * (common[m][part] + floor).powf(share);
+                            let even = counts[m] * present * unroll as f64 * sum;
+                            (sums[part] / (error * even)) as f32
+                        };
+                        let weight: [f32; Material::COUNT] = std::array::from_fn(of);
+                        let own = window.material.iter().map(|&kind| weight[kind as usize]);
+                        weights.extend(own.flat_map(|weight| [weight; 2]));
+                    }
+                }
+            }
+        }
+        weights
+    }
+
+    /// The smallest squared error worth distinguishing, of positions and velocities.
+    fn floor(&self, part: usize) -> f64 {
+        let unit = if part == 0 { 1.0 } else { f64::from(self.ballistic.dt) };
+        (RESOLUTION / unit).powi(2)
+    }
+
+    /// What the best trivial predictor gets wrong over the last `unroll` frames of a window.
+    fn trivial(&self, window: &Window, unroll: usize) -> TrivialErrors {
+        let mut sums = TrivialSums::new(unroll);
+        sums.add(window, &self.ballistic);
+        sums.best()
+    }
+}
+
+/// Squared errors of the trivial predictors over the last frames of windows, added up.
+pub(super) struct TrivialSums {
+    baselines: [TrivialErrors; Baseline::ALL.len()],
+    /// Particles of each material.
+    particles: [f64; Material::COUNT],
+}
+
+impl TrivialSums {
+    /// Of no window yet; of so many frames of each.
+    pub(super) fn new(unroll: usize) -> Self {
+        let zero = vec![[[0.0; 2]; Material::COUNT]; unroll];
+        Self { baselines: Baseline::ALL.map(|_| zero.clone()), particles: [0.0; Material::COUNT] }
+    }
+
+    /// Adds a window's.
+    pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
+        for (baseline, sums) in Baseline::ALL.into_iter().zip(&mut self.baselines) {
+            let unroll = sums.len();
+            let (observed, truth) = window.states.split_at(window.states.len() - unroll);
+            let predicted = baseline.roll_out(&observed[observed.len() - 1], unroll, ballistic);
+            for ((sums, predicted), truth) in sums.iter_mut().zip(&predicted).zip(truth) {
+                add(sums, &window.material, predicted, truth);
+            }
+        }
+        for (total, count) in self.particles.iter_mut().zip(counts(&window.material)) {
+            *total += count;
+        }
+    }
+
+    /// Means of the predictor that is best for each material and frame.
+    pub(super) fn best(self) -> TrivialErrors {
+        let Self { baselines, particles } = self;
+        let mut best = vec![[[f64::INFINITY; 2]; Material::COUNT]; baselines[0].len()];
+        for errors in &baselines {
+            for (best, errors) in best.iter_mut().zip(errors) {
+                for ((best, errors), count) in best.iter_mut().zip(errors).zip(particles) {
+                    for (best, error) in best.iter_mut().zip(errors) {
+                        *best = best.min(error / count.max(1.0));
+                    }
+                }
+            }
+        }
+        best
+    }
+}
+
+fn add(sums: &mut [Pair; Material::COUNT], material: &[Material], found: &State, truth: &State) {
+    let squared = |a: [f32; 2], b: [f32; 2]| {
+        let (x, y) = (f64::from(a[0] - b[0]), f64::from(a[1] - b[1]));
+        x * x + y * y
+    };
+    for (particle, &kind) in material.iter().enumerate() {
+        sums[kind as usize][0] += squared(found.position[particle], truth.position[particle]);
+        sums[kind as usize][1] += squared(found.velocity[particle], truth.velocity[particle]);
+    }
+}
+
+fn counts(material: &[Material]) -> [f64; Material::COUNT] {
+    let mut counts = [0.0; Material::COUNT];
+    for &kind in material {
+        counts[kind as usize] += 1.0;
+    }
+    counts
+}

@@ -1,0 +1,170 @@
+//! Which pieces of which streams a batch is made of.
+
+use std::collections::VecDeque;
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{NoiseConfig, TrainError, WindowConfig};
+use eddy_evaluation::dataset::{State, Trajectory};
+use eddy_frames::Material;
+
+/// A piece of a stream: its particles over consecutive frames.
+#[derive(Clone, Debug)]
+pub(super) struct Window {
+    /// The stream it is from.
+    pub(super) stream: u64,
+    /// Its first frame in that stream.
+    pub(super) start: usize,
+    /// Materials, `[N]`.
+    pub(super) material: Vec<Material>,
+    /// Positions in the stream's first frame, `[N]`.
+    pub(super) rest: Vec<[f32; 2]>,
+    /// The states, `warm_up + unroll` of them.
+    pub(super) states: Vec<State>,
+    /// What the network is shown in place of the last observed one, if it is to learn to correct it.
+    pub(super) disturbed: Option<State>,
+}
+
+/// Draws windows from streams, each window alike.
+///
+/// Which windows a seed draws does not depend on where the frames are. What does is when they are
+/// read: of streams on disk, the windows of many batches are drawn at once and cut out in the order of
+/// their streams, so that a block is read once for all of them.
+pub(super) struct Sampler<'a> {
+    streams: &'a [Trajectory],
+    /// Number of windows up to and with each stream.
+    ends: Vec<usize>,
+    /// Frames a window.
+    frames: usize,
+    config: &'a WindowConfig,
+    /// Windows that were drawn ahead.
+    ahead: VecDeque<Window>,
+}
+
+/// A window that was drawn, but not yet cut out.
+struct Draw {
+    /// Number of the stream.
+    stream: usize,
+    /// First frame.
+    start: usize,
+    mirrored: bool,
+    /// Seed of what the last observed frame is disturbed by.
+    noise: Option<u64>,
+}
+
+impl<'a> Sampler<'a> {
+    /// Windows of `warm_up + unroll` frames.
+    pub(super) fn new(
+        streams: &'a [Trajectory],
+        config: &'a WindowConfig,
+        unroll: usize,
+    ) -> Result<Self, TrainError> {
+        let warm_up = config.warm_up;
+        let frames = warm_up + unroll;
+        let mut windows = 0;
+        let ends = streams.iter().map(|stream| {
+            windows += (stream.frames + 1).saturating_sub(frames);
+            windows
+        });
+        let ends = ends.collect();
+        if windows == 0 {
+            let found = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
+            return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
+        }
+        Ok(Self { streams, ends, frames, config, ahead: VecDeque::new() })
+    }
+
+    /// The next batch of `size` windows, of which at least `left` batches are still to come.
+    pub(super) fn batch(
+        &mut self,
+        size: usize,
+        left: impl FnOnce() -> usize,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<Window>, TrainError> {
+        if self.ahead.is_empty() {
+            let batches = left().min(self.batches_ahead(size)).max(1);
+            self.ahead = self.draw(batches * size, random)?.into();
+        }
+        Ok(self.ahead.drain(..size).collect())
+    }
+
+    /// How many batches are drawn at once: one from memory; from disk as many as fit into a third of
+    /// what the shelf may hold.
+    fn batches_ahead(&self, size: usize) -> usize {
+        let Some(shelf) = self.streams[0].shelf() else { return 1 };
+        let counts = self.streams.iter().map(|stream| stream.material.len());
+        let particles = counts.max().unwrap_or(1);
+        let window = self.frames * particles * size_of::<[f32; 4]>();
+        usize::try_from(shelf.limit() / 3).unwrap_or(usize::MAX) / (window * size).max(1)
+    }
+
+    /// `count` windows, drawn with replacement.
+    pub(super) fn draw(
+        &self,
+        count: usize,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<Window>, TrainError> {
+        let windows = self.ends.last().copied().unwrap_or(0);
+        let mut draws: Vec<_> = (0..count)
+            .map(|_| {
+                let window = random.random_range(0..windows);
+                let stream = self.ends.partition_point(|&end| end <= window);
+                let before = if stream == 0 { 0 } else { self.ends[stream - 1] };
+                self.choose(stream, window - before, random)
+            })
+            .enumerate()
+            .collect();
+        draws.sort_by_key(|(_, draw)| (draw.stream, draw.start));
+        let cut = |(place, draw): (usize, Draw)| Ok((place, self.cut(draw)?));
+        let mut windows = draws.into_iter().map(cut).collect::<Result<Vec<_>, TrainError>>()?;
+        windows.sort_by_key(|&(place, _)| place);
+        Ok(windows.into_iter().map(|(_, window)| window).collect())
+    }
+
+    fn choose(&self, stream: usize, start: usize, random: &mut ChaCha8Rng) -> Draw {
+        let mirrored = self.config.mirror && random.random();
+        let share = self.config.noise.share;
+        let noise = (share > 0.0 && random.random::<f32>() < share).then(|| random.random());
+        Draw { stream, start, mirrored, noise }
+    }
+
+    fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
+        let Draw { stream, start, mirrored, noise } = draw;
+        let stream = &self.streams[stream];
+        let sides = stream.domain.lower[0] + stream.domain.upper[0];
+        let turn = |values: &[[f32; 2]], sides: f32| {
+            let value = |&[x, y]: &[f32; 2]| if mirrored { [sides - x, y] } else { [x, y] };
+            values.iter().map(value).collect::<Vec<_>>()
+        };
+        let mut states = Vec::with_capacity(self.frames);
+        stream.visit(start..start + self.frames, |s| {
+            let (position, velocity) = (turn(&s.position, sides), turn(&s.velocity, 0.0));
+            states.push(State { position, velocity });
+        })?;
+        let last = &states[self.config.warm_up - 1];
+        Ok(Window {
+            stream: stream.id,
+            start,
+            material: stream.material.clone(),
+            rest: turn(&stream.rest, sides),
+            disturbed: noise.map(|seed| disturb(last, &self.config.noise, seed)),
+            states,
+        })
+    }
+}
+
+/// A state with noise: evenly distributed numbers of the given standard deviations.
+fn disturb(state: &State, noise: &NoiseConfig, seed: u64) -> State {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut moved = |values: &[[f32; 2]], deviation: f32| {
+        let half = 3f32.sqrt() * deviation;
+        let add =
+            |x: &f32, random: &mut ChaCha8Rng| x + half * (2.0 * random.random::<f32>() - 1.0);
+        values.iter().map(|[x, y]| [add(x, &mut random), add(y, &mut random)]).collect()
+    };
+    State {
+        position: moved(&state.position, noise.position),
+        velocity: moved(&state.velocity, noise.velocity),
+    }
+}

@@ -1,0 +1,121 @@
+//! A frame as `sensor_msgs/msg/PointCloud2`, which RViz, Foxglove and Rerun draw.
+//!
+//! A point has 24 bytes: `x y z vx vy` as `float32` from 0 to 19, `material` as `uint8` at 20, three
+//! bytes of nothing. `z` is 0.
+
+use super::{Header, PointCloud2, PointField, cdr};
+use eddy_frames::Frame;
+
+/// Length of a point (bytes).
+pub const POINT_STEP: usize = 24;
+
+/// `datatype` of a [`PointField`].
+const UINT8: u8 = 2;
+const FLOAT32: u8 = 7;
+
+/// Name, place (bytes) and kind of what a point holds.
+const FIELDS: [(&str, u32, u8); 6] = [
+    ("x", 0, FLOAT32),
+    ("y", 4, FLOAT32),
+    ("z", 8, FLOAT32),
+    ("vx", 12, FLOAT32),
+    ("vy", 16, FLOAT32),
+    ("material", 20, UINT8),
+];
+
+/// What ends the message after the points: their number of bytes (here 0), then `is_dense`.
+const TAIL: usize = size_of::<u32>() + size_of::<bool>();
+
+/// The CDR bytes of the frame as a cloud.
+///
+/// The points go straight into the message, not byte by byte through an encoder.
+pub fn to_cdr(frame: &Frame) -> Vec<u8> {
+    let without_points = cdr::encode(&PointCloud2 { is_dense: true, ..description(frame) });
+    let (head, tail) = without_points.split_at(without_points.len() - TAIL);
+    let length = frame.len() * POINT_STEP;
+    let mut bytes = Vec::with_capacity(without_points.len() + length);
+    bytes.extend_from_slice(head);
+    bytes.extend_from_slice(&(length as u32).to_le_bytes());
+    for ((position, velocity), material) in
+        frame.position.iter().zip(&frame.velocity).zip(&frame.material)
+    {
+        let mut point = [0; POINT_STEP];
+        let numbers = [position[0], position[1], 0.0, velocity[0], velocity[1]];
+        for (place, number) in point.chunks_exact_mut(size_of::<f32>()).zip(numbers) {
+            place.copy_from_slice(&number.to_le_bytes());
+        }
+        point[20] = *material as u8;
+        bytes.extend_from_slice(&point);
+    }
+    bytes.push(tail[TAIL - 1]);
+    bytes
+}
+
+/// Everything but the points.
+fn description(frame: &Frame) -> PointCloud2 {
+    let fields = FIELDS.map(|(name, offset, datatype)| PointField {
+        name: name.to_owned(),
+        offset,
+        datatype,
+        count: 1,
+    });
+    PointCloud2 {
+        header: Header::world(frame.stamp),
+        height: 1,
+        width: frame.len() as u32,
+        fields: fields.into(),
+        point_step: POINT_STEP as u32,
+        row_step: (frame.len() * POINT_STEP) as u32,
+        ..PointCloud2::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use eddy_frames::{Domain, Material, Stamp};
+
+    /// Reads a field of a point as its description says.
+    fn read(cloud: &PointCloud2, point: usize, name: &str) -> f32 {
+        let field = cloud.fields.iter().find(|field| field.name == name).unwrap();
+        let at = point * cloud.point_step as usize + field.offset as usize;
+        match field.datatype {
+            FLOAT32 => f32::from_le_bytes(cloud.data[at..at + 4].try_into().unwrap()),
+            UINT8 => cloud.data[at].into(),
+            other => panic!("{name}: found datatype {other}"),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_cloud_holds_what_the_frame_holds(
+            sequence in 0u32..1_000,
+            particles in prop::collection::vec((prop::array::uniform4(-1e6f32..1e6), 0usize..4), 1..50),
+        ) {
+            let frame = Frame {
+                stream: 1,
+                sequence: sequence.into(),
+                stamp: Stamp(0).advance(0.016, sequence),
+                dt: 0.016,
+                domain: Domain::UNIT,
+                position: particles.iter().map(|([x, y, ..], _)| [*x, *y]).collect(),
+                velocity: particles.iter().map(|([.., u, v], _)| [*u, *v]).collect(),
+                material: particles.iter().map(|(_, m)| Material::ALL[*m]).collect(),
+            };
+            let cloud: PointCloud2 = cdr::decode(&to_cdr(&frame)).unwrap();
+            prop_assert_eq!(&cloud.header, &Header::world(frame.stamp));
+            prop_assert_eq!((cloud.height, cloud.width as usize), (1, frame.len()));
+            prop_assert_eq!((cloud.point_step, cloud.row_step), (24, 24 * cloud.width));
+            prop_assert_eq!(cloud.data.len(), 24 * frame.len());
+            prop_assert!(cloud.is_dense && !cloud.is_bigendian);
+            for point in 0..frame.len() {
+                let found = ["x", "y", "z", "vx", "vy"].map(|name| read(&cloud, point, name));
+                let ([x, y], [vx, vy]) = (frame.position[point], frame.velocity[point]);
+                prop_assert_eq!(found, [x, y, 0.0, vx, vy]);
+                prop_assert_eq!(read(&cloud, point, "material"), frame.material[point] as u8 as f32);
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! [`Frame`] from and to its message: the one place where bytes from outside become particles.
+
+use super::{Header, ParticleFrame, cdr, cdr::CdrError};
+use eddy_frames::{Domain, Frame, InvalidFrame, Material};
+
+/// Why a message is not a frame that can be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BadFrame {
+    /// The bytes are no `ParticleFrame`.
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
+    /// The message is one, but not a whole frame.
+    #[error(transparent)]
+    Invalid(#[from] InvalidFrame),
+}
+
+impl From<&Frame> for ParticleFrame {
+    fn from(frame: &Frame) -> Self {
+        Self {
+            position: frame.position.as_flattened().to_vec(),
+            velocity: frame.velocity.as_flattened().to_vec(),
+            material: frame.material.iter().map(|&material| material as u8).collect(),
+            ..without_particles(frame)
+        }
+    }
+}
+
+impl TryFrom<&ParticleFrame> for Frame {
+    type Error = InvalidFrame;
+
+    fn try_from(message: &ParticleFrame) -> Result<Self, InvalidFrame> {
+        let domain = Domain {
+            lower: corner("lower", &message.lower)?,
+            upper: corner("upper", &message.upper)?,
+        };
+        let material = materials(&message.material)?;
+        let position = vectors("position", &message.position, material.len())?;
+        let velocity = vectors("velocity", &message.velocity, material.len())?;
+        let (stamp, dt) = (message.header.stamp.into(), message.dt);
+        Self::new(message.stream, message.sequence, stamp, dt, domain, position, velocity, material)
+    }
+}
+
+/// A frame as the CDR bytes of its message, and back.
+pub trait FrameCdr: Sized {
+    /// The frame as CDR bytes of a [`ParticleFrame`].
+    ///
+    /// As [`cdr::encode`] writes that, but the particles are copied once and as a whole, not number by number.
+    fn to_cdr(&self) -> Vec<u8>;
+
+    /// The frame in the CDR bytes of a [`ParticleFrame`].
+    ///
+    /// # Errors
+    /// [`BadFrame`] when the bytes are no such message, or the message is not a whole frame.
+    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame>;
+}
+
+impl FrameCdr for Frame {
+    fn to_cdr(&self) -> Vec<u8> {
+        let mut bytes = cdr::encode(&without_particles(self));
+        // The last three fields are lists, whose lengths are all there is of them here.
+        bytes.truncate(bytes.len() - 3 * size_of::<u32>());
+        let particles = size_of_val(&self.position[..]) + size_of_val(&self.velocity[..]);
+        bytes.reserve_exact(3 * size_of::<u32>() + particles + self.material.len());
+        for vectors in [&self.position, &self.velocity] {
+            let numbers = vectors.as_flattened();
+            bytes.extend((numbers.len() as u32).to_le_bytes());
+            let begin = bytes.len();
+            bytes.resize(begin + size_of_val(numbers), 0);
+            for (to, number) in bytes[begin..].as_chunks_mut().0.iter_mut().zip(numbers) {
+                *to = number.to_le_bytes();
+            }
+        }
+        bytes.extend((self.material.len() as u32).to_le_bytes());
+        bytes.extend(self.material.iter().map(|&material| material as u8));
+        bytes
+    }
+
+    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame> {
+        let message: ParticleFrame = cdr::decode(bytes)?;
+        Ok(Self::try_from(&message)?)
+    }
+}
+
+/// The message of a frame, with empty lists of particles.
+fn without_particles(frame: &Frame) -> ParticleFrame {
+    ParticleFrame {
+        header: Header::world(frame.stamp),
+        stream: frame.stream,
+        sequence: frame.sequence,
+        dt: frame.dt,
+        lower: frame.domain.lower.to_vec(),
+        upper: frame.domain.upper.to_vec(),
+        ..ParticleFrame::default()
+    }
+}
+
+fn corner(field: &'static str, values: &[f32]) -> Result<[f32; 2], InvalidFrame> {
+    values.try_into().map_err(|_| InvalidFrame::Dimension { field, found: values.len() })
+}
+
+fn vectors(
+    field: &'static str,
+    values: &[f32],
+    particles: usize,
+) -> Result<Vec<[f32; 2]>, InvalidFrame> {
+    let (found, expected) = (values.len(), 2 * particles);
+    if found != expected {
+        return Err(InvalidFrame::Length { field, found, expected, particles });
+    }
+    Ok(values.as_chunks().0.to_vec())
+}
+
+fn materials(numbers: &[u8]) -> Result<Vec<Material>, InvalidFrame> {
+    numbers
+        .iter()
+        .enumerate()
+        .map(|(particle, &number)| {
+            Material::try_from(number).map_err(|found| InvalidFrame::Material { particle, found })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use eddy_frames::Stamp;
+
+    fn message() -> ParticleFrame {
+        ParticleFrame {
+            header: Header::world(Stamp(16_000_000)),
+            stream: 3,
+            sequence: 1,
+            dt: 0.016,
+            lower: vec![0.0, 0.0],
+            upper: vec![1.0, 1.0],
+            position: vec![0.25, 0.5, 0.75, 0.5],
+            velocity: vec![0.0, -1.0, 1.0, 0.0],
+            material: vec![0, 3],
+        }
+    }
+
+    #[test]
+    fn a_frame_survives_its_message() {
+        let frame = Frame::try_from(&message()).unwrap();
+        assert_eq!(ParticleFrame::from(&frame), message());
+        assert_eq!(Frame::from_cdr(&frame.to_cdr()), Ok(frame));
+    }
+
+    proptest! {
+        #[test]
+        fn frames_have_the_bytes_of_their_messages(
+            stream: u64, sequence: u64, stamp: i64, dt in 1e-6f32..1.0,
+            particles in prop::collection::vec((any::<[i32; 4]>(), 0u8..4), 0..40),
+        ) {
+            let pairs = |first: usize| -> Vec<_> {
+                let pair = |numbers: [i32; 4]| [numbers[first] as f32, numbers[first + 1] as f32];
+                particles.iter().map(|&(numbers, _)| pair(numbers)).collect()
+            };
+            let frame = Frame {
+                stream, sequence, stamp: Stamp(stamp), dt, domain: Domain::UNIT,
+                position: pairs(0), velocity: pairs(2),
+                material: particles.iter().map(|p| Material::try_from(p.1).unwrap()).collect(),
+            };
+            prop_assert_eq!(frame.to_cdr(), cdr::encode(&ParticleFrame::from(&frame)));
+        }
+    }
+
+    #[test]
+    fn each_fault_is_named_with_found_and_expected() {
+        type Fault = fn(&mut ParticleFrame);
+        let cases: [(Fault, &str); 6] = [
+            (|m| m.lower = vec![0.0; 3], "lower: found 3 dimensions, expected 2"),
+            (
+                |m| m.material[1] = 9,
+                "material[1]: found 9, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)",
+            ),
+            (|m| m.position.truncate(3), "position: found 3 numbers, expected 4 for 2 particles"),
+            (|m| m.velocity.push(0.0), "velocity: found 5 numbers, expected 4 for 2 particles"),
+            (|m| m.position[2] = f32::INFINITY, "position[1]: found inf, expected a finite number"),
+            (|m| m.dt = 0.0, "dt: found 0 s, expected a positive number"),
+        ];
+        for (fault, expected) in cases {
+            let mut message = message();
+            fault(&mut message);
+            assert_eq!(Frame::try_from(&message).unwrap_err().to_string(), expected);
+        }
+    }
+}

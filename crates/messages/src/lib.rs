@@ -1,0 +1,82 @@
+//! ROS 2 messages: Rust twins of the `.msg` files, their bytes and their names.
+//!
+//! 1. [`twins`]: one Rust struct a message, field by field as in `msgs/`.
+//! 2. [`cdr`]: struct to bytes and back (CDR, XCDR1, little-endian header `00 01 00 00`).
+//! 3. [`schema`]: the `.msg` text with its dependencies, as MCAP files carry it, and the type
+//!    description parsed from it.
+//! 4. [`services`], [`playback`]: requests and responses, likewise one struct each.
+//! 5. [`service_type`]: the `.srv` files and their type hashes.
+//! 6. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
+//! 7. `dds_type`: type names as DDS has them.
+//! 8. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
+//!
+//! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hash come from them,
+//! and a test holds the twins against them.
+
+pub mod cdr;
+pub mod cloud;
+mod convert;
+mod dds_type;
+pub mod playback;
+pub mod schema;
+pub mod service_type;
+pub mod services;
+mod twins;
+
+pub use convert::{BadFrame, FrameCdr};
+pub use dds_type::{dds_type, ros_type};
+pub use schema::{TypeSupport, UnknownType, type_support};
+pub use service_type::{UnknownService, service_hash};
+pub use twins::{
+    Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
+    PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+/// A message that travels on a topic.
+pub trait Message: Serialize + DeserializeOwned {
+    /// The type's name, such as `eddy_msgs/msg/ParticleFrame`.
+    const TYPE: &'static str;
+}
+
+/// The type of the messages on a topic of ours, by the name of the topic.
+///
+/// Status, cloud, diagnostics, clock and parameter events have their fixed names; every other topic carries
+/// frames.
+pub fn topic_type(topic: &str) -> &'static str {
+    match topic.rsplit('/').next() {
+        Some("status") => PredictionStatus::TYPE,
+        Some("diagnostics") => DiagnosticArray::TYPE,
+        Some("clock") => Clock::TYPE,
+        Some("cloud") => PointCloud2::TYPE,
+        Some("parameter_events") => ParameterEvent::TYPE,
+        _ => ParticleFrame::TYPE,
+    }
+}
+
+/// The example of the README, which a test runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_are_of_frames_unless_their_last_word_says_otherwise() {
+        let cases = [
+            ("/particles", ParticleFrame::TYPE),
+            ("/left/prediction", ParticleFrame::TYPE),
+            ("/prediction/status", PredictionStatus::TYPE),
+            ("/diagnostics", DiagnosticArray::TYPE),
+            ("/clock", Clock::TYPE),
+            ("/prediction/cloud", PointCloud2::TYPE),
+            ("/parameter_events", ParameterEvent::TYPE),
+        ];
+        for (topic, expected) in cases {
+            assert_eq!(topic_type(topic), expected, "{topic}");
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! Grid to particles: [`g2p`](super::super::g2p) for sixteen particles.
+
+use super::{
+    super::{
+        material::Law,
+        water::{LOOSEST, MEMORY},
+    },
+    field::Nodes,
+    pack::Pack,
+    simd::{LANES, Simd},
+    stencil::{Stencils, Weights},
+    transfer::{Scratch, Step},
+};
+use eddy_frames::Material;
+
+/// Velocities and their gradients come back, positions move.
+#[inline(always)]
+pub(super) fn gather<S: Simd>(
+    simd: S,
+    weights: &Weights<S>,
+    pack: &mut Pack,
+    field: Nodes<'_>,
+    step: &Step,
+    scratch: &mut Scratch,
+) {
+    let inverse_dx = simd.splat(step.inverse_dx);
+    let position = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
+    let stencils = Stencils::of(simd, [position[0] * inverse_dx, position[1] * inverse_dx]);
+    for l in 0..LANES {
+        scratch.node[l] = stencils.base[0][l] * field.stride as i32 + stencils.base[1][l];
+    }
+    for i in 0..3 {
+        let distance = simd.splat(i as f32) - stencils.offset[0];
+        simd.store(stencils.weight[i], &mut scratch.weight[i]);
+        simd.store(stencils.weight[i] * distance, &mut scratch.moment[i]);
+    }
+    simd.store(stencils.offset[1], &mut scratch.offset);
+    if step.moduli.law == Law::Water {
+        recall(simd, weights, pack, field, step, scratch);
+    }
+    let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
+    // The lanes behind the last particle hold copies of another one, which move with it.
+    for l in 0..LANES {
+        let [a, b, c] = field.velocities(node[l] as usize);
+        let (a, b, c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
+        let straight = simd.splat_pairs(weight[0][l]) * a
+            + simd.splat_pairs(weight[1][l]) * b
+            + simd.splat_pairs(weight[2][l]) * c;
+        let slanted = simd.splat_pairs(moment[0][l]) * a
+            + simd.splat_pairs(moment[1][l]) * b
+            + simd.splat_pairs(moment[2][l]) * c;
+        let y = simd.splat_pairs(offset[l]);
+        let along = weights.pairs(y);
+        let moment_along = along * (weights.places - y);
+        // The velocity, and its moments along y and x (cells).
+        let sums = simd.sums([straight * along, straight * moment_along, slanted * along]);
+        vectors[0][l] = sums[0];
+        vectors[1][l] = sums[1];
+        vectors[2][l] = sums[2];
+    }
+    let velocity = simd.load_vectors(&vectors[0]);
+    let along_y = simd.load_vectors(&vectors[1]);
+    let along_x = simd.load_vectors(&vectors[2]);
+    let (dt, scale) = (simd.splat(step.dt), simd.splat(4.0 * step.inverse_dx));
+    for axis in 0..2 {
+        simd.store(velocity[axis], &mut pack.velocity[axis]);
+        simd.store(scale * along_x[axis], &mut pack.affine[2 * axis]);
+        simd.store(scale * along_y[axis], &mut pack.affine[2 * axis + 1]);
+        simd.store(position[axis] + dt * velocity[axis], &mut pack.position[axis]);
+    }
+}
+
+/// Draws the area that water remembers to what the mass of the nodes says, as
+/// [`water::recalled`](super::super::water).
+#[inline(always)]
+fn recall<S: Simd>(
+    simd: S,
+    weights: &Weights<S>,
+    pack: &mut Pack,
+    field: Nodes<'_>,
+    step: &Step,
+    scratch: &mut Scratch,
+) {
+    let liquid = simd.splat(f32::from(Material::Liquid as u8));
+    let wet = simd.equal(simd.load(&pack.material), liquid);
+    if simd.count(wet) == 0 {
+        return;
+    }
+    let Scratch { node, offset, weight, mass, .. } = scratch;
+    for l in 0..LANES {
+        let [a, b, c] = field.masses(node[l] as usize);
+        let (a, b, c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
+        let straight = simd.splat_ones(weight[0][l]) * a
+            + simd.splat_ones(weight[1][l]) * b
+            + simd.splat_ones(weight[2][l]) * c;
+        mass[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
+    }
+    let loosest = simd.splat(LOOSEST);
+    let side = simd.load(&pack.deformation[0]);
+    let area = side * simd.load(&pack.deformation[3]);
+    let room = simd.splat(step.crowd) / simd.load(mass);
+    let room = simd.select(simd.less(loosest, room), loosest, room);
+    let area = area + (room - area) * simd.splat((step.dt / MEMORY).min(1.0));
+    let side = simd.sqrt(area);
+    for k in [0, 3] {
+        let kept = simd.load(&pack.deformation[k]);
+        simd.store(simd.select(wet, side, kept), &mut pack.deformation[k]);
+    }
+}

@@ -1,0 +1,225 @@
+//! The constitutive law for sixteen particles at once: [`constitutive`](super::super::constitutive) and
+//! [`water`](super::super::water)
+//! without branches.
+
+use super::{
+    super::{
+        material::{
+            JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
+            SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
+        },
+        water::LOOSEST,
+    },
+    pack::Pack,
+    simd::{LANES, Lanes, Simd},
+};
+use eddy_frames::Material;
+
+/// Below this the rotation of a matrix, or the direction of its stretch, is undefined.
+const SMALLEST: f32 = 1e-12;
+
+/// Kirchhoff stress of sixteen particles: xx, xy, yy (density x velocity^2).
+pub(super) type Stress<S> = [<S as Simd>::Lanes; 3];
+
+/// F or C of sixteen particles: xx, xy, yx, yy.
+type Matrices<S> = [<S as Simd>::Lanes; 4];
+
+/// Moves the deformation of all particles `dt` seconds on and returns their stress.
+#[inline(always)]
+pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f32) -> Stress<S> {
+    let is = |material: Material| {
+        let number = simd.splat(f32::from(material as u8));
+        simd.equal(simd.load(&pack.material), number)
+    };
+    let (wet, white) = (is(Material::Liquid), is(Material::Snow));
+    let wet_lanes = simd.count(wet);
+    let affine = load(simd, &pack.affine);
+    let trial = trial(simd, pack, &affine, dt);
+    if wet_lanes == LANES {
+        let (deformation, stress) = liquid(simd, &trial, &affine, moduli);
+        store(simd, pack, deformation);
+        return stress;
+    }
+    let (mut deformation, mut stress) = if simd.count(white) == 0 {
+        let stress = elastic(simd, &trial, polar(simd, &trial).0, factor(simd, pack), moduli);
+        (trial, stress)
+    } else {
+        snow(simd, pack, &trial, white, moduli)
+    };
+    if wet_lanes > 0 {
+        let (wet_deformation, wet_stress) = liquid(simd, &trial, &affine, moduli);
+        for k in 0..4 {
+            deformation[k] = simd.select(wet, wet_deformation[k], deformation[k]);
+        }
+        for k in 0..3 {
+            stress[k] = simd.select(wet, wet_stress[k], stress[k]);
+        }
+    }
+    store(simd, pack, deformation);
+    stress
+}
+
+// No `array::map` here: it is a call, of which the compiler does not always see the inside.
+#[inline(always)]
+fn load<S: Simd>(simd: S, [xx, xy, yx, yy]: &[Lanes; 4]) -> Matrices<S> {
+    [simd.load(xx), simd.load(xy), simd.load(yx), simd.load(yy)]
+}
+
+#[inline(always)]
+fn store<S: Simd>(simd: S, pack: &mut Pack, deformation: Matrices<S>) {
+    for (lanes, value) in pack.deformation.iter_mut().zip(deformation) {
+        simd.store(value, lanes);
+    }
+}
+
+/// `(I + dt C) F`.
+#[inline(always)]
+fn trial<S: Simd>(simd: S, pack: &Pack, affine: &Matrices<S>, dt: f32) -> Matrices<S> {
+    let [xx, xy, yx, yy] = load(simd, &pack.deformation);
+    let (one, dt) = (simd.splat(1.0), simd.splat(dt));
+    let (a, b) = (one + affine[0] * dt, affine[1] * dt);
+    let (c, d) = (affine[2] * dt, one + affine[3] * dt);
+    [a * xx + b * yx, a * xy + b * yy, c * xx + d * yx, c * xy + d * yy]
+}
+
+/// Liquids: pressure from the area, viscous shear.
+#[inline(always)]
+fn liquid<S: Simd>(
+    simd: S,
+    [xx, xy, yx, yy]: &Matrices<S>,
+    affine: &Matrices<S>,
+    moduli: &Moduli,
+) -> (Matrices<S>, Stress<S>) {
+    let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+    let area = *xx * *yy - *xy * *yx;
+    let (area, stress) = match moduli.law {
+        Law::Taichi => {
+            let tension = simd.splat(moduli.lame.lambda) * area * (area - one);
+            (area, [tension, zero, tension])
+        }
+        Law::Water => {
+            let loosest = simd.splat(LOOSEST);
+            let area = simd.select(simd.less(loosest, area), loosest, area);
+            let packed = one / area;
+            let squared = packed * packed;
+            let seventh = squared * squared * squared * packed;
+            let pressure = simd.splat(moduli.lame.lambda / 7.0) * (seventh - one);
+            // The order keeps what is no number.
+            let pressure = area * simd.select(simd.less(pressure, zero), zero, pressure);
+            let viscous = area * simd.splat(2.0 * moduli.viscosity);
+            let half = simd.splat(0.5);
+            let stretch = viscous * (half * (affine[0] - affine[3]));
+            let shear = viscous * (half * (affine[1] + affine[2]));
+            (area, [stretch - pressure, shear, zero - stretch - pressure])
+        }
+    };
+    let side = simd.sqrt(area);
+    ([side, zero, zero, side], stress)
+}
+
+/// Cosine and sine of the rotation of the polar decomposition, and the length `q` of the conformal
+/// part, as in [`polar`](super::super::polar).
+#[inline(always)]
+fn polar<S: Simd>(simd: S, [xx, xy, yx, yy]: &Matrices<S>) -> ([S::Lanes; 2], S::Lanes) {
+    let half = simd.splat(0.5);
+    let (a, b) = (half * (*xx + *yy), half * (*yx - *xy));
+    let q = simd.sqrt(a * a + b * b);
+    let irregular = simd.less(q, simd.splat(SMALLEST));
+    let cos = simd.select(irregular, simd.splat(1.0), a / q);
+    let sin = simd.select(irregular, simd.splat(0.0), b / q);
+    ([cos, sin], q)
+}
+
+/// Stiffness as a multiple of E: that of rope or of jelly.
+#[inline(always)]
+fn factor<S: Simd>(simd: S, pack: &Pack) -> S::Lanes {
+    let rope = simd.splat(f32::from(Material::Rope as u8));
+    let is_rope = simd.equal(simd.load(&pack.material), rope);
+    simd.select(is_rope, simd.splat(ROPE_STIFFNESS), simd.splat(JELLY_STIFFNESS))
+}
+
+/// Fixed-corotated stress of deformations whose rotations are known.
+#[inline(always)]
+fn elastic<S: Simd>(
+    simd: S,
+    [xx, xy, yx, yy]: &Matrices<S>,
+    [cos, sin]: [S::Lanes; 2],
+    factor: S::Lanes,
+    moduli: &Moduli,
+) -> Stress<S> {
+    let (xx, xy, yx, yy) = (*xx, *xy, *yx, *yy);
+    let area = xx * yy - xy * yx;
+    let shear = simd.splat(2.0 * moduli.lame.mu) * factor;
+    let tension = simd.splat(moduli.lame.lambda) * factor * area * (area - simd.splat(1.0));
+    let (strain_xx, strain_xy) = (xx - cos, xy + sin);
+    let (strain_yx, strain_yy) = (yx - sin, yy - cos);
+    [
+        shear * (strain_xx * xx + strain_xy * xy) + tension,
+        shear * (strain_xx * yx + strain_xy * yy),
+        shear * (strain_yx * yx + strain_yy * yy) + tension,
+    ]
+}
+
+/// Packs with snow: what is snow returns to its yield surface and hardens.
+#[inline(always)]
+fn snow<S: Simd>(
+    simd: S,
+    pack: &mut Pack,
+    trial: &Matrices<S>,
+    white: S::Mask,
+    moduli: &Moduli,
+) -> (Matrices<S>, Stress<S>) {
+    let half = simd.splat(0.5);
+    let (lowest, highest) = (simd.splat(SNOW_STRETCH[0]), simd.splat(SNOW_STRETCH[1]));
+    let ([cos, sin], q) = polar(simd, trial);
+    let [xx, xy, yx, yy] = *trial;
+    // The anticonformal part `[[c, d], [d, -c]]`, and the singular values `q + r` and `q - r`.
+    let (c, d) = (half * (xx - yy), half * (yx + xy));
+    let r = simd.sqrt(c * c + d * d);
+    let (large, small) = (q + r, q - r);
+    let clamp = |s| {
+        let s = simd.select(simd.less(s, lowest), lowest, s);
+        simd.select(simd.less(highest, s), highest, s)
+    };
+    let (large_kept, small_kept) = (clamp(large), clamp(small));
+    let yields = white & (simd.less(small, lowest) | simd.less(highest, large));
+
+    let plastic = simd.load(&pack.plastic);
+    let factor = simd.select(white, hardening(simd, plastic), factor(simd, pack));
+    let flowed = plastic * ((large * small) / (large_kept * small_kept));
+    simd.store(simd.select(yields, flowed, plastic), &mut pack.plastic);
+
+    let mean = half * (large_kept + small_kept);
+    let undirected = simd.less(r, simd.splat(SMALLEST));
+    let stretch = half * (large_kept - small_kept);
+    let stretch = simd.select(undirected, simd.splat(0.0), stretch / r);
+    let (a, b, c, d) = (mean * cos, mean * sin, stretch * c, stretch * d);
+    let deformation = [
+        simd.select(yields, a + c, xx),
+        simd.select(yields, d - b, xy),
+        simd.select(yields, b + d, yx),
+        simd.select(yields, a - c, yy),
+    ];
+    let stress = elastic(simd, &deformation, [cos, sin], factor, moduli);
+    (deformation, stress)
+}
+
+/// [`snow_hardening`](super::super::material::snow_hardening), operation by operation.
+#[inline(always)]
+fn hardening<S: Simd>(simd: S, plastic: S::Lanes) -> S::Lanes {
+    let bounded = |x, [lowest, highest]: [f32; 2]| {
+        let (lowest, highest) = (simd.splat(lowest), simd.splat(highest));
+        let x = simd.select(simd.less(x, lowest), lowest, x);
+        simd.select(simd.less(highest, x), highest, x)
+    };
+    let exponent = simd.splat(SNOW_HARDENING) * (simd.splat(1.0) - plastic);
+    let x = simd.splat(0.125) * bounded(exponent, SNOW_HARDENING_EXPONENTS);
+    let [first, rest @ ..] = SNOW_HARDENING_SERIES;
+    let mut eighth = simd.splat(first);
+    for coefficient in rest {
+        eighth = simd.splat(coefficient) + x * eighth;
+    }
+    let fourth = eighth * eighth;
+    let half = fourth * fourth;
+    bounded(half * half, SNOW_HARDENING_RANGE)
+}

@@ -1,0 +1,208 @@
+//! The solver as fast as this processor carries it. The plain path beside it ([`p2g`](super::p2g),
+//! [`grid`](super::grid), [`g2p`](super::g2p)) is what tests hold it against.
+//!
+//! The substeps of a call, from particles to particles:
+//!
+//! 1. [`sort`]: particles are ordered by cell, put into packs of sixteen ([`pack`]) and cut into
+//!    [`chunk`]s, each with a patch of the grid of its own. Again when they have drifted.
+//! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: velocities
+//!    are gathered ([`gather`]) from the nodes around ([`stencil`]), particles move, deform and are
+//!    stressed ([`law`]), momentum is scattered ([`scatter`]).
+//! 3. [`field`]: the patches are added up to the velocities of all nodes; gravity and walls act.
+//!
+//! [`level`] chooses the vector instructions, [`team`] holds the threads. The bits depend on neither.
+//! [`peak`] is what the speed is measured against.
+#![expect(
+    unsafe_code,
+    reason = "vector instructions, and threads that write to disjoint parts of one slice"
+)]
+
+mod chunk;
+mod field;
+mod gather;
+mod law;
+mod level;
+mod pack;
+mod peak;
+mod scatter;
+mod simd;
+mod sort;
+mod stencil;
+mod team;
+#[cfg(test)]
+mod tests;
+mod transfer;
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use chunk::Chunk;
+use field::{Field, Forces, Nodes, Sum, Update};
+use sort::Packs;
+use team::{Barrier, Shared, Team, share};
+use transfer::{Pass, Step};
+
+use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings};
+
+pub(super) use level::Level;
+pub use peak::multiply_and_add;
+
+/// Substeps after which particles are sorted anew even if none has drifted off: by then neighbours
+/// in a cell are no longer neighbours in memory.
+const SORT_EVERY: u32 = 64;
+
+/// Everything that the fast path keeps from call to call. The state itself is in the particles.
+#[derive(Clone, Debug)]
+pub(super) struct Fast {
+    level: Level,
+    team: Team,
+    field: Field,
+    packs: Packs,
+    chunks: Vec<Chunk>,
+}
+
+impl Fast {
+    /// The fast path on a grid, with so many threads.
+    pub(super) fn new(shape: GridShape, threads: usize, level: Level) -> Self {
+        Self {
+            level,
+            team: Team::new(threads),
+            field: Field::new(shape),
+            packs: Packs::default(),
+            chunks: Vec::new(),
+        }
+    }
+
+    /// Moves particles so many substeps on.
+    ///
+    /// # Errors
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
+    /// position that is no number. The others are where they were before the call then.
+    pub(super) fn run(
+        &mut self,
+        particles: &mut [Particle],
+        substeps: u32,
+        settings: &SolverSettings,
+        attractor: Option<Attractor>,
+    ) -> Result<(), usize> {
+        if particles.is_empty() || substeps == 0 {
+            return Ok(());
+        }
+        // After an error the lost particle is still where it was lost.
+        if let Some(lost) = particles.iter().position(|p| !settings.grid.contains(p.position)) {
+            return Err(lost);
+        }
+        let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
+        self.packs.fill(particles, step, &self.field, &self.team);
+        self.packs.cut(&mut self.chunks, step, &self.field);
+        let mut done = 0;
+        while done < substeps {
+            if done > 0 {
+                self.sort(step);
+            }
+            let most = (substeps - done).min(SORT_EVERY);
+            done += self.substeps(done == 0, most, step, forces);
+            self.found(particles)?;
+        }
+        self.finish(step);
+        self.found(particles)?;
+        for (particle, k) in self.packs.states() {
+            particles[k as usize] = particle;
+        }
+        Ok(())
+    }
+
+    /// Sorts the particles anew and cuts them into other chunks.
+    fn sort(&mut self, step: &Step) {
+        self.packs.sort(step, &self.field, &self.team);
+        self.packs.cut(&mut self.chunks, step, &self.field);
+    }
+
+    /// Runs up to `most` substeps, up to the velocities of the nodes, and says how many. Ends early
+    /// when particles have to be sorted, or one is lost. In the first substep of all particles have
+    /// their velocities already.
+    fn substeps(&mut self, first: bool, most: u32, step: &Step, forces: &Forces) -> u32 {
+        let (level, stride) = (self.level, self.field.stride);
+        let rows = self.field.sides[0];
+        let parts = self.chunks.len();
+        let packs = Shared::new(&mut self.packs.packs);
+        let chunks = Shared::new(&mut self.chunks);
+        let velocities = Shared::new(&mut self.field.velocity);
+        let masses = Shared::new(&mut self.field.mass);
+        let threads = self.team.threads().min(parts);
+        let done = AtomicU32::new(0);
+        self.team.run(threads, |thread, barrier: &Barrier| {
+            let mut sum = Sum::new(stride);
+            for substep in 0..most {
+                // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.
+                let (mine, velocity, mass) = unsafe {
+                    let mine = chunks.part(share(parts, thread, threads));
+                    (mine, velocities.whole(), masses.whole())
+                };
+                let field = Nodes { velocity, mass, stride };
+                for chunk in mine {
+                    // SAFETY: as above; the packs of different chunks are different.
+                    let packs = unsafe { packs.part(chunk.packs()) };
+                    if first && substep == 0 {
+                        level.run(Pass::<false, true> { chunk, packs, field, step });
+                    } else {
+                        level.run(Pass::<true, true> { chunk, packs, field, step });
+                    }
+                }
+                barrier.wait();
+                // SAFETY: nobody writes chunks until the next meeting.
+                let all = unsafe { chunks.whole() };
+                if all.iter().any(|chunk| chunk.lost) {
+                    break;
+                }
+                for row in share(rows, thread, threads) {
+                    let nodes = row * stride..(row + 1) * stride;
+                    // SAFETY: each row belongs to one thread; nobody reads nodes.
+                    let (velocity, mass) =
+                        unsafe { (velocities.part(nodes.clone()), masses.part(nodes)) };
+                    let sum = &mut sum;
+                    level.run(Update { forces, row, chunks: all, velocity, mass, sum });
+                }
+                let drifted = all.iter().any(|chunk| chunk.drifted);
+                barrier.wait();
+                if thread == 0 {
+                    done.store(substep + 1, Ordering::Relaxed);
+                }
+                if drifted {
+                    break;
+                }
+            }
+        });
+        done.into_inner()
+    }
+
+    /// Brings the velocities of the nodes back to the particles: the end of the last substep.
+    fn finish(&mut self, step: &Step) {
+        if self.chunks.iter().any(|chunk| chunk.drifted) {
+            self.sort(step);
+        }
+        let Field { velocity, mass, stride, .. } = &self.field;
+        let field = Nodes { velocity, mass, stride: *stride };
+        for chunk in &mut self.chunks {
+            let packs = &mut self.packs.packs[chunk.packs()];
+            self.level.run(Pass::<true, false> { chunk, packs, field, step });
+        }
+    }
+
+    /// Whether every particle is where it can be.
+    ///
+    /// # Errors
+    /// As [`Fast::run`].
+    fn found(&self, particles: &mut [Particle]) -> Result<(), usize> {
+        let lost = self.chunks.iter().filter(|chunk| chunk.lost).flat_map(|chunk| {
+            let states = chunk.particles().map(|k| sort::state(&self.packs.packs, k));
+            states.filter(|(particle, _)| !chunk.holds_one(particle.position))
+        });
+        match lost.min_by_key(|(_, k)| *k) {
+            None => Ok(()),
+            Some((particle, k)) => {
+                particles[k as usize] = particle;
+                Err(k as usize)
+            }
+        }
+    }
+}

@@ -1,0 +1,398 @@
+//! Random scenes: which bodies, how large, where and how fast, all from a seed and a scene id.
+
+use rand::{RngExt, SeedableRng, seq::SliceRandom};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    attractor::Attractor, body::Body, extent::Extent, placement::Placement, preset::Preset,
+    scene::Scene, shape::Shape,
+};
+use eddy_frames::Material;
+
+use Material::{Jelly, Liquid, Rope, Snow};
+
+/// The bodies of a multi-material scene, by `id % 6`. A pair occurs where two bodies of a scene
+/// have its materials: all ten pairs of the four materials, a material with itself among them, are
+/// in these six scenes. So they are in any six neighbours: in the test part of 60 scenes (54..59),
+/// in its validation part, and many times in its training part. Any three neighbours hold every
+/// material.
+const MIXES: [&[Material]; 6] = [
+    &[Liquid, Liquid, Snow],
+    &[Jelly, Jelly, Rope],
+    &[Liquid, Rope, Rope],
+    &[Snow, Snow, Jelly],
+    &[Liquid, Jelly],
+    &[Snow, Rope],
+];
+
+/// The bodies of a scene of one material, by `id / 5 % 3`, and how many kinds of scenes come in turn:
+/// each material alone, then a mix.
+const ALONE: [usize; 3] = [2, 3, 1];
+const KINDS: usize = Material::COUNT + 1;
+
+/// Part of the particles that the first of two materials gets, smallest and largest.
+const SHARE: [f32; 2] = [0.3, 0.7];
+/// Bodies of one material are split no more unevenly than this.
+const SPLIT: [f32; 2] = [0.35, 0.65];
+/// Long side of a rectangle by its short side, smallest and largest.
+const ASPECT: [f32; 2] = [1.0, 3.0];
+/// Particles across a rope: four are two cells.
+const ROPE_ROWS: [usize; 2] = [5, 8];
+/// A rope is so many times as long as thick, at least.
+const ROPE_ASPECT: usize = 3;
+/// Particles of the shortest rope, and of bodies of which there are fewer rather than smaller ones.
+const FEWEST_OF_A_BODY: usize = ROPE_ROWS[0] * ROPE_ROWS[0] * ROPE_ASPECT;
+/// Particles of the longest rope that still finds a place: more are cut into several ropes.
+const ROPE_PARTICLES: usize = 640;
+/// Largest velocity of a body along x and y (domain lengths per second).
+const SPEED: f32 = 1.5;
+/// Pull of an attractor, smallest and largest (domain lengths per s^2).
+const PULL: [f32; 2] = [5.0, 20.0];
+/// How long an attractor acts, shortest and longest, in frame intervals.
+const PULL_FRAMES: [u32; 2] = [3, 12];
+/// Tries to find a place for a body before all bodies are drawn anew.
+const TRIES: usize = 200;
+
+impl Scene {
+    /// The scene `id` of a preset, with 2,500 particles in the unit square. The same arguments give
+    /// the same scene, bit by bit.
+    pub fn generate(preset: Preset, seed: u64, id: u64) -> Self {
+        Self::generate_in(&Extent::usual(preset), seed, id)
+    }
+
+    /// As [`Scene::generate`], with as many particles as asked for.
+    pub fn generate_in(extent: &Extent, seed: u64, id: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(id);
+        let mut placement = Placement::new(extent.grid());
+        let bodies = (0..extent.sets())
+            .flat_map(|set| {
+                // Bodies fill at most a fifth of the room between the walls, so this ends: of the
+                // first thousand scenes none needs more than a few draws.
+                loop {
+                    if let Some(found) = arrange(extent, set, id, &mut placement, &mut rng) {
+                        break found;
+                    }
+                }
+            })
+            .collect();
+        let width = extent.width_of_a_set();
+        let attractor = rng.random_bool(0.5).then(|| Attractor {
+            centre: [width * rng.random_range(0.2..0.8), rng.random_range(0.2..0.8)],
+            strength: rng.random_range(PULL[0]..PULL[1]),
+            frames: rng.random_range(PULL_FRAMES[0]..=PULL_FRAMES[1]),
+            period: (extent.sets() > 1).then_some(width),
+        });
+        let domain = extent.grid().size();
+        Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() }
+    }
+}
+
+/// Draws the bodies of a set and places for them, their middles in the set's part of the domain;
+/// `None`, and no place is taken, if they found no place.
+fn arrange(
+    extent: &Extent,
+    set: usize,
+    id: u64,
+    placement: &mut Placement,
+    rng: &mut ChaCha8Rng,
+) -> Option<Vec<Body>> {
+    let spacing = extent.preset().spacing();
+    let mut bodies = set_of_bodies(extent, set, id, rng);
+    let [left, right] = [set, set + 1].map(|set| set as f32 * extent.width_of_a_set());
+    let before = placement.clone();
+    for body in &mut bodies {
+        let lattice = body.lattice(spacing);
+        let placed = (0..TRIES).any(|_| {
+            body.position = [rng.random_range(left..right), rng.random_range(0.0..1.0)];
+            body.angle_degrees = rng.random_range(0.0..180.0);
+            placement.take(&body.placed(&lattice))
+        });
+        if !placed {
+            *placement = before;
+            return None;
+        }
+    }
+    Some(bodies)
+}
+
+/// The bodies of a set, not yet placed. In a wide scene the sets are those of the scenes of the same
+/// kind that come next.
+fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
+    let (preset, particles) = (extent.preset(), extent.particles_of(set));
+    let (id, spacing) = (id as usize, preset.spacing());
+    match preset {
+        Preset::MultiMaterial | Preset::Stiff => {
+            mixed_bodies(MIXES[(id + set) % MIXES.len()], particles, spacing, rng)
+        }
+        Preset::Fluid => {
+            let parts = rng.random_range(1..=3);
+            bodies_of(Liquid, particles, parts, spacing, rng)
+        }
+        Preset::Kinds => {
+            let (round, kind) = (id / KINDS + set, id % KINDS);
+            match Material::ALL.get(kind) {
+                Some(&alone) => {
+                    bodies_of(alone, particles, ALONE[round % ALONE.len()], spacing, rng)
+                }
+                None => mixed_bodies(MIXES[round % MIXES.len()], particles, spacing, rng),
+            }
+        }
+    }
+}
+
+/// The bodies of one or two materials (more where ropes are cut), in any order.
+fn mixed_bodies(
+    mix: &[Material],
+    particles: usize,
+    spacing: f32,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Body> {
+    let (first, second) = (mix[0], mix[mix.len() - 1]);
+    let share = part_of(particles, SHARE, rng);
+    let bodies = |material: Material| mix.iter().filter(|&&m| m == material).count();
+    let mut all = bodies_of(first, share, bodies(first), spacing, rng);
+    all.extend(bodies_of(second, particles - share, bodies(second), spacing, rng));
+    all.shuffle(rng);
+    all
+}
+
+/// `parts` bodies of one material with `particles` in all, not yet placed: fewer where they would be
+/// too small, and more ropes where they would be too long.
+fn bodies_of(
+    material: Material,
+    particles: usize,
+    parts: usize,
+    spacing: f32,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Body> {
+    let parts = parts.min(particles / FEWEST_OF_A_BODY).max(1);
+    let parts =
+        if material == Rope { parts.max(particles.div_ceil(ROPE_PARTICLES)) } else { parts };
+    let mut left = particles;
+    (0..parts)
+        .rev()
+        .map(|others| {
+            let particles = match others {
+                0 => left,
+                1 if material != Rope => part_of(left, SPLIT, rng),
+                _ => left / (others + 1),
+            };
+            left -= particles;
+            Body {
+                material,
+                shape: shape_of(material, particles, spacing, rng),
+                position: [0.5; 2],
+                angle_degrees: 0.0,
+                velocity: [rng.random_range(-SPEED..SPEED), rng.random_range(-SPEED..SPEED)],
+                particles: Some(particles),
+            }
+        })
+        .collect()
+}
+
+/// A shape with room for so many particles, and hardly more.
+fn shape_of(material: Material, particles: usize, spacing: f32, rng: &mut ChaCha8Rng) -> Shape {
+    let rows = if material == Rope {
+        let thickest = ROPE_ROWS[1].min((particles / ROPE_ASPECT).isqrt());
+        rng.random_range(ROPE_ROWS[0]..=thickest.max(ROPE_ROWS[0]))
+    } else if rng.random_bool(0.5) {
+        // One spacing more than the area asks for, so that no lattice has too few points.
+        let radius = (particles as f32 / std::f32::consts::PI).sqrt() + 1.0;
+        return Shape::Disc { radius: radius * spacing };
+    } else {
+        (particles as f32 / rng.random_range(ASPECT[0]..ASPECT[1])).sqrt() as usize
+    };
+    let columns = particles.div_ceil(rows);
+    Shape::Rectangle { size: [columns as f32 * spacing, rows as f32 * spacing] }
+}
+
+/// A random part of `whole`.
+fn part_of(whole: usize, [smallest, largest]: [f32; 2], rng: &mut ChaCha8Rng) -> usize {
+    (whole as f32 * rng.random_range(smallest..largest)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use sha2::{Digest, Sha256};
+
+    use super::{super::preset::PARTICLES, *};
+
+    const PRESETS: [Preset; 3] = [Preset::MultiMaterial, Preset::Fluid, Preset::Kinds];
+
+    #[test]
+    fn the_same_seed_and_id_give_the_same_scene_and_others_another() {
+        for preset in PRESETS {
+            let scene = Scene::generate(preset, 1, 3);
+            assert_eq!(scene, Scene::generate(preset, 1, 3));
+            assert_ne!(scene.bodies, Scene::generate(preset, 1, 13).bodies);
+            assert_ne!(scene.bodies, Scene::generate(preset, 2, 3).bodies);
+        }
+    }
+
+    #[test]
+    fn the_scenes_of_2500_particles_are_the_ones_that_they_were() {
+        // Digests of bodies and attractors in the manifests of `eddy simulate --preset .. --scenes 10`
+        // (seed 1) before scenes could have other numbers of particles.
+        let multi_material = "179655deff5684195fb375394a2e3dc34f5a999e23f230a2092878de657d0238";
+        let before = [
+            (Preset::MultiMaterial, multi_material),
+            (Preset::Stiff, multi_material),
+            (Preset::Fluid, "3b59b9fe0ad7c80a5258f3bcbc840c9dc5faf67559d9e59e7c5ad7da521624a9"),
+            (Preset::Kinds, "52909a90f809ec5a27e1e879ec00df4dd870ddb79d2767371d5af02b4ceb7fdc"),
+        ];
+        for (preset, digest) in before {
+            let mut found = Sha256::new();
+            for id in 0..10 {
+                let scene = Scene::generate(preset, 1, id);
+                found.update(serde_json::to_string(&scene.bodies).unwrap());
+                found.update(serde_json::to_string(&scene.attractor).unwrap());
+            }
+            assert_eq!(format!("{:x}", found.finalize()), digest, "{preset}");
+        }
+    }
+
+    /// Fails if a scene does not have so many particles, a spacing apart and inside the walls of a
+    /// domain of this width, or if bodies overlap.
+    fn assert_sound(scene: &Scene, particles: usize, width: f32) {
+        let (id, dx, domain) = (scene.id, scene.cell_width, scene.domain);
+        assert_eq!(domain, [width, 1.0], "{particles}: {id}");
+        // Refuses what overlaps.
+        let found = scene.particles().unwrap();
+        assert_eq!(found.len(), particles, "{id}");
+        let positions: Vec<[f32; 2]> = found.iter().map(|p| p.position).collect();
+        let free = |x: f32, side: f32| (3.0 * dx..=side - 3.0 * dx).contains(&x);
+        assert!(positions.iter().all(|p| free(p[0], width) && free(p[1], 1.0)), "{id}");
+        let nearest = nearest_neighbours(&positions);
+        assert!(nearest > 0.999 * scene.spacing(), "{particles}: {id}: {nearest}");
+    }
+
+    #[test]
+    fn every_scene_has_2500_particles_a_spacing_apart_inside_the_walls() {
+        for (preset, id) in PRESETS.into_iter().flat_map(|p| (0..100).map(move |id| (p, id))) {
+            assert_sound(&Scene::generate(preset, 1, id), PARTICLES, 1.0);
+        }
+    }
+
+    #[test]
+    fn scenes_of_other_sizes_have_their_particles_a_spacing_apart_in_a_domain_that_grows() {
+        for (particles, width, scenes) in
+            [(250, 1.0, 40), (1000, 1.0, 40), (10_000, 4.0, 10), (100_000, 40.0, 5)]
+        {
+            for preset in PRESETS {
+                let extent = Extent::of(preset, particles).unwrap();
+                for id in 0..scenes {
+                    let scene = Scene::generate_in(&extent, 1, id);
+                    assert_eq!(scene, Scene::generate_in(&extent, 1, id));
+                    assert_sound(&scene, particles, width);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bodies_of_wide_scenes_are_as_large_as_usual_and_everywhere() {
+        let of = |particles| Extent::of(Preset::Kinds, particles).unwrap();
+        let largest = |scenes: &[Scene]| {
+            scenes.iter().flat_map(|scene| &scene.bodies).filter_map(|body| body.particles).max()
+        };
+        let usual: Vec<Scene> = (0..40).map(|id| Scene::generate(Preset::Kinds, 1, id)).collect();
+        let wide: Vec<Scene> = (0..5).map(|id| Scene::generate_in(&of(100_000), 1, id)).collect();
+        assert_eq!(largest(&wide), largest(&usual));
+        for scene in &wide {
+            let mut middles: Vec<f32> = scene.bodies.iter().map(|body| body.position[0]).collect();
+            middles.sort_by(f32::total_cmp);
+            assert!(middles.windows(2).all(|pair| pair[1] - pair[0] < 2.0), "{middles:?}");
+            assert!(middles[0] < 1.0 && middles[middles.len() - 1] > 39.0, "{middles:?}");
+        }
+    }
+
+    /// The smallest distance between two points.
+    fn nearest_neighbours(points: &[[f32; 2]]) -> f32 {
+        let mut sorted = points.to_vec();
+        sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let mut nearest = f32::INFINITY;
+        for (k, a) in sorted.iter().enumerate() {
+            for b in &sorted[k + 1..] {
+                if b[0] - a[0] > nearest {
+                    break;
+                }
+                nearest = nearest.min((b[0] - a[0]).hypot(b[1] - a[1]));
+            }
+        }
+        nearest
+    }
+
+    /// The pairs of materials that are neighbours in a scene, a material with itself included.
+    fn pairs(scene: &Scene) -> BTreeSet<[Material; 2]> {
+        let materials: Vec<Material> = scene.bodies.iter().map(|body| body.material).collect();
+        let mut pairs = BTreeSet::new();
+        for (k, &first) in materials.iter().enumerate() {
+            for &second in &materials[k + 1..] {
+                pairs.insert([first.min(second), first.max(second)]);
+            }
+        }
+        pairs
+    }
+
+    #[test]
+    fn all_ten_pairs_of_materials_are_in_every_part_of_the_papers_sixty_scenes() {
+        let scenes: Vec<Scene> =
+            (0..60).map(|id| Scene::generate(Preset::MultiMaterial, 1, id)).collect();
+        for part in [0..48, 48..54, 54..60] {
+            let found: BTreeSet<[Material; 2]> =
+                scenes[part.clone()].iter().flat_map(pairs).collect();
+            assert_eq!(found.len(), 10, "{part:?}: {found:?}");
+        }
+        assert!(scenes.iter().all(|scene| !pairs(scene).is_empty()));
+        let fewest = |materials: &[Scene]| {
+            materials.iter().flat_map(Scene::materials).collect::<BTreeSet<_>>().len()
+        };
+        assert!(scenes.windows(3).all(|neighbours| fewest(neighbours) == Material::COUNT));
+    }
+
+    #[test]
+    fn kinds_are_each_material_alone_and_then_a_mix_in_turn() {
+        for id in 0..40 {
+            let found = Scene::generate(Preset::Kinds, 1, id).materials();
+            match Material::ALL.get(id as usize % KINDS) {
+                Some(&alone) => assert_eq!(found, [alone], "{id}"),
+                None => assert_eq!(found.len(), 2, "{id}: {found:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn stiff_scenes_are_the_multi_material_ones_of_another_stiffness() {
+        let [soft, stiff] =
+            [Preset::MultiMaterial, Preset::Stiff].map(|preset| Scene::generate(preset, 1, 7));
+        assert_eq!(stiff.bodies, soft.bodies);
+        assert_eq!((soft.materials.stiffness, stiff.materials.stiffness), (1e3, 1e5));
+    }
+
+    #[test]
+    fn ropes_are_at_least_two_cells_thick_and_longer_than_thick() {
+        for (particles, id) in
+            [250, 1000, 2500].into_iter().flat_map(|n| (0..40).map(move |id| (n, id)))
+        {
+            let extent = Extent::of(Preset::MultiMaterial, particles).unwrap();
+            for body in Scene::generate_in(&extent, 1, id).bodies {
+                if let (Rope, shape) = (body.material, body.shape) {
+                    let Shape::Rectangle { size } = shape else { panic!("a rope is a {shape:?}") };
+                    let [length, thickness] = size.map(|side| side * 64.0);
+                    assert!(thickness >= 2.0 && length >= 3.0 * thickness, "{size:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn some_scenes_are_pulled_and_some_are_not() {
+        let pulled = (0..100)
+            .filter(|&id| Scene::generate(Preset::Fluid, 1, id).attractor.is_some())
+            .count();
+        assert!((30..=70).contains(&pulled), "{pulled} of 100");
+    }
+}

@@ -1,0 +1,35 @@
+//! The state of one material point.
+
+use super::matrix::Matrix2;
+use eddy_frames::Material;
+
+/// One particle: an area of one material that moves and deforms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Particle {
+    /// Position (domain lengths).
+    pub position: [f32; 2],
+    /// Velocity (domain lengths per second).
+    pub velocity: [f32; 2],
+    /// Affine velocity matrix C of APIC: the local gradient of the velocity (1/s).
+    pub affine: Matrix2,
+    /// Elastic deformation gradient F.
+    pub deformation: Matrix2,
+    /// Plastic area ratio Jp of snow; 1 for the other materials.
+    pub plastic: f32,
+    /// What it is made of.
+    pub material: Material,
+}
+
+impl Particle {
+    /// An undeformed particle that does not move.
+    pub const fn at_rest(position: [f32; 2], material: Material) -> Self {
+        Self {
+            position,
+            velocity: [0.0; 2],
+            affine: Matrix2::ZERO,
+            deformation: Matrix2::IDENTITY,
+            plastic: 1.0,
+            material,
+        }
+    }
+}

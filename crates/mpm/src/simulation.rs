@@ -1,0 +1,471 @@
+//! A scene, frame by frame.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    energy::Energy,
+    error::MpmError,
+    flow::Flow,
+    grid::GridShape,
+    material::Law,
+    particle::Particle,
+    scene::Scene,
+    solver::{Solver, SolverSettings},
+    stability::minimum_substeps,
+};
+use eddy_frames::{Domain, Frame, Stamp, decimal};
+
+/// The most substeps a frame; the stiffest materials need a few hundred thousand.
+const MOST_SUBSTEPS: u32 = 1_000_000;
+
+/// What takes the place of a scene's own numbers, where it is given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Young's modulus E of every material (density x velocity^2).
+    pub stiffness: Option<f32>,
+    /// How liquids resist.
+    pub law: Option<Law>,
+    /// Kinematic viscosity of liquids (domain lengths^2 per s).
+    pub viscosity: Option<f32>,
+    /// Substeps a frame.
+    pub substeps: Option<u32>,
+    /// Simulated time (s); the scene does not end before it then.
+    pub duration: Option<f64>,
+}
+
+impl Settings {
+    /// The scene with these numbers in the places of its own.
+    pub fn over(&self, mut scene: Scene) -> Scene {
+        let Self { stiffness, law, viscosity, substeps, duration } = *self;
+        let materials = &mut scene.materials;
+        materials.stiffness = stiffness.unwrap_or(materials.stiffness);
+        materials.law = law.unwrap_or(materials.law);
+        materials.viscosity = viscosity.unwrap_or(materials.viscosity);
+        scene.solver.substeps = substeps.or(scene.solver.substeps);
+        if let Some(duration) = duration {
+            (scene.frames.duration, scene.frames.shortest) = (duration, None);
+        }
+        scene
+    }
+}
+
+/// A running simulation.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    scene: Scene,
+    solver: Solver,
+    /// What comes in and goes out, if anything does.
+    flow: Option<Flow>,
+    /// Substeps a frame.
+    substeps: u32,
+    /// Frames that the scene has at least.
+    fewest_frames: u64,
+    /// Frames after which it ends whatever moves.
+    most_frames: u64,
+    /// Number of the next frame.
+    sequence: u64,
+    /// Set when little moves, when nothing is left, or after an error.
+    ended: bool,
+}
+
+impl Simulation {
+    /// Sets a scene up, with `settings` in the places of its own numbers.
+    ///
+    /// # Errors
+    /// What [`Scene::particles`] refuses; [`MpmError::Unstable`] for too few substeps.
+    pub fn new(scene: Scene, settings: &Settings) -> Result<Self, MpmError> {
+        Self::on_threads(scene, settings, 1)
+    }
+
+    /// As [`Simulation::new`], with so many threads (at least 1) that share the work. Their number
+    /// changes no bit.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn on_threads(scene: Scene, settings: &Settings, threads: usize) -> Result<Self, MpmError> {
+        let scene = settings.over(scene);
+        let mut particles = scene.particles()?;
+        let flows = !(scene.emitters.is_empty() && scene.drains.is_empty());
+        let mut flow = flows.then(|| Flow::new(&scene));
+        particles = flow.as_mut().and_then(|flow| flow.apply(0, &particles)).unwrap_or(particles);
+        let (grid, substeps) = (scene.grid()?, substeps(&scene)?);
+        let solver_settings = SolverSettings {
+            grid,
+            spacing: scene.spacing(),
+            materials: scene.materials,
+            dt: (decimal(scene.frames.interval) / f64::from(substeps)) as f32,
+            gravity: scene.solver.gravity,
+            threads,
+        };
+        let solver = Solver::new(particles.clone(), solver_settings)
+            .map_err(|particle| diverged(&particles, particle, 0.0))?;
+        let intervals =
+            |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
+        let most_frames = intervals(scene.frames.duration);
+        let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
+        let (sequence, ended) = (0, false);
+        Ok(Self { scene, solver, flow, substeps, fewest_frames, most_frames, sequence, ended })
+    }
+
+    /// The next frame, one interval after the last; `None` when the scene is over. The first one is
+    /// the state at the start of the recording, when the attractor has let go.
+    ///
+    /// # Errors
+    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is no number any more. The
+    /// simulation is over then.
+    pub fn next_frame(&mut self) -> Result<Option<Frame>, MpmError> {
+        if self.ended || self.sequence == self.most_frames {
+            return Ok(None);
+        }
+        let moved = self.advance();
+        if moved.is_ok() && self.solver.particles().is_empty() {
+            self.ended = true;
+            return Ok(None);
+        }
+        let frame = moved.and_then(|()| self.frame());
+        self.sequence += 1;
+        let rest = self.scene.frames.rest;
+        let settled =
+            self.sequence >= self.fewest_frames && self.solver.mean_kinetic_energy() < rest;
+        self.ended = frame.is_err() || settled;
+        frame.map(Some)
+    }
+
+    /// Moves to the instant of the next frame.
+    fn advance(&mut self) -> Result<(), MpmError> {
+        if self.sequence > 0 {
+            self.run(1)?;
+            return self.exchange();
+        }
+        let Some(attractor) = self.scene.attractor else { return Ok(()) };
+        self.solver.attractor = Some(attractor);
+        let done = self.run(attractor.frames);
+        self.solver.attractor = None;
+        done
+    }
+
+    /// Runs the substeps of so many frame intervals.
+    fn run(&mut self, intervals: u32) -> Result<(), MpmError> {
+        for interval in 0..intervals {
+            self.solver.run(self.substeps).map_err(|particle| {
+                let time = self.begun() + f64::from(interval) * self.interval();
+                diverged(self.solver.particles(), particle, time)
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Takes out and puts in the particles that leave and come with the next frame.
+    fn exchange(&mut self) -> Result<(), MpmError> {
+        let Some(flow) = &mut self.flow else { return Ok(()) };
+        if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
+            let time = self.begun();
+            self.solver
+                .set_particles(particles.clone())
+                .map_err(|particle| diverged(&particles, particle, time))?;
+        }
+        Ok(())
+    }
+
+    /// Moves every particle by what `by` gives (domain lengths), to see what a small difference grows to.
+    ///
+    /// # Errors
+    /// [`MpmError::Diverged`] when a particle leaves the grid; none is moved then.
+    pub fn displace(&mut self, mut by: impl FnMut() -> [f32; 2]) -> Result<(), MpmError> {
+        let mut particles = self.solver.particles().to_vec();
+        for particle in &mut particles {
+            let ([x, y], [dx, dy]) = (particle.position, by());
+            particle.position = [x + dx, y + dy];
+        }
+        let time = self.begun();
+        self.solver
+            .set_particles(particles.clone())
+            .map_err(|particle| diverged(&particles, particle, time))
+    }
+
+    /// The present state as a frame.
+    fn frame(&self) -> Result<Frame, MpmError> {
+        let particles = self.solver.particles();
+        let interval = self.scene.frames.interval;
+        // Frames beyond 2^32 would need more than two years of simulated time.
+        let steps = u32::try_from(self.sequence).unwrap_or(u32::MAX);
+        Ok(Frame::new(
+            self.scene.id,
+            self.sequence,
+            Stamp(0).advance(interval, steps),
+            interval,
+            self.domain(),
+            particles.iter().map(|p| p.position).collect(),
+            particles.iter().map(|p| p.velocity).collect(),
+            particles.iter().map(|p| p.material).collect(),
+        )?)
+    }
+
+    /// The scene, with everything that was chosen for it.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Substeps a frame.
+    pub fn substeps_per_frame(&self) -> u32 {
+        self.substeps
+    }
+
+    /// The most frames that can come.
+    pub fn most_frames(&self) -> u64 {
+        self.most_frames
+    }
+
+    /// The energy now.
+    pub fn energy(&self) -> Energy {
+        self.solver.energy()
+    }
+
+    /// The box that holds the particles.
+    pub fn domain(&self) -> Domain {
+        Domain { lower: [0.0; 2], upper: self.scene.domain }
+    }
+
+    /// Begin of the interval before the next frame: simulated time since the scene was set up (s).
+    fn begun(&self) -> f64 {
+        let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
+        let intervals = if self.sequence > 0 { u64::from(before) + self.sequence - 1 } else { 0 };
+        intervals as f64 * self.interval()
+    }
+
+    /// Time between two frames (s).
+    fn interval(&self) -> f64 {
+        decimal(self.scene.frames.interval)
+    }
+}
+
+/// The substeps of a frame: what was asked for, if that is stable.
+fn substeps(scene: &Scene) -> Result<u32, MpmError> {
+    let GridShape { cells, dx } = scene.grid()?;
+    let materials = &scene.materials;
+    let interval = decimal(scene.frames.interval);
+    let (minimum, limit) =
+        minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
+    if minimum > MOST_SUBSTEPS {
+        return Err(MpmError::Field {
+            field: "frames.interval".into(),
+            found: format!("{minimum} substeps needed in {interval} s because of {limit}"),
+            expected: format!(
+                "at most {MOST_SUBSTEPS}: make what is fast slower, what is stiff softer, or the interval shorter"
+            ),
+        });
+    }
+    match scene.solver.substeps {
+        Some(requested) if requested < minimum => {
+            let stiffness = materials.stiffness;
+            Err(MpmError::Unstable { requested, minimum, limit, stiffness, cells })
+        }
+        requested => Ok(requested.unwrap_or(minimum)),
+    }
+}
+
+fn diverged(particles: &[Particle], particle: usize, time: f64) -> MpmError {
+    let Particle { position, material, .. } = particles[particle];
+    MpmError::Diverged { particle, material, position, time }
+}
+
+#[cfg(test)]
+mod tests {
+    use rayon::prelude::*;
+
+    use super::{
+        super::{Drain, Emitter, FRAME_INTERVAL, Preset, error::Limit, material::Materials},
+        *,
+    };
+    use eddy_frames::Material;
+
+    fn settings(duration: f64) -> Settings {
+        Settings { duration: Some(duration), ..Settings::default() }
+    }
+
+    fn positions(scene: &Scene) -> Vec<[f32; 2]> {
+        scene.particles().unwrap().iter().map(|particle| particle.position).collect()
+    }
+
+    fn frames_of(scene: Scene, settings: &Settings) -> Vec<Frame> {
+        let mut simulation = Simulation::new(scene, settings).unwrap();
+        std::iter::from_fn(|| simulation.next_frame().unwrap()).collect()
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bits() {
+        let bits = || -> Vec<Vec<u32>> {
+            let frames = frames_of(Scene::generate(Preset::MultiMaterial, 5, 7), &settings(0.08));
+            let numbers = |frame: &Frame| [frame.position.clone(), frame.velocity.clone()].concat();
+            let bits = |frame| numbers(frame).as_flattened().iter().map(|x| x.to_bits()).collect();
+            frames.iter().map(bits).collect()
+        };
+        let first = bits();
+        assert_eq!(first.len(), 5);
+        assert_eq!(first, bits());
+    }
+
+    #[test]
+    fn frames_are_numbered_and_stamped_from_zero_at_16_ms() {
+        let frames = frames_of(Scene::generate(Preset::Fluid, 1, 9), &settings(0.05));
+        let numbers: Vec<(u64, u64, i64)> =
+            frames.iter().map(|f| (f.stream, f.sequence, f.stamp.0)).collect();
+        assert_eq!(numbers, [(9, 0, 0), (9, 1, 16_000_000), (9, 2, 32_000_000)]);
+        assert!(frames.iter().all(|f| f.dt == FRAME_INTERVAL && f.domain == Domain::UNIT));
+    }
+
+    #[test]
+    fn a_hundred_scenes_of_each_preset_stay_finite_inside_the_walls() {
+        let scenes: Vec<(Preset, u64)> = [Preset::MultiMaterial, Preset::Fluid]
+            .into_iter()
+            .flat_map(|preset| (0..100).map(move |id| (preset, id)))
+            .collect();
+        scenes.into_par_iter().for_each(|(preset, id)| {
+            let scene = Scene::generate(preset, 11, id);
+            // `Frame::new` refuses what is not finite.
+            for frame in frames_of(scene, &settings(0.032)) {
+                let wall = preset.dx();
+                let inside = |x: &f32| (wall..=1.0 - wall).contains(x);
+                assert!(frame.position.as_flattened().iter().all(inside), "{preset} {id}");
+            }
+        });
+    }
+
+    #[test]
+    fn a_scene_that_is_not_pulled_is_recorded_as_it_was_set_up() {
+        let scene = (0..)
+            .map(|id| Scene::generate(Preset::MultiMaterial, 1, id))
+            .find(|scene| scene.attractor.is_none())
+            .unwrap();
+        let expected = positions(&scene);
+        assert_eq!(frames_of(scene, &settings(0.016))[0].position, expected);
+    }
+
+    #[test]
+    fn the_attractor_acts_before_the_recording_only() {
+        let scene = (0..)
+            .map(|id| Scene::generate(Preset::MultiMaterial, 1, id))
+            .find(|scene| scene.attractor.is_some())
+            .unwrap();
+        let start = positions(&scene);
+        let mut simulation = Simulation::new(scene, &Settings::default()).unwrap();
+        let first = simulation.next_frame().unwrap().unwrap();
+        assert_ne!(first.position, start);
+        assert_eq!(simulation.solver.attractor, None);
+    }
+
+    #[test]
+    fn an_unstable_request_is_refused_with_its_limit() {
+        let scene = Scene::generate(Preset::MultiMaterial, 1, 0);
+        let settings = Settings { substeps: Some(20), ..Settings::default() };
+        let error = Simulation::new(scene.clone(), &settings).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "substeps: found 20, expected at least 153 a frame because of sound in snow \
+             (E = 1000, grid 64x64); ask for more, or leave them out"
+        );
+        assert!(matches!(error, MpmError::Unstable { limit: Limit::Sound(_), .. }));
+        // What the message asks for is accepted.
+        let settings = Settings { substeps: Some(153), ..settings };
+        assert!(Simulation::new(scene, &settings).is_ok());
+    }
+
+    #[test]
+    fn a_scene_that_would_take_for_ever_is_refused() {
+        let mut scene = Scene::generate(Preset::Fluid, 1, 0);
+        scene.bodies[0].velocity = [1e12, 0.0];
+        let message = Simulation::new(scene, &Settings::default()).unwrap_err().to_string();
+        assert!(
+            message.contains("substeps needed in 0.016 s because of particles of"),
+            "{message}"
+        );
+        assert!(message.contains("at most 1000000"), "{message}");
+    }
+
+    #[test]
+    fn the_substeps_of_the_paper_carry_a_soft_jelly() {
+        let mut scene = Scene::generate(Preset::MultiMaterial, 1, 1);
+        scene.attractor = None;
+        for body in &mut scene.bodies {
+            body.material = Material::Jelly;
+        }
+        let settings = Settings { stiffness: Some(250.0), substeps: Some(20), ..settings(0.5) };
+        assert_eq!(frames_of(scene, &settings).len(), 31);
+    }
+
+    #[test]
+    fn settings_take_the_place_of_the_scenes_own_numbers() {
+        let scene = Scene::generate(Preset::Stiff, 1, 0);
+        let same = Settings::default().over(scene.clone());
+        assert_eq!(same, scene);
+        let settings = Settings { stiffness: Some(500.0), ..settings(1.0) };
+        let scene = settings.over(Scene::generate(Preset::Fluid, 1, 0));
+        assert_eq!(scene.materials.stiffness, 500.0);
+        assert_eq!((scene.frames.duration, scene.frames.shortest), (1.0, None));
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let refused = |settings: Settings| {
+            let scene = Scene::generate(Preset::Fluid, 1, 0);
+            Simulation::new(scene, &settings).unwrap_err().to_string()
+        };
+        assert_eq!(
+            refused(Settings { stiffness: Some(-1.0), ..Settings::default() }),
+            "materials.stiffness: found -1, expected a positive number, at most 1e9"
+        );
+        assert_eq!(
+            refused(settings(f64::NAN)),
+            "frames.duration: found NaN, expected a positive number, at most 1e6"
+        );
+    }
+
+    #[test]
+    fn particles_come_in_and_go_out_between_frames() {
+        let spacing = 1.0 / 128.0;
+        let emitter = Emitter {
+            material: Material::Liquid,
+            position: [0.5, 0.3],
+            width: 4.0 * spacing,
+            velocity: [0.0, -1.0],
+            particles: 60,
+        };
+        let drain = Drain { lower: [0.0; 2], upper: [1.0, 0.2] };
+        let mut scene = Scene { emitters: vec![emitter], drains: vec![drain], ..Scene::default() };
+        scene.frames.duration = 1.0;
+        let frames = frames_of(scene, &Settings::default());
+        let counts: Vec<usize> = frames.iter().map(Frame::len).collect();
+        assert_eq!(counts[0], 4, "the first row is there at once");
+        assert!(counts.iter().any(|&count| count > 30), "{counts:?}");
+        assert!(frames.len() < 40, "the scene ends when nothing is left");
+        assert!(frames.iter().all(|f| f.position.iter().all(|x| x[1] > 0.2)));
+    }
+
+    #[test]
+    fn a_fluid_scene_ends_when_little_moves() {
+        let rest = 1e-3;
+        let scene = Scene::generate(Preset::Fluid, 1, 0);
+        let mut simulation = Simulation::new(scene, &Settings::default()).unwrap();
+        simulation.fewest_frames = 2;
+        let mut still = simulation.solver.particles().to_vec();
+        for particle in &mut still {
+            particle.velocity = [0.0; 2];
+        }
+        let grid = GridShape::unit(128);
+        let settings = SolverSettings {
+            grid,
+            spacing: 0.5 * grid.dx,
+            materials: Materials { stiffness: 1.0, ..Materials::default() },
+            dt: 1e-7,
+            gravity: 0.0,
+            threads: 1,
+        };
+        simulation.solver = Solver::new(still, settings).unwrap();
+        simulation.scene.attractor = None;
+        assert!(simulation.next_frame().unwrap().is_some());
+        assert!(simulation.next_frame().unwrap().is_some(), "no scene is shorter than its least");
+        assert!(simulation.next_frame().unwrap().is_none());
+        assert!(simulation.solver.mean_kinetic_energy() < rest);
+    }
+}

@@ -1,0 +1,275 @@
+//! One explicit MLS-MPM substep after the other.
+
+use super::{
+    attractor::Attractor,
+    energy::Energy,
+    fast::{Fast, Level},
+    g2p,
+    grid::{Grid, GridShape},
+    material::{Materials, Moduli},
+    p2g,
+    particle::Particle,
+};
+
+/// What a [`Solver`] computes with.
+#[derive(Clone, Copy, Debug)]
+pub struct SolverSettings {
+    /// The background grid.
+    pub grid: GridShape,
+    /// Distance between neighbouring particles of an undeformed body (domain lengths).
+    pub spacing: f32,
+    /// What the particles are made of.
+    pub materials: Materials,
+    /// Length of a substep (s). Nothing checks it here: see [`minimum_substeps`](super::minimum_substeps).
+    pub dt: f32,
+    /// Acceleration in -y (domain lengths per s^2).
+    pub gravity: f32,
+    /// Threads that share the work of a substep, at least 1.
+    pub threads: usize,
+}
+
+impl SolverSettings {
+    /// Area of an undeformed particle (domain lengths^2).
+    pub(super) fn volume(&self) -> f32 {
+        self.spacing * self.spacing
+    }
+}
+
+/// Particles that interact through a grid.
+#[derive(Clone, Debug)]
+pub struct Solver {
+    particles: Vec<Particle>,
+    settings: SolverSettings,
+    fast: Fast,
+    /// Pulls while it is set.
+    pub attractor: Option<Attractor>,
+}
+
+impl Solver {
+    /// A solver at the state of these particles.
+    ///
+    /// # Errors
+    /// The index of the first particle that is not inside the grid.
+    pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
+        let fast = Fast::new(settings.grid, settings.threads, Level::widest());
+        let mut solver = Self { particles: Vec::new(), settings, fast, attractor: None };
+        solver.set_particles(particles)?;
+        Ok(solver)
+    }
+
+    /// Puts other particles in the place of those that are there: a state that was kept, or one with
+    /// particles added or taken away.
+    ///
+    /// # Errors
+    /// As [`Solver::new`]; the solver keeps what it had.
+    pub fn set_particles(&mut self, particles: Vec<Particle>) -> Result<(), usize> {
+        match particles.iter().position(|p| !self.settings.grid.contains(p.position)) {
+            Some(outside) => Err(outside),
+            None => {
+                self.particles = particles;
+                Ok(())
+            }
+        }
+    }
+
+    /// Moves everything so many substeps on. The bits depend on the particles and on the number of
+    /// substeps, not on threads or the processor.
+    ///
+    /// # Errors
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
+    /// position that is no number; the state is of no use then.
+    pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
+        self.fast.run(&mut self.particles, substeps, &self.settings, self.attractor)
+    }
+
+    /// As [`Solver::run`], one particle and one node after the other: the reference.
+    ///
+    /// # Errors
+    /// As [`Solver::run`], but for particles that move further than a cell.
+    pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
+        let SolverSettings { dt, gravity, .. } = self.settings;
+        let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
+        let mut grid = Grid::new(self.settings.grid);
+        for _ in 0..substeps {
+            grid.clear();
+            p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
+            grid.update(dt, gravity, self.attractor.as_ref());
+            g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
+        }
+        Ok(())
+    }
+
+    /// Takes other vector instructions than the widest of this processor.
+    #[cfg(test)]
+    pub(super) fn with_level(mut self, level: Level, threads: usize) -> Self {
+        self.fast = Fast::new(self.settings.grid, threads, level);
+        self
+    }
+
+    /// The particles, in the order they were given.
+    pub fn particles(&self) -> &[Particle] {
+        &self.particles
+    }
+
+    /// What it computes with.
+    pub fn settings(&self) -> &SolverSettings {
+        &self.settings
+    }
+
+    /// The energy of the particles.
+    pub fn energy(&self) -> Energy {
+        Energy::of(&self.particles, &self.settings)
+    }
+
+    /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).
+    pub(super) fn mean_kinetic_energy(&self) -> f64 {
+        let sum: f64 = self
+            .particles
+            .iter()
+            .map(|p| p.velocity.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>())
+            .sum();
+        0.5 * sum / self.particles.len() as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{
+            Energy, GRAVITY,
+            material::{DENSITY, Law},
+            matrix::Matrix2,
+            minimum_substeps,
+        },
+        *,
+    };
+    use eddy_frames::Material;
+
+    const CELLS: u32 = 64;
+    /// Taichi's law conserves energy in tension too.
+    const MATERIALS: Materials = Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0 };
+
+    /// A square of 20 x 20 particles around the middle of the domain.
+    fn square(material: Material) -> Vec<Particle> {
+        let spacing = 0.5 / CELLS as f32;
+        (0..400)
+            .map(|k| {
+                let place = |n: usize| 0.5 + (n as f32 - 9.5) * spacing;
+                Particle::at_rest([place(k % 20), place(k / 20)], material)
+            })
+            .collect()
+    }
+
+    fn settings(grid: GridShape, dt: f32, gravity: f32) -> SolverSettings {
+        SolverSettings {
+            grid,
+            spacing: 0.5 * grid.dx,
+            materials: MATERIALS,
+            dt,
+            gravity,
+            threads: 1,
+        }
+    }
+
+    fn solver(particles: Vec<Particle>, dt: f32, gravity: f32) -> Solver {
+        Solver::new(particles, settings(GridShape::unit(CELLS), dt, gravity)).unwrap()
+    }
+
+    /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
+    /// APIC keeps in C (`x x v + dx^2/4 (C_yx - C_xy)`).
+    fn momenta(solver: &Solver) -> ([f64; 2], f64) {
+        let inertia = f64::from(solver.settings.grid.dx).powi(2) / 4.0;
+        let mut linear = [0.0; 2];
+        let mut angular = 0.0;
+        for particle in solver.particles() {
+            let [x, y] = particle.position.map(f64::from);
+            let [u, v] = particle.velocity.map(f64::from);
+            linear = [linear[0] + u, linear[1] + v];
+            angular += x * v - y * u;
+            angular += inertia * f64::from(particle.affine.yx - particle.affine.xy);
+        }
+        (linear, angular)
+    }
+
+    #[test]
+    fn the_grid_carries_the_mass_of_the_particles() {
+        let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
+        let mut grid = Grid::new(settings.grid);
+        let moduli = Moduli::of(&settings.materials);
+        p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
+        let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
+        let expected = 400.0 * f64::from(DENSITY * settings.volume());
+        assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");
+    }
+
+    #[test]
+    fn momentum_is_conserved_without_walls_and_gravity() {
+        for material in Material::ALL {
+            let mut particles = square(material);
+            for particle in &mut particles {
+                // A spin of 5 rad/s, and a flight that stays off the walls.
+                let [x, y] = particle.position;
+                particle.velocity = [1.0 - 5.0 * (y - 0.5), 0.5 + 5.0 * (x - 0.5)];
+                particle.affine = Matrix2::new(0.0, -5.0, 5.0, 0.0);
+            }
+            let mut solver = solver(particles, 1e-4, 0.0);
+            let (linear, angular) = momenta(&solver);
+            solver.run(1000).unwrap();
+            let (linear_after, angular_after) = momenta(&solver);
+            for axis in 0..2 {
+                let drift = (linear_after[axis] / linear[axis] - 1.0).abs();
+                assert!(drift < 1e-6, "{material:?}: linear {drift}");
+            }
+            let drift = (angular_after / angular - 1.0).abs();
+            assert!(drift < 1e-5, "{material:?}: angular {drift}");
+        }
+    }
+
+    #[test]
+    fn a_falling_body_follows_the_discrete_formula() {
+        let (dt, substeps) = (1e-4, 200);
+        let start = square(Material::Rope);
+        let mut solver = solver(start.clone(), dt, GRAVITY);
+        solver.run(substeps).unwrap();
+        let n = substeps as f32;
+        let fallen = GRAVITY * dt * dt * n * (n + 1.0) / 2.0;
+        for (before, after) in start.iter().zip(solver.particles()) {
+            assert!((before.position[1] - after.position[1] - fallen).abs() < 1e-6);
+            assert!((before.position[0] - after.position[0]).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn energy_does_not_grow_when_bodies_hit_the_floor() {
+        for material in Material::ALL {
+            let mut particles = square(material);
+            for particle in &mut particles {
+                particle.position[1] -= 0.3;
+                particle.velocity[1] = -2.0;
+            }
+            let interval = 0.016;
+            let (substeps, _) =
+                minimum_substeps(&[material], &MATERIALS, 1.0 / CELLS as f32, 4.0, interval);
+            let mut solver = solver(particles, interval as f32 / substeps as f32, GRAVITY);
+            let energy = |solver: &Solver| {
+                let grid = GridShape::unit(CELLS);
+                let settings = settings(grid, solver.settings.dt, GRAVITY);
+                Energy::of(solver.particles(), &settings).total()
+            };
+            let start = energy(&solver);
+            for _ in 0..30 {
+                solver.run(substeps).unwrap();
+                let now = energy(&solver);
+                assert!(now <= 1.01 * start, "{material:?}: from {start} to {now}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_state_that_is_no_number_is_an_error() {
+        let mut particles = square(Material::Jelly);
+        particles[17].deformation.xx = f32::NAN;
+        let mut solver = solver(particles, 1e-4, GRAVITY);
+        assert!(solver.run(1).is_err());
+    }
+}

@@ -1,0 +1,217 @@
+//! What counts for one node: its name, its topics, its parameters.
+
+use super::{
+    Given, RosArguments,
+    remap::{Rule, What},
+};
+use eddy_transport::Link;
+
+/// A node as its arguments have it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RosNode {
+    name: String,
+    /// `/`, or such as `/robot1`.
+    namespace: String,
+    /// Topics and services, in the order in which rules are tried.
+    renamed: Vec<Renamed>,
+    parameters: Vec<Given>,
+    directives: String,
+}
+
+/// A rule with both names absolute.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Renamed {
+    from: String,
+    to: String,
+    topics: bool,
+    services: bool,
+}
+
+impl RosNode {
+    /// Names are given in the order of the design: the node's, its namespace's with the rules for that
+    /// name, the others'. Of several rules for a name the first counts.
+    pub(super) fn new(arguments: &RosArguments, name: &str) -> Self {
+        let first = |name: &str, what: What| -> Option<String> {
+            let rules = &mut for_node(&arguments.rules, name);
+            rules.find(|rule| rule.what == what).map(|rule| rule.to.clone())
+        };
+        let name = first(name, What::Node).unwrap_or(name.to_owned());
+        let namespace = first(&name, What::Namespace).unwrap_or("/".to_owned());
+        let (renamed, parameters) = (Vec::new(), Vec::new());
+        let mut node = Self { name, namespace, renamed, parameters, directives: String::new() };
+        let absolute = |rule: &Rule| match &rule.what {
+            What::Node | What::Namespace => None,
+            &What::Name { ref from, topics, services } => {
+                let (from, to) = (node.absolute(from), node.absolute(&rule.to));
+                Some(Renamed { from, to, topics, services })
+            }
+        };
+        node.renamed = for_node(&arguments.rules, &node.name).filter_map(absolute).collect();
+        let full_name = node.full_name();
+        let given = arguments.parameters.iter().filter(|given| given.is_for(&full_name));
+        node.parameters = given.cloned().collect();
+        node.directives = arguments.directives(&node);
+        node
+    }
+
+    /// Its name without the namespace.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its namespace: `/`, or such as `/robot1`.
+    pub fn namespace(&self) -> &str {
+        &self.namespace
+    }
+
+    /// Namespace and name, such as `/robot1/eddy_node`.
+    pub fn full_name(&self) -> String {
+        format!("{}/{}", self.namespace.trim_end_matches('/'), self.name)
+    }
+
+    /// The name of a topic of this node: absolute, and another one if a rule says so.
+    pub fn topic(&self, name: &str) -> String {
+        let name = self.absolute(name);
+        self.rule(&name, |rule| rule.topics).unwrap_or(name)
+    }
+
+    /// The name of a service of this node.
+    pub fn service(&self, name: &str) -> String {
+        let name = self.absolute(name);
+        self.rule(&name, |rule| rule.services).unwrap_or(name)
+    }
+
+    /// The link with the name that its topic has for this node.
+    pub fn link(&self, link: &Link) -> Link {
+        link.with_topic(&self.topic(&link.topic))
+    }
+
+    /// The topic `word` that goes with another one, such as `/prediction/status` with `/prediction`: it
+    /// follows that one to its new name unless there is a rule for itself.
+    pub fn beside(&self, link: &Link, word: &str) -> Link {
+        let own = self.absolute(&format!("{}/{word}", link.topic));
+        let followed = || format!("{}/{word}", self.topic(&link.topic));
+        link.with_topic(&self.rule(&own, |rule| rule.topics).unwrap_or_else(followed))
+    }
+
+    /// The parameters it was given. Of several values the last counts.
+    pub fn parameters(&self) -> &[Given] {
+        &self.parameters
+    }
+
+    /// A filter of logs, such as `warn,zenoh=error`, with what the arguments change.
+    pub fn log_filter(&self, filter: &str) -> String {
+        format!("{filter}{}", self.directives)
+    }
+
+    /// Whether ROS would name this node's logger so.
+    pub(super) fn is_logger(&self, name: &str) -> bool {
+        let full = self.full_name();
+        name == self.name || name == full.trim_start_matches('/').replace('/', ".")
+    }
+
+    /// `a` is below the namespace, `~/a` below the node.
+    fn absolute(&self, name: &str) -> String {
+        if name.starts_with('/') {
+            return name.to_owned();
+        }
+        match name.strip_prefix("~/") {
+            Some(private) => format!("{}/{private}", self.full_name()),
+            None => format!("{}/{name}", self.namespace.trim_end_matches('/')),
+        }
+    }
+
+    fn rule(&self, name: &str, counts: impl Fn(&Renamed) -> bool) -> Option<String> {
+        let mut rules = self.renamed.iter().filter(|rule| counts(rule));
+        rules.find(|rule| rule.from == name).map(|rule| rule.to.clone())
+    }
+}
+
+/// The rules that are for a node of this name.
+fn for_node<'a>(rules: &'a [Rule], name: &str) -> impl Iterator<Item = &'a Rule> {
+    rules.iter().filter(move |rule| rule.node.as_deref().is_none_or(|node| node == name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node(words: &[&str]) -> RosNode {
+        let words: Vec<_> = words.iter().map(|word| (*word).to_owned()).collect();
+        RosArguments::parse(&words).unwrap().node("eddy_node")
+    }
+
+    #[test]
+    fn without_arguments_names_stay_as_they_are() {
+        let node = node(&[]);
+        assert_eq!((node.name(), node.namespace()), ("eddy_node", "/"));
+        assert_eq!(node.full_name(), "/eddy_node");
+        assert_eq!(
+            [node.topic("/a"), node.topic("a"), node.topic("~/a")],
+            ["/a", "/a", "/eddy_node/a"]
+        );
+    }
+
+    #[test]
+    fn a_namespace_moves_relative_and_private_names_only() {
+        let node = node(&["-r", "__ns:=/robot1", "-r", "__node:=predictor"]);
+        assert_eq!(node.full_name(), "/robot1/predictor");
+        assert_eq!(node.topic("particles"), "/robot1/particles");
+        assert_eq!(node.topic("/diagnostics"), "/diagnostics");
+        assert_eq!(node.service("~/reset"), "/robot1/predictor/reset");
+    }
+
+    #[test]
+    fn the_first_rule_for_a_name_counts_and_rules_for_other_nodes_do_not() {
+        let rules =
+            ["-r", "other:/a:=/x", "-r", "eddy_node:/a:=/b", "-r", "/a:=/c", "-r", "/b:=/d"];
+        let node = node(&rules);
+        assert_eq!(node.topic("/a"), "/b", "what a rule gives is not renamed again");
+        assert_eq!(node.topic("/b"), "/d");
+    }
+
+    #[test]
+    fn rules_with_relative_names_are_expanded_with_the_namespace_of_the_node() {
+        let node = node(&["-r", "a:=~/b", "-r", "__ns:=/n", "-r", "/a:=/c"]);
+        assert_eq!(node.topic("/n/a"), "/n/eddy_node/b");
+        assert_eq!(node.topic("/a"), "/c");
+    }
+
+    #[test]
+    fn a_rule_may_be_for_topics_or_for_services_alone() {
+        let node = node(&["-r", "rostopic://a:=t", "-r", "rosservice://a:=s"]);
+        assert_eq!([node.topic("a"), node.service("a")], ["/t", "/s"]);
+    }
+
+    #[test]
+    fn what_goes_with_a_topic_follows_it_unless_it_has_a_rule_of_its_own() {
+        let link: Link = "shm:/prediction".parse().unwrap();
+        let node = node(&["-r", "/prediction:=/p", "-r", "/prediction/cloud:=/points"]);
+        assert_eq!(node.link(&link).to_string(), "shm:/p");
+        assert_eq!(node.beside(&link, "status").to_string(), "shm:/p/status");
+        assert_eq!(node.beside(&link, "cloud").to_string(), "shm:/points");
+    }
+
+    #[test]
+    fn a_rule_for_a_node_knows_it_by_its_new_name() {
+        let node = node(&[
+            "-r",
+            "__node:=b",
+            "-r",
+            "b:__ns:=/n",
+            "-r",
+            "eddy_node:/a:=/x",
+            "-r",
+            "b:/a:=/y",
+        ]);
+        assert_eq!(node.full_name(), "/n/b");
+        assert_eq!(node.topic("/a"), "/y");
+    }
+
+    #[test]
+    fn parameters_are_those_for_its_full_name() {
+        let node = node(&["-r", "__ns:=/n", "-p", "a:=1", "-p", "x:b:=2", "-p", "eddy_node:c:=3"]);
+        let names: Vec<_> = node.parameters().iter().map(|g| g.parameter.name.as_str()).collect();
+        assert_eq!(names, ["a"], "as in rcl, c is for /eddy_node");
+    }
+}

@@ -1,0 +1,214 @@
+//! A shown frame as bytes, little-endian: a header of [`HEADER`] bytes, then 12 bytes a particle, property by property.
+//!
+//! | offset | type | what |
+//! |---|---|---|
+//! | 0 | u32 | `EDY` and the [`VERSION`] |
+//! | 4 | u32 | flags: 1 has a truth, 2 has a prediction, 4 both of the same instant, 8 the prediction runs free |
+//! | 8 | u32 | N, particles of either side |
+//! | 12 | u32 | frames predicted ahead |
+//! | 16 | u64 | stream |
+//! | 24 | u64 ×2 | sequence of the truth, of the prediction |
+//! | 40 | f64 ×2 | stamp of the truth, of the prediction (s) |
+//! | 56 | f32 ×4 | the domain's lower and upper corner (domain lengths) |
+//! | 72 | f32 | the speed that 255 stands for (domain lengths per second) |
+//! | 76 | f32 ×2 | error of the prediction, of the best baseline (RMSE, domain lengths; NaN if unknown) |
+//! | 84 | u32 ×3 | zero |
+//! | 96 | u16 `[N, 2]` | positions of the truth, 0 to 65535 across the domain |
+//! | | u16 `[N, 2]` | positions of the prediction |
+//! | | u8 `[N]` ×4 | speed of the truth, speed of the prediction, error, material |
+//!
+//! Positions are for looking at: they are rounded to 1/65535 of the domain, and held in it. The error of a particle is
+//! on a logarithmic scale, 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). A side that is
+//! missing is all zero.
+
+use std::sync::Arc;
+
+use super::comparison::Ahead;
+use eddy_frames::{Domain, Frame};
+
+/// Bytes before the particles.
+pub const HEADER: usize = 96;
+/// Of this layout.
+pub const VERSION: u8 = 1;
+/// Bytes of a particle, both sides together.
+const PARTICLE: usize = 12;
+/// The error of a particle that 0 stands for (domain lengths).
+pub(super) const SMALLEST_ERROR: f32 = 1e-5;
+/// The error of a particle that 255 stands for (domain lengths).
+pub(super) const LARGEST_ERROR: f32 = 1e-1;
+
+const TRUTH: u32 = 1;
+const PREDICTION: u32 = 2;
+const SAME_INSTANT: u32 = 4;
+const FREE: u32 = 8;
+
+/// What a page shows at once: one side at least; both have equally many particles.
+#[derive(Clone, Debug, Default)]
+pub struct Shown {
+    /// What was observed.
+    pub truth: Option<Arc<Frame>>,
+    /// What was predicted, and how.
+    pub prediction: Option<(Arc<Frame>, Ahead)>,
+    /// RMSE of the prediction and of the best baseline (domain lengths).
+    pub errors: [Option<f64>; 2],
+}
+
+impl Shown {
+    /// Whether both sides are of the same instant.
+    fn is_pair(&self) -> bool {
+        let sequence = self.truth.as_ref().map(|frame| frame.sequence);
+        sequence.is_some() && sequence == self.prediction.as_ref().map(|(frame, _)| frame.sequence)
+    }
+}
+
+/// The bytes of what is shown. `top_speed` is what the fastest colour stands for (domain lengths per second).
+pub fn encode(shown: &Shown, top_speed: f32) -> Vec<u8> {
+    let truth = shown.truth.as_deref();
+    let (prediction, ahead) = match &shown.prediction {
+        Some((frame, ahead)) => (Some(&**frame), Some(*ahead)),
+        None => (None, None),
+    };
+    let Some(any) = truth.or(prediction) else { return Vec::new() };
+    // Sides that differ cannot share their materials.
+    let prediction = prediction.filter(|frame| frame.len() == any.len());
+    let particles = any.len();
+    let pair = shown.is_pair() && prediction.is_some();
+
+    let mut bytes = Vec::with_capacity(HEADER + PARTICLE * particles);
+    bytes.extend_from_slice(&[b'E', b'D', b'Y', VERSION]);
+    let flags = [
+        (truth.is_some(), TRUTH),
+        (prediction.is_some(), PREDICTION),
+        (pair, SAME_INSTANT),
+        (ahead.is_some_and(|ahead| ahead.free), FREE),
+    ];
+    let flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+    let ahead = ahead.map_or(0, |ahead| ahead.frames);
+    for number in [flags, particles as u32, ahead] {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
+    bytes.extend_from_slice(&any.stream.to_le_bytes());
+    for side in [truth, prediction] {
+        bytes.extend_from_slice(&side.map_or(0, |frame| frame.sequence).to_le_bytes());
+    }
+    for side in [truth, prediction] {
+        let stamp = side.map_or(0.0, |frame| frame.stamp.seconds());
+        bytes.extend_from_slice(&stamp.to_le_bytes());
+    }
+    let Domain { lower, upper } = any.domain;
+    let errors = shown.errors.map(|error| error.map_or(f32::NAN, |error| error as f32));
+    for number in [lower[0], lower[1], upper[0], upper[1], top_speed, errors[0], errors[1]] {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
+    bytes.resize(HEADER, 0);
+
+    for side in [truth, prediction] {
+        places(&mut bytes, side, any);
+    }
+    for side in [truth, prediction] {
+        speeds(&mut bytes, side, particles, top_speed);
+    }
+    match (truth, prediction) {
+        (Some(truth), Some(prediction)) if pair => {
+            let pairs = truth.position.iter().zip(&prediction.position);
+            bytes.extend(pairs.map(|(a, b)| error_level((a[0] - b[0]).hypot(a[1] - b[1]))));
+        }
+        _ => bytes.resize(bytes.len() + particles, 0),
+    }
+    bytes.extend(any.material.iter().map(|&material| material as u8));
+    bytes
+}
+
+fn places(bytes: &mut Vec<u8>, side: Option<&Frame>, any: &Frame) {
+    let Some(frame) = side else {
+        bytes.resize(bytes.len() + 4 * any.len(), 0);
+        return;
+    };
+    let Domain { lower, upper } = any.domain;
+    let scale = [0, 1].map(|axis| f32::from(u16::MAX) / (upper[axis] - lower[axis]));
+    for place in &frame.position {
+        // A cast holds what is out of range at the ends.
+        let [x, y] = [0, 1].map(|axis| ((place[axis] - lower[axis]) * scale[axis] + 0.5) as u16);
+        let ([a, b], [c, d]) = (x.to_le_bytes(), y.to_le_bytes());
+        bytes.extend_from_slice(&[a, b, c, d]);
+    }
+}
+
+fn speeds(bytes: &mut Vec<u8>, side: Option<&Frame>, particles: usize, top_speed: f32) {
+    let Some(frame) = side else {
+        bytes.resize(bytes.len() + particles, 0);
+        return;
+    };
+    let scale = f32::from(u8::MAX) / top_speed.max(f32::MIN_POSITIVE);
+    let level = |v: &[f32; 2]| ((v[0] * v[0] + v[1] * v[1]).sqrt() * scale + 0.5) as u8;
+    bytes.extend(frame.velocity.iter().map(level));
+}
+
+/// An error (domain lengths) on the logarithmic scale.
+fn error_level(error: f32) -> u8 {
+    let decades = (LARGEST_ERROR / SMALLEST_ERROR).log2();
+    // log2 of what is not above the smallest error is not above 0, which the cast holds there.
+    ((error / SMALLEST_ERROR).log2() / decades * f32::from(u8::MAX) + 0.5) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_frames::{Material, Stamp};
+
+    fn frame(sequence: u64, position: [[f32; 2]; 2]) -> Arc<Frame> {
+        Arc::new(Frame {
+            stream: u64::MAX,
+            sequence,
+            stamp: Stamp(1_500_000_000),
+            dt: 0.016,
+            domain: Domain { lower: [0.0, 0.0], upper: [2.0, 1.0] },
+            position: position.to_vec(),
+            velocity: vec![[0.0, -1.0], [3.0, 4.0]],
+            material: vec![Material::Liquid, Material::Rope],
+        })
+    }
+
+    #[test]
+    fn every_field_is_where_the_table_says() {
+        let shown = Shown {
+            truth: Some(frame(7, [[0.0, 0.0], [1.0, 0.5]])),
+            prediction: Some((
+                frame(7, [[0.0, 0.1], [1.0, 0.5]]),
+                Ahead { source: 5, frames: 2, free: true },
+            )),
+            errors: [Some(0.25), None],
+        };
+        let bytes = encode(&shown, 5.0);
+        assert_eq!(bytes.len(), HEADER + 2 * PARTICLE);
+        assert_eq!(&bytes[..4], b"EDY\x01");
+        let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        let f64_at = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        let f32_at = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let u16_at = |at: usize| u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap());
+        assert_eq!([u32_at(4), u32_at(8), u32_at(12)], [15, 2, 2]);
+        assert_eq!([u64_at(16), u64_at(24), u64_at(32)], [u64::MAX, 7, 7]);
+        assert_eq!([f64_at(40), f64_at(48)], [1.5, 1.5]);
+        assert_eq!([56, 60, 64, 68, 72, 76].map(f32_at), [0.0, 0.0, 2.0, 1.0, 5.0, 0.25]);
+        assert!(f32_at(80).is_nan());
+        assert_eq!([96, 98, 100, 102].map(u16_at), [0, 0, 32768, 32768]);
+        assert_eq!([104, 106, 108, 110].map(u16_at), [0, 6554, 32768, 32768]);
+        assert_eq!(bytes[112..], [51, 255, 51, 255, 255, 0, 0, 3]);
+    }
+
+    #[test]
+    fn a_missing_side_is_zero_and_what_left_the_domain_is_held_in_it() {
+        let truth = frame(7, [[-9.0, 0.5], [9.0, 1e9]]);
+        let bytes = encode(&Shown { truth: Some(truth), ..Shown::default() }, 1.0);
+        assert_eq!(bytes[4], 1);
+        assert_eq!(bytes[96..104], [0, 0, 0, 128, 255, 255, 255, 255]);
+        assert_eq!(bytes[104..112], [0; 8]);
+    }
+
+    #[test]
+    fn errors_are_on_a_logarithmic_scale() {
+        let levels = [0.0, 1e-6, 1e-5, 1e-3, 1e-1, 1e3].map(error_level);
+        assert_eq!(levels, [0, 0, 0, 128, 255, 255]);
+    }
+}

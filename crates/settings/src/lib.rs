@@ -1,0 +1,202 @@
+//! Settings from TOML files: typed, unknown keys refused, files hold only what differs from the
+//! defaults.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+pub mod near;
+
+use serde::{Serialize, de::DeserializeOwned};
+use toml::{Table, Value};
+
+/// Why a settings file is of no use.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: {reason}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        reason: io::Error,
+    },
+    /// The file is no TOML.
+    #[error("{}: {reason}", file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// Line and column, and what is wrong there.
+        reason: String,
+    },
+    /// A key is unknown, or its value of the wrong type.
+    #[error("{}: {reason}", file.display())]
+    Key {
+        /// The file.
+        file: PathBuf,
+        /// The key, what was found and what was expected.
+        reason: String,
+    },
+}
+
+/// The settings in a file, where what is not said there has its default.
+///
+/// # Errors
+/// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
+/// wrong type.
+pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
+    parse(file, &read(file)?)
+}
+
+/// The settings in the text of a file.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigError> {
+    // In two steps, so that what is no TOML is told from what is TOML of the wrong kind.
+    table(file, text)?;
+    toml::from_str(text).map_err(|error| ConfigError::Key {
+        file: file.to_owned(),
+        reason: near::in_toml(error.to_string().trim_end()),
+    })
+}
+
+fn read(file: &Path) -> Result<String, ConfigError> {
+    fs::read_to_string(file).map_err(|reason| ConfigError::Read {
+        file: file.to_owned(),
+        reason: near::in_folder(file, reason),
+    })
+}
+
+fn table(file: &Path, text: &str) -> Result<Table, ConfigError> {
+    text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+        file: file.to_owned(),
+        reason: error.to_string().trim_end().to_owned(),
+    })
+}
+
+/// A settings file, not yet typed.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    file: PathBuf,
+    table: Table,
+}
+
+impl Overrides {
+    /// Reads a settings file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Read`], [`ConfigError::Syntax`].
+    pub fn read(file: &Path) -> Result<Self, ConfigError> {
+        Self::parse(file, &read(file)?)
+    }
+
+    /// The settings in the text of a file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Syntax`].
+    pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigError> {
+        Ok(Self { file: file.to_owned(), table: table(file, text)? })
+    }
+
+    /// The value of one key at the top, where it decides which defaults hold.
+    ///
+    /// # Errors
+    /// [`ConfigError::Key`] when its value is of the wrong type.
+    pub fn get<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, ConfigError> {
+        let typed = |value: &Value| {
+            value.clone().try_into().map_err(|error: toml::de::Error| self.key_error(&error, key))
+        };
+        self.table.get(key).map(typed).transpose()
+    }
+
+    /// `defaults` with this file's values in their places.
+    ///
+    /// # Errors
+    /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
+    pub fn over<T: Serialize + DeserializeOwned>(&self, defaults: &T) -> Result<T, ConfigError> {
+        let mut merged =
+            Table::try_from(defaults).expect("settings are tables of TOML's own types");
+        merge(&mut merged, &self.table);
+        T::deserialize(Value::Table(merged)).map_err(|error| self.key_error(&error, ""))
+    }
+
+    fn key_error(&self, error: &toml::de::Error, key: &str) -> ConfigError {
+        let separator = if key.is_empty() { "" } else { ": " };
+        let reason = format!("{key}{separator}{}", error.to_string().trim_end().replace('\n', " "));
+        let reason = near::in_toml(&reason);
+        ConfigError::Key { file: self.file.clone(), reason }
+    }
+}
+
+/// Puts the values of `over` in the places of those of `base`, table by table. Lists are replaced
+/// whole.
+fn merge(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(base)), Value::Table(over)) => merge(base, over),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+/// The example of the README, which a test runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Settings {
+        epochs: u32,
+        loss: Loss,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Loss {
+        velocity: f32,
+        density: f32,
+    }
+
+    const DEFAULTS: Settings = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 0.25 } };
+
+    fn over(text: &str) -> Result<Settings, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.toml");
+        fs::write(&file, text).unwrap();
+        let named = folder.path().display().to_string();
+        Overrides::read(&file)
+            .and_then(|overrides| overrides.over(&DEFAULTS))
+            .map_err(|error| error.to_string().replace(&named, "."))
+    }
+
+    #[test]
+    fn a_file_holds_only_what_differs_from_the_defaults() {
+        let expected = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 1.0 } };
+        assert_eq!(over("[loss]\ndensity = 1.0"), Ok(expected));
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_by_name() {
+        let message = over("[loss]\nvelocty = 1.0").unwrap_err();
+        assert!(message.starts_with("./settings.toml: unknown field `velocty`"), "{message}");
+        assert!(message.contains("expected `velocity` or `density`"), "{message}");
+        assert!(message.ends_with("did you mean velocity?"), "{message}");
+    }
+
+    #[test]
+    fn a_value_of_the_wrong_type_is_refused() {
+        let message = over("epochs = \"many\"").unwrap_err();
+        assert!(message.contains("invalid type: string \"many\", expected u32"), "{message}");
+    }
+}

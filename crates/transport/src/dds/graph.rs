@@ -1,0 +1,251 @@
+//! The node as ROS sees it, and who is matched with whom.
+//!
+//! Each process tells on the topic `ros_discovery_info` which endpoints belong to its node
+//! (<https://design.ros2.org/articles/Node_to_Participant_mapping.html>): the newest message counts. Who
+//! is matched RustDDS reports as events, which a thread of ours reads.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    io,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+};
+
+use ros2_client::{
+    Gid, NodeName, builtin_topics,
+    dds::rustdds::{
+        self, DomainParticipant, DomainParticipantStatusEvent as Event,
+        DomainParticipantStatusListener, GUID, RTPSEntity, StatusEvented, TopicKind,
+        mio1::{Events, Interest, Poll, Token, Waker},
+        no_key::DataWriterCdr,
+    },
+    entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo},
+};
+
+use super::middleware;
+use crate::{Link, TransportError, TransportOptions};
+
+/// Writers that are remembered for each reader because they do not fit it. They are kept when they go: what
+/// they sent last may still have to be taken.
+const MAX_MISMATCHED: usize = 1_024;
+
+pub(super) struct Graph {
+    shared: Arc<Shared>,
+    announcer: Mutex<Announcer>,
+    waker: Waker,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What the thread and the endpoints share.
+#[derive(Default)]
+struct Shared {
+    stop: AtomicBool,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Readers matched with each of our writers.
+    readers: BTreeMap<GUID, BTreeSet<GUID>>,
+    /// Writers whose promises each of our readers does not accept.
+    mismatched: BTreeMap<GUID, BTreeSet<GUID>>,
+    /// Wakes the readers of ours that want to know of such writers.
+    wakers: BTreeMap<GUID, Arc<Waker>>,
+}
+
+struct Announcer {
+    writer: DataWriterCdr<ParticipantEntitiesInfo>,
+    participant: Gid,
+    name: NodeName,
+    readers: BTreeSet<GUID>,
+    writers: BTreeSet<GUID>,
+}
+
+impl Graph {
+    pub(super) fn open(
+        link: &Link,
+        participant: &DomainParticipant,
+        publisher: &rustdds::Publisher,
+        options: &TransportOptions,
+    ) -> Result<Self, TransportError> {
+        let announcer = Announcer::open(link, participant, publisher, options)?;
+        let shared = Arc::<Shared>::default();
+        let failed = |error| middleware(link, "watch the graph", &error);
+        let (waker, thread) =
+            watch(participant.status_listener(), Arc::clone(&shared)).map_err(failed)?;
+        let graph = Self { shared, announcer: Mutex::new(announcer), waker, thread: Some(thread) };
+        graph.announce(|_| {});
+        Ok(graph)
+    }
+
+    /// Tells that there is a writer of ours.
+    pub(super) fn add_writer(&self, writer: GUID) {
+        self.announce(|announcer| {
+            announcer.writers.insert(writer);
+        });
+    }
+
+    pub(super) fn remove_writer(&self, writer: GUID) {
+        self.announce(|announcer| {
+            announcer.writers.remove(&writer);
+        });
+        lock(&self.shared.state).readers.remove(&writer);
+    }
+
+    /// Tells that there is a reader of ours.
+    pub(super) fn add_reader(&self, reader: GUID) {
+        self.announce(|announcer| {
+            announcer.readers.insert(reader);
+        });
+    }
+
+    pub(super) fn remove_reader(&self, reader: GUID) {
+        self.announce(|announcer| {
+            announcer.readers.remove(&reader);
+        });
+        let mut state = lock(&self.shared.state);
+        state.mismatched.remove(&reader);
+        state.wakers.remove(&reader);
+    }
+
+    /// Wakes `waker` whenever [`Graph::mismatched`] has grown for `reader`.
+    pub(super) fn watch(&self, reader: GUID, waker: &Arc<Waker>) {
+        lock(&self.shared.state).wakers.insert(reader, Arc::clone(waker));
+    }
+
+    /// Writers whose promises `reader` does not accept.
+    pub(super) fn mismatched(&self, reader: GUID) -> BTreeSet<GUID> {
+        lock(&self.shared.state).mismatched.get(&reader).cloned().unwrap_or_default()
+    }
+
+    /// Readers matched with a writer of ours.
+    pub(super) fn matched(&self, writer: GUID) -> usize {
+        lock(&self.shared.state).readers.get(&writer).map_or(0, BTreeSet::len)
+    }
+
+    fn announce(&self, change: impl FnOnce(&mut Announcer)) {
+        let mut announcer = lock(&self.announcer);
+        change(&mut announcer);
+        announcer.announce();
+    }
+}
+
+impl Drop for Graph {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        // A thread that cannot be woken is not waited for.
+        if self.waker.wake().is_ok()
+            && let Some(thread) = self.thread.take()
+        {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Announcer {
+    fn open(
+        link: &Link,
+        participant: &DomainParticipant,
+        publisher: &rustdds::Publisher,
+        options: &TransportOptions,
+    ) -> Result<Self, TransportError> {
+        use builtin_topics::ros_discovery::{QOS_PUB, TOPIC_NAME, TYPE_NAME};
+        let name = NodeName::new(&options.namespace, &options.node_name)
+            .map_err(|error| middleware(link, "name the node", &error))?;
+        let failed = |error| middleware(link, "declare the node", &error);
+        let topic = participant
+            .create_topic(TOPIC_NAME.to_owned(), TYPE_NAME.to_owned(), &QOS_PUB, TopicKind::NoKey)
+            .map_err(failed)?;
+        let writer = publisher.create_datawriter_no_key_cdr(&topic, None).map_err(failed)?;
+        let participant = Gid::from(participant.guid());
+        let (readers, writers) = (BTreeSet::new(), BTreeSet::new());
+        Ok(Self { writer, participant, name, readers, writers })
+    }
+
+    fn announce(&self) {
+        let mut node = NodeEntitiesInfo::new(self.name.clone());
+        self.readers.iter().for_each(|&reader| node.add_reader(reader.into()));
+        self.writers.iter().for_each(|&writer| node.add_writer(writer.into()));
+        let info = ParticipantEntitiesInfo::new(self.participant, vec![node]);
+        if let Err(error) = self.writer.write(info, None) {
+            tracing::warn!("ros_discovery_info: {error}");
+        }
+    }
+}
+
+/// Starts the thread that reads RustDDS's events.
+fn watch(
+    mut listener: DomainParticipantStatusListener,
+    shared: Arc<Shared>,
+) -> io::Result<(Waker, JoinHandle<()>)> {
+    const EVENTS: Token = Token(0);
+    const WAKE: Token = Token(1);
+    let mut poll = Poll::new()?;
+    poll.registry().register(&mut listener, EVENTS, Interest::READABLE)?;
+    let waker = Waker::new(poll.registry(), WAKE)?;
+    let thread = thread::Builder::new().name("dds graph".to_owned()).spawn(move || {
+        let mut events = Events::with_capacity(4);
+        while !shared.stop.load(Ordering::Relaxed) {
+            while let Some(event) = listener.try_recv_status() {
+                shared.take(event);
+            }
+            match poll.poll(&mut events, None) {
+                Err(error) if error.kind() != io::ErrorKind::Interrupted => {
+                    tracing::warn!("the DDS graph is no longer watched: {error}");
+                    return;
+                }
+                _ => {}
+            }
+        }
+    })?;
+    Ok((waker, thread))
+}
+
+impl Shared {
+    fn take(&self, event: Event) {
+        match event {
+            Event::RemoteReaderMatched { local_writer, remote_reader } => {
+                lock(&self.state).readers.entry(local_writer).or_default().insert(remote_reader);
+            }
+            Event::ReaderLost { guid, .. } => {
+                lock(&self.state).readers.values_mut().for_each(|readers| {
+                    readers.remove(&guid);
+                });
+            }
+            Event::ParticipantLost { id, .. } => {
+                lock(&self.state)
+                    .readers
+                    .values_mut()
+                    .for_each(|readers| readers.retain(|reader| reader.prefix != id));
+            }
+            Event::RemoteWriterQosIncompatible { local_reader, remote_writer, .. } => {
+                let mut state = lock(&self.state);
+                let writers = state.mismatched.entry(local_reader).or_default();
+                writers.insert(remote_writer);
+                if writers.len() > MAX_MISMATCHED {
+                    writers.pop_first();
+                }
+                if let Some(Err(error)) = state.wakers.get(&local_reader).map(|w| w.wake()) {
+                    tracing::warn!("a DDS subscriber cannot be woken: {error}");
+                }
+            }
+            Event::InconsistentTopic { previous_topic_data, discovered_topic_data, .. } => {
+                tracing::warn!(
+                    "topic {}: found message type {}, expected {}",
+                    discovered_topic_data.name,
+                    discovered_topic_data.type_name,
+                    previous_topic_data.type_name
+                );
+            }
+            _ => {}
+        }
+    }
+}
+
+/// No lock is held across anything that can panic half way.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

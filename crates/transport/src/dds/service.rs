@@ -1,0 +1,166 @@
+//! Answers the requests of one service.
+//!
+//! Requests come on the topic `rq<service>Request`, responses go to `rr<service>Reply`, and name the request
+//! by the identity that came with it (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
+
+use std::{
+    io,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use ros2_client::dds::rustdds::{
+    RTPSEntity, SampleIdentity, SequenceNumber, TopicKind, WriteOptionsBuilder,
+    mio1::{Events, Interest, Poll, Token, Waker},
+    no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader},
+};
+
+use super::{
+    DdsNode,
+    cdr::{AsItIs, Body},
+    middleware,
+    qos::{self, Promise},
+    service_types,
+};
+use crate::{Handler, Link, Served, TransportError};
+
+const WAKE: Token = Token(0);
+const REQUESTS: Token = Token(1);
+
+/// A service that is answered as long as this lives.
+pub(crate) struct DdsService {
+    stop: Arc<AtomicBool>,
+    waker: Waker,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl DdsService {
+    pub(super) fn open(
+        node: &Arc<DdsNode>,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<Self, TransportError> {
+        let failed = |error: io::Error| middleware(link, "offer the service", &error);
+        let poll = Poll::new().map_err(failed)?;
+        let waker = Waker::new(poll.registry(), WAKE).map_err(failed)?;
+        let mut desk = Desk::open(node, link, type_name, handler)?;
+        poll.registry()
+            .register(&mut desk.requests, REQUESTS, Interest::READABLE)
+            .map_err(failed)?;
+        let stop = Arc::<AtomicBool>::default();
+        let stopped = Arc::clone(&stop);
+        let thread = thread::Builder::new()
+            .name("dds service".to_owned())
+            .spawn(move || desk.run(poll, &stopped))
+            .map_err(failed)?;
+        Ok(Self { stop, waker, thread: Some(thread) })
+    }
+}
+
+impl Served for DdsService {}
+
+impl Drop for DdsService {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // A thread that cannot be woken is not waited for.
+        if self.waker.wake().is_ok()
+            && let Some(thread) = self.thread.take()
+        {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Where requests come in and responses go out.
+struct Desk {
+    link: Link,
+    requests: SimpleDataReader<Vec<u8>, AsItIs>,
+    responses: DataWriter<Body, AsItIs>,
+    handler: Handler,
+    node: Arc<DdsNode>,
+}
+
+impl Desk {
+    fn open(
+        node: &Arc<DdsNode>,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<Self, TransportError> {
+        let failed = |error| middleware(link, "offer the service", &error);
+        let [request_type, response_type] = service_types(type_name);
+        let topic = |name, kind| {
+            let topic = node.participant.create_topic(name, kind, &qos::cache(), TopicKind::NoKey);
+            topic.map_err(failed)
+        };
+        let responses = topic(format!("rr{}Reply", link.topic), response_type)?;
+        let responses = node
+            .publisher
+            .create_datawriter_no_key(&responses, Some(Promise::Repairs.qos(Duration::ZERO)))
+            .map_err(failed)?;
+        let requests = topic(format!("rq{}Request", link.topic), request_type)?;
+        let requests: SimpleDataReader<Vec<u8>, AsItIs> = node
+            .subscriber
+            .create_simple_datareader_no_key(&requests, Some(qos::reliable_reader()))
+            .map_err(failed)?;
+        node.graph.add_writer(responses.guid());
+        node.graph.add_reader(requests.guid());
+        Ok(Self { link: link.clone(), requests, responses, handler, node: Arc::clone(node) })
+    }
+
+    fn run(mut self, mut poll: Poll, stop: &AtomicBool) {
+        let mut events = Events::with_capacity(4);
+        while !stop.load(Ordering::Relaxed) {
+            self.requests.drain_read_notifications();
+            loop {
+                match self.requests.try_take_one() {
+                    Ok(Some(request)) => self.respond(request),
+                    Ok(None) => break,
+                    Err(error) => tracing::warn!("{}: {error}", self.link),
+                }
+            }
+            match poll.poll(&mut events, None) {
+                Err(error) if error.kind() != io::ErrorKind::Interrupted => {
+                    tracing::warn!("{}: no longer answered: {error}", self.link);
+                    return;
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn respond(&mut self, request: DeserializedCacheChange<Vec<u8>>) {
+        let identity = identity(&request);
+        let response = (self.handler)(&request.into_value()).and_then(Body::of);
+        let Some(response) = response else { return };
+        let options = WriteOptionsBuilder::new().related_sample_identity(identity).build();
+        if let Err(error) = self.responses.write_with_options(response, options) {
+            tracing::warn!("{}: {error}", self.link);
+        }
+    }
+}
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        self.node.graph.remove_writer(self.responses.guid());
+        self.node.graph.remove_reader(self.requests.guid());
+    }
+}
+
+/// By what a request's sender knows its response. Fast DDS names itself, but leaves the number open,
+/// which is then that of the message.
+fn identity(request: &DeserializedCacheChange<Vec<u8>>) -> SampleIdentity {
+    let number = request.sequence_number;
+    match request.related_sample_identity() {
+        Some(identity) if identity.sequence_number == SequenceNumber::UNKNOWN => {
+            SampleIdentity { sequence_number: number, ..identity }
+        }
+        Some(identity) => identity,
+        None => SampleIdentity { writer_guid: request.writer_guid, sequence_number: number },
+    }
+}

@@ -1,0 +1,181 @@
+//! A transport and a topic in one word: `zenoh:/particles`.
+
+use std::{fmt, str::FromStr};
+
+use serde::Deserialize;
+
+use eddy_settings::near;
+
+/// The ways a message can travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum TransportKind {
+    /// Within this process.
+    Memory,
+    /// Shared memory of this machine (iceoryx2).
+    Shm,
+    /// Zenoh, in the form of ROS 2's rmw_zenoh.
+    Zenoh,
+    /// DDS, as ROS 2 speaks it unless told otherwise.
+    Dds,
+}
+
+impl TransportKind {
+    pub(crate) const ALL: [Self; 4] = [Self::Memory, Self::Shm, Self::Zenoh, Self::Dds];
+
+    /// The word before the colon.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Memory => "memory",
+            Self::Shm => "shm",
+            Self::Zenoh => "zenoh",
+            Self::Dds => "dds",
+        }
+    }
+}
+
+impl fmt::Display for TransportKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for TransportKind {
+    type Err = InvalidLink;
+
+    fn from_str(text: &str) -> Result<Self, InvalidLink> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.name() == text)
+            .ok_or_else(|| InvalidLink::Transport { found: text.to_owned() })
+    }
+}
+
+/// A topic on a transport.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
+#[serde(try_from = "String")]
+pub struct Link {
+    /// How the messages travel.
+    pub transport: TransportKind,
+    /// Absolute ROS 2 topic name, such as `/particles`.
+    pub topic: String,
+}
+
+/// Why a word is no link.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidLink {
+    /// There is no colon.
+    #[error("link: found `{found}`, expected transport:topic, for example zenoh:/particles")]
+    Form {
+        /// The whole word.
+        found: String,
+    },
+    /// The transport is unknown.
+    #[error(
+        "link transport: found `{found}`, expected memory, shm, zenoh or dds{}",
+        near::hint(found, TransportKind::ALL.map(TransportKind::name))
+    )]
+    Transport {
+        /// The word before the colon.
+        found: String,
+    },
+    /// The topic is no absolute ROS 2 name.
+    #[error(
+        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit){}",
+        meant(found)
+    )]
+    Topic {
+        /// The word after the colon.
+        found: String,
+    },
+}
+
+impl Link {
+    /// A topic on Zenoh.
+    pub fn zenoh(topic: &str) -> Self {
+        Self { transport: TransportKind::Zenoh, topic: topic.to_owned() }
+    }
+
+    /// A topic in shared memory.
+    pub fn shm(topic: &str) -> Self {
+        Self { transport: TransportKind::Shm, topic: topic.to_owned() }
+    }
+
+    /// A topic within this process.
+    pub fn memory(topic: &str) -> Self {
+        Self { transport: TransportKind::Memory, topic: topic.to_owned() }
+    }
+
+    /// The same transport with another topic.
+    pub fn with_topic(&self, topic: &str) -> Self {
+        Self { transport: self.transport, topic: topic.to_owned() }
+    }
+}
+
+impl TryFrom<String> for Link {
+    type Error = InvalidLink;
+
+    fn try_from(text: String) -> Result<Self, InvalidLink> {
+        text.parse()
+    }
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.transport, self.topic)
+    }
+}
+
+impl FromStr for Link {
+    type Err = InvalidLink;
+
+    fn from_str(text: &str) -> Result<Self, InvalidLink> {
+        let (transport, topic) =
+            text.split_once(':').ok_or_else(|| InvalidLink::Form { found: text.to_owned() })?;
+        if !is_absolute_name(topic) {
+            return Err(InvalidLink::Topic { found: topic.to_owned() });
+        }
+        Ok(Self { transport: transport.parse()?, topic: topic.to_owned() })
+    }
+}
+
+/// For a topic that lacks nothing but its slash.
+fn meant(topic: &str) -> String {
+    let absolute = format!("/{topic}");
+    let alone = is_absolute_name(&absolute);
+    if alone { format!("; did you mean {absolute}?") } else { String::new() }
+}
+
+/// ROS 2 topic names, <https://design.ros2.org/articles/topic_and_service_names.html>.
+pub fn is_absolute_name(topic: &str) -> bool {
+    topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_name_token))
+}
+
+/// A word of such a name; the name of a node is one.
+pub fn is_name_token(token: &str) -> bool {
+    token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_is_read_as_it_is_written() {
+        for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1", "dds:/a"] {
+            assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn bad_links_say_what_was_expected() {
+        let message = |text: &str| text.parse::<Link>().unwrap_err().to_string();
+        assert!(message("/particles").starts_with("link: found `/particles`"));
+        assert!(message("tcp:/particles").starts_with("link transport: found `tcp`"));
+        assert!(message("zneoh:/particles").ends_with("; did you mean zenoh?"));
+        assert!(message("shm:particles").ends_with("; did you mean /particles?"));
+        for topic in ["particles", "/", "/a//b", "/9lives", "/a b", "/a/"] {
+            assert!(message(&format!("shm:{topic}")).starts_with("link topic: found"), "{topic}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! The transport within one process: every subscriber has a queue, publishers fill them.
+
+use std::{
+    collections::HashMap,
+    num::NonZeroUsize,
+    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    time::Duration,
+};
+
+use super::{
+    Link, Payload, Publisher, Reliability, Subscriber, TransportError, middleware::Middleware,
+    opener, queue::Queue,
+};
+use eddy_frames::Frame;
+use eddy_messages::TypeSupport;
+
+/// Messages that a subscriber may be behind.
+const DEPTH: usize = 64;
+
+/// The topics of one process.
+pub(super) struct Broker {
+    topics: Mutex<HashMap<String, Arc<Topic>>>,
+    patience: Duration,
+}
+
+struct Topic {
+    type_name: String,
+    queues: Mutex<Vec<Weak<Queue<Payload>>>>,
+}
+
+impl Broker {
+    /// No topics; publishers that block wait `patience` for a subscriber.
+    pub(super) fn new(patience: Duration) -> Self {
+        Self { topics: Mutex::default(), patience }
+    }
+
+    /// The topic of `link`. Whoever opens it first decides its type.
+    fn topic(&self, link: &Link, type_name: &str) -> Result<Arc<Topic>, TransportError> {
+        let mut topics = lock(&self.topics);
+        let topic = topics.entry(link.topic.clone()).or_insert_with(|| {
+            Arc::new(Topic { type_name: type_name.to_owned(), queues: Mutex::default() })
+        });
+        if topic.type_name != type_name {
+            return Err(TransportError::TopicType {
+                link: link.clone(),
+                found: topic.type_name.clone(),
+                expected: type_name.to_owned(),
+            });
+        }
+        Ok(Arc::clone(topic))
+    }
+}
+
+impl Middleware for Broker {
+    fn publisher(
+        self: Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+        reliability: Reliability,
+        _kept: Option<NonZeroUsize>,
+    ) -> Result<Box<dyn Publisher>, TransportError> {
+        let topic = self.topic(link, &support.name)?;
+        let (link, patience) = (link.clone(), self.patience);
+        Ok(Box::new(MemoryPublisher { link, topic, reliability, patience }))
+    }
+
+    fn subscriber(
+        self: Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+    ) -> Result<Box<dyn Subscriber>, TransportError> {
+        let queue = Arc::new(Queue::new(DEPTH));
+        lock(&self.topic(link, &support.name)?.queues).push(Arc::downgrade(&queue));
+        Ok(Box::new(MemorySubscriber { queue }))
+    }
+}
+
+pub(super) struct MemoryPublisher {
+    link: Link,
+    topic: Arc<Topic>,
+    reliability: Reliability,
+    patience: Duration,
+}
+
+impl MemoryPublisher {
+    /// The queues of the subscribers there are.
+    fn queues(&self) -> Vec<Arc<Queue<Payload>>> {
+        let mut queues = lock(&self.topic.queues);
+        queues.retain(|queue| queue.strong_count() > 0);
+        queues.iter().filter_map(Weak::upgrade).collect()
+    }
+
+    /// Every subscriber gets the message, also those after one that stalls.
+    fn publish(&self, payload: &Payload) -> Result<(), TransportError> {
+        let mut stalled = false;
+        for queue in self.queues() {
+            match self.reliability {
+                Reliability::Drop => queue.push_or_replace(payload.clone()),
+                Reliability::Block => {
+                    stalled |= queue.push_or_wait(payload.clone(), self.patience).is_err();
+                }
+            }
+        }
+        if stalled {
+            let seconds = self.patience.as_secs_f64();
+            return Err(TransportError::Stalled { link: self.link.clone(), seconds });
+        }
+        Ok(())
+    }
+}
+
+impl Publisher for MemoryPublisher {
+    fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
+        opener::check_frames(&self.link, &self.topic.type_name)?;
+        self.publish(&Payload::Frame(frame.clone()))
+    }
+
+    fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
+        self.publish(&Payload::Cdr(bytes.to_vec()))
+    }
+
+    fn subscribers(&self) -> usize {
+        self.queues().len()
+    }
+}
+
+pub(super) struct MemorySubscriber {
+    queue: Arc<Queue<Payload>>,
+}
+
+impl Subscriber for MemorySubscriber {
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
+        Ok(self.queue.pop(timeout))
+    }
+
+    fn refused(&self) -> u64 {
+        self.queue.dropped()
+    }
+}
+
+impl Drop for MemorySubscriber {
+    fn drop(&mut self) {
+        self.queue.close();
+    }
+}
+
+/// No lock is held across anything that can panic half way.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

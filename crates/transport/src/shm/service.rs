@@ -1,0 +1,326 @@
+//! The services of a topic: opened as they are found, created with room to spare.
+
+use std::{
+    fmt::{self, Debug, Display},
+    sync::{Mutex, PoisonError, mpsc},
+    thread,
+    time::Duration,
+};
+
+use iceoryx2::{
+    node::{Node, NodeState},
+    prelude::*,
+    service::{
+        builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
+        port_factory::{event, publish_subscribe},
+        static_config::{
+            StaticConfig,
+            message_type_details::{TypeDetail, TypeVariant},
+            messaging_pattern,
+        },
+    },
+};
+
+use super::layout::SharedParticle;
+use crate::{Link, SeenTopic, TransportError, TransportKind};
+use eddy_messages::{Message, ParticleFrame, topic_type};
+
+/// The flavour of iceoryx2 whose ports may move between threads.
+pub(super) type Ipc = ipc_threadsafe::Service;
+/// Opens the ports of a topic.
+pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
+/// Opens the ports of a topic's events.
+pub(super) type Events = event::PortFactory<Ipc>;
+
+/// Messages that a reader may be behind. A publisher reserves (and zeroes) memory for as many
+/// from every possible reader, those it has borrowed included: 16 MB for frames of 2,560 particles, 0.8 MB
+/// for short messages. That leaves room for several topics in the 64 MB that containers usually have.
+pub(super) const DEPTH: usize = 32;
+/// Messages that a reader may be reading in place.
+pub(super) const BORROWED: usize = 8;
+/// Readers that a topic has room for, and writers.
+const PORTS: usize = 8;
+/// Processes that may have a topic open.
+const PROCESSES: usize = 32;
+/// How often killed processes are looked for.
+const CLEANING: Duration = Duration::from_millis(500);
+/// How often opening is tried while another process creates or removes the same service.
+const ATTEMPTS: u32 = 50;
+/// The attribute that names a service's message type.
+const TYPE_ATTRIBUTE: &str = "type";
+
+/// Opens services, and clears away what killed processes left.
+pub(super) struct Services {
+    // Locked for its thread safety only: opening is rare.
+    node: Mutex<Node<Ipc>>,
+    cleaner: Cleaner,
+}
+
+/// Keeps the cleaning going for as long as there is one.
+pub(super) type Cleaner = mpsc::Sender<()>;
+
+impl Services {
+    pub(super) fn open(link: &Link, node_name: &str) -> Result<Self, TransportError> {
+        let failed = |error: &dyn Display| middleware(link, "open shared memory", error);
+        let name = NodeName::new(node_name).map_err(|error| failed(&format!("{error:?}")))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            // Signals belong to the program.
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|error| failed(&error))?;
+        let cleaner = spawn_cleaner(node.config().clone()).map_err(|error| failed(&error))?;
+        Ok(Self { node: Mutex::new(node), cleaner })
+    }
+
+    /// For the ports, which may outlive these services.
+    pub(super) fn cleaner(&self) -> Cleaner {
+        self.cleaner.clone()
+    }
+
+    /// The service that carries the messages of a topic.
+    pub(super) fn topic<P, H>(
+        &self,
+        link: &Link,
+        type_name: &str,
+    ) -> Result<Topic<P, H>, TransportError>
+    where
+        P: Debug + ZeroCopySend,
+        H: Debug + ZeroCopySend,
+    {
+        let name = service_name(link)?;
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
+        let mut last = String::new();
+        for _ in 0..ATTEMPTS {
+            match builder().open() {
+                Ok(topic) => return check_type(link, type_name, topic),
+                Err(PublishSubscribeOpenError::IncompatibleTypes) => {
+                    return Err(foreign_type::<P, H>(link, &name, node.config()));
+                }
+                Err(error) if is_passing(error) => {}
+                Err(error) => return Err(middleware(link, "open the service", &error)),
+            }
+            let created = builder()
+                .enable_safe_overflow(false)
+                .subscriber_max_buffer_size(DEPTH)
+                .subscriber_max_borrowed_samples(BORROWED)
+                .history_size(0)
+                .max_publishers(PORTS)
+                .max_subscribers(PORTS)
+                .max_nodes(PROCESSES)
+                .create_with_attributes(&attributes(type_name));
+            match created {
+                Ok(topic) => return Ok(topic),
+                // Another process was faster, or is about to be.
+                Err(
+                    error @ (PublishSubscribeCreateError::AlreadyExists
+                    | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
+                    | PublishSubscribeCreateError::HangsInCreation
+                    | PublishSubscribeCreateError::ServiceInCorruptedState),
+                ) => last = error.to_string(),
+                Err(error) => return Err(middleware(link, "create the service", &error)),
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        Err(middleware(link, "open the service", &last))
+    }
+
+    /// The topics that have a service. Those whose type nobody tells are taken for what their memory
+    /// layout and their name say.
+    pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut topics = Vec::new();
+        Ipc::list(node.config(), |service| {
+            topics.extend(seen(&service.static_details));
+            CallbackProgression::Continue
+        })
+        .map_err(|error| middleware(link, "list the services", &format!("{error:?}")))?;
+        Ok(topics)
+    }
+
+    /// The service that wakes the readers of a topic.
+    pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
+        let name = service_name(link)?;
+        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = String::new();
+        for _ in 0..ATTEMPTS {
+            match node.service_builder(&name).event().open_or_create() {
+                Ok(events) => return Ok(events),
+                Err(error) => last = error.to_string(),
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        Err(middleware(link, "open the event service", &last))
+    }
+}
+
+/// The memory that the publishers of a topic have made for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SharedMemory {
+    /// How many there are.
+    pub publishers: usize,
+    /// How many read from it.
+    pub subscribers: usize,
+    /// What it takes, but for some bytes a message.
+    pub bytes: usize,
+}
+
+impl SharedMemory {
+    pub(super) fn of<P, H>(topic: &Topic<P, H>) -> Self
+    where
+        P: Debug + ZeroCopySend,
+        H: Debug + ZeroCopySend,
+    {
+        let users = topic.dynamic_config();
+        let subscribers = users.number_of_subscribers();
+        let mut memory = Self { subscribers, ..Self::default() };
+        users.list_publishers(|publisher| {
+            let message = publisher.max_slice_len * size_of::<P>() + size_of::<H>();
+            memory.publishers += 1;
+            memory.bytes += publisher.number_of_samples * message;
+            CallbackProgression::Continue
+        });
+        memory
+    }
+}
+
+impl Display for SharedMemory {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { publishers, subscribers, bytes } = self;
+        let megabytes = *bytes as f64 * 1e-6;
+        write!(formatter, "{megabytes:.1} MB ({publishers} publishers, {subscribers} subscribers)")
+    }
+}
+
+/// The topic that a service carries, if it is one of those that are called as ours are.
+fn seen(service: &StaticConfig) -> Option<SeenTopic> {
+    let messaging_pattern::MessagingPattern::PublishSubscribe(details) =
+        service.messaging_pattern()
+    else {
+        return None;
+    };
+    let topic =
+        service.name().as_str().strip_prefix("eddy").filter(|name| name.starts_with('/'))?;
+    let link = format!("{}:{topic}", TransportKind::Shm).parse().ok()?;
+    let stated = TYPE_ATTRIBUTE
+        .try_into()
+        .ok()
+        .and_then(|key| service.attributes().key_value(&key, 0).map(ToString::to_string));
+    let of_frames = details.message_type_details().payload.type_name()
+        == TypeDetail::new::<SharedParticle>(TypeVariant::Dynamic).type_name();
+    let type_name = stated.or_else(|| {
+        let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
+        (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
+    })?;
+    Some(SeenTopic { link, type_name, hash: None, kept: 0 })
+}
+
+/// Errors of a service that is not there, or that another process is creating or removing right now.
+fn is_passing(error: PublishSubscribeOpenError) -> bool {
+    matches!(
+        error,
+        PublishSubscribeOpenError::DoesNotExist
+            | PublishSubscribeOpenError::IsMarkedForDestruction
+            | PublishSubscribeOpenError::HangsInCreation
+            | PublishSubscribeOpenError::ServiceInCorruptedState
+    )
+}
+
+fn service_name(link: &Link) -> Result<ServiceName, TransportError> {
+    ServiceName::new(&format!("eddy{}", link.topic))
+        .map_err(|error| middleware(link, "name the service", &format!("{error:?}")))
+}
+
+fn attributes(type_name: &str) -> AttributeSpecifier {
+    let specifier = AttributeSpecifier::new();
+    match (TYPE_ATTRIBUTE.try_into(), type_name.try_into()) {
+        (Ok(key), Ok(value)) => specifier.define(&key, &value).unwrap_or_default(),
+        // Longer than iceoryx2 allows: readers then go without this check.
+        _ => specifier,
+    }
+}
+
+/// CDR of every type has the same layout: the attribute tells the types apart.
+fn check_type<P, H>(
+    link: &Link,
+    expected: &str,
+    topic: Topic<P, H>,
+) -> Result<Topic<P, H>, TransportError>
+where
+    P: Debug + ZeroCopySend,
+    H: Debug + ZeroCopySend,
+{
+    let found = TYPE_ATTRIBUTE
+        .try_into()
+        .ok()
+        .and_then(|key| topic.attributes().key_value(&key, 0).map(ToString::to_string));
+    match found {
+        Some(found) if found != expected => Err(TransportError::TopicType {
+            link: link.clone(),
+            found,
+            expected: expected.to_owned(),
+        }),
+        _ => Ok(topic),
+    }
+}
+
+/// Names the layout of the service that is there and the one that was asked for.
+fn foreign_type<P: ZeroCopySend, H: ZeroCopySend>(
+    link: &Link,
+    name: &ServiceName,
+    config: &Config,
+) -> TransportError {
+    let details = Ipc::details(name, config, MessagingPattern::PublishSubscribe).ok().flatten();
+    let found = match details.as_ref().map(|service| service.static_details.messaging_pattern()) {
+        Some(messaging_pattern::MessagingPattern::PublishSubscribe(service)) => {
+            let types = service.message_type_details();
+            layout_name(&types.payload, &types.user_header)
+        }
+        _ => "unknown".to_owned(),
+    };
+    let payload = TypeDetail::new::<P>(TypeVariant::Dynamic);
+    let header = TypeDetail::new::<H>(TypeVariant::FixedSize);
+    let expected = layout_name(&payload, &header);
+    TransportError::TopicType { link: link.clone(), found, expected }
+}
+
+fn layout_name(payload: &TypeDetail, header: &TypeDetail) -> String {
+    let (payload, variant) = (payload.type_name(), payload.variant());
+    let header = header.type_name();
+    match variant {
+        TypeVariant::Dynamic => format!("[{payload}] with header {header}"),
+        TypeVariant::FixedSize => format!("{payload} with header {header}"),
+    }
+}
+
+/// A thread that clears away what killed processes left: their readers would hold blocking writers
+/// back for good, and would be counted as subscribers. It ends with the last [`Cleaner`].
+fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
+    let (keep, ended) = mpsc::channel::<()>();
+    thread::Builder::new().name("shm cleaner".to_owned()).spawn(move || {
+        while ended.recv_timeout(CLEANING) == Err(mpsc::RecvTimeoutError::Timeout) {
+            let listed = Node::<Ipc>::list(&config, |state| {
+                if let NodeState::Dead(node) = state
+                    && let Err(error) = node.try_remove_stale_resources()
+                {
+                    tracing::debug!(?error, "a killed process is not cleared away yet");
+                }
+                CallbackProgression::Continue
+            });
+            if let Err(error) = listed {
+                tracing::debug!(%error, "users of shared memory cannot be listed");
+            }
+        }
+    })?;
+    Ok(keep)
+}
+
+/// An error of iceoryx2 on `link`.
+pub(super) fn middleware(
+    link: &Link,
+    action: &'static str,
+    reason: &dyn Display,
+) -> TransportError {
+    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
+}

@@ -1,0 +1,124 @@
+//! Zenoh, in the form of ROS 2's rmw_zenoh: an unmodified ROS 2 sees and echoes our topics.
+//!
+//! 1. [`config`]: the session; how processes find each other.
+//! 2. [`keys`]: key expressions, liveliness tokens, quality of service, GIDs.
+//! 3. [`attachment`]: the 33 bytes beside every message.
+//! 4. [`graph`]: who else is on a topic, by liveliness tokens.
+//! 5. [`publisher`], [`subscriber`]: messages.
+//! 6. [`latched`]: messages for subscribers that come later.
+//! 7. [`service`]: requests and their responses.
+//! 8. [`bare`]: zenoh alone, to measure against.
+//!
+//! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
+//! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
+//! rmw_zenoh takes XXH3-128 of the liveliness token (`liveliness_utils.cpp`, `Entity::Entity`), so ROS
+//! tools could not tie a message to its publisher; it turns on all of zenoh's default features (TLS, QUIC, serial
+//! lines, shared memory); and it builds zenoh a second time as a build dependency. Its part for names and tokens,
+//! `hiroz-protocol` 0.2.1, compiles only with its feature `std`, which turns on the same features; the
+//! names are short enough to be written here.
+
+pub(super) mod attachment;
+#[cfg(feature = "lab")]
+pub(super) mod bare;
+mod config;
+mod graph;
+pub(super) mod keys;
+mod latched;
+mod publisher;
+mod service;
+mod subscriber;
+
+use std::{
+    fmt::Display,
+    num::NonZeroUsize,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use zenoh::{Session, liveliness::LivelinessToken};
+
+use super::{
+    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
+    TransportOptions, middleware::Middleware,
+};
+use eddy_messages::{TypeSupport, service_hash};
+use keys::{Endpoint, Node, Side};
+use publisher::ZenohPublisher;
+use service::ZenohService;
+use subscriber::ZenohSubscriber;
+
+/// This process in the ROS graph.
+pub(super) struct ZenohNode {
+    session: Session,
+    node: Node,
+    patience: Duration,
+    /// Number of the next endpoint; the node itself is 0.
+    next_id: AtomicUsize,
+    _token: LivelinessToken,
+}
+
+impl ZenohNode {
+    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
+        let session = config::open(link, options)?;
+        let (namespace, name) = (options.namespace.clone(), options.node_name.clone());
+        let node = Node { domain_id: options.domain_id, zid: session.zid(), namespace, name };
+        let token = graph::declare(&session, &node.token())
+            .map_err(|error| middleware(link, "declare the node", &error))?;
+        let next_id = AtomicUsize::new(1);
+        Ok(Self { session, node, patience: options.patience, next_id, _token: token })
+    }
+
+    fn id(&self) -> usize {
+        self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+}
+
+impl Middleware for ZenohNode {
+    fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        graph::topics(&self.session, self.node.domain_id)
+            .map_err(|error| middleware(link, "list the topics", &error))
+    }
+
+    fn publisher(
+        self: Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+        reliability: Reliability,
+        kept: Option<NonZeroUsize>,
+    ) -> Result<Box<dyn Publisher>, TransportError> {
+        let qos = keys::publisher_qos(reliability, kept);
+        let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
+        Ok(Box::new(ZenohPublisher::open(&self, endpoint, reliability, kept)?))
+    }
+
+    fn subscriber(
+        self: Arc<Self>,
+        link: &Link,
+        support: &TypeSupport,
+    ) -> Result<Box<dyn Subscriber>, TransportError> {
+        let qos = keys::subscriber_qos(subscriber::DEPTH);
+        let endpoint =
+            Endpoint::new(&self.node, self.id(), Side::Subscription, link, support, &qos);
+        Ok(Box::new(ZenohSubscriber::open(&self, endpoint)?))
+    }
+
+    fn service(
+        self: Arc<Self>,
+        link: &Link,
+        type_name: &str,
+        handler: Handler,
+    ) -> Result<Option<Box<dyn Served>>, TransportError> {
+        let support = TypeSupport::foreign(type_name, service_hash(type_name)?);
+        let qos = keys::service_qos(service::DEPTH);
+        let endpoint = Endpoint::new(&self.node, self.id(), Side::Service, link, &support, &qos);
+        Ok(Some(Box::new(ZenohService::open(&self, endpoint, handler)?)))
+    }
+}
+
+/// An error of zenoh on `link`.
+fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> TransportError {
+    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
+}

@@ -1,0 +1,151 @@
+//! What the manifests and the source hold to: imports run one way, and a dependency has one home.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+};
+
+use toml::Table;
+
+/// Dependencies that belong to one crate, and that crate.
+const HOMES: [(&str, &str); 15] = [
+    ("axum", "node"),
+    ("burn", "learning"),
+    ("embedded-graphics", "evaluation"),
+    ("foxglove", "transport"),
+    ("gif", "evaluation"),
+    ("hdf5", "exchange"),
+    ("iceoryx2", "transport"),
+    ("maud", "evaluation"),
+    ("mcap", "bag"),
+    ("npyz", "exchange"),
+    ("plotters", "evaluation"),
+    ("ros2-client", "transport"),
+    ("strsim", "settings"),
+    ("tokio", "node"),
+    ("zenoh", "transport"),
+];
+
+/// Middleware, and where in the crate `transport` it may be named.
+const MIDDLEWARE: [(&str, &str); 5] = [
+    ("foxglove", "foxglove"),
+    ("iceoryx2", "shm"),
+    ("ros2_client", "dds"),
+    ("rustdds", "dds"),
+    ("zenoh", "zenoh"),
+];
+
+/// What a robot that only predicts, or somebody who wants only the solver, must not have to build.
+const WITHOUT: [(&str, &[&str]); 3] = [
+    ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
+    ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
+    ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),
+];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn manifest(folder: &Path) -> Table {
+    fs::read_to_string(folder.join("Cargo.toml")).unwrap().parse().unwrap()
+}
+
+/// Dependencies of each package of ours, by its name; those of tests are left out.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    let members = fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().path());
+    let folders = members.chain([root().to_owned()]);
+    folders
+        .map(|folder| {
+            let manifest = manifest(&folder);
+            let name = manifest["package"]["name"].as_str().unwrap().to_owned();
+            let dependencies = manifest["dependencies"].as_table().unwrap().keys().cloned();
+            (name, dependencies.collect())
+        })
+        .collect()
+}
+
+/// All packages of ours that a package builds, itself included.
+fn closure(name: &str, all: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let mut open = vec![name.to_owned()];
+    while let Some(name) = open.pop() {
+        if found.insert(name.clone()) {
+            open.extend(all[&name].iter().filter(|name| all.contains_key(*name)).cloned());
+        }
+    }
+    found
+}
+
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(sources(&path));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            files.push(path);
+        }
+    }
+    files
+}
+
+#[test]
+fn a_dependency_has_one_home() {
+    for (package, dependencies) in dependencies() {
+        for (dependency, home) in HOMES {
+            assert!(
+                !dependencies.contains(dependency) || package == format!("eddy-{home}"),
+                "{package} depends on {dependency}, which belongs to eddy-{home}"
+            );
+        }
+    }
+}
+
+#[test]
+fn homes_are_lived_in() {
+    let all = dependencies();
+    for (dependency, home) in HOMES {
+        assert!(all[&format!("eddy-{home}")].contains(dependency), "{home} has no {dependency}");
+    }
+}
+
+#[test]
+fn middleware_stays_in_its_file_of_the_transport() {
+    let folder = root().join("crates/transport/src");
+    for file in sources(&folder) {
+        let text = fs::read_to_string(&file).unwrap();
+        let inside = file.strip_prefix(&folder).unwrap().to_str().unwrap();
+        for (name, room) in MIDDLEWARE {
+            let forms = [format!("use {name}::"), format!(" {name}::"), format!("({name}::")];
+            let uses = forms.iter().any(|form| text.contains(form.as_str()));
+            assert!(
+                !uses || inside.starts_with(room),
+                "{inside} uses {name}, expected {room} only"
+            );
+        }
+    }
+}
+
+#[test]
+fn nothing_depends_on_the_program_and_only_the_program_on_the_lab() {
+    for (package, dependencies) in dependencies() {
+        assert!(!dependencies.contains("eddy"), "{package} depends on the program");
+        assert!(
+            package == "eddy" || !dependencies.contains("eddy-lab"),
+            "{package} depends on the lab"
+        );
+    }
+}
+
+#[test]
+fn parts_that_are_taken_alone_build_no_framework_and_no_middleware() {
+    let all = dependencies();
+    for (package, unwanted) in WITHOUT {
+        for part in closure(package, &all) {
+            for unwanted in unwanted {
+                assert!(!all[&part].contains(*unwanted), "{package} builds {unwanted} with {part}");
+            }
+        }
+    }
+}
