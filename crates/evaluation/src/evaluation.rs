@@ -360,7 +360,7 @@ pub fn evaluate_model(
     Ok(Report::new(&arena, judged))
 }
 
-/// What is said about a predictor; a model has a short name and a path.
+/// The report entry of a predictor; a model has a short name and a path.
 fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant {
     let origin = |surrogate: &Surrogate| Origin {
         checkpoint: path.to_owned(),

@@ -19,7 +19,7 @@ use eddy_transport::{Link, SeenTopic, Subscriber, TransportError};
 /// How long a wait may last before the end of the recording is looked for.
 pub(super) const PATIENCE: Duration = Duration::from_millis(100);
 
-/// When a recording ends, and who is told about it.
+/// When a recording ends, and the callbacks it reports to.
 pub struct RecordingTerms<'a> {
     /// Links that must not fail: the recording ends when one does. Others are recorded as long as they can be.
     pub required: &'a [Link],
@@ -135,7 +135,7 @@ fn write(
                     opened => opened?,
                 }
             }
-            // Who asks for a topic by its link wants it; of all topics those that can be had.
+            // A topic named by its link is required; of `--all` topics, those that can be opened.
             Taken::Item(Received::Failed(link, error)) if !terms.required.contains(&link) => {
                 search.ends(&link, &error);
             }

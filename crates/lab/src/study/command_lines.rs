@@ -1,4 +1,4 @@
-//! The command lines that do by hand what a study does: they are told on the way and kept in its reports. A study
+//! The commands equivalent to the steps of a study: printed as it runs and kept in its reports. The study
 //! itself calls the functions behind these commands.
 
 use std::path::Path;

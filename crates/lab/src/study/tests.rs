@@ -35,7 +35,7 @@ fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     StudyRequest { comparison, study, output, jobs: NonZeroUsize::MIN, device }
 }
 
-/// Keeps the lines that are told; cancels after the first that contains some words.
+/// Collects messages; cancels after the first that contains the given text.
 #[derive(Default)]
 struct Lines {
     cancel_at: Option<&'static str>,

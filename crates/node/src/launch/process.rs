@@ -1,5 +1,5 @@
 //! One process: its start, its lines, its end.
-#![expect(unsafe_code, reason = "a child is told to end with its parent between fork and exec")]
+#![expect(unsafe_code, reason = "sets the parent-death signal between fork and exec")]
 
 use std::{
     io::{self, BufRead, BufReader, Read},
