@@ -6,10 +6,10 @@ use super::root;
 
 /// Rows of the table that are curves: how the row begins, its label, its colour, where the label is moved to (pixels).
 const CURVES: [(&str, &str, &str, f64); 4] = [
-    ("this one, mean of five kinds", "shipped model", "#0072b2", 6.0),
+    ("this model, mean of five kinds", "shipped model", "#0072b2", 6.0),
     ("MPM restarted from the same frames", "MPM restarted", "#d55e00", 0.0),
-    ("the same on half the grid", "MPM on half the grid", "#e69f00", -4.0),
-    ("truth displaced by 1e-4 at the start", "truth, displaced by 1e-4", "#777777", 0.0),
+    ("MPM on half the grid", "MPM on half the grid", "#e69f00", -4.0),
+    ("truth with initial positions displaced by 1e-4", "truth, displaced by 1e-4", "#777777", 0.0),
 ];
 
 const WIDTH: f64 = 760.0;
