@@ -26,7 +26,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     (
         "checkpoints/elsewhere",
         "checkpoints/particle-mingru",
-        "no PyTorch here: the shipped one stands for it",
+        "no PyTorch here; the shipped checkpoint stands in",
     ),
     ("10.0.0.1:7447", "127.0.0.1:{port}", "nobody is there"),
     ("--preset snowball --publish", "--preset snowball --duration 0.5 --publish", "a short scene"),
