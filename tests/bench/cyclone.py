@@ -1,10 +1,10 @@
-"""How long bytes of the size of a frame are on their way through Eclipse Cyclone DDS, between two processes.
+"""Measure the latency of messages of the size of a frame in Eclipse Cyclone DDS, between two processes.
 
     pip install -r tests/peers/requirements.txt
     python tests/bench/cyclone.py [PARTICLES...]        (default: 2500 10000)
 
-Beside `eddy bench transport --transport dds`: reliable, on the loopback interface, one message a millisecond, from before
-it is written until it was taken; the reader sleeps until it is woken. Payloads are one text: Python's
+For comparison with `eddy bench transport --transport dds`: reliable, on the loopback interface, one message per millisecond, timed from before
+the write until after the take; the reader sleeps until it is notified. The payload is a string, so that Python's
 conversion of numbers is not timed. Prints median and 99th percentile (us) of 500 messages of each size.
 """
 
@@ -15,7 +15,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-# Its own domain, on the loopback interface.
+# Loopback interface only.
 os.environ["CYCLONEDDS_URI"] = """
     <General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces></General>
     <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
@@ -32,7 +32,7 @@ from cyclonedds.util import duration
 
 DOMAIN = 97
 MESSAGES, WARM_UP = 500, 20
-# Two positions and velocities of 4 bytes each, and a material.
+# Position and velocity with two components of 4 bytes each, and a material.
 BYTES_A_PARTICLE = 17
 QOS = Qos(Policy.Reliability.Reliable(duration(seconds=10)), Policy.History.KeepAll)
 

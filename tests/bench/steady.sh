@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Replays 2,500 particles at 250 Hz through a node into a recording, on shm and on zenoh, and samples the
-# memory of the three processes: nothing may be lost, and memory must stay as it is after the first minute.
+# Replays 2,500 particles at 250 Hz through a node into a recording, on shm and on zenoh, and samples the memory
+# of the three processes: no message may be lost, and memory must be constant after the first minute.
 #
 #   tests/bench/steady.sh [SECONDS] [TRANSPORT...]      (default: 600 seconds each on shm and zenoh)
 #
-# Prints a line every ten seconds (s, memory of replay, node and record: anonymous, and all; MB), then what
-# each process counted. EDDY names the program (default: target/release/eddy); the bag is removed, 22 MB/s.
+# Prints a line every ten seconds (time in s; anonymous and total memory of replay, node and record in MB), then the
+# counters of each process. EDDY is the program (default: target/release/eddy). The bag grows by 22 MB/s and is deleted.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 seconds=${1:-600}
@@ -37,7 +37,7 @@ for transport in "${transports[@]}"; do
         --reliability block > "$folder/node.txt" 2>&1 &
     node=$!
     pids=("$record" "$node")
-    # The sample's frames are 16 ms apart: four times as fast is 250 Hz. Both have to be there by the first one.
+    # The sample's frames are 16 ms apart: four times as fast is 250 Hz. Both subscribers must be ready for the first one.
     "$eddy" replay bags/sample --loop --rate 4 --to "$transport" --wait-for 2 \
         --topics /particles --remap "/particles:=$topic/particles" > "$folder/replay.txt" 2>&1 &
     replay=$!
@@ -48,7 +48,7 @@ for transport in "${transports[@]}"; do
         for pid in "$replay" "$node" "$record"; do memory "$pid"; done
         echo
     done
-    # In the order in which messages go, with time for what is under way.
+    # In the order of the data flow, with time for messages in transit.
     for pid in "$replay" "$node" "$record"; do
         kill -INT "$pid"
         wait "$pid"

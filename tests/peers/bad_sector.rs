@@ -1,7 +1,7 @@
-//! A disk with a bad sector: preloaded into a program (`LD_PRELOAD`), it has the system refuse to read
-//! some bytes of one file, as Linux does when the disk cannot (EIO; what lies before them is read).
+//! Simulates a disk with a bad sector. Preloaded into a program (`LD_PRELOAD`), it makes reads of some bytes of
+//! one file fail, as Linux does for a bad sector (EIO; the bytes before it are read).
 //!
-//! `BAD_SECTOR_FILE` names the file, `BAD_SECTOR_START` and `BAD_SECTOR_END` its bytes.
+//! `BAD_SECTOR_FILE` names the file, `BAD_SECTOR_START` and `BAD_SECTOR_END` the range of bytes.
 //! Compiled by the test that uses it: `rustc --crate-type cdylib bad_sector.rs`.
 
 use std::{
@@ -40,7 +40,7 @@ fn sector() -> Option<&'static Sector> {
     SECTOR.get_or_init(read).as_ref()
 }
 
-/// How many of the bytes that are asked for can be read.
+/// How many of the requested bytes can be read.
 fn readable(file: c_int, count: usize) -> io::Result<usize> {
     let Some(sector) = sector() else { return Ok(count) };
     let path = fs::read_link(format!("/proc/self/fd/{file}"));
@@ -56,17 +56,17 @@ fn readable(file: c_int, count: usize) -> io::Result<usize> {
     Ok(count.min(before))
 }
 
-/// The C library's.
+/// Replaces the C library's `read`.
 ///
 /// # Safety
-/// As the C library's.
+/// Same as the C library's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn read(file: c_int, into: *mut c_void, count: usize) -> isize {
     match readable(file, count) {
-        // SAFETY: the caller's promises are passed on; no more is read than was asked for.
+        // SAFETY: the caller's guarantees are passed on; `count` is at most what the caller requested.
         Ok(count) => unsafe { syscall(READ, file, into, count) as isize },
         Err(_) => {
-            // SAFETY: the C library gives every thread a place of its own.
+            // SAFETY: `errno` is thread-local.
             unsafe { *__errno_location() = EIO };
             -1
         }

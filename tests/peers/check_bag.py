@@ -1,14 +1,14 @@
-"""Bags against programs that were not written here: rosbags, and mcap with mcap-ros2-support.
+"""Check bags with independent programs: rosbags, and mcap with mcap-ros2-support.
 
     check_bag.py EDDY BAG
 
-EDDY is the program, BAG a bag directory that it wrote. Checked are:
-1. The .msg files in msgs/eddy_msgs are what rosbags takes for message definitions.
-2. Both decoders read every message of BAG, and agree on every field.
-3. The type hashes in BAG, and its schemas, are those that rosbags computes from the .msg files.
-4. The other way round: `eddy bag check` accepts bags that rosbags and mcap write, and `eddy replay`
-   plays them.
-Exits with 1 and a sentence when something does not hold.
+EDDY is the program, BAG a bag directory that it wrote. Checks:
+1. rosbags parses the .msg files in msgs/eddy_msgs.
+2. Both decoders read every message of BAG and agree on every field.
+3. The type hashes and schemas in BAG are those that rosbags computes from the .msg files.
+4. Conversely, `eddy bag check` accepts bags written by rosbags and mcap, and `eddy replay` plays
+   them.
+Exits with 1 and a message if a check fails.
 """
 
 import os
@@ -38,7 +38,7 @@ def expect(holds, sentence):
 
 
 def typestore():
-    """ROS 2's own messages, and ours as rosbags parses them."""
+    """ROS 2's messages, and eddy's as rosbags parses them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(MSGS.glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
@@ -47,7 +47,7 @@ def typestore():
 
 
 def plain(value):
-    """A message of either decoder as dictionaries, lists, numbers and texts."""
+    """A message of either decoder as dictionaries, lists, numbers and strings."""
     if isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, (bytes, bytearray)):
@@ -65,7 +65,7 @@ def plain(value):
 
 
 def by_rosbags(bag, store):
-    """Messages of every topic, and the type, definition and hash that rosbags found for it."""
+    """The messages of every topic, and its type, definition and hash according to rosbags."""
     messages, topics = {}, {}
     with Reader(bag) as reader:
         for connection in reader.connections:
@@ -78,7 +78,7 @@ def by_rosbags(bag, store):
 
 
 def by_mcap(bag):
-    """Messages of every topic, and the metadata of its channel."""
+    """The messages of every topic, and its channel with metadata."""
     messages, channels = {}, {}
     for path in sorted(Path(bag).glob("*.mcap")):
         with path.open("rb") as file:
@@ -112,7 +112,7 @@ def check_read(bag, store):
 
 
 def frame(store, sequence):
-    """A frame as another program may write it."""
+    """A frame as another program might write it."""
     time = round(sequence * DT * 1e9)
     stamp = store.types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
     header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="world")
@@ -151,14 +151,14 @@ def write_by_mcap(path, store, compression):
 def check_accepted(eddy, path):
     outcome = subprocess.run([eddy, "--quiet", "bag", "check", path], capture_output=True, text=True)
     said = outcome.stdout + outcome.stderr
-    expect(outcome.returncode == 0, f"eddy bag check refuses {path.name}: {said}")
+    expect(outcome.returncode == 0, f"eddy bag check rejects {path.name}: {said}")
     expect(f"{FRAMES} messages" in said, f"eddy bag check: {said}, expected {FRAMES} messages")
     print(said.strip())
     topic = f"/check_bag_{os.getpid()}"
     command = [eddy, "replay", path, "--to", "shm", "--remap", f"/particles:={topic}", "--rate", "100"]
     outcome = subprocess.run(command, capture_output=True, text=True)
     said = outcome.stdout + outcome.stderr
-    expect(outcome.returncode == 0, f"eddy replay refuses {path.name}: {said}")
+    expect(outcome.returncode == 0, f"eddy replay rejects {path.name}: {said}")
     expect(f"{FRAMES} messages" in said, f"eddy replay: {said}, expected {FRAMES} messages")
 
 

@@ -1,16 +1,16 @@
-"""Exports, imports and pictures against programs that were not written here: numpy, meshio, h5py, Pillow.
+"""Check exports, imports and pictures with independent programs: numpy, meshio, h5py, Pillow.
 
     check_exports.py EDDY BAGS
 
 EDDY is the program, BAGS a directory of at least three bags with one stream each, all of the same shape. The frames
-that rosbags reads from them are the truth. Checked are:
-1. Every format of `eddy bag export` holds them: npz, csv, gns (numpy), vtu and ply (meshio), hdf5 (h5py; left out, and
-   said so, when EDDY was built without it).
-2. gns and hdf5 data sets can be used as the loaders of geoelements/gns and LagrangeBench use them, and the statistics
-   in metadata.json are those that numpy computes.
-3. The other way round: `eddy bag import` reads what numpy (and h5py) write, and refuses pickles.
+that rosbags reads from them are the reference. Checks:
+1. Every format of `eddy bag export` contains these frames: npz, csv, gns (numpy), vtu and ply (meshio), hdf5 (h5py; skipped
+   with a note if EDDY was built without it).
+2. gns and hdf5 data sets work as the loaders of geoelements/gns and LagrangeBench use them, and the statistics
+   in metadata.json equal those that numpy computes.
+3. Conversely, `eddy bag import` reads files written by numpy (and h5py), and rejects pickles.
 4. Pillow opens the pictures of `eddy bag render`.
-Exits with 1 and a sentence when something does not hold.
+Exits with 1 and a message if a check fails.
 """
 
 import csv
@@ -50,7 +50,7 @@ def close(found, expected, what):
 
 
 class Truth:
-    """One stream, as rosbags reads it. Position and velocity [frames, particles, 2]."""
+    """One stream as rosbags reads it. Position and velocity are [frames, particles, 2]."""
 
     def __init__(self, bag, store):
         with Reader(bag) as reader:
@@ -128,11 +128,11 @@ def check_collections(directory, truths):
         tree = xml.etree.ElementTree.parse(directory / f"{truth.name}.pvd")
         entries = tree.findall("./Collection/DataSet")
         close([float(entry.get("timestep")) for entry in entries], numpy.array(truth.stamp) / 1e9, "pvd: times")
-        expect(all((directory / entry.get("file")).exists() for entry in entries), "pvd: a file is not there")
+        expect(all((directory / entry.get("file")).exists() for entry in entries), "pvd: a file is missing")
 
 
 def check_metadata(directory, truths):
-    """`truths` are one stream a part, so the first is the training part."""
+    """Check metadata.json. `truths` has one stream per part; the first is the training part."""
     metadata = json.loads((directory / "metadata.json").read_text())
     truth = truths[0]
     velocity = numpy.diff(truth.position.astype(float), axis=0)
@@ -150,7 +150,7 @@ def check_metadata(directory, truths):
 
 def check_gns(directory, truths):
     for part, truth in zip(PARTS, truths):
-        # As geoelements/gns reads it, and without its allow_pickle.
+        # As geoelements/gns reads it, but without allow_pickle.
         with numpy.load(directory / f"{part}.npz", allow_pickle=False) as file:
             data = file["gns_data"]
         expect(len(data) == 1 and len(data[0]) == 2, f"gns: {part}: found {len(data)} trajectories")
@@ -169,7 +169,7 @@ def check_hdf5(directory, truths):
             position = file["00000/position"]
             expect(position.compression == "gzip", f"hdf5: {part}: found compression {position.compression}")
             same(position[:], truth.position, f"hdf5: {part}: position")
-            # As LagrangeBench takes a window.
+            # As LagrangeBench reads a window.
             window = position[2:9].transpose((1, 0, 2))
             same(window, truth.position[2:9].transpose((1, 0, 2)), f"hdf5: {part}: window")
             same(file["00000/particle_type"][:], LAGRANGEBENCH_TYPES[truth.material], f"hdf5: {part}: type")
@@ -202,7 +202,7 @@ def check_import_npz(program, work, truth, store):
         file, bags = work / f"{name}.npz", work / f"{name}_bags"
         save(file, **content, stamp=truth.stamp) if name != "swapped" else save(file, **content)
         if name in ["doubles", "swapped"]:
-            # Materials are whole numbers.
+            # Materials must be integers.
             message = refused(program, "bag", "import", file, "--format", "npz", "--output", bags)
             expect("material" in message, f"{name}: {message}")
             save(file, **{**content, "material": truth.material})
@@ -271,19 +271,19 @@ def main():
         check_meshes(export(program, bags, work, "vtu"), truths, "vtu")
         check_collections(work / "vtu", truths)
         check_gns(export(program, bags, work, "gns"), truths)
-        print("npz, csv, ply, vtu, pvd, gns: numpy and meshio read what rosbags reads from the bags")
+        print("npz, csv, ply, vtu, pvd, gns: numpy and meshio read the same as rosbags from the bags")
         check_import_npz(program, work, truths[0], store)
         check_import_gns(program, work, truths[0], store)
-        print("npz, gns: files by numpy are imported, pickles are refused")
+        print("npz, gns: files written by numpy are imported, pickles are rejected")
         without = "--features hdf5" in subprocess.run(
             [program, "bag", "export", bags, "--format", "hdf5", "--output", work / "none"], capture_output=True, text=True
         ).stderr
         if without:
-            print("hdf5: left out, this program was built without it")
+            print("hdf5: skipped, the program was built without it")
         else:
             check_hdf5(export(program, bags, work, "hdf5"), truths)
             check_import_hdf5(program, work, truths[0], store)
-            print("hdf5: h5py reads what rosbags reads from the bags, and its files are imported")
+            print("hdf5: h5py reads the same as rosbags from the bags, and its files are imported")
         check_pictures(program, sorted(bags.glob("scene_*"))[0], work)
         print("pictures: Pillow opens strips and animations")
 

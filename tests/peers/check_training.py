@@ -1,13 +1,13 @@
-"""The event files of a training run against TensorBoard's own reader.
+"""Check the event files of a training run with TensorBoard's reader.
 
     check_training.py EDDY BAGS WORK
 
-EDDY is the program, BAGS a directory of at least three bags with one stream each, WORK a directory to work in. The
-run is ended by force in the middle of an epoch and resumed. Checked are:
-1. TensorBoard reads the event files without complaint and finds every curve.
-2. The curves of epochs are the columns of metrics.csv, at the steps of its column `samples`.
-3. After the resumption every step is there once: what was recorded of the epoch that was lost no longer counts.
-Exits with 1 and a sentence when something does not hold.
+EDDY is the program, BAGS a directory of at least three bags with one stream each, WORK a working directory. The
+run is killed in the middle of an epoch and resumed. Checks:
+1. TensorBoard reads the event files without warnings and finds every curve.
+2. The curves of epochs equal the columns of metrics.csv, at the steps of its column `samples`.
+3. After resuming, every step exists once: records of the interrupted epoch are discarded.
+Exits with 1 and a message if a check fails.
 """
 
 import csv
@@ -20,14 +20,14 @@ from pathlib import Path
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 EPOCHS = 4
-# A narrow network and short windows, so that epochs are short, but of many batches.
+# A narrow network and short windows, for short epochs with many batches.
 SETTINGS = """
 unroll = [{ share = 1.0, frames = 2 }]
 windows = { batch = 2, per_epoch = 256 }
 network = { encoder = 4, hidden = 4, channels = [2, 2, 2] }
 optimizer.schedule = "constant"
 """
-# Curve and column of metrics.csv, and how far the column's printed digits may be from the curve's 32 bits.
+# Curve, column of metrics.csv, and tolerance between the column's printed digits and the curve's f32.
 OF_EPOCHS = {
     "loss/training": ("training_loss", lambda x: 1e-5 * abs(x)),
     "loss/validation": ("validation_loss", lambda x: 1e-6 + 1e-6 * abs(x)),
@@ -87,24 +87,24 @@ def main():
     process = subprocess.Popen(command)
     metrics, deadline = output / "metrics.csv", time.monotonic() + 120
     while not (metrics.exists() and len(rows(output)) >= 1):
-        expect(process.poll() is None and time.monotonic() < deadline, "the first epoch did not come to its end")
+        expect(process.poll() is None and time.monotonic() < deadline, "the first epoch did not finish")
         time.sleep(0.02)
-    # Some batches into the next epoch: as many bytes as a few records more.
+    # Some batches into the next epoch: wait for the size of a few more records.
     [events] = output.glob("events.out.tfevents.*")
     size = events.stat().st_size
     while events.stat().st_size < size + 600:
-        expect(process.poll() is None and time.monotonic() < deadline, "the second epoch did not begin")
+        expect(process.poll() is None and time.monotonic() < deadline, "the second epoch did not start")
         time.sleep(0.005)
     process.kill()
     process.wait()
-    expect(len(rows(output)) < EPOCHS, "the run was over before it could be ended by force")
+    expect(len(rows(output)) < EPOCHS, "the run ended before it could be killed")
 
     subprocess.run([*command, "--resume"], check=True)
     found = check(output, EPOCHS)
     files = sorted(file.name for file in output.glob("events.out.tfevents.*"))
-    expect(len(files) == 2, f"found the event files {files}, expected 2: one before and one after the resumption")
+    expect(len(files) == 2, f"found the event files {files}, expected 2: one before and one after resuming")
     batches = sum(len(found[tag]) for tag in OF_BATCHES)
-    print(f"check_training.py: {EPOCHS} epochs and {batches} numbers of batches, across a kill, as in metrics.csv")
+    print(f"check_training.py: {EPOCHS} epochs and {batches} values of batches, across a kill, equal metrics.csv")
 
 
 main()

@@ -1,16 +1,16 @@
-"""What Foxglove's and Rerun's own software makes of the clouds in a bag.
+"""Check the point clouds in a bag with Foxglove's and Rerun's software.
 
     cloud_peer.py BAG FRAMES CLOUDS
 
 The frames on topic FRAMES are read with mcap-ros2-support, which takes their layout from the bag. The clouds on topic
 CLOUDS must hold the same particles
 
-1. in the recording that `rerun mcap convert` makes of the bag: `Points3D:positions` of every frame, with speeds and
-   materials beside them;
-2. in the file that foxglove-sdk writes when it is given the schema and the messages as they are in the bag, converted
-   in the same way. The SDK has no reader in Python: what it is asked is whether it takes what eddy writes.
+1. in the recording that `rerun mcap convert` creates from the bag: `Points3D:positions` of every frame, with velocities and
+   materials;
+2. in the file that foxglove-sdk writes from the schema and the messages of the bag, converted
+   in the same way. The SDK has no reader in Python: this tests whether it accepts what eddy writes.
 
-A bag may have fewer clouds than frames, or more: it was recorded live. Those of the same stamp are compared.
+A bag recorded live may have fewer clouds than frames, or more. Clouds and frames with the same stamp are compared.
 """
 
 import subprocess
@@ -25,7 +25,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
-# rerun's own program, as pip installed it beside this Python.
+# The rerun program that pip installed next to this Python.
 RERUN = Path(sys.executable).parent / "rerun"
 
 
@@ -41,7 +41,7 @@ def files(bag):
 
 
 def frames(bag, topic):
-    """Positions, speeds and materials by stamp (ns)."""
+    """Positions, velocities and materials by stamp (ns)."""
     found = {}
     for path in files(bag):
         with open(path, "rb") as file:
@@ -56,7 +56,7 @@ def frames(bag, topic):
 
 
 def columns(recording, topic):
-    """The values of each column that belongs to points, by stamp (ns)."""
+    """The values of each column of points, by stamp (ns)."""
     found = {}
     for chunk in RrdReader(recording).stream():
         if str(chunk.entity_path) != topic:
@@ -75,7 +75,7 @@ def columns(recording, topic):
 
 
 def check(file, topic, truth, work):
-    """The clouds of a file as rerun sees them. Returns how many were compared."""
+    """Compare the clouds of a file as rerun reads them. Returns how many were compared."""
     recording = work / f"{file.stem}.rrd"
     subprocess.run([RERUN, "mcap", "convert", file, "-o", recording], check=True, capture_output=True)
     compared = 0
@@ -96,7 +96,7 @@ def check(file, topic, truth, work):
 
 
 def relay(path, topic, output):
-    """The clouds of a file, written by foxglove-sdk."""
+    """Write the clouds of a file with foxglove-sdk."""
     context = foxglove.Context()
     with open(path, "rb") as file, foxglove.open_mcap(output, context=context):
         channel = None

@@ -1,12 +1,12 @@
-"""Frames on DDS against a program that was not written here: Eclipse Cyclone DDS in Python.
+"""Exchange frames on DDS with an independent implementation: Eclipse Cyclone DDS in Python.
 
     cyclone_peer.py listen TOPIC COUNT [--timeout S]
     cyclone_peer.py publish TOPIC COUNT [--particles N] [--stream S] [--rate HZ] [--timeout S]
 
-listen  takes COUNT frames and checks that the fields of each agree.
-publish sends COUNT frames of particles on circles, once somebody subscribes.
-The type of a frame is written down here again, in Cyclone's words. The domain is ROS_DOMAIN_ID. Both print one line
-of JSON at the end, and exit with 1 and a sentence when something does not hold.
+listen  receives COUNT frames and checks that the fields of each are consistent.
+publish sends COUNT frames of particles on circles, as soon as there is a subscriber.
+The frame type is declared again here, for Cyclone. The domain is ROS_DOMAIN_ID. Both print one line
+of JSON at the end, and exit with 1 and a message if a check fails.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-# Loopback only, as eddy; participants are looked for at the ports that eddy's have.
+# Loopback only, like eddy; search for participants at the ports of eddy's participants.
 os.environ.setdefault("CYCLONEDDS_URI", """
     <General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces></General>
     <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
@@ -78,7 +78,7 @@ def open_topic(name):
 
 
 def check(frame):
-    """The fields of one frame agree with each other."""
+    """Check that the fields of a frame are consistent."""
     particles = len(frame.material)
     what = f"frame {frame.sequence} of stream {frame.stream}"
     expect(particles > 0, f"{what}: no particles")
@@ -86,7 +86,7 @@ def check(frame):
         values = getattr(frame, name)
         expect(len(values) == 2 * particles, f"{what}: {name} has {len(values)} numbers for {particles} particles")
         expect(all(map(math.isfinite, values)), f"{what}: {name} is not finite")
-    expect(len(frame.lower) == len(frame.upper) == 2, f"{what}: the domain has not two dimensions")
+    expect(len(frame.lower) == len(frame.upper) == 2, f"{what}: the domain is not two-dimensional")
     expect(max(frame.material) <= 3, f"{what}: unknown material")
     expect(frame.header.frame_id == "world", f"{what}: frame_id {frame.header.frame_id}")
 
@@ -131,7 +131,7 @@ def publish(args):
             [0] * args.particles,
         ))
         time.sleep(1 / args.rate)
-    expect(writer.wait_for_acks(duration(seconds=args.timeout)), "not everything was acknowledged")
+    expect(writer.wait_for_acks(duration(seconds=args.timeout)), "not all messages were acknowledged")
     return {"frames": args.count, "stream": args.stream, "particles": args.particles}
 
 

@@ -1,15 +1,15 @@
-"""Messages that are kept for subscribers that come later (transient local), on Zenoh, against zenoh-ext and
-zenoh-ros2-sdk, which were not written here.
+"""Exchange messages kept for late subscribers (transient local) on Zenoh with independent programs: zenoh-ext and
+zenoh-ros2-sdk.
 
     latched_peer.py EDDY TOPIC
 
-1. `eddy replay` plays a bag that rosbags wrote, of a topic that was transient local. zenoh-ext's advanced subscriber,
-   as rmw_zenoh declares it, and the sdk's subscriber come after the message, and get it.
-2. zenoh-ext's advanced publisher, as rmw_zenoh declares it, has published before `eddy topic echo` and
-   `eddy record` start: both get the message, and the recorded bag says that the topic was transient local.
+1. `eddy replay` plays a bag, written by rosbags, of a transient-local topic. zenoh-ext's advanced subscriber,
+   declared as by rmw_zenoh, and the sdk's subscriber join after the message and receive it.
+2. zenoh-ext's advanced publisher, declared as by rmw_zenoh, publishes before `eddy topic echo` and
+   `eddy record` start: both receive the message, and the recorded bag marks the topic as transient local.
 
-EDDY is the program. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a sentence when something
-does not hold.
+EDDY is the program. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a message if a check
+fails.
 """
 
 import argparse
@@ -30,7 +30,6 @@ import zenoh.ext
 import zenoh_peer
 
 
-
 def free_places():
     with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
         return [f"tcp/127.0.0.1:{free.getsockname()[1]}" for free in (one, other)]
@@ -40,7 +39,7 @@ def meet(listen, *dial):
     return f"listen/endpoints={json.dumps([listen])};connect/endpoints={json.dumps(dial)}"
 
 
-# Here we listen, and here eddy does. The sdk dials both: peers that hear of each other by a third do not always connect.
+# The addresses of this process and of eddy. The sdk connects to both: peers that learn of each other through a third do not always connect.
 PLACE, EDDYS = free_places()
 os.environ["ZENOH_CONFIG_OVERRIDE"] = meet("tcp/127.0.0.1:0", PLACE, EDDYS)
 EDDY = {**os.environ, "ZENOH_CONFIG_OVERRIDE": meet(EDDYS, PLACE)}
@@ -56,7 +55,7 @@ LATCHED = Qos(
     QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, ENDLESS, ENDLESS,
     QosLiveliness.AUTOMATIC, ENDLESS, False,
 )
-# How rmw_zenoh writes that in a token.
+# The same in the notation of rmw_zenoh's liveliness tokens.
 TOKEN_QOS = ":1:,1:,:,:,,"
 TIMEOUT = 60
 
@@ -70,11 +69,11 @@ def first(messages, what):
     try:
         return messages.get(timeout=TIMEOUT)
     except queue.Empty:
-        sys.exit(f"latched_peer.py: {what} got nothing in {TIMEOUT} s")
+        sys.exit(f"latched_peer.py: {what} received nothing within {TIMEOUT} s")
 
 
 class Peer:
-    """A topic of strings as rmw_zenoh has it, on eclipse-zenoh."""
+    """A topic of strings on eclipse-zenoh, in rmw_zenoh's form."""
 
     def __init__(self, topic):
         self.store, self.topic = get_typestore(Stores.ROS2_JAZZY), topic
@@ -106,7 +105,7 @@ class Peer:
         return subscriber, messages
 
     def publish(self, text):
-        """Publishes one message, and keeps it as long as what is given back lives."""
+        """Publish one message and keep it as long as the returned objects live."""
         publisher = zenoh.ext.declare_advanced_publisher(
             self.session, self.key, cache=zenoh.ext.CacheConfig(1), publisher_detection=True,
             sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
@@ -142,24 +141,24 @@ def eddy_keeps(eddy, topic, folder):
     try:
         deadline = time.monotonic() + TIMEOUT
         while not (tokens := peer.tokens()):
-            expect(time.monotonic() < deadline, "the replay's publisher is not seen")
+            expect(time.monotonic() < deadline, "the replay's publisher was not discovered")
             time.sleep(0.1)
         expect(tokens[0].endswith(f"/{TOKEN_QOS}"), f"token: found {tokens[0]}, expected {TOKEN_QOS}")
-        # The first message is out: the next one is ten minutes away.
+        # The first message has been published; the next one follows ten minutes later.
         time.sleep(1)
         subscriber, messages = peer.subscribe()
         sample = first(messages, "zenoh-ext's subscriber")
         expect(str(sample.key_expr) == peer.key and peer.text(sample.payload) == "kept", f"zenoh-ext: found {sample}")
-        expect(len(bytes(sample.attachment)) == 33, "zenoh-ext: no attachment of rmw_zenoh's")
+        expect(len(bytes(sample.attachment)) == 33, "zenoh-ext: no attachment in rmw_zenoh's form")
         heard = queue.Queue()
-        # It asks once, and only who it knows by then.
+        # It queries once, and only the publishers that it knows by then.
         while topic not in dict(get_topic_names_and_types()):
-            expect(time.monotonic() < deadline, "the sdk does not see the replay's publisher")
+            expect(time.monotonic() < deadline, "the sdk did not discover the replay's publisher")
             time.sleep(0.05)
         listener = ROS2Subscriber(topic, STRING, heard.put, msg_definition="string data\n", qos=TOKEN_QOS)
         expect(first(heard, "the sdk's subscriber").data == "kept", "the sdk's subscriber: found another message")
         time.sleep(1)
-        expect(messages.empty() and heard.empty(), "a kept message came twice")
+        expect(messages.empty() and heard.empty(), "a kept message was received twice")
         listener.close()
         subscriber.undeclare()
     finally:
@@ -194,11 +193,11 @@ def main():
     parser.add_argument("topic")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        # In words without slashes: the sdk does not find what was kept for others.
+        # Topic names without slashes: the sdk does not find kept messages of other topics.
         eddy_keeps(args.eddy, f"{args.topic}_ours", Path(folder))
         eddy_takes(args.eddy, f"{args.topic}_theirs", Path(folder))
     print(json.dumps({"kept by eddy": ["zenoh-ext", "zenoh-ros2-sdk"], "taken by eddy": ["echo", "record"]}), flush=True)
-    # The sdk has threads that would outlive its session.
+    # The sdk's threads would outlive its session.
     os._exit(0)
 
 

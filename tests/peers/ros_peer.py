@@ -1,14 +1,14 @@
-"""The node on DDS against a real ROS 2: rclpy on Fast DDS, without eddy's message package.
+"""Check the node on DDS with a real ROS 2: rclpy on Fast DDS, without eddy's message package.
 
     ros_peer.py TOPIC --bag BAG [--timeout S] --ros-args ...
 
-The node runs with the same `--ros-args`, links of TOPIC/particles and TOPIC/prediction, and clouds; BAG is replayed
-to TOPIC/particles again and again. A node of rclpy with these arguments says what they mean: names and parameters of
-the node must be its. Then: topics with their types and services are found; /diagnostics is read; parameters are
-listed, described, read and set, one out of its range is refused with the reason, and what is set is told on
-/parameter_events; the points of both clouds are those of the frames, TOPIC/particles/cloud as rosbags reads it from BAG; the
-node is reset. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a sentence when something does
-not hold.
+The node runs with the same `--ros-args`, with links to TOPIC/particles and TOPIC/prediction, and with clouds; BAG is replayed
+to TOPIC/particles in a loop. An rclpy node with these arguments is the reference for the node's names and parameters.
+Checks: topics with their types and services are discovered; /diagnostics is published; parameters can be
+listed, described, read and set, a value out of range is rejected with a reason, and changes are announced on
+/parameter_events; the points of both clouds equal the frames, TOPIC/particles/cloud as rosbags reads them from BAG; the
+node can be reset. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a message if a check
+fails.
 """
 
 import argparse
@@ -47,11 +47,11 @@ def expect(holds, sentence):
 
 
 class Peer:
-    """A node of rclpy beside the node that is looked at."""
+    """An rclpy node next to the node under test."""
 
     def __init__(self, topic, arguments, timeout):
         self.topic, self.deadline = topic, time.monotonic() + timeout
-        # What ROS makes of the arguments. It is gone before anybody looks for the node of that name.
+        # How ROS interprets the arguments. Destroyed before anything searches for a node of this name.
         twin = rclpy.create_node(NODE, cli_args=arguments, automatically_declare_parameters_from_overrides=True)
         self.name, self.namespace = twin.get_name(), twin.get_namespace()
         self.full_name = twin.get_fully_qualified_name()
@@ -61,12 +61,12 @@ class Peer:
         self.node = rclpy.create_node("ros_peer")
 
     def until(self, what, answer):
-        """Asks again and again, while the node spins."""
+        """Poll until the answer is truthy, while the node spins."""
         while True:
             found = answer()
             if found:
                 return found
-            expect(time.monotonic() < self.deadline, f"{what}: not in time")
+            expect(time.monotonic() < self.deadline, f"{what}: timed out")
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def call(self, kind, name, request):
@@ -110,7 +110,7 @@ class Peer:
 
     def read_diagnostics(self):
         received = []
-        # ROS's own defaults: reliable, keep last 10.
+        # ROS's defaults: reliable, keep last 10.
         subscription = self.node.create_subscription(DiagnosticArray, self.diagnostics, received.append, 10)
         self.until("/diagnostics", lambda: received)
         self.node.destroy_subscription(subscription)
@@ -129,7 +129,7 @@ class Peer:
         expect((bounds.from_value, bounds.to_value) == (1, 10_000), f"range: found {bounds}")
         expect(described["queue"].read_only and not described["max_gap"].read_only, f"descriptors: {described}")
         expect(described["publish"].type == ParameterType.PARAMETER_STRING, f"descriptor: {described['publish']}")
-        # As ROS reads the same arguments.
+        # The values that rclpy has for the same arguments.
         values = dict(zip(names, self.get(*names)))
         for name in self.parameters.keys() & values.keys():
             expect(values[name] == self.parameters[name],
@@ -137,25 +137,25 @@ class Peer:
         given = sorted(name for name in self.parameters.keys() & values.keys() if name != "use_sim_time")
         expect(given, f"no parameter was given: {self.parameters}")
 
-        expect(self.set(SetParameters, "set_parameters", horizon=20).results[0].successful, "horizon: 20 was refused")
+        expect(self.set(SetParameters, "set_parameters", horizon=20).results[0].successful, "horizon: 20 was rejected")
         refused = self.set(SetParameters, "set_parameters", horizon=20_000).results[0]
         expect(not refused.successful and "expected 1 to 10000" in refused.reason, f"horizon: found {refused}")
         both = self.set(SetParametersAtomically, "set_parameters_atomically", max_gap=1, queue=5).result
         expect(not both.successful and "read-only" in both.reason, f"queue: found {both}")
-        expect(self.get("horizon", "max_gap") == [20, values["max_gap"]], "what was refused has changed something")
+        expect(self.get("horizon", "max_gap") == [20, values["max_gap"]], "a rejected change had an effect")
         return {"names": names, "given": given, "refused": [refused.reason, both.reason]}
 
-    def hear_of_changes(self):
+    def check_parameter_events(self):
         received = []
         subscription = self.node.create_subscription(
             ParameterEvent, "/parameter_events", received.append, qos_profile_parameter_events)
 
-        def told():
+        def announced():
             answer = self.set(SetParametersAtomically, "set_parameters_atomically", publish="last", horizon=1).result
             expect(answer.successful, f"set: {answer}")
             return [event for event in received if event.node == self.full_name]
 
-        event = self.until("/parameter_events", told)[0]
+        event = self.until("/parameter_events", announced)[0]
         self.node.destroy_subscription(subscription)
         changed = {change.name: parameter_value_to_python(change.value) for change in event.changed_parameters}
         expect(changed == {"publish": "last", "horizon": 1}, f"/parameter_events: found {event}")
@@ -191,7 +191,7 @@ class Peer:
 
 
 def frames_of(bag):
-    """The frames of a bag by their stamps, as rosbags reads them, and how many particles each has."""
+    """The frames of a bag by stamp, as rosbags reads them, and their number of particles."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(MSGS.glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
@@ -218,12 +218,12 @@ def check_points(topic, points, frame):
         "x": position[:, 0], "y": position[:, 1], "vx": velocity[:, 0], "vy": velocity[:, 1], "material": frame.material,
     }
     for name, column in columns.items():
-        expect((points[name] == column).all(), f"{topic}: {name} of frame {frame.sequence} is not the bag's")
+        expect((points[name] == column).all(), f"{topic}: {name} of frame {frame.sequence} differs from the bag")
     return 1
 
 
 def main():
-    # What is after --ros-args is for the node, and for rclpy.
+    # Arguments after --ros-args are for the node and for rclpy.
     split = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("topic")
@@ -234,7 +234,7 @@ def main():
     peer = Peer(args.topic, sys.argv[split:], args.timeout)
     outcome = {
         "node": peer.full_name, "topics": peer.check_graph(), "diagnostics": peer.read_diagnostics(),
-        "parameters": peer.check_parameters(), "told": peer.hear_of_changes(), "clouds": peer.check_clouds(args.bag),
+        "parameters": peer.check_parameters(), "events": peer.check_parameter_events(), "clouds": peer.check_clouds(args.bag),
         "reset": peer.reset(),
     }
     peer.node.destroy_node()

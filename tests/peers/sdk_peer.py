@@ -1,16 +1,16 @@
-"""The node and the player on Zenoh against zenoh-ros2-sdk, which was not written here and has rmw_zenoh's wire.
+"""Check the node and the player on Zenoh with zenoh-ros2-sdk, an independent implementation of rmw_zenoh's wire.
 
     sdk_peer.py node TOPIC [--frames N] [--timeout S]
     sdk_peer.py player TOPIC [--timeout S]
 
-node    finds the node `eddy_node`, its topics (TOPIC/particles, TOPIC/prediction, TOPIC/prediction/status, /diagnostics)
-        and services with their types; publishes N frames on TOPIC/particles and takes the predictions; gets the
-        parameter `horizon`, sets it, and is refused a value out of its range with the reason; resets the node.
-player  drives a paused `eddy replay` of frames: is_paused, play_next, set_rate, get_rate, seek there and back, resume,
-        toggle_paused, pause; what then arrives on the topic given as TOPIC must be what was asked for.
+node    discovers the node `eddy_node`, its topics (TOPIC/particles, TOPIC/prediction, TOPIC/prediction/status, /diagnostics)
+        and services with their types; publishes N frames on TOPIC/particles and receives the predictions; gets and sets the
+        parameter `horizon`; a value out of range must be rejected with a reason; resets the node.
+player  controls a paused `eddy replay` of frames: is_paused, play_next, set_rate, get_rate, seek forwards and back, resume,
+        toggle_paused, pause; the frames that arrive on TOPIC must match.
 
-Definitions come from `msgs/`; type hashes are the sdk's own, so that a wrong one of eddy's is not met. The domain is
-ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a sentence when something does not hold.
+Definitions come from `msgs/`; type hashes are computed by the sdk, so that a wrong hash in eddy would prevent a match. The domain is
+ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a message if a check fails.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import numpy
 
 import zenoh_peer
 
-# Where eddy processes listen, and a router.
+# The ports of eddy processes and of a router.
 os.environ.setdefault("ZENOH_CONFIG_OVERRIDE", f"connect/endpoints={json.dumps(zenoh_peer.ENDPOINTS)}")
 
 from zenoh_ros2_sdk import (
@@ -40,7 +40,7 @@ FRAME = zenoh_peer.FRAME
 NODE, PLAYER = "eddy_node", "eddy_replay"
 MESSAGES = [FRAME] + [f"rcl_interfaces/msg/{name}" for name in (
     "Parameter", "SetParametersResult", "ListParametersResult", "ParameterDescriptor")]
-# The sdk knows no empty message.
+# The sdk does not support empty messages.
 EMPTY = "uint8 structure_needs_at_least_one_member"
 
 
@@ -50,17 +50,17 @@ def expect(holds, sentence):
 
 
 def until(deadline, what, answer):
-    """Asks again and again."""
+    """Poll until the answer is truthy."""
     while True:
         found = answer()
         if found:
             return found
-        expect(time.monotonic() < deadline, f"{what}: not in time")
+        expect(time.monotonic() < deadline, f"{what}: timed out")
         time.sleep(0.05)
 
 
 def definitions(folder):
-    """Lets the sdk find our messages where it would look for its own, instead of on the network."""
+    """Make the sdk load eddy's message definitions from a local folder instead of the network."""
     for package in [*MSGS.joinpath("standard").iterdir(), MSGS / "eddy_msgs"]:
         os.symlink(package, Path(folder) / package.name)
     get_registry(str(folder))
@@ -69,11 +69,11 @@ def definitions(folder):
 
 
 class Service:
-    """A service of ours, by the sdk."""
+    """A client of one of eddy's services."""
 
     def __init__(self, name, kind, deadline):
         text = MSGS.joinpath("standard", f"{kind}.srv").read_text()
-        # The sdk looks for a message without a package's name beside the service, not in `msg`.
+        # The sdk resolves messages without a package name relative to the service, not to `msg`.
         package = kind.split("/")[0]
         parts = re.sub(r"^([A-Z]\w*)", rf"{package}/\1", text, flags=re.MULTILINE).split("---")
         request, response = (part.strip() or EMPTY for part in parts)
@@ -107,7 +107,7 @@ def check_graph(topic, deadline):
 
 
 def exchange_frames(topic, count, deadline):
-    """Sends frames, takes as many predictions as frames followed the warm-up."""
+    """Send frames and receive the predictions for all frames after the warm-up."""
     predictions = queue.Queue()
     subscriber = ROS2Subscriber(f"{topic}/prediction", FRAME, predictions.put)
     publisher = ROS2Publisher(f"{topic}/particles", FRAME)
@@ -156,11 +156,11 @@ def check_parameters(deadline):
         return put(parameters=[Parameter(name="horizon", value=held)]).results[0]
 
     expect(horizon() == 1, f"horizon: found {horizon()}, expected 1")
-    expect(set_horizon(20).successful, "horizon: 20 was refused")
+    expect(set_horizon(20).successful, "horizon: 20 was rejected")
     refused = set_horizon(20_000)
     expect(not refused.successful and "expected 1 to 10000" in refused.reason, f"horizon: found {refused}")
     expect(horizon() == 20, f"horizon: found {horizon()}, expected 20")
-    expect(set_horizon(1).successful, "horizon: 1 was refused")
+    expect(set_horizon(1).successful, "horizon: 1 was rejected")
     return refused.reason
 
 
@@ -181,11 +181,11 @@ def player(args, deadline):
         return Service(f"/{PLAYER}/{name}", f"rosbag2_interfaces/srv/{kind}", deadline)
 
     def arrival():
-        """When the next frame came (s), and its simulation time (ns)."""
+        """Arrival time of the next frame (s) and its simulation time (ns)."""
         try:
             came, message = frames.get(timeout=max(0, deadline - time.monotonic()))
         except queue.Empty:
-            sys.exit("sdk_peer.py: no frame in time")
+            sys.exit("sdk_peer.py: timed out waiting for a frame")
         return came, message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
     def stamp():
@@ -202,36 +202,36 @@ def player(args, deadline):
     def go_to(nanoseconds):
         return seek(time=Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)).success
 
-    until(deadline, "the player waits for a subscriber no more", lambda: is_paused().paused)
+    until(deadline, "the player is paused", lambda: is_paused().paused)
     nothing()
-    expect(play_next().success, "play_next: refused while paused")
-    # Bags of eddy's own frames have the stamp as their log time.
+    expect(play_next().success, "play_next: failed while paused")
+    # In eddy's bags of frames, the log time is the stamp.
     first = stamp()
     set_rate, get_rate = service("set_rate", "SetRate"), service("get_rate", "GetRate")
-    expect(set_rate(rate=0.5).success and get_rate().rate == 0.5, "set_rate: 0.5 was not taken")
-    expect(not set_rate(rate=-1.0).success and get_rate().rate == 0.5, "set_rate: -1 was taken")
+    expect(set_rate(rate=0.5).success and get_rate().rate == 0.5, "set_rate: 0.5 had no effect")
+    expect(not set_rate(rate=-1.0).success and get_rate().rate == 0.5, "set_rate: -1 was accepted")
     later = first + 10**9
-    expect(go_to(later) and play_next().success, "seek: refused one second on")
+    expect(go_to(later) and play_next().success, "seek: failed one second ahead")
     found = stamp()
     expect(later <= found < later + 50_000_000, f"seek: found {found} ns, expected {later}")
-    expect(go_to(first) and play_next().success and stamp() == first, "seek: the way back")
-    expect(not go_to(first + 3600 * 10**9), "seek: an hour on was not refused")
+    expect(go_to(first) and play_next().success and stamp() == first, "seek: failed going back")
+    expect(not go_to(first + 3600 * 10**9), "seek: a time after the end was accepted")
     service("resume", "Resume")()
-    expect(not is_paused().paused and not play_next().success, "resume: the player still pauses")
+    expect(not is_paused().paused and not play_next().success, "resume: the player is still paused")
     begun, start = arrival()
     ended, now = begun, start
     while now < start + 500_000_000:
         ended, now = arrival()
     took = ended - begun
-    # At half the rate twice as long; a busy machine is late now and then.
+    # Twice as long at half the rate; a busy machine may be late.
     expect(0.8 < took < 4, f"rate 0.5: {(now - start) / 1e9} s took {took} s")
     service("toggle_paused", "TogglePaused")()
-    expect(is_paused().paused, "toggle_paused: the player plays on")
+    expect(is_paused().paused, "toggle_paused: the player is not paused")
     while not frames.empty():
         frames.get()
     nothing()
     service("pause", "Pause")()
-    expect(is_paused().paused, "pause: the player plays")
+    expect(is_paused().paused, "pause: the player is not paused")
     subscriber.close()
     return {"seconds": (now - start) / 1e9, "took": round(took, 3)}
 
@@ -248,7 +248,7 @@ def main():
         definitions(folder)
         outcome = (node if args.role == "node" else player)(args, deadline)
     print(json.dumps(outcome), flush=True)
-    # The sdk has threads that would outlive its session.
+    # The sdk's threads would outlive its session.
     os._exit(0)
 
 

@@ -1,10 +1,10 @@
-"""Frames in shared memory against a program that was not written here: iceoryx2's Python package.
+"""Read frames from shared memory with an independent program: iceoryx2's Python package.
 
     shm_peer.py listen SERVICE COUNT [--timeout S]
 
-Waits for the service (`eddy/particles`, `eddy/prediction`), reads COUNT frames, woken by the event service of the
-same name, and checks that their fields agree. Prints one line of JSON; exits with 1 and a sentence when something
-does not hold.
+Waits for the service (`eddy/particles`, `eddy/prediction`), reads COUNT frames, notified by the event service of the
+same name, and checks that their fields are consistent. Prints one line of JSON; exits with 1 and a message if a check
+fails.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def expect(holds, sentence):
 
 
 def open_service(node, name, deadline):
-    """The service, once another program has made it."""
+    """Open the service as soon as another program has created it."""
     while True:
         builder = node.service_builder(iox2.ServiceName.new(name))
         try:
@@ -57,10 +57,10 @@ def open_service(node, name, deadline):
 
 
 def particles_of(sample):
-    """The particles as tuples. The header knows their number; `payload().len()` is in bytes in 0.10.0."""
+    """The particles as tuples. Their number is in the header; `payload().len()` is in bytes in 0.10.0."""
     count = sample.header.number_of_elements
     layout = struct.Struct("<ffffI")
-    expect(layout.size == ctypes.sizeof(Particle), "the layout is another one here")
+    expect(layout.size == ctypes.sizeof(Particle), "the memory layout differs on this machine")
     return list(layout.iter_unpack(ctypes.string_at(sample.payload().as_ptr(), count * layout.size)))
 
 
@@ -81,7 +81,7 @@ def main():
     parser.add_argument("count", type=int)
     parser.add_argument("--timeout", type=float, default=60)
     args = parser.parse_args()
-    expect(ctypes.sizeof(FrameHeader) == 48, "the layout is another one here")
+    expect(ctypes.sizeof(FrameHeader) == 48, "the memory layout differs on this machine")
 
     deadline = time.monotonic() + args.timeout
     node = iox2.NodeBuilder.new().create(iox2.ServiceType.Ipc)
@@ -107,7 +107,7 @@ def main():
         streams.add(header.stream)
         particles.add(len(frame))
         sample.delete()
-    expect(wakes > 0, f"{args.service}: no event came with the frames")
+    expect(wakes > 0, f"{args.service}: no event was received with the frames")
     if len(streams) == 1:
         expect(sequences == sorted(set(sequences)), f"{args.service}: frames out of order: {sequences}")
     print(json.dumps({

@@ -1,11 +1,11 @@
-"""Times eddy's solver against Taichi and compares where the particles go.
+"""Compare eddy's solver with Taichi: time per substep and particle positions.
 
 `eddy bench solver --output` writes bags with the initial state and eddy's states after 20 and 200
-substeps. Here the law of Taichi's mpm128 example runs on the same initial states. Both run in turns,
-on the same number of threads, and a table is printed: microseconds a substep (median of the rounds),
-how many times as fast eddy is, and the largest difference of a coordinate after 20 and 200 substeps.
+substeps. This script runs Taichi's mpm128 example from the same initial states. Runs alternate
+on the same number of threads. Prints a table: microseconds per substep (median of the rounds),
+the speed-up of eddy, and the largest difference of a coordinate after 20 and 200 substeps.
 Exits with 1 if eddy is slower, or if a difference exceeds its tolerance at 2,500 particles; with more
-particles, and finer cells, the farthest of them is farther.
+particles and finer cells, the largest difference grows.
 
     pip install -r tests/peers/requirements-bench.txt
     cargo build --release
@@ -28,14 +28,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
 FRAME = "eddy_msgs/msg/ParticleFrame"
-# Largest difference of a coordinate (domain lengths) after so many substeps.
+# Largest difference of a coordinate (domain lengths) by number of substeps.
 TOLERANCE = {20: 1e-6, 200: 1e-5}
 LIQUID, SNOW, JELLY, ROPE = range(4)
 
 
 @ti.data_oriented
 class Mpm128:
-    """mpm128.py of Taichi 1.7.4, with eddy's rope, stiffness, gravity and a node more on each side."""
+    """mpm128.py of Taichi 1.7.4, with eddy's rope, stiffness, gravity and one more node on each side."""
 
     def __init__(self, frame, cells, dt, stiffness, gravity):
         self.frame, self.n, self.cells = frame, len(frame.material), cells
@@ -131,7 +131,7 @@ class Mpm128:
             self.x[p] += self.dt * self.v[p]
 
     def run(self, substeps):
-        """Seconds that so many substeps take."""
+        """Time of this number of substeps (s)."""
         ti.sync()
         before = time.perf_counter()
         for _ in range(substeps):
@@ -141,7 +141,7 @@ class Mpm128:
 
 
 def eddy(program, particles, threads, seconds, output=None):
-    """The report of `eddy bench solver`."""
+    """Run `eddy bench solver` and return its report."""
     command = [program, "--quiet", "bench", "solver", "--law", "taichi", "--json"]
     command += ["--particles", str(particles), "--threads", str(threads), "--seconds", str(seconds)]
     command += ["--output", output] if output else []
@@ -158,7 +158,7 @@ def frames(bag):
 
 
 def compare(options, particles):
-    """One line of the table; whether it is as it should be."""
+    """Print one row of the table; return whether it meets the requirements."""
     with tempfile.TemporaryDirectory() as folder:
         report = eddy(options.program, particles, options.threads, 0.1, folder)
         start, *ours = frames(Path(folder, f"particles_{particles}"))
@@ -193,12 +193,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("program", help="the built eddy")
     parser.add_argument("--particles", type=int, nargs="+", default=[2500, 10000, 100000, 1000000])
-    parser.add_argument("--threads", type=int, help="only this number; 1 and 2 if not given")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of one round")
+    parser.add_argument("--threads", type=int, help="number of threads [default: 1, then 2]")
+    parser.add_argument("--seconds", type=float, default=2.0, help="duration of a round")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     if options.threads is None:
-        # Taichi takes its number of threads once a process.
+        # Taichi's number of threads is fixed per process.
         print("particles       grid  threads   eddy us  taichi us  times  after 20  after 200", flush=True)
         runs = [[sys.executable, *sys.argv, "--threads", str(threads)] for threads in (1, 2)]
         raise SystemExit(max(subprocess.run(run, check=False).returncode for run in runs))

@@ -1,7 +1,7 @@
-"""The recurrent cores in PyTorch, with eddy's names for their tensors: what both models have in common.
+"""The recurrent cores in PyTorch, with eddy's tensor names; shared by both models.
 
-Letters in shapes: T frames, B windows, N particles, E encoder width, H hidden width. There is no dropout:
-every comparison runs without.
+Letters in shapes: T frames, B windows, N particles, E encoder width, H hidden width. Dropout is not
+implemented: no comparison uses it.
 """
 
 from collections.abc import Callable
@@ -14,16 +14,16 @@ from torch.nn import functional
 MATERIALS = ("liquid", "snow", "jelly", "rope")
 ACTIVATIONS = {"sigmoid": torch.sigmoid, "tanh": torch.tanh, "relu": functional.relu, "elu": functional.elu}
 
-# What is carried from frame to frame: [layers, R, H], or such a pair for an LSTM.
+# Hidden state carried from frame to frame: [layers, R, H], or a pair of these for an LSTM.
 State = Tensor | tuple[Tensor, Tensor] | None
 # Positions and velocities, [T, B, N, 2] each.
 Bodies = tuple[Tensor, Tensor]
 
 
 def recurrence(step: Callable[..., Tensor], carried: Tensor | None, *tracks: Tensor) -> Tensor:
-    """Every state h_t = step(h_{t-1}, each track at t), [T, B, H], from zero if none is carried.
+    """All states h_t = step(h_{t-1}, each track at t), [T, B, H], starting from zero if no state is carried.
 
-    The plain loop: for T = 16 and more, doubling and the scan in logarithms took several times as long
+    A plain loop: for T = 16 and more, recursive doubling and the scan in log space took several times as long
     on two cores (B = 16, H = 1250, forward and backward), and at T = 2 they are no faster.
     """
     hidden = torch.zeros_like(tracks[0][0]) if carried is None else carried
@@ -57,7 +57,7 @@ class MinGRU(nn.Module):
 
 
 class MinLSTM(nn.Module):
-    """One layer: f and i from sigmoids, normalised to f + i = 1 if asked, h_t = f h_{t-1} + i c."""
+    """One layer: f and i from sigmoids, optionally normalised to f + i = 1, h_t = f h_{t-1} + i c."""
 
     def __init__(self, inputs: int, hidden: int, log_form: bool, normalize_gates: bool) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class MinLSTM(nn.Module):
 
 
 class MinimalCore(nn.ModuleList):
-    """Layers of a minimal recurrence, called as `nn.GRU` is."""
+    """Layers of a minimal recurrence, with the interface of `nn.GRU`."""
 
     def forward(self, signal: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         last = []
@@ -102,7 +102,7 @@ class MLP(nn.Module):
 
 
 class MLPCore(nn.ModuleList):
-    """Layers without recurrence, called as `nn.GRU` is; nothing is carried."""
+    """Layers without recurrence, with the interface of `nn.GRU`; the state is None."""
 
     def forward(self, signal: Tensor, _: None = None) -> tuple[Tensor, None]:
         for layer in self:
@@ -111,7 +111,7 @@ class MLPCore(nn.ModuleList):
 
 
 def core(description: dict[str, Any], inputs: int) -> nn.Module:
-    """The described core: [T, B, inputs] and a state to [T, B, H] and the state after it."""
+    """The described core: maps [T, B, inputs] and a state to [T, B, H] and the next state."""
     hidden, layers = description["sizes"]["hidden"], description["sizes"]["layers"]
     widths = [inputs] + [hidden] * (layers - 1)
     log_form = description["form"] == "log"
@@ -133,6 +133,6 @@ def core(description: dict[str, Any], inputs: int) -> nn.Module:
 
 
 def options(description: dict[str, Any]) -> dict[str, str]:
-    """The frame model's choices, with the defaults that `model.toml` leaves out."""
+    """The frame model's options, with defaults for those that `model.toml` omits."""
     defaults = {"pooling": "mean", "activation": "elu", "material": "one-hot", "scaling": "min-max"}
     return defaults | description.get("frame", {})

@@ -1,12 +1,12 @@
-"""Checkpoints go both ways between eddy and PyTorch.
+"""Exchange checkpoints between eddy and PyTorch in both directions.
 
     pip install -r tests/peers/requirements-bench.txt
     cargo build --release
     python tests/peers/torch_exchange.py target/release/eddy
 
-For both architectures and every core: a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
-with `strict=True`, each predict a bag through `eddy predict` and in PyTorch. A table shows the largest
-difference as a share of the largest number; exits with 1 if one is above 1e-5.
+For both architectures and every core, a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
+with `strict=True`, each predict a bag with `eddy predict` and in PyTorch. A table shows the largest
+difference relative to the largest value; exits with 1 if one exceeds 1e-5.
 """
 
 import itertools
@@ -41,7 +41,7 @@ NEAR = 1e-5
 
 
 def typestore() -> Typestore:
-    """ROS 2's messages and ours."""
+    """ROS 2's messages and eddy's."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(MSGS.glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
@@ -49,7 +49,7 @@ def typestore() -> Typestore:
 
 
 def frames(bag: Path, topic: str, store: Typestore) -> dict[int, object]:
-    """The frames on a topic of a bag, by sequence."""
+    """The frames on a topic of a bag by sequence number."""
     with Reader(bag) as reader:
         chosen = [connection for connection in reader.connections if connection.topic == topic]
         found = [store.deserialize_cdr(data, FRAME) for _, _, data in reader.messages(chosen)]
@@ -66,7 +66,7 @@ def stack(found: list[object]) -> Bodies:
 
 
 def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path) -> float:
-    """Between eddy's and PyTorch's predictions, as a share of the largest number."""
+    """Largest difference between eddy's and PyTorch's predictions, relative to the largest value."""
     store = typestore()
     output = work / f"predicted_{checkpoint.name}"
     command = [eddy, "--quiet", "predict", "--checkpoint", checkpoint, "--input", bag, "--output", output]
@@ -78,17 +78,17 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
     with torch.no_grad():
         expected, _ = model.double()(bodies, model.matter(material, bodies[0][0]))
         if isinstance(model, ParticleModel):
-            expected = put_right(model, material, bodies, expected)
+            expected = apply_rules(model, material, bodies, expected)
     apart = 0.0
     for found, expected in zip(stack([predicted[number] for number in sorted(predicted)]), expected):
-        expected = expected[-len(found) :]  # without those of the warm-up
+        expected = expected[-len(found) :]  # without the warm-up
         apart = max(apart, float((found - expected).abs().max() / expected.abs().max()))
     return apart
 
 
-def put_right(model: ParticleModel, material: Tensor, bodies: Bodies, predicted: Bodies) -> Bodies:
-    """What eddy predicts, [T, 1, N, 2], where liquids keep their area, solids their shape, bodies in free flight
-    their momenta."""
+def apply_rules(model: ParticleModel, material: Tensor, bodies: Bodies, predicted: Bodies) -> Bodies:
+    """Apply the rules to the network's predictions, [T, 1, N, 2]: liquids keep their area, solids their shape, bodies in free
+    flight their momentum and angular momentum."""
     rest = bodies[0][0]
     neighbours = rest_neighbours(rest, material, model.spacing)[:2]
     matter = tuple(part[0] for part in (rest_shape(rest, material, model.spacing), *neighbours))
@@ -108,7 +108,7 @@ def main() -> None:
         work = Path(folder)
         simulate = ["--scenes", "3", "--seed", "6", "--duration", "0.5", "--output", work / "truth"]
         subprocess.run([eddy, "--quiet", "simulate", *simulate], check=True)
-        bag = work / "truth" / "scene_0000"  # flies for some frames
+        bag = work / "truth" / "scene_0000"  # in free flight for some frames
         particles = len(frames(bag, "/particles", typestore())[0].material)
         (work / "train.toml").write_text(TRAINING)
         own = {

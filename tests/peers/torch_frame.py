@@ -1,6 +1,6 @@
 """The frame model (the paper's Table 1) in PyTorch, with eddy's names for its tensors.
 
-Letters in shapes are those of `torch_core`, and F features.
+Letters in shapes are defined in `torch_core`; F: features.
 """
 
 from typing import Any
@@ -38,13 +38,13 @@ class FrameModel(nn.Module):
         self.register_buffer("unit", unit, persistent=False)
 
     def matter(self, material: Tensor, _: Tensor | None = None) -> Tensor:
-        """Materials [B, N], numbers as in `MATERIALS`, as features [B, N, F - 4]; no shape at rest matters."""
+        """Materials [B, N], indices into `MATERIALS`, as features [B, N, F - 4]; the rest shape is not used."""
         if self.one_hot:
             return functional.one_hot(material, len(MATERIALS)).float()
         return material.unsqueeze(-1) / (len(MATERIALS) - 1)
 
     def forward(self, bodies: Bodies, matter: Tensor, state: State = None) -> tuple[Bodies, State]:
-        """The frame after each of T frames, and the state after the last; `matter` is from `matter()`."""
+        """The frame after each of T frames, and the state after the last one; `matter` comes from `matter()`."""
         position, velocity = bodies
         signal, state = self.core(self.encode(position, velocity, matter), state)
         change = self.decoder(self.activation(self.mixer(signal)))  # [T, B, 2 N]

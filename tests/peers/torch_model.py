@@ -1,7 +1,7 @@
-"""eddy's models in PyTorch: `torch_frame` has the paper's, `torch_particle` the one with surroundings.
+"""eddy's models in PyTorch: `torch_frame` has the frame model of the paper, `torch_particle` the particle model.
 
-A model is described by what is in `model.toml`. Its `state_dict` has the names and shapes of
-`model.safetensors`, so that checkpoints go either way: `load` and `save`.
+A model is described by the contents of `model.toml`. Its `state_dict` has the names and shapes of
+`model.safetensors`, so that checkpoints can be exchanged in both directions with `load` and `save`.
 """
 
 import tomllib
@@ -15,7 +15,6 @@ from torch_core import MATERIALS
 from torch_frame import FrameModel
 from torch_particle import ParticleModel
 
-
 Model = FrameModel | ParticleModel
 
 
@@ -26,14 +25,14 @@ def network(description: dict[str, Any]) -> Model:
 
 
 def load(directory: Path) -> Model:
-    """The network of a checkpoint; every tensor must be there, and no other."""
+    """The network of a checkpoint, which must have exactly the expected tensors."""
     model = network(tomllib.loads((directory / "model.toml").read_text()))
     model.load_state_dict(load_file(directory / "model.safetensors"), strict=True)
     return model
 
 
 def save(model: Model, description: dict[str, Any], directory: Path) -> None:
-    """Writes a checkpoint."""
+    """Write a checkpoint."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "model.toml").write_text(tomli_w.dumps(description))
     save_file({name: tensor.float() for name, tensor in model.state_dict().items()}, directory / "model.safetensors")

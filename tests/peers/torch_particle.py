@@ -1,8 +1,8 @@
-"""The particle model in PyTorch, with eddy's names for its tensors: one hidden state for each particle,
-and a grid through which particles see what surrounds them.
+"""The particle model in PyTorch, with eddy's tensor names: one hidden state per particle,
+and a grid through which particles see their surroundings.
 
-Letters in shapes are those of `torch_core`, and F features, C0, C1, C2 channels of the grid's levels, I x J
-nodes. The grid is dense here: nodes that no particle touches are kept at zero, by masks.
+Letters in shapes are defined in `torch_core`; F: features, C0, C1, C2: channels of the grid's levels, I x J:
+nodes. The grid is dense here: masks keep nodes that no particle touches at zero.
 """
 
 from typing import Any
@@ -13,39 +13,40 @@ from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d, one_hot, p
 
 from torch_core import MATERIALS, Bodies, State, core
 
-# Scales of the nearness of walls (domain lengths).
+# Length scales of the proximity to walls (domain lengths).
 NEAR, FAR = 0.03, 0.2
-# How far the velocity may leave the range of training velocities, as a share of that range.
+# Margin by which the velocity may leave the range of training velocities, as a fraction of that range.
 VELOCITY_MARGIN = 0.25
 
-# A solid particle's neighbours at rest: as far away (spacings), at most, at least, and the smallest ratio of
+# A solid particle's rest neighbours: largest distance (spacings), maximum and minimum number, and smallest ratio of
 # the eigenvalues of their second moment.
 RANGE, MOST, FEWEST, FLATTEST = 2.1, 12, 3, 0.05
-# Units of strain and bend, and how large they get.
+# Scales of strain and bend, and the limit of the scaled values.
 SHAPE_SCALE, SHAPE_LARGEST = (10.0, 10.0, 10.0, 60.0, 60.0), 4.0
-# Velocity, push, stop; four walls at two scales; shape; material.
+# Velocity, velocity residual, wall impulse; four walls at two scales; shape; material.
 FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
 
-# What keeps a node's averages finite, and the mass of a node in the middle of a body.
+# Keeps a node's averages finite; mass of a node inside a body.
 LEAST_MASS, FULL = 1e-3, 16.0
-# What a node knows beside its channels: how full it is, and how near the four walls are.
+# Features of a node besides its channels: its fill and the proximity to the four walls.
 NODE_FEATURES = 1 + 4
-# Constants of the rules from here on: those of format version 1, and of `[rules]` as `eddy train` writes it.
-# Nearness of a wall that ends free flight (cells).
+# The remaining constants belong to the rules: those of format version 1, and of `[rules]` as `eddy train` writes it.
+# Distance to a wall that ends free flight (cells).
 REACH = 1.5
-# Where liquids keep their area: width of a cell (spacings), how full a node is when pressure sets in and where the
-# surface is, sweeps and over-relaxation of its solution, the longest shift (cells).
+# Rule `area`: width of a cell (spacings), fill of a node above which pressure acts and fill at the
+# surface, sweeps and over-relaxation of the solver, largest shift (cells).
 AREA_CELL, FULLEST, SURFACE, SWEEPS, OVER, LONGEST = 2, 1.25, 0.5, 20, 1.7, 0.5
-# How far jelly and rope are stretched at most; how often particles are moved to where their neighbours have them.
+# Rule `shape`: largest strain of jelly and rope; number of sweeps.
 STRAIN, RESTORED = 0.03, 5
-# Speeds of its fastest cell at which a body rests and from which on it moves freely (what gravity gives in a frame).
+# Rule `rest`: speeds of a body's fastest cell below which it rests and above which it moves freely (units: velocity
+# that gravity adds per frame).
 ASLEEP, AWAKE = 0.25, 1.0
-# Nodes before the domain's corner: with four, the coarsest level begins at a node, too.
+# Nodes outside the domain's corner: with four, the coarsest level also starts at a node.
 MARGIN = 4
 
 
 class Around(nn.Linear):
-    """From the 3 x 3 nodes around each node, row by row from the lower left, to the node."""
+    """Map the 3 x 3 nodes around each node, row by row from the lower left, to the node."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(9 * inputs, outputs)
@@ -56,7 +57,7 @@ class Around(nn.Linear):
 
 
 class Down(nn.Linear):
-    """From the 2 x 2 nodes below each node of the next coarser level to the node."""
+    """Map the 2 x 2 nodes below each node of the next coarser level to that node."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(4 * inputs, outputs)
@@ -67,7 +68,7 @@ class Down(nn.Linear):
 
 
 class Up(nn.Linear):
-    """From each node to the 2 x 2 below it, by a map for each; they share the bias."""
+    """Map each node to the 2 x 2 nodes below it, with one matrix for each and a shared bias."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, 4 * outputs)
@@ -79,27 +80,27 @@ class Up(nn.Linear):
 
 
 def spline(distance: Tensor) -> Tensor:
-    """The quadratic B-spline of distances in cells."""
+    """Quadratic B-spline of distances in cells."""
     outer = 0.5 * (1.5 - distance.abs()).clamp(min=0).square()
     return torch.where(distance.abs() < 0.5, 0.75 - distance.square(), outer)
 
 
 def spline_until(distance: Tensor) -> Tensor:
-    """Its integral from the far left."""
+    """Integral of `spline` from minus infinity."""
     tail = (1.5 - distance.abs()).clamp(min=0).pow(3) / 6
     outer = torch.where(distance > 0, 1 - tail, tail)
     return torch.where(distance.abs() < 0.5, 0.5 + 0.75 * distance - distance.pow(3) / 3, outer)
 
 
 def spline_slope(distance: Tensor) -> Tensor:
-    """Its slope."""
+    """Derivative of `spline`."""
     outer = -distance.sign() * (1.5 - distance.abs()).clamp(min=0)
     return torch.where(distance.abs() < 0.5, -2 * distance, outer)
 
 
 def rest_neighbours(position: Tensor, material: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Of positions at rest, [B, N, 2]: the weights k of a particle's neighbours, [B, N, N], zeros where they do not
-    tell a deformation; where these are from it, X_j - X, [B, N, N, 2]; and the inverse of A, [B, N, 2, 2]."""
+    """For rest positions [B, N, 2]: the weights k of a particle's neighbours, [B, N, N], zero where the neighbours do not
+    determine a deformation; their offsets X_j - X, [B, N, N, 2]; and the inverse of A, [B, N, 2, 2]."""
     position, reach = position.double(), (RANGE * spacing) ** 2
     apart = position.unsqueeze(1) - position.unsqueeze(2)  # X_j - X_i, [B, i, j, 2]
     squared = apart.square().sum(-1)
@@ -118,10 +119,10 @@ def rest_neighbours(position: Tensor, material: Tensor, spacing: float) -> tuple
 
 
 def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
-    """What makes strain and bend of positions, [B, 3, N, N], from those at rest, [B, N, 2].
+    """The linear map from positions to deformation and bend, [B, 3, N, N], for rest positions [B, N, 2].
 
     Its product with positions x gives the two columns of F = sum_j (x_j - x) c_j^T and the bend,
-    sum_j k_j (x_j - x - F (X_j - X)) / sum_j k_j in spacings; zeros where neighbours do not tell.
+    sum_j k_j (x_j - x - F (X_j - X)) / sum_j k_j in spacings; zero where the neighbours do not determine them.
     """
     weight, apart, inverse = rest_neighbours(position, material, spacing)
     column = torch.einsum("bij,bixy,bijy->bxij", weight, inverse, apart)  # c
@@ -177,20 +178,20 @@ class ParticleModel(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def matter(self, material: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-        """What does not change: materials [B, N] as features [B, N, 4], and `rest_shape` of the positions at
-        rest [B, N, 2], those of a stream's first frame."""
+        """Static inputs: materials [B, N] as features [B, N, 4], and `rest_shape` of the rest
+        positions [B, N, 2], which are those of a stream's first frame."""
         return one_hot(material, len(MATERIALS)).to(self.unit), rest_shape(rest, material, self.spacing).to(self.unit)
 
     def forward(
         self, bodies: Bodies, matter: tuple[Tensor, Tensor], state: tuple[State, Tensor] | None = None
     ) -> tuple[Bodies, tuple[State, Tensor]]:
-        """The frame after each of T frames, and after the last the core's state and the velocities that the
-        ballistic step foretells; `matter` is from `matter()`."""
+        """The frame after each of T frames, and after the last one the core's state and the velocities expected from the
+        ballistic step; `matter` comes from `matter()`."""
         position, velocity = (track.to(self.unit) for track in bodies)
-        carried, foretold = (None, velocity[0]) if state is None else state
-        fallen_position, fallen_velocity, stopped = self.fall(position, velocity)
-        push = velocity - torch.cat([foretold.unsqueeze(0), fallen_velocity[:-1]])
-        features = self.features(position, torch.cat([velocity, push, stopped], -1), matter)  # [T, B, N, F]
+        carried, expected = (None, velocity[0]) if state is None else state
+        fallen_position, fallen_velocity, impulse = self.fall(position, velocity)
+        residual = velocity - torch.cat([expected.unsqueeze(0), fallen_velocity[:-1]])
+        features = self.features(position, torch.cat([velocity, residual, impulse], -1), matter)  # [T, B, N, F]
 
         encoded = self.encoder[1](relu(self.encoder[0](features)))  # [T, B, N, C0]
         context = torch.stack([self.look_around(*frame) for frame in zip(position, encoded)])
@@ -204,15 +205,15 @@ class ParticleModel(nn.Module):
         return (position, velocity), (carried, fallen_velocity[-1])
 
     def fall(self, position: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The ballistic step: the next positions and velocities, and the velocities that walls stop."""
+        """The ballistic step: the next positions and velocities, and the wall impulses."""
         faster = velocity + self.gravity * self.dt
         free = position + 0.5 * (velocity + faster) * self.dt
         held = free.clamp(self.lower, self.upper)
-        stopped = torch.where(held == free, 0, -faster)
-        return held, faster + stopped, stopped
+        impulse = torch.where(held == free, 0, -faster)
+        return held, faster + impulse, impulse
 
     def features(self, position: Tensor, velocities: Tensor, matter: tuple[Tensor, Tensor]) -> Tensor:
-        """[T, B, N, F] from positions [T, B, N, 2] and velocities, pushes and stops [T, B, N, 6]."""
+        """[T, B, N, F] from positions [T, B, N, 2] and velocities, velocity residuals and wall impulses [T, B, N, 6]."""
         material, shape = matter
         distance = torch.cat([position - self.lower, self.upper - position], -1).clamp(min=0)
         walls = torch.cat([torch.exp(-distance / NEAR), torch.exp(-distance / FAR)], -1)
@@ -220,7 +221,7 @@ class ParticleModel(nn.Module):
         return torch.cat([velocities / self.unit, walls, self.strain(position, shape), material], -1)
 
     def strain(self, position: Tensor, shape: Tensor) -> Tensor:
-        """Strain B - 1, B = F F^T, as xx, yy, xy, and bend as x, y: [T, B, N, 5]."""
+        """Strain B - 1, B = F F^T, as xx, yy, xy, and bend as x, y, [T, B, N, 5]."""
         solid = (shape != 0).any(3).any(1).unsqueeze(-1)  # [B, N, 1]
         first, second, bend = torch.einsum("bkij,tbjx->ktbix", shape, position)
         square = first.square() + second.square() - solid.to(first)
@@ -229,7 +230,7 @@ class ParticleModel(nn.Module):
         return numbers.clamp(-SHAPE_LARGEST, SHAPE_LARGEST)
 
     def look_around(self, position: Tensor, encoded: Tensor) -> Tensor:
-        """What each particle reads, [B, N, C0], where all have written `encoded`, [B, N, C0], from
+        """Scatter `encoded`, [B, N, C0], to the grid, apply the convolutions and gather the result, [B, N, C0], at
         `position`, [B, N, 2], inside the domain."""
         x, y = ((position - self.corner) / self.cell).unsqueeze(-1).unbind(2)
         across, up = spline(x - self.node_x), spline(y - self.node_y)  # weights [B, N, I], [B, N, J]
@@ -255,7 +256,7 @@ class ParticleModel(nn.Module):
         return torch.einsum("bnj,bni,bcji->bnc", up, across, fine["c"](held_0))
 
     def node_walls(self) -> Tensor:
-        """Nearness of the left, lower, right and upper wall at each node, [4, J, I]."""
+        """Proximity of the left, lower, right and upper wall at each node, [4, J, I]."""
         (left, lower), (right, upper) = self.lower, self.upper
         x = self.corner[0] + self.cell * self.node_x  # [I]
         y = self.corner[1] + self.cell * self.node_y.unsqueeze(-1)  # [J, 1]
@@ -263,7 +264,7 @@ class ParticleModel(nn.Module):
         return torch.exp(-torch.stack(distances).clamp(min=0) / self.cell)
 
     def keep_area(self, material: Tensor, predicted: Bodies) -> Bodies:
-        """What eddy makes of the network's own prediction, [N, 2] each, first: liquids keep their area."""
+        """First rule, on the network's prediction, [N, 2] each: liquids keep their area."""
         position, velocity = predicted
         cell = AREA_CELL * self.spacing
         extent = ((self.far_corner - self.corner) / cell).ceil().int().tolist()
@@ -297,7 +298,7 @@ class ParticleModel(nn.Module):
             pressure = torch.where(pressed & (odd == sweep % 2), relaxed, pressure)
         kept = pressure[rows][:, columns][None, None]
         left, below = int(columns.int().argmax()), int(rows.int().argmax())
-        pressure = pad(kept, (2, 2, 2, 2), mode="replicate")[0, 0]  # beyond walls as at walls
+        pressure = pad(kept, (2, 2, 2, 2), mode="replicate")[0, 0]  # outside the walls as at the walls
         x, y = x[left - 2 : left + kept.shape[3] + 2], y[below - 2 : below + kept.shape[2] + 2]
         across, up = place[:, 0, None] - x, place[:, 1, None] - y
         slope = torch.stack(
@@ -312,14 +313,14 @@ class ParticleModel(nn.Module):
         return moved, velocity + (moved - position) / self.dt
 
     def keep_shape(self, matter: tuple[Tensor, Tensor, Tensor], predicted: Bodies) -> Bodies:
-        """What eddy makes of a prediction, [N, 2] each, second: jelly and rope keep their shape. `matter` is the
-        `rest_shape`, [3, N, N], and weights and places of neighbours at rest as from `rest_neighbours`."""
+        """Second rule, on a prediction, [N, 2] each: jelly and rope keep their shape. `matter` is the
+        `rest_shape`, [3, N, N], with weights and offsets from `rest_neighbours`."""
         (shape, weight, apart), (position, velocity) = matter, predicted
         solid = weight.sum(1) > 0
         share = weight / torch.where(solid, weight.sum(1), 1).unsqueeze(1)
         gradient = torch.einsum("kij,jx->ixk", shape[:2], position)  # F, [N, 2, 2]
         left, stretch, right = torch.linalg.svd(torch.where(solid[:, None, None], gradient, torch.eye(2).to(gradient)))
-        # Turns only: what is mirrored has a negative stretch.
+        # Rotations only: a reflection becomes a negative stretch.
         mirrored = torch.stack([torch.ones(len(left)).to(left), torch.det(left @ right).sign()], 1)
         stretch = (stretch * mirrored).clamp(1 - STRAIN, 1 + STRAIN)
         limited = left * (mirrored * stretch).unsqueeze(1) @ right
@@ -332,8 +333,8 @@ class ParticleModel(nn.Module):
         return place, velocity + (place - position) / self.dt
 
     def keep_momentum(self, bodies: Bodies, predicted: Bodies) -> Bodies:
-        """What eddy makes of a prediction, [N, 2] each, for the frame after `bodies`, [N, 2] each, at last: bodies in
-        free flight keep their momentum and their angular momentum, others that hardly move come to rest."""
+        """Third and fourth rule, on a prediction, [N, 2] each, for the frame after `bodies`, [N, 2] each: bodies in
+        free flight keep momentum and angular momentum, and other bodies that hardly move come to rest."""
         position, velocity = (track.to(self.unit) for track in bodies)
         faster = velocity + self.gravity * self.dt
         fallen = position + 0.5 * (velocity + faster) * self.dt
@@ -368,7 +369,7 @@ class ParticleModel(nn.Module):
         return kept_position, kept_velocity
 
     def body(self, position: Tensor) -> Tensor:
-        """The number of the body that each particle belongs to, [N]: of nodes that are next to each other."""
+        """The index of the body that each particle belongs to, [N]; a body is a connected group of nodes."""
         place = torch.floor((position - self.corner) / self.cell - 0.5).long() + MARGIN
         there = torch.zeros(1, len(self.node_y), len(self.node_x))
         for across in range(3):

@@ -1,11 +1,11 @@
-"""Times eddy against PyTorch, in turns, on the same two cores.
+"""Compare the speed of eddy and PyTorch, alternating on the same two cores.
 
     pip install -r tests/peers/requirements-bench.txt
     cargo build --release
     python tests/peers/torch_speed.py target/release/eddy
 
 Units of work, f32, N = 2500, encoder 256, two layers of 1250:
-1. inference: one frame through the frame model, the state carried.
+1. inference: one frame through the frame model, with carried state.
 2. frame: a training step of the frame model. 16 windows, T frames observed, the next one predicted;
    forward, mean squared error, backward, Adam.
 3. core: a training step of the core alone on [T, 16, 1250]. Loss mean(h^2), backward to weights and
@@ -13,11 +13,11 @@ Units of work, f32, N = 2500, encoder 256, two layers of 1250:
 
 Both pool before the encoder's second layer. PyTorch runs eager with default settings, and a second time
 with torch.compile and Adam's `fused=True`. Each number is the median of several rounds, each of them the
-median of a few seconds after a warm-up. `share` is eddy's time by eager PyTorch's; exits with 1 if one
-is above what is asked.
+median of a few seconds after a warm-up. `share` is eddy's time divided by eager PyTorch's; exits with 1 if one
+exceeds its limit.
 
-`--table4` prints instead the times of the paper's Table 4, of both programs: training steps of the four
-recurrent cores, as time a sample and an epoch, and how much the minimal ones save.
+`--table4` prints the times of the paper's Table 4 instead, for both programs: training steps of the four
+recurrent cores, as time per sample and per epoch, and the savings of the minimal ones.
 """
 
 import argparse
@@ -41,25 +41,25 @@ from torch_model import describe
 THREADS = 2
 PAPER = {"encoder": 256, "hidden": 1250, "layers": 2, "particles": 2500}
 WINDOWS = 16
-# Samples an epoch of the paper's Table 4.
+# Samples per epoch in the paper's Table 4.
 PAPER_SAMPLES = 23_856
-# Products of matrices, relative to each other, a layer and frame.
+# Matrix products per layer and frame, relative to each other.
 PRODUCTS = {"lstm": 8, "gru": 6, "minlstm": 3, "mingru": 2}
 
 
 @dataclass(frozen=True)
 class Case:
-    """A unit of work, and the largest share of PyTorch's time that eddy may take."""
+    """A unit of work, and the limit of eddy's time as a fraction of PyTorch's."""
 
     what: str
     core: str
     frames: int
-    asked: float | None = None
+    limit: float | None = None
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Milliseconds; none where torch.compile was not asked for or failed."""
+    """Times (ms); `compiled` is None if torch.compile was not requested or failed."""
 
     case: Case
     eager: float
@@ -68,13 +68,13 @@ class Timing:
 
     @property
     def share(self) -> float:
-        """Eddy's time by eager PyTorch's."""
+        """eddy's time divided by eager PyTorch's."""
         return self.eddy / self.eager
 
     @property
-    def missed(self) -> bool:
-        """Whether eddy takes more than is asked."""
-        return self.case.asked is not None and self.share > self.case.asked
+    def exceeded(self) -> bool:
+        """Whether eddy exceeds the limit."""
+        return self.case.limit is not None and self.share > self.case.limit
 
 
 CORE_SHARE = {"mingru": 0.85, "minlstm": 0.85, "gru": 1.2, "lstm": 1.2}
@@ -83,7 +83,7 @@ CASES = [
     Case("inference", "lstm", 1, 0.45),
     *(Case("inference", core, 1) for core in ("minlstm", "gru", "mlp")),
     Case("frame", "mingru", 2, 0.4),
-    *(Case("core", core, frames, asked) for core, asked in CORE_SHARE.items() for frames in (2, 16, 64)),
+    *(Case("core", core, frames, limit) for core, limit in CORE_SHARE.items() for frames in (2, 16, 64)),
 ]
 TABLE_4 = [
     *(Case("frame", core, 2) for core in PRODUCTS),
@@ -92,18 +92,18 @@ TABLE_4 = [
 
 
 def compilable(module: nn.Module, compiled: bool) -> Callable:
-    """The module, through torch.compile if asked."""
+    """The module, optionally compiled with torch.compile."""
     return torch.compile(module) if compiled else module
 
 
 def particles(frames: int, windows: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
-    """Particles anywhere, all of them liquid."""
+    """Particles at random positions, all of them liquid."""
     shape = (frames, windows, PAPER["particles"], 2)
     return (torch.rand(shape), 2 * torch.rand(shape) - 1), torch.zeros(shape[1:3], dtype=torch.long)
 
 
 def inference(case: Case, compiled: bool) -> Callable[[], None]:
-    """Predicts the next frame of a stream."""
+    """A step that predicts the next frame of a stream."""
     model = FrameModel(describe(case.core, PAPER)).eval()
     predict = compilable(model, compiled)
     bodies, material = particles(1, 1)
@@ -118,7 +118,7 @@ def inference(case: Case, compiled: bool) -> Callable[[], None]:
 
 
 def training(parameters: list[Tensor], loss: Callable[[], Tensor], compiled: bool) -> Callable[[], None]:
-    """A step of Adam."""
+    """A training step with Adam."""
     adam = torch.optim.Adam(parameters, lr=1e-3, fused=True if compiled else None)
 
     def step() -> None:
@@ -130,7 +130,7 @@ def training(parameters: list[Tensor], loss: Callable[[], Tensor], compiled: boo
 
 
 def frame(case: Case, compiled: bool) -> Callable[[], None]:
-    """Learns to predict the frame after T others."""
+    """A training step that predicts the frame after T others."""
     model = FrameModel(describe(case.core, PAPER))
     predict = compilable(model, compiled)
     (position, velocity), material = particles(case.frames + 1, WINDOWS)
@@ -144,7 +144,7 @@ def frame(case: Case, compiled: bool) -> Callable[[], None]:
 
 
 def core(case: Case, compiled: bool) -> Callable[[], None]:
-    """Makes the outputs for T made-up encodings smaller."""
+    """A training step that minimises the outputs for T random encodings."""
     module = FrameModel(describe(case.core, PAPER | {"particles": 1})).core
     run = compilable(module, compiled)
     encodings = torch.rand(case.frames, WINDOWS, PAPER["hidden"], requires_grad=True)
@@ -160,7 +160,7 @@ WORK = {"inference": inference, "frame": frame, "core": core}
 
 
 def milliseconds(step: Callable[[], None], seconds: float) -> float:
-    """Median over so many seconds, but at least three steps, after two to warm up."""
+    """Median time (ms) over this many seconds and at least three steps, after two warm-up steps."""
     for _ in range(2):
         step()
     times: list[float] = []
@@ -173,7 +173,7 @@ def milliseconds(step: Callable[[], None], seconds: float) -> float:
 
 
 def eddy(program: str, case: Case, seconds: float) -> float:
-    """Milliseconds by `eddy bench`."""
+    """Time (ms) from `eddy bench`."""
     if case.what == "inference":
         arguments = ["inference", "--core", case.core, "--threads", str(THREADS), "--engine-only"]
     else:
@@ -187,18 +187,18 @@ def eddy(program: str, case: Case, seconds: float) -> float:
 
 
 def compile_step(case: Case) -> Callable[[], None] | None:
-    """The work through torch.compile, or none and a line that says why."""
+    """The step with torch.compile; None, with a printed reason, if it fails."""
     step = WORK[case.what](case, compiled=True)
     try:
         step()
-    except Exception as error:  # whatever a compiler may raise
+    except Exception as error:  # compilers may raise anything
         print(f"torch.compile: {case.what} {case.core} {case.frames}: {error!s:.200}")
         return None
     return step
 
 
 def measure(program: str, case: Case, rounds: int, seconds: float, compiled: bool) -> Timing:
-    """Eddy and PyTorch, in turns."""
+    """Time eddy and PyTorch in alternating rounds."""
     torch.compiler.reset()
     eager = WORK[case.what](case, compiled=False)
     fast = compile_step(case) if compiled else None
@@ -213,18 +213,18 @@ def measure(program: str, case: Case, rounds: int, seconds: float, compiled: boo
 
 
 def show(timing: Timing) -> str:
-    """A line of the table of shares."""
+    """A row of the table."""
     case = timing.case
     compiled = "-" if timing.compiled is None else f"{timing.compiled:.1f}"
-    asked = "" if case.asked is None else f"<= {case.asked:.2f}" + " missed" * timing.missed
+    limit = "" if case.limit is None else f"<= {case.limit:.2f}" + " exceeded" * timing.exceeded
     return (
         f"{case.what:9} {case.core:8} {case.frames:4} {timing.eager:9.1f} {compiled:>9} {timing.eddy:9.1f}"
-        f" {timing.share:6.2f}  {asked}"
+        f" {timing.share:6.2f}  {limit}"
     )
 
 
 def show_table_4(timing: Timing) -> str:
-    """A line of the paper's Table 4, both programs."""
+    """A row of the paper's Table 4 for both programs."""
     case = timing.case
     columns = []
     for step in (timing.eager, timing.eddy):
@@ -234,7 +234,7 @@ def show_table_4(timing: Timing) -> str:
 
 
 def ratios(timings: list[Timing]) -> str:
-    """How much the minimal cores save."""
+    """The savings of the minimal cores."""
     by = {(timing.case.what, timing.case.frames, timing.case.core): timing for timing in timings}
     lines = ["\nwhat        T  LSTM/minLSTM: PyTorch   eddy   GRU/minGRU: PyTorch   eddy"]
     for what, frames in dict.fromkeys((timing.case.what, timing.case.frames) for timing in timings):
@@ -250,8 +250,8 @@ def ratios(timings: list[Timing]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("program", help="the built eddy")
-    parser.add_argument("--what", choices=WORK, help="only these rows")
-    parser.add_argument("--table4", action="store_true", help="the paper's Table 4 instead")
+    parser.add_argument("--what", choices=WORK, help="run only these rows")
+    parser.add_argument("--table4", action="store_true", help="print the paper's Table 4 instead")
     parser.add_argument("--quick", action="store_true", help="one round of one second")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -264,20 +264,20 @@ def main() -> None:
     if not options.json and options.table4:
         print("what      core        T PyTorch ms ms/sample  s/epoch   eddy ms ms/sample  s/epoch")
     elif not options.json:
-        print("what      core        T   PyTorch  compiled      eddy  share  asked")
+        print("what      core        T   PyTorch  compiled      eddy  share  limit")
     for case in TABLE_4 if options.table4 else CASES:
         if options.what not in (None, case.what):
             continue
         timing = measure(options.program, case, rounds, seconds, compiled=not options.table4)
         timings.append(timing)
-        gc.collect()  # the last case's weights
+        gc.collect()  # the weights of the previous case
         if not options.json:
             print(show_table_4(timing) if options.table4 else show(timing), flush=True)
     if options.json:
         print(json.dumps([dataclasses.asdict(timing) | {"share": timing.share} for timing in timings], indent=2))
     elif options.table4:
         print(ratios(timings))
-    raise SystemExit(1 if any(timing.missed for timing in timings) else 0)
+    raise SystemExit(1 if any(timing.exceeded for timing in timings) else 0)
 
 
 if __name__ == "__main__":

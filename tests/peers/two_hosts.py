@@ -1,14 +1,14 @@
-"""Node and companion on two hosts, as far as the network can tell: two network namespaces joined by a cable (veth).
+"""Run the node and the companion on two emulated hosts: two network namespaces connected by a cable (veth).
 
     two_hosts.py EDDY BAG
 
-EDDY is the program, BAG a bag of frames of at least three seconds. The node runs in one namespace, `eddy replay` and
-`eddy record` in the other, through Zenoh endpoints that ZENOH_CONFIG_OVERRIDE names. When predictions flow, the link
-is set down for ten seconds and up again: predictions must flow again, the node must have counted the frames that
-it missed, and the recorded predictions must show the gap and go on.
+EDDY is the program, BAG a bag of frames that covers at least three seconds. The node runs in one namespace, `eddy replay` and
+`eddy record` in the other, with Zenoh endpoints set by ZENOH_CONFIG_OVERRIDE. Once predictions arrive, the link
+is taken down for ten seconds: afterwards predictions must arrive again, the node must have counted the frames that
+it missed, and the recorded predictions must continue after the gap.
 
-Needs the right to make namespaces (root); says so and ends well where that is refused. Prints one line of JSON;
-exits with 1 and a sentence when something does not hold.
+Needs permission to create namespaces (root); without it, prints a note and exits with 0. Prints one line of JSON;
+exits with 1 and a message if a check fails.
 """
 
 import json
@@ -27,7 +27,7 @@ from check_bag import FRAME, typestore
 
 TOPIC = "/two_hosts"
 OUTAGE = 10  # s
-# Frames recorded at 62.5 Hz come at a tenth of that.
+# Replays frames recorded at 62.5 Hz at a tenth of that rate.
 RATE = 0.1
 DEADLINE = 60  # s
 
@@ -42,7 +42,7 @@ def ip(*words):
 
 
 class Hosts:
-    """Two namespaces with a cable between them, gone at the end."""
+    """Two namespaces connected by a cable, deleted at the end."""
 
     def __init__(self):
         number = os.getpid()
@@ -57,7 +57,7 @@ class Hosts:
         except (OSError, subprocess.CalledProcessError) as error:
             reason = getattr(error, "stderr", None) or str(error)
             self.__exit__()
-            print(f"two hosts: not tried, network namespaces are not permitted here: {reason.strip()}")
+            print(f"two hosts: skipped, network namespaces are not permitted: {reason.strip()}")
             sys.exit(0)
         ip("link", "add", self.ends[0], "type", "veth", "peer", "name", self.ends[1])
         for name, end, address in zip(self.names, self.ends, self.addresses):
@@ -69,14 +69,14 @@ class Hosts:
 
     def __exit__(self, *_):
         for name in self.names:
-            # The cable goes with its ends.
+            # This also deletes the cable.
             subprocess.run(["ip", "netns", "delete", name], check=False, capture_output=True)
 
     def cable(self, state):
         ip("-n", self.names[0], "link", "set", self.ends[0], state)
 
     def start(self, host, port, peers, words, **options):
-        """A program on a host that listens on a port and dials (host, port) of others."""
+        """Start a program on a host; it listens on a port and connects to peers (host, port)."""
         def endpoints(places):
             return json.dumps([f"tcp/{self.addresses[host]}:{port}" for host, port in places])
 
@@ -89,13 +89,13 @@ class Hosts:
 def wait_until(what, holds):
     start = time.monotonic()
     while not holds():
-        expect(time.monotonic() < start + DEADLINE, f"{what}: not within {DEADLINE} s")
+        expect(time.monotonic() < start + DEADLINE, f"{what}: timed out after {DEADLINE} s")
         time.sleep(0.2)
     return time.monotonic() - start
 
 
 def end(process, name):
-    """Interrupts it, and gives what it printed."""
+    """Interrupt a process and return its output."""
     process.send_signal(signal.SIGINT)
     printed, _ = process.communicate(timeout=DEADLINE)
     expect(process.returncode == 0, f"{name}: ended with {process.returncode}")
@@ -111,7 +111,7 @@ def sequences(bag, store):
 
 
 def count(eddy, active):
-    """Predictions in a bag that is being written."""
+    """Number of predictions in a bag that is being written."""
     printed = subprocess.run([eddy, "--quiet", "bag", "info", str(active)], capture_output=True, text=True).stdout
     found = re.search(rf"^ *{TOPIC}/prediction +\S+ +(\d+)", printed, re.MULTILINE)
     return int(found[1]) if found else 0
@@ -145,7 +145,7 @@ def run(eddy, bag, hosts, folder):
         for process in started:
             process.kill()
     lost = re.search(r"(\d+) lost in transport", said)
-    expect(lost, f"node: counted no loss, said: {said}")
+    expect(lost, f"node: counted no loss; output: {said}")
     return before, took, int(lost[1]), sequences(recorded, typestore())
 
 
@@ -155,7 +155,7 @@ def main():
         before, took, lost, found = run(eddy, bag, hosts, folder)
     steps = [b - a for a, b in zip(found, found[1:])]
     gap = max(steps)
-    # Ten seconds at the replay's rate.
+    # Half of the frames of ten seconds at the replay's rate.
     expect(gap > 0.5 * OUTAGE * 62.5 * RATE, f"the largest gap in the predictions is {gap} frames")
     print(json.dumps({
         "predictions": len(found), "before the outage": before, "gap": gap,

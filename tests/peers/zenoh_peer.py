@@ -1,13 +1,13 @@
-"""Frames on Zenoh against programs that were not written here: eclipse-zenoh, rosbags, xxhash.
+"""Exchange frames on Zenoh with independent programs: eclipse-zenoh, rosbags, xxhash.
 
     zenoh_peer.py listen TOPIC COUNT [--connect ENDPOINT ...] [--domain D] [--timeout S]
     zenoh_peer.py publish TOPIC COUNT [--particles N] [--stream S] [--rate HZ] [--connect ...] ...
 
-listen  takes COUNT frames and checks of each: the key expression (domain, topic, type, RIHS01 hash), the
+listen  receives COUNT frames and checks for each: the key expression (domain, topic, type, RIHS01 hash), the
         attachment (33 bytes; its GID is the XXH3-128 of a liveliness token of a publisher of this topic), the
         CDR header and every field of the message.
-publish sends COUNT frames of falling particles, as an rmw_zenoh publisher would, once somebody subscribes.
-Both print one line of JSON at the end, and exit with 1 and a sentence when something does not hold.
+publish sends COUNT frames of falling particles, like an rmw_zenoh publisher, as soon as there is a subscriber.
+Both print one line of JSON at the end, and exit with 1 and a message if a check fails.
 """
 
 import argparse
@@ -29,7 +29,7 @@ DDS_NAME = "eddy_msgs::msg::dds_::ParticleFrame_"
 ATTACHMENT = struct.Struct("<qqB16s")
 DT = 0.016
 GRAVITY = 1.0
-# Where eddy processes listen, and a router.
+# The ports of eddy processes and of a router.
 ENDPOINTS = [f"tcp/127.0.0.1:{port}" for port in range(7447, 7464)]
 
 
@@ -39,7 +39,7 @@ def expect(holds, sentence):
 
 
 def typestore():
-    """ROS 2's own messages, and ours as rosbags parses them."""
+    """ROS 2's messages, and eddy's as rosbags parses them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(MSGS.glob("*.msg")):
         store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
@@ -61,7 +61,7 @@ def key_of(store, args):
 
 
 def check_frame(message):
-    """The fields of one frame agree with each other."""
+    """Check that the fields of a frame are consistent."""
     particles = len(message.material)
     what = f"frame {message.sequence} of stream {message.stream}"
     expect(particles > 0, f"{what}: no particles")
@@ -69,7 +69,7 @@ def check_frame(message):
         values = getattr(message, name)
         expect(len(values) == 2 * particles, f"{what}: {name} has {len(values)} numbers for {particles} particles")
         expect(numpy.isfinite(values).all(), f"{what}: {name} is not finite")
-    expect(len(message.lower) == len(message.upper) == 2, f"{what}: the domain has not two dimensions")
+    expect(len(message.lower) == len(message.upper) == 2, f"{what}: the domain is not two-dimensional")
     expect((message.lower < message.upper).all(), f"{what}: the domain is empty")
     expect((message.material <= 3).all(), f"{what}: unknown material")
     expect(message.header.frame_id == "world", f"{what}: frame_id {message.header.frame_id}")
@@ -77,7 +77,7 @@ def check_frame(message):
 
 
 def gids_of_publishers(session, args):
-    """The GIDs that rmw_zenoh would give the publishers of the topic."""
+    """The GIDs that rmw_zenoh assigns to the publishers of the topic."""
     topic = args.topic.replace("/", "%")
     tokens = session.liveliness().get(f"@ros2_lv/{args.domain}/*/*/*/MP/*/*/*/{topic}/*/*/*")
     keys = [str(reply.ok.key_expr) for reply in tokens if reply.ok is not None]
@@ -87,7 +87,7 @@ def gids_of_publishers(session, args):
 def listen(store, args):
     session = open_session(args.connect)
     samples = queue.Queue()
-    # Any type and hash, so that a wrong one is seen.
+    # Any type and hash, to detect a wrong one.
     wildcard = f"{args.domain}/{args.topic.strip('/')}/*/*"
     subscriber = session.declare_subscriber(wildcard, samples.put)
     key, deadline = key_of(store, args), time.monotonic() + args.timeout
@@ -128,7 +128,7 @@ def listen(store, args):
 
 
 def falling_frames(store, args):
-    """Particles that fall and bounce in the unit square."""
+    """Frames of particles that fall and bounce in the unit square."""
     Frame, Header, Time = (
         store.types[name] for name in (FRAME, "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     )

@@ -1,8 +1,8 @@
-// A node through the eyes of Foxglove: its protocol's client and its decoders of ROS 2 messages.
+// Tests a node with Foxglove's software: the client of its protocol and its decoders of ROS 2 messages.
 //
-//   node check_foxglove.mjs EDDY BAG TOPIC     EDDY: the built program; BAG: frames; TOPIC: a prefix that nobody else uses
+//   node check_foxglove.mjs EDDY BAG TOPIC     EDDY: the built program; BAG: frames; TOPIC: an unused prefix
 //
-// Plays BAG to `eddy node --foxglove` on shared memory, and shows every topic that it offers.
+// Replays BAG to `eddy node --foxglove` on shared memory and subscribes to every topic that it offers.
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
@@ -21,7 +21,7 @@ async function until(what, answer) {
   for (;;) {
     const found = answer();
     if (found) return found;
-    if (Date.now() > end) throw new Error(`waited ${DEADLINE / 1000} s until ${what}`);
+    if (Date.now() > end) throw new Error(`timed out after ${DEADLINE / 1000} s: ${what}`);
     await sleep(20);
   }
 }
@@ -34,7 +34,7 @@ function start(...words) {
   return child;
 }
 
-/** Positions of a cloud, read as its fields say. */
+/** The positions of a cloud, read according to its fields. */
 function positions({ data, fields, point_step, width, height }) {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const [x, y] = ["x", "y"].map((name) => fields.find((field) => field.name === name).offset);
@@ -45,10 +45,10 @@ function positions({ data, fields, point_step, width, height }) {
 try {
   const link = `shm:${prefix}`;
   const node = start("node", "--input", `${link}/particles`, "--output", `${link}/prediction`, "--foxglove", "0");
-  const url = await until("the node says where it is", () => node.printed.match(/foxglove: (ws:\S+)/)?.[1]);
+  const url = await until("the node prints its URL", () => node.printed.match(/foxglove: (ws:\S+)/)?.[1]);
   start("--quiet", "replay", bag, "--to", "shm", "--remap", `/particles:=${prefix}/particles`, "--loop", "--wait-for", "1");
 
-  // The protocol is the same one; a server of the SDK has another name for it.
+  // The same protocol; the SDK's server uses another name for it.
   const client = new protocol.FoxgloveClient({ ws: new WebSocket(url, ["foxglove.sdk.v1"]) });
   const topics = new Map();
   const readers = new Map();
@@ -71,7 +71,7 @@ try {
     if (kind) clouds[kind].set(`${message.header.stamp.sec}.${message.header.stamp.nanosec}`, message);
   });
 
-  await until("there was a message of every topic", () => failure || (last.size === 4 && last.size === topics.size));
+  await until("a message arrived on every topic", () => failure || (last.size === 4 && last.size === topics.size));
   assert.equal(failure, undefined);
   assert.deepEqual(Object.fromEntries(topics), {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
@@ -82,15 +82,15 @@ try {
   assert.equal(last.get("/diagnostics").status[0].name, "eddy_node");
   assert.equal(last.get(`${prefix}/prediction/status`).horizon, 1);
 
-  const both = await until("there was truth and prediction of one instant", () =>
+  const both = await until("ground truth and prediction of the same instant arrived", () =>
     [...clouds.predicted.keys()].find((stamp) => clouds.observed.has(stamp)));
   const [truth, predicted] = [clouds.observed, clouds.predicted].map((seen) => positions(seen.get(both)));
   assert.ok(truth.length > 0);
   assert.equal(predicted.length, truth.length);
   const distances = truth.map(([x, y], number) => Math.hypot(predicted[number][0] - x, predicted[number][1] - y));
   const mean = distances.reduce((sum, distance) => sum + distance, 0) / distances.length;
-  assert.ok(mean < 0.01, `a frame ahead the mean error is ${mean} domain lengths`);
-  console.log(`Foxglove's client shows ${topics.size} topics; ${truth.length} points, mean error of a frame ahead ${mean.toExponential(1)}`);
+  assert.ok(mean < 0.01, `mean error one frame ahead: ${mean} domain lengths`);
+  console.log(`Foxglove's client receives ${topics.size} topics; ${truth.length} points, mean error one frame ahead ${mean.toExponential(1)}`);
   client.close();
 } finally {
   const ended = (child) => child.exitCode ?? new Promise((resolve) => child.once("exit", resolve));

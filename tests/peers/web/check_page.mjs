@@ -1,9 +1,9 @@
-// The live page in a real browser: Debian's chromium, driven by playwright-core, drawing in software.
+// Tests the live page in a real browser: Debian's chromium with software rendering, controlled by playwright-core.
 //
 //   node check_page.mjs EDDY [PICTURES]     EDDY: the built program; PICTURES: a folder for screenshots
 //
-// Runs `eddy demo` and looks at the pixels of the page, uses its controls, ends the program and starts it again, opens ten
-// tabs at once, a narrow window, light and dark. Prints the browser's rate with its renderer.
+// Runs `eddy demo`, inspects the pixels of the page, uses its controls, kills and restarts the program, opens ten
+// tabs at once and narrow windows, and switches between light and dark. Prints the browser's frame rate and renderer.
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
@@ -17,21 +17,21 @@ import { chromium } from "playwright-core";
 const [eddy, pictures] = process.argv.slice(2);
 const work = mkdtempSync(join(tmpdir(), "eddy-browser-"));
 if (pictures) mkdirSync(pictures, { recursive: true });
-// Eleven pages that draw in software on two cores take their time.
+// Eleven pages with software rendering on two cores are slow.
 const DEADLINE = 120_000;
 
-/** Asks again and again until the answer is truthy. */
+/** Polls until the answer is truthy. */
 async function until(what, answer, patience = DEADLINE) {
   const end = Date.now() + patience;
   for (;;) {
     const found = await answer();
     if (found) return found;
-    if (Date.now() > end) throw new Error(`waited ${patience / 1000} s until ${what}`);
+    if (Date.now() > end) throw new Error(`timed out after ${patience / 1000} s: ${what}`);
     await sleep(50);
   }
 }
 
-/** A port that was free just now. */
+/** A free port. */
 function freePort() {
   return new Promise((resolve) => {
     const server = createServer().listen(0, "127.0.0.1", () => {
@@ -43,14 +43,14 @@ function freePort() {
 
 let started = 0;
 const children = [];
-/** `eddy demo` with its page on `port`. */
+/** Starts `eddy demo` with its page on `port`. */
 async function demo(port) {
   const output = join(work, `demo-${started++}`);
   const child = spawn(eddy, ["demo", "--port", String(port), "--output", output], { stdio: ["ignore", "pipe", "inherit"] });
   children.push(child);
   let printed = "";
   child.stdout.on("data", (bytes) => { printed += bytes; });
-  const url = await until("the demo says where its page is", () => {
+  const url = await until("the demo prints the URL of its page", () => {
     assert.equal(child.exitCode, null, `the demo ended: ${printed}`);
     return printed.match(/page: +(http:\S+)/)?.[1];
   });
@@ -71,25 +71,25 @@ const browser = await chromium.launch({
   ],
 });
 
-/** A tab on the page, which fails this run when it asks anybody else, or reports an error. */
+/** Opens the page in a tab; requests to other origins and errors are collected in `faults` and fail the test. */
 const faults = [];
 async function tab(url, options = {}) {
   const context = await browser.newContext({ viewport: { width: 1280, height: 1000 }, colorScheme: "light", ...options });
   const page = await context.newPage();
   page.on("request", (request) => {
-    if (new URL(request.url()).host !== new URL(url).host) faults.push(`asked for ${request.url()}`);
+    if (new URL(request.url()).host !== new URL(url).host) faults.push(`requested ${request.url()}`);
   });
   page.on("pageerror", (error) => faults.push(`threw ${error.stack}`));
   page.on("console", (message) => {
     const ours = message.type() === "error" && !/WebSocket connection/.test(message.text());
-    if (ours) faults.push(`complained: ${message.text()}`);
+    if (ours) faults.push(`logged an error: ${message.text()}`);
   });
   page.setDefaultTimeout(DEADLINE);
   await page.goto(url);
   return page;
 }
 
-/** What is seen of an element: its pixels counted by colour, to the nearest of `palette`, within `near`. */
+/** The shares of an element's pixels that are within `near` of each colour in `palette`. */
 const easel = await (await browser.newContext()).newPage();
 async function colours(page, selector, palette, near = 40) {
   const png = (await page.locator(selector).screenshot()).toString("base64");
@@ -134,11 +134,11 @@ try {
   await sleep(3000);
   await snap(page, "light");
   console.log(`rate: ${await figure(page, "drawn here")}, ${await page.locator("#renderer").textContent()}`);
-  // How fast depends on what else the machine does: that it goes on is what is held.
+  // The rate depends on the load of the machine; test only that drawing continues.
   const drawn = await frame(page);
-  await until("it goes on drawing", async () => (await frame(page)) !== drawn);
+  await until("drawing continues", async () => (await frame(page)) !== drawn);
 
-  // Controls act on the program, not on the picture.
+  // Controls act on the program, not only on the page.
   await page.keyboard.press("Space");
   await until("it pauses", async () => (await page.locator("#pause").textContent()) === "Go on");
   const paused = await until("frames stop", async () => {
@@ -148,7 +148,7 @@ try {
   });
   const observed = Number((await figure(page, "sent to this page")).replaceAll(",", ""));
   await page.keyboard.press("ArrowRight");
-  await until("one frame comes", async () => (await frame(page)) === paused + 1);
+  await until("one frame arrives", async () => (await frame(page)) === paused + 1);
   await sleep(400);
   assert.equal(await frame(page), paused + 1, "a step is one frame");
   assert.equal(Number((await figure(page, "sent to this page")).replaceAll(",", "")), observed + 1, "one frame was sent");
@@ -164,7 +164,7 @@ try {
   await snap(page, "ahead");
   await page.locator("#publish_all").click();
   await page.locator("#free_run").click();
-  await until("the model simulates alone", async () => /free run/.test(await caption(page, "prediction")));
+  await until("the model runs free", async () => /free run/.test(await caption(page, "prediction")));
   await sleep(1500);
   await page.keyboard.press("o");
   await sleep(200);
@@ -193,21 +193,21 @@ try {
   await page.locator("#colour").selectOption("material");
   await page.locator("#colour").blur();
 
-  // Light and dark: the same page, other colours.
+  // Light and dark colour schemes.
   const ground = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
   const light = await ground();
   await page.keyboard.press("t");
-  assert.notEqual(await ground(), light, "dark is not light");
+  assert.notEqual(await ground(), light, "dark differs from light");
   const [dark] = await colours(page, "#truth .plot", [[11, 13, 17]], 12);
-  assert.ok(dark > 0.2, `the particles' ground is dark: ${dark}`);
+  assert.ok(dark > 0.2, `the background of the particles is dark: ${dark}`);
   await draws(page);
   await snap(page, "dark");
   const system = await tab(running.url, { colorScheme: "dark" });
-  assert.notEqual(await system.evaluate(() => getComputedStyle(document.body).backgroundColor), light, "as the system has it");
+  assert.notEqual(await system.evaluate(() => getComputedStyle(document.body).backgroundColor), light, "the page follows the system's colour scheme");
   await system.context().close();
   console.log("light and dark");
 
-  // The keys are listed, and a screen reader hears what is drawn.
+  // The list of keys, and names for screen readers.
   await page.keyboard.press("?");
   assert.ok(await page.locator("#keys").isVisible());
   assert.ok((await page.locator("#key-list dt").count()) >= 8);
@@ -215,7 +215,7 @@ try {
   const unnamed = await page.evaluate(() => [...document.querySelectorAll("button, input, select, canvas")]
     .filter((one) => !(one.ariaLabel || one.textContent.trim() || one.closest("label")?.textContent.trim()))
     .map((one) => one.id));
-  assert.deepEqual(unnamed, [], "everything has a name");
+  assert.deepEqual(unnamed, [], "all controls have names");
 
   // A narrow screen.
   for (const width of [320, 390]) {
@@ -224,7 +224,7 @@ try {
     const [content, window] = await phone.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
     assert.ok(content <= window, `${content} pixels in a window of ${window}`);
     const [one, other] = await Promise.all(["#truth", "#prediction"].map((side) => phone.locator(side).boundingBox()));
-    assert.ok(other.y >= one.y + one.height, "the sides are one below the other");
+    assert.ok(other.y >= one.y + one.height, "the panels are stacked");
     await snap(phone, `narrow-${width}`);
     await phone.context().close();
   }
@@ -234,23 +234,23 @@ try {
   const tabs = await Promise.all(Array.from({ length: 10 }, () => tab(running.url, { viewport: { width: 700, height: 500 } })));
   await Promise.all(tabs.map(open));
   for (const one of tabs) {
-    // Those behind get a frame of the browser now and then, and its pictures wait for two.
+    // Background tabs are rendered rarely, and a screenshot waits for two rendered frames.
     await one.bringToFront();
     await draws(one);
   }
-  await until("eleven are counted", async () => (await figure(tabs[0], "pages")) === "11");
+  await until("eleven pages are counted", async () => (await figure(tabs[0], "pages")) === "11");
   await Promise.all(tabs.map((one) => one.context().close()));
-  await until("they are gone", async () => (await figure(page, "pages")) === "1");
+  await until("the closed pages are no longer counted", async () => (await figure(page, "pages")) === "1");
   console.log("ten tabs at once");
 
-  // The program dies and comes back on the same port.
+  // The program is killed and restarted on the same port.
   await page.bringToFront();
   await running.kill();
-  await until("the page says so", async () => /trying again/.test(await page.locator("#connection").textContent()));
+  await until("the page reports the lost connection", async () => /trying again/.test(await page.locator("#connection").textContent()));
   await snap(page, "lost");
   running = await demo(port);
   await open(page);
-  await until("it goes on", async () => {
+  await until("frames arrive again", async () => {
     const first = await frame(page);
     await sleep(300);
     return first >= 0 && (await frame(page)) > first;
@@ -260,7 +260,7 @@ try {
   await running.kill();
 
   assert.deepEqual(faults, []);
-  console.log("no request left the page's origin, nothing was thrown");
+  console.log("no requests to other origins, no errors");
 } finally {
   children.forEach((child) => child.kill("SIGKILL"));
   await browser.close();

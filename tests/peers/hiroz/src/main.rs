@@ -1,12 +1,12 @@
-//! hiroz, a ROS 2 client library on Zenoh that was not written here, beside a running `eddy node`.
+//! Tests a running `eddy node` with hiroz, an independent ROS 2 client library on Zenoh.
 //!
 //! ```text
 //! hiroz_peer TOPIC FRAMES
 //! ```
 //!
-//! Finds the node and its topics with their types, publishes FRAMES frames on TOPIC/particles and reads what is
-//! predicted on TOPIC/prediction. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a sentence
-//! when something does not hold.
+//! Discovers the node and its topics with their types, publishes FRAMES frames on TOPIC/particles and reads the
+//! predictions on TOPIC/prediction. The domain is ROS_DOMAIN_ID. Prints one line of JSON; exits with 1 and a message
+//! if a check fails.
 
 use std::{
     env,
@@ -23,10 +23,10 @@ use hiroz::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Where eddy listens without a router: a router's port and those after it, on the loopback interface.
+/// Ports on the loopback interface where a router and eddy listen.
 const PORTS: std::ops::Range<u16> = 7447..7464;
 const TIMEOUT: Duration = Duration::from_secs(60);
-/// Particles, in rows of `COLUMNS`.
+/// Number of particles, in rows of `COLUMNS`.
 const PARTICLES: usize = 2500;
 const COLUMNS: usize = 50;
 const SPACING: f32 = 1.0 / 128.0;
@@ -65,7 +65,7 @@ impl ZMessage for ParticleFrame {
     type Serdes = SerdeCdrSerdes<Self>;
 }
 
-/// A block of jelly in free fall, so many frames after its release.
+/// A block of jelly in free fall, `sequence` frames after its release.
 fn frame(sequence: u64) -> ParticleFrame {
     let time = sequence as f32 * DT;
     let nanoseconds = sequence * 16_000_000;
@@ -121,7 +121,7 @@ fn run(topic: &str, frames: u64) -> Result<String, String> {
         }
         if Instant::now() > deadline {
             let nodes = graph.get_node_names();
-            return Err(format!("among {nodes:?} eddy_node reads {reads:?} and writes {writes:?}"));
+            return Err(format!("nodes: {nodes:?}; eddy_node subscribes to {reads:?} and publishes {writes:?}"));
         }
         thread::sleep(Duration::from_millis(50));
     }
@@ -148,7 +148,7 @@ fn run(topic: &str, frames: u64) -> Result<String, String> {
     ))
 }
 
-/// A prediction of the block, which falls as it has fallen: bodies in free flight keep to that.
+/// Checks a prediction of the block, which continues to fall freely.
 fn check(prediction: &ParticleFrame, last: u64) -> Result<(), String> {
     let expected = frame(prediction.sequence);
     let mean = |frame: &ParticleFrame| {
