@@ -15,6 +15,7 @@ use super::{
     writer::BagSummary,
 };
 use eddy_frames::Stamp;
+use eddy_settings::atomic;
 
 /// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
 const VERSION: u32 = 9;
@@ -84,13 +85,10 @@ struct FileInformation<'a> {
     message_count: u64,
 }
 
-/// Writes `metadata.yaml` into the bag's directory, whole or not at all.
+/// Writes `metadata.yaml` into the bag's directory, complete or not at all.
 pub(super) fn write(bag: &BagSummary) -> Result<(), BagError> {
-    let text = text(bag);
     let path = bag.directory.join(METADATA);
-    let unfinished = bag.directory.join(format!("{METADATA}.tmp"));
-    fs::write(&unfinished, text).map_err(BagError::io(&unfinished, "writing the metadata"))?;
-    fs::rename(&unfinished, &path).map_err(BagError::io(path, "naming the metadata"))
+    atomic::replace(&path, text(bag).as_bytes()).map_err(BagError::io(path, "writing the metadata"))
 }
 
 fn text(bag: &BagSummary) -> String {

@@ -26,6 +26,7 @@ use super::{
     writer::{Compression, WriterOptions, WrittenFile},
 };
 use eddy_frames::Stamp;
+use eddy_settings::atomic;
 
 /// Bytes of a message record before its data, and of its entry in the message index.
 const MESSAGE_OVERHEAD: u64 = 9 + 2 + 4 + 8 + 8 + 16;
@@ -246,7 +247,7 @@ impl Unclosed {
     fn name(&self, messages: u64, times: Option<(Stamp, Stamp)>) -> Result<WrittenFile, BagError> {
         let Self { file, active } = self;
         let metadata = fs::metadata(active).map_err(BagError::io(active, "measuring the file"))?;
-        fs::rename(active, file).map_err(BagError::io(active, "naming the finished file"))?;
+        atomic::rename(active, file).map_err(BagError::io(active, "naming the finished file"))?;
         Ok(WrittenFile {
             path: file.clone(),
             messages,

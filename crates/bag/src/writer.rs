@@ -159,24 +159,15 @@ impl BagWriter {
     /// no last part to name the file after, [`BagError::Io`] when the system refuses.
     pub fn create(path: &Path, options: WriterOptions) -> Result<Self, BagError> {
         let name = layout::name_of(path)?;
-        Self::create_in(path, &name, options)
-    }
-
-    /// Creates the bag called `name` in a directory of any name.
-    pub(super) fn create_in(
-        directory: &Path,
-        name: &str,
-        options: WriterOptions,
-    ) -> Result<Self, BagError> {
-        if fs::symlink_metadata(directory).is_ok() {
-            return Err(BagError::Exists { path: directory.into() });
+        if fs::symlink_metadata(path).is_ok() {
+            return Err(BagError::Exists { path: path.into() });
         }
-        fs::create_dir_all(directory).map_err(BagError::io(directory, "creating the bag"))?;
+        fs::create_dir_all(path).map_err(BagError::io(path, "creating the bag"))?;
         Ok(Self {
-            part: Part::create(layout::numbered(directory, name, 0), &options)?,
+            part: Part::create(layout::numbered(path, &name, 0), &options)?,
             options,
-            directory: directory.into(),
-            name: name.to_owned(),
+            directory: path.into(),
+            name,
             finished: Vec::new(),
             topics: Vec::new(),
             channels: Vec::new(),

@@ -34,6 +34,5 @@ pub(super) fn write(
             Ok(())
         })?;
     }
-    let file = table.into_inner().map_err(|error| error.into_error());
-    file.and_then(|file| file.sync_all()).map_err(failed())
+    table.flush().map_err(failed())
 }

@@ -153,4 +153,12 @@ impl ExchangeError {
     pub(super) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |reason| Self::Io { path: path.into(), action, reason }
     }
+
+    /// For `map_err`: why the output `path` cannot be created.
+    pub fn output(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |reason| match reason.kind() {
+            io::ErrorKind::AlreadyExists => Self::Exists { path: path.into() },
+            _ => Self::io(path, "creating the output")(reason),
+        }
+    }
 }

@@ -5,12 +5,11 @@ use std::{fs, path::Path};
 use super::{
     csv, data_set,
     error::ExchangeError,
-    gns, npz,
-    output::Output,
-    ply,
+    gns, npz, ply,
     streams::{Streams, Track, Watch},
     vtu,
 };
+use eddy_settings::atomic::Staged;
 
 /// What frames can be written as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,11 +61,11 @@ pub fn export(
 ) -> Result<(), ExchangeError> {
     let lone_file = path.extension().is_some_and(|extension| extension == "npz");
     let tracks: Vec<&Track> = streams.tracks().iter().collect();
-    let output = Output::new(path)?;
-    let place = output.place();
+    let output = Staged::new(path).map_err(ExchangeError::output(path))?;
+    let place = &output.path();
     let directory = || {
         fs::create_dir(place).map_err(ExchangeError::io(place, "creating the directory"))?;
-        Ok::<_, ExchangeError>(place)
+        Ok::<&Path, ExchangeError>(place)
     };
     match format {
         ExportFormat::Npz if lone_file => match tracks.as_slice() {
@@ -92,5 +91,5 @@ pub fn export(
         #[cfg(not(feature = "hdf5"))]
         ExportFormat::Hdf5 => return Err(ExchangeError::NoHdf5),
     }
-    output.finish()
+    output.commit().map_err(ExchangeError::output(path))
 }

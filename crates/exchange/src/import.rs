@@ -6,14 +6,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{
-    error::ExchangeError, gns, metadata::Scale, npz, output::Output, streams::Watch,
-    trajectory::Found,
-};
+use super::{error::ExchangeError, gns, metadata::Scale, npz, streams::Watch, trajectory::Found};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::dataset::TRUTH_TOPIC;
 use eddy_frames::{Domain, Material};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_settings::atomic::Staged;
 
 /// What frames can be read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,14 +63,10 @@ pub fn import(
     output: &Path,
     watch: &mut Watch<'_>,
 ) -> Result<Imported, ExchangeError> {
-    let output = Output::directory(output)?;
-    let mut bags = Bags {
-        directory: output.place().into(),
-        supplement,
-        sources: BTreeMap::new(),
-        frames: 0,
-        watch,
-    };
+    let staged = Staged::new(output).map_err(ExchangeError::output(output))?;
+    let directory = staged.path();
+    fs::create_dir(&directory).map_err(ExchangeError::io(&directory, "creating the directory"))?;
+    let mut bags = Bags { directory, supplement, sources: BTreeMap::new(), frames: 0, watch };
     match format {
         ImportFormat::Npz => {
             for file in npz_files(path)? {
@@ -92,7 +86,7 @@ pub fn import(
         ImportFormat::Hdf5 => return Err(ExchangeError::NoHdf5),
     }
     let imported = Imported { streams: bags.sources.len(), frames: bags.frames };
-    output.finish()?;
+    staged.commit().map_err(ExchangeError::output(output))?;
     Ok(imported)
 }
 

@@ -2,14 +2,13 @@
 //!
 //! Out of bags:
 //! 1. `streams`: which streams the bags hold, what changes in them, and their frames.
-//! 2. `output`: outputs that exist whole or not at all.
-//! 3. `export`: the formats and what each writes:
+//! 2. `export`: the formats and what each writes:
 //!    `csv` one table; `ply` and `vtu` a file a frame; `npz` arrays; `gns` and `hdf5` data sets of
 //!    learned simulators (`data_set`), with `metadata` (`metadata.json` and the statistics in it).
 //!
 //! Into bags:
-//! 4. `import`: what is missing in a file, and bags as `eddy simulate` writes them.
-//! 5. `trajectory`: arrays of one stream, checked and put together to frames.
+//! 3. `import`: what is missing in a file, and bags as `eddy simulate` writes them.
+//! 4. `trajectory`: arrays of one stream, checked and put together to frames.
 //!
 //! Both ways: `arrays`, numpy's arrays in a zip archive, without pickles.
 
@@ -24,7 +23,6 @@ mod hdf5;
 mod import;
 mod metadata;
 mod npz;
-mod output;
 mod ply;
 mod streams;
 mod trajectory;
@@ -33,7 +31,6 @@ mod vtu;
 pub use error::ExchangeError;
 pub use export::{ExportFormat, export};
 pub use import::{ImportFormat, Imported, Supplement, import};
-pub use output::Output;
 pub use streams::{Choice, Streams, Track, Watch};
 
 /// The example of the README, which a test runs.

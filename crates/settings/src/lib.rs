@@ -1,11 +1,13 @@
-//! Settings from TOML files: typed, unknown keys refused, files hold only what differs from the
-//! defaults.
+//! Settings from TOML files: typed, unknown keys rejected, files hold only what differs from the
+//! defaults. Beside them what all crates need for files and names: [`atomic`] writes and suggestions for
+//! misspelt names ([`near`]).
 
 use std::{
     fs, io,
     path::{Path, PathBuf},
 };
 
+pub mod atomic;
 pub mod near;
 
 use serde::{Serialize, de::DeserializeOwned};

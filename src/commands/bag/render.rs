@@ -1,7 +1,7 @@
 //! `eddy bag render`.
 
 use std::{
-    iter,
+    fs, iter,
     path::{Path, PathBuf},
 };
 
@@ -13,8 +13,9 @@ use crate::{
     commands::{Interrupt, progress_bar},
 };
 use eddy_evaluation::picture::{Animation, Canvas, Coloring, Kind, Painter, write_png};
-use eddy_exchange::{Choice, ExchangeError, Output, Streams, Track};
+use eddy_exchange::{Choice, ExchangeError, Streams, Track};
 use eddy_frames::{Frame, Material};
+use eddy_settings::atomic::Staged;
 
 /// Longer side of the domain in a strip (pixels).
 const STRIP_SIZE: usize = 240;
@@ -41,8 +42,11 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         );
     }
     let is_folder = strip_and_animation(&args.output).is_none();
-    let output =
-        if is_folder { Output::directory(&args.output) } else { Output::new(&args.output) }?;
+    let failed = || ExchangeError::output(&args.output);
+    let output = Staged::new(&args.output).map_err(failed())?;
+    if is_folder {
+        fs::create_dir(output.path()).map_err(failed())?;
+    }
     let find = |topic: &String| {
         let (bags, topic) = (vec![args.bag.clone()], topic.clone());
         find_streams(&Choice { bags, topic, stream: args.stream, frames: None }, quiet, interrupt)
@@ -53,12 +57,12 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     };
     let wanted = strip_and_animation(&args.output).unwrap_or((true, Some(Kind::Gif)));
     let names = if is_folder {
-        [output.place().join("strip.png"), output.place().join("animation.gif")]
+        [output.path().join("strip.png"), output.path().join("animation.gif")]
     } else {
-        [output.place().to_owned(), output.place().to_owned()]
+        [output.path(), output.path()]
     };
     draw(&args, &sides, track, wanted, names, quiet, interrupt)?;
-    output.finish()?;
+    output.commit().map_err(failed())?;
     let others = streams.tracks().len() - 1;
     let others = if others > 0 { format!(" ({others} more in the bag)") } else { String::new() };
     println!("stream {}{others}: {}", track.stream, args.output.display());

@@ -55,24 +55,24 @@ fn copy<'c>(
 ) -> Result<BagSummary, BagError> {
     let mut draft = Draft::begin(output, options.writer)?;
     for channel in channels {
-        draft.writer().channel(channel)?;
+        draft.writer.channel(channel)?;
     }
     let mut written = Written::default();
     for extra in extras {
         let extra = extra?;
         if extra.is_about_what_was_recorded() && written.add(&extra) {
-            draft.writer().attach(&extra)?;
+            draft.writer.attach(&extra)?;
         }
     }
     for message in messages {
         let message = message?;
-        let topic = draft.writer().channel(&message.channel)?;
-        draft.writer().copy(topic, &message)?;
+        let topic = draft.writer.channel(&message.channel)?;
+        draft.writer.copy(topic, &message)?;
         if !(options.go_on)() {
             return Err(BagError::Interrupted { path: output.into() });
         }
     }
-    if draft.writer().messages() == 0 {
+    if draft.writer.messages() == 0 {
         return Err(BagError::Nothing { path: output.into() });
     }
     draft.deliver(output)

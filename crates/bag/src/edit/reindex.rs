@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{self, File},
+    fs::File,
     io::{self, Read as _},
     path::{Path, PathBuf},
 };
@@ -14,6 +14,7 @@ use crate::{
     writer::{BagSummary, WrittenFile, WrittenTopic},
 };
 use eddy_frames::Stamp;
+use eddy_settings::atomic::Staged;
 
 /// What was done to a bag.
 #[derive(Clone, Debug)]
@@ -92,21 +93,13 @@ impl Reindexing {
 
 /// Writes the summary of a file into a copy, which then takes its place.
 fn summarize(file: &Path, watch: &mut Watch<'_>) -> Result<FileIndex, BagError> {
-    let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let copy = file.with_file_name(format!(".{name}.{}.unfinished", std::process::id()));
-    let replaced = copy_watched(file, &copy, watch)
-        // What the copy holds counts, whatever the old summary told.
-        .and_then(|()| FileIndex::walk(&copy))
-        .and_then(|index| summary::end_file(&copy, index, summary::Chunks::Stay))
-        .and_then(|index| {
-            fs::rename(&copy, file).map_err(BagError::io(file, "replacing the file"))?;
-            Ok(FileIndex { path: file.into(), ..index })
-        });
-    if replaced.is_err() {
-        // The first error counts.
-        let _ = fs::remove_file(&copy);
-    }
-    replaced
+    let staged = Staged::replacing(file).map_err(BagError::io(file, "copying the file"))?;
+    let copy = staged.path();
+    copy_watched(file, &copy, watch)?;
+    // The records of the copy count, whatever the old summary says.
+    let index = summary::end_file(&copy, FileIndex::walk(&copy)?, summary::Chunks::Stay)?;
+    staged.commit().map_err(BagError::io(file, "replacing the file"))?;
+    Ok(FileIndex { path: file.into(), ..index })
 }
 
 fn copy_watched(file: &Path, copy: &Path, watch: &mut Watch<'_>) -> Result<(), BagError> {

@@ -12,8 +12,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{self, File},
-    io::{self, Write as _},
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -23,7 +22,7 @@ use safetensors::{
 };
 
 use super::{CheckpointError, Weights};
-use eddy_settings::near;
+use eddy_settings::{atomic, near};
 
 /// Name of the description within the directory.
 pub const DESCRIPTION_FILE: &str = "model.toml";
@@ -55,19 +54,12 @@ pub(super) fn write(
     let [old_weights, old_description] =
         [WEIGHTS_FILE, DESCRIPTION_FILE].map(|name| directory.join(name));
     if half_renamed(directory) {
-        attempt(&old_description, fs::rename(&new_description, &old_description))?;
+        attempt(&old_description, atomic::rename(&new_description, &old_description))?;
     }
-    attempt(&new_weights, write_through(&new_weights, weights))?;
-    attempt(&new_description, write_through(&new_description, description.as_bytes()))?;
-    attempt(&old_weights, fs::rename(&new_weights, &old_weights))?;
-    attempt(&old_description, fs::rename(&new_description, &old_description))
-}
-
-/// Writes a file and waits until the disk has it.
-pub fn write_through(file: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(file)?;
-    file.write_all(bytes)?;
-    file.sync_all()
+    attempt(&new_weights, atomic::write_synced(&new_weights, weights))?;
+    attempt(&new_description, atomic::write_synced(&new_description, description.as_bytes()))?;
+    attempt(&old_weights, atomic::rename(&new_weights, &old_weights))?;
+    attempt(&old_description, atomic::rename(&new_description, &old_description))
 }
 
 /// Reads both files: the description's text, the weights' bytes.

@@ -23,7 +23,7 @@ pub use description::{
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
-pub use files::{parse_weights, render_weights, write_through};
+pub use files::{parse_weights, render_weights};
 pub use initial::initial_weights;
 pub use layout::tensor_shapes;
 pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};

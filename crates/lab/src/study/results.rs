@@ -17,6 +17,7 @@ use eddy_learning::{
         dense::{DenseConfig, DenseCurve},
     },
 };
+use eddy_settings::atomic;
 
 /// A network that was trained to its end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -188,13 +189,5 @@ fn find<T: DeserializeOwned>(
 /// Whole or not at all.
 fn save(file: PathBuf, result: &impl Serialize) -> Result<(), ResultError> {
     let text = toml::to_string(result).expect("numbers, words and tables of them are all TOML");
-    let written = || {
-        let folder = file.parent().unwrap_or(Path::new("."));
-        fs::create_dir_all(folder)?;
-        let mut draft = tempfile::NamedTempFile::new_in(folder)?;
-        io::Write::write_all(&mut draft, text.as_bytes())?;
-        draft.persist(&file)?;
-        Ok(())
-    };
-    written().map_err(|reason: io::Error| ResultError::File { file: file.clone(), reason })
+    atomic::replace(&file, text.as_bytes()).map_err(|reason| ResultError::File { file, reason })
 }

@@ -33,6 +33,7 @@ use crate::model::{
     network::{Dropout, Network},
 };
 use eddy_inference::checkpoint::{self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE};
+use eddy_settings::atomic;
 
 /// Name of the folder with the last epoch, within the output.
 pub const LAST_FOLDER: &str = "last";
@@ -59,7 +60,7 @@ pub fn check_output(output: &Path, resume: bool) -> Result<(), TrainError> {
         .collect();
     fs::create_dir_all(output).map_err(failed)?;
     let probe = output.join(".eddy-was-here");
-    let outcome = checkpoint::write_through(&probe, b"whether anything can be written\n");
+    let outcome = atomic::write_synced(&probe, b"whether anything can be written\n");
     // What cannot be taken away again does no harm.
     let _ = fs::remove_file(&probe);
     for folder in missing {
@@ -141,7 +142,7 @@ pub(super) fn save(
     last.save(&new)?;
     let write = |name: &str, bytes: &[u8]| {
         let file = new.join(name);
-        checkpoint::write_through(&file, bytes).map_err(|reason| TrainError::File { file, reason })
+        atomic::write_synced(&file, bytes).map_err(|reason| TrainError::File { file, reason })
     };
     write(MOMENTS_FILE, &checkpoint::render_weights(&moments))?;
     write(RECORD_FILE, record.render().as_bytes())?;
@@ -168,7 +169,7 @@ fn settle(output: &Path) -> Result<(), TrainError> {
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), TrainError> {
-    fs::rename(from, to).map_err(|reason| TrainError::File { file: from.to_owned(), reason })
+    atomic::rename(from, to).map_err(|reason| TrainError::File { file: from.to_owned(), reason })
 }
 
 fn remove(folder: &Path) -> Result<(), TrainError> {

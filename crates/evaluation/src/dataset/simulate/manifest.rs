@@ -12,6 +12,7 @@ use serde_json::Value;
 use super::SimulateError;
 use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
+use eddy_settings::atomic;
 
 /// The file's name.
 const NAME: &str = "manifest.json";
@@ -169,18 +170,10 @@ impl Manifest {
     /// Writes the manifest in one step: whoever reads it sees the old one or the new one.
     pub(super) fn save(&self) -> Result<(), SimulateError> {
         let path = path(&self.output);
-        let unfinished = path.with_extension("json.tmp");
         let text = self
             .text()
             .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
-        let written = fs::write(&unfinished, text)
-            .and_then(|()| fs::rename(&unfinished, &path))
-            .map_err(SimulateError::io("write", &path));
-        if written.is_err() {
-            // What could not be written whole is of no use, and may be what fills the disk.
-            let _ = fs::remove_file(&unfinished);
-        }
-        written
+        atomic::replace(&path, text.as_bytes()).map_err(SimulateError::io("write", &path))
     }
 
     /// JSON with one line a scene, to be read by people too.

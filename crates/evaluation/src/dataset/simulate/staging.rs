@@ -6,6 +6,7 @@ use std::{
 };
 
 use super::SimulateError;
+use eddy_settings::atomic;
 
 /// Where scenes are written until they are finished.
 const INCOMPLETE: &str = ".incomplete";
@@ -53,7 +54,7 @@ impl Staging {
     /// Moves a finished bag to where it belongs.
     pub(super) fn deliver(&self, name: &str) -> Result<(), SimulateError> {
         let directory = self.output.join(name);
-        fs::rename(self.output.join(INCOMPLETE).join(name), &directory)
+        atomic::rename(&self.output.join(INCOMPLETE).join(name), &directory)
             .map_err(SimulateError::io("move", &directory))
     }
 
