@@ -115,18 +115,18 @@ fn after_its_first_frame_a_stream_allocates_nothing_on_any_thread() {
             let checkpoint = checkpoint(architecture, core, pooling);
             let surrogate = Surrogate::load(&checkpoint, NonZeroUsize::new(threads)).unwrap();
             let mut frame = frame(surrogate.description());
-            let mut memory = surrogate.start(&frame).unwrap();
-            let mut next = surrogate.step(&mut memory, &frame);
+            let (mut stepper, mut memory) = (surrogate.stepper(), surrogate.start(&frame).unwrap());
+            let mut next = stepper.step(&mut memory, &frame);
             let mut ahead = memory.clone();
 
             let before = ASKED.load(Ordering::SeqCst);
             for _ in 0..50 {
                 // As a node does it: observe, then look ahead from a copy of the state.
                 surrogate.fits(&frame).unwrap();
-                surrogate.step_into(&mut memory, &frame, &mut next);
+                stepper.step_into(&mut memory, &frame, &mut next);
                 ahead.clone_from(&memory);
                 std::mem::swap(&mut frame, &mut next);
-                surrogate.step_into(&mut ahead, &frame, &mut next);
+                stepper.step_into(&mut ahead, &frame, &mut next);
             }
             let asked = ASKED.load(Ordering::SeqCst) - before;
             assert_eq!(asked, 0, "{architecture:?} {core:?} {pooling:?}, {threads} threads");

@@ -168,7 +168,8 @@ fn scenes_of_another_domain_are_predicted_with_a_word_and_refused_by_data_sets()
     succeed(written.arguments());
     let (bag, predicted) = (written.path("out/scene_0000"), written.path("predicted"));
     let message = fail(0, ["predict", "--input", &bag, "--output", &predicted]);
-    let words = "domain: found 1.5 x 1, trained in 1 x 1: walls are taken to be as thick";
+    let words =
+        "domain is 1.5 x 1, model was trained on 1 x 1; assuming walls of the same thickness";
     assert!(message.contains(words), "{message}");
 
     let (random, model) = (written.path("random"), written.path("model"));

@@ -145,9 +145,10 @@ fn time_model(
     let of_model = |reason| EvalError::Model { stream: stream.id, reason };
     let mut frame = stream.frame(start);
     let mut memory = surrogate.start(&frame).map_err(of_model)?;
+    let mut stepper = surrogate.stepper();
     let mut next = frame.clone();
     run(times, || {
-        surrogate.step_into(&mut memory, &frame, &mut next);
+        stepper.step_into(&mut memory, &frame, &mut next);
         std::mem::swap(&mut frame, &mut next);
         frame.check().is_ok()
     });

@@ -187,7 +187,7 @@ impl Evaluation {
                     stream: stream.id,
                     reason: Box::new(reason),
                 })?;
-                for remark in model.remarks(&first) {
+                for remark in model.warnings(&first) {
                     *counted.entry(format!("{name}: {remark}")).or_insert(0) += 1;
                 }
             }

@@ -3,7 +3,7 @@
 use super::{predictor::Predicting, steps::OnTheWay};
 use crate::dataset::State;
 use eddy_frames::Frame;
-use eddy_inference::engine::{Memory, ModelError, Surrogate};
+use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 
 /// Predicted states, one for each frame ahead.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,15 +60,16 @@ pub(super) fn roll_out_from_first(
 ) -> Result<OnTheWay, ModelError> {
     let Predicting { stream, starts, reach, .. } = *what;
     let mut follower = what.follower();
+    let mut stepper = surrogate.stepper();
     let mut memory = surrogate.start(&stream.frame(0))?;
     let mut ahead = memory.clone();
     let end = starts.last().copied().unwrap_or(0).max(follower.end());
     for index in 0..=end {
-        let frame = surrogate.step(&mut memory, &stream.frame(index));
+        let frame = stepper.step(&mut memory, &stream.frame(index));
         if let Some(number) = starts.iter().position(|&start| start == index) {
             ahead.clone_from(&memory);
             let observed = &stream.states[index];
-            each(number, roll_out(surrogate, &mut ahead, observed, frame.clone(), reach));
+            each(number, roll_out(&mut stepper, &mut ahead, observed, frame.clone(), reach));
         }
         if index + 1 < stream.states.len() {
             follower.add(index, &frame.position, &frame.velocity);
@@ -92,22 +93,23 @@ pub(super) fn roll_out_joined_late(
 ) -> Result<(), ModelError> {
     let Predicting { stream, starts, reach, .. } = *what;
     let warm_up = (surrogate.description().warm_up as usize).max(1);
+    let mut stepper = surrogate.stepper();
     for (number, &start) in starts.iter().enumerate() {
         let first = stream.frame(start + 1 - warm_up);
         let mut memory = surrogate.start(&first)?;
-        let mut frame = surrogate.step(&mut memory, &first);
+        let mut frame = stepper.step(&mut memory, &first);
         for index in start + 2 - warm_up..=start {
-            surrogate.step_into(&mut memory, &stream.frame(index), &mut frame);
+            stepper.step_into(&mut memory, &stream.frame(index), &mut frame);
         }
-        each(number, roll_out(surrogate, &mut memory, &stream.states[start], frame, reach));
+        each(number, roll_out(&mut stepper, &mut memory, &stream.states[start], frame, reach));
     }
     Ok(())
 }
 
 /// `first` and what follows from it, `reach` states in all.
 fn roll_out(
-    surrogate: &Surrogate,
-    memory: &mut Memory,
+    stepper: &mut Stepper,
+    memory: &mut HiddenState,
     observed: &State,
     first: Frame,
     reach: usize,
@@ -117,7 +119,7 @@ fn roll_out(
     Rollout::collect(observed, reach, || {
         if begun {
             std::mem::swap(&mut last, &mut next);
-            surrogate.step_into(memory, &last, &mut next);
+            stepper.step_into(memory, &last, &mut next);
         }
         begun = true;
         Some(State { position: next.position.clone(), velocity: next.velocity.clone() })
@@ -183,12 +185,13 @@ mod tests {
         let surrogate = shipped();
         let warm_up = surrogate.description().warm_up as usize;
         let by_hand = |first: usize| {
+            let mut stepper = surrogate.stepper();
             let mut memory = surrogate.start(&stream.frame(first)).unwrap();
             let mut frame = stream.frame(first);
             for index in first..=start {
-                frame = surrogate.step(&mut memory, &stream.frame(index));
+                frame = stepper.step(&mut memory, &stream.frame(index));
             }
-            (1..reach).for_each(|_| frame = surrogate.step(&mut memory, &frame));
+            (1..reach).for_each(|_| frame = stepper.step(&mut memory, &frame));
             frame.position
         };
         let last = predict(&stream, start, reach).map(|r| r.states[reach - 1].position.clone());

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{NodeSettings, Publish, track::StreamTrack};
 use eddy_frames::{Frame, FrameView, decimal};
-use eddy_inference::engine::{Memory, Stepper};
+use eddy_inference::engine::{HiddenState, Stepper};
 use eddy_messages::{Header, PredictionStatus, StreamState};
 
 /// A predicted frame, with how it came to be.
@@ -39,7 +39,7 @@ impl Prediction<'_> {
 #[derive(Default)]
 pub(super) struct Ahead {
     /// For the copy of a stream's state that looks ahead.
-    memory: Option<Memory>,
+    memory: Option<HiddenState>,
     frames: Vec<Frame>,
 }
 
@@ -61,28 +61,28 @@ pub(super) struct Step<'a> {
 
 impl Step<'_> {
     /// Fills the gap, observes the frame, predicts up to the horizon.
-    pub(super) fn run(&mut self, engine: &mut Stepper<'_>, settings: &NodeSettings, warm_up: u64) {
+    pub(super) fn run(&mut self, stepper: &mut Stepper, settings: &NodeSettings, warm_up: u64) {
         let Self { track, frame, .. } = self;
         for _ in 0..self.gap {
             let missing = &mut track.spare;
             std::mem::swap(missing, &mut track.predicted);
-            engine.step_into(&mut track.memory, &*missing, &mut track.predicted);
+            stepper.step_into(&mut track.memory, &*missing, &mut track.predicted);
         }
-        engine.step_into(&mut track.memory, *frame, &mut track.predicted);
+        stepper.step_into(&mut track.memory, *frame, &mut track.predicted);
         (track.sequence, track.stamp) = (frame.sequence, frame.stamp);
         track.observed += 1;
         if settings.free_run.is_some_and(|frames| track.observed >= frames.max(warm_up)) {
             track.free_run_due = Some(self.now + interval(track.predicted.dt));
         } else if track.observed >= warm_up {
             self.tracking = true;
-            self.look_ahead(engine, settings);
+            self.look_ahead(stepper, settings);
             let finite = self.published(settings).all(|(frame, _)| frame.check().is_ok());
             self.finite = finite;
         }
     }
 
     /// Predicts beyond the first frame, from a copy of the stream's state.
-    fn look_ahead(&mut self, engine: &mut Stepper<'_>, settings: &NodeSettings) {
+    fn look_ahead(&mut self, stepper: &mut Stepper, settings: &NodeSettings) {
         let Self { track, ahead: Ahead { memory, frames }, .. } = self;
         let beyond = settings.horizon as usize - 1;
         if beyond == 0 {
@@ -95,12 +95,12 @@ impl Step<'_> {
             // Where only the last one counts, two take turns.
             let place = number % frames.len();
             if number == 0 {
-                engine.step_into(memory, &track.predicted, &mut frames[place]);
+                stepper.step_into(memory, &track.predicted, &mut frames[place]);
                 continue;
             }
             let last = (number - 1) % frames.len();
             if let Ok([from, to]) = frames.get_disjoint_mut([last, place]) {
-                engine.step_into(memory, &*from, to);
+                stepper.step_into(memory, &*from, to);
             }
         }
     }

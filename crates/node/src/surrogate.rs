@@ -11,7 +11,7 @@ use super::{
     track::{Follows, StreamTrack},
 };
 use eddy_frames::{Frame, FrameView};
-use eddy_inference::engine::Surrogate;
+use eddy_inference::engine::{Stepper, Surrogate};
 use eddy_messages::{StreamState, services::Parameter};
 use eddy_transport::Payload;
 
@@ -30,6 +30,7 @@ const TOGETHER: usize = 16;
 /// Pure: the same calls give the same predictions, bit for bit, whatever else runs.
 pub struct SurrogateNode {
     surrogate: Surrogate,
+    stepper: Stepper,
     settings: NodeSettings,
     streams: BTreeMap<u64, StreamTrack>,
     /// Room for looking ahead, for each of the streams that are stepped at once.
@@ -69,8 +70,10 @@ impl SurrogateNode {
         let simulated = None;
         let remarked = BTreeSet::new();
         let uses = 0;
+        let stepper = surrogate.stepper();
         Ok(Self {
             surrogate,
+            stepper,
             settings,
             streams,
             ahead,
@@ -148,7 +151,7 @@ impl SurrogateNode {
 
     /// How many frames [`SurrogateNode::on_frames`] works on at once.
     pub fn together(&self) -> usize {
-        self.surrogate.threads().min(TOGETHER)
+        self.stepper.threads().min(TOGETHER)
     }
 
     /// Observes frames, one after the other. Those of different streams that wait together are stepped at
@@ -190,7 +193,7 @@ impl SurrogateNode {
             }
             let StreamTrack { memory, predicted: next, spare: frame, .. } = track;
             std::mem::swap(next, frame);
-            self.surrogate.step_into(memory, &*frame, next);
+            self.stepper.step_into(memory, &*frame, next);
             self.uses += 1;
             track.used = self.uses;
             track.free_run_due = Some(when + interval(frame.dt));
@@ -284,7 +287,7 @@ impl SurrogateNode {
             self.remarked.clear();
         }
         let is_new = self.remarked.insert(frame.stream);
-        for remark in self.surrogate.remarks(frame) {
+        for remark in self.surrogate.warnings(frame) {
             match is_new {
                 true => tracing::warn!("stream {}: {remark}", frame.stream),
                 false => tracing::debug!("stream {}: {remark}", frame.stream),
@@ -306,7 +309,7 @@ impl SurrogateNode {
 
     /// Steps every stream that waits, and publishes.
     fn step(&mut self, arrivals: &[Arrival], waiting: &mut Vec<Waiting>, tell: &mut Tell<'_>) {
-        let Self { surrogate, settings, streams, ahead, simulated, uses, .. } = self;
+        let Self { surrogate, stepper, settings, streams, ahead, simulated, uses, .. } = self;
         ahead.resize_with(waiting.len().max(ahead.len()), Ahead::default);
         let mut steps = [const { None }; TOGETHER];
         // One stream is looked up; several are picked out of all, as only so all can be written at once.
@@ -337,9 +340,9 @@ impl SurrogateNode {
             }
         }
         let warm_up = u64::from(surrogate.description().warm_up);
-        surrogate.each(&mut steps[..waiting.len()], |engine, step| {
+        stepper.for_each(&mut steps[..waiting.len()], |stepper, step| {
             if let Some(step) = step {
-                step.run(engine, settings, warm_up);
+                step.run(stepper, settings, warm_up);
             }
         });
         let mut diverged = [const { None }; TOGETHER];

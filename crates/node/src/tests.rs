@@ -16,7 +16,7 @@ use super::{
 use eddy_frames::{Domain, Frame, Material, Stamp, clock};
 use eddy_inference::{
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, initial_weights},
-    engine::{Memory, Surrogate},
+    engine::{HiddenState, Stepper, Surrogate},
 };
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, StreamState};
 use eddy_transport::{Link, Payload, Reliability, TransportOptions, Transports};
@@ -88,16 +88,17 @@ fn feed_all(node: &mut SurrogateNode, frames: impl IntoIterator<Item = Frame>) -
 }
 
 /// What the surrogate itself predicts after these frames.
-fn directly(frames: impl IntoIterator<Item = Frame>) -> (Surrogate, Memory, Frame) {
+fn directly(frames: impl IntoIterator<Item = Frame>) -> (Stepper, HiddenState, Frame) {
     let surrogate = surrogate();
     let mut frames = frames.into_iter();
     let first = frames.next().unwrap();
     let mut memory = surrogate.start(&first).unwrap();
-    let mut predicted = surrogate.step(&mut memory, &first);
+    let mut stepper = surrogate.stepper();
+    let mut predicted = stepper.step(&mut memory, &first);
     for frame in frames {
-        predicted = surrogate.step(&mut memory, &frame);
+        predicted = stepper.step(&mut memory, &frame);
     }
-    (surrogate, memory, predicted)
+    (stepper, memory, predicted)
 }
 
 #[test]
@@ -125,9 +126,9 @@ fn the_horizon_is_reached_by_a_copy_of_the_state() {
     }
     let last = NodeSettings { horizon: 5, ..NodeSettings::default() };
     let predictions = feed_all(&mut node(last), (0..3).map(|s| frame(1, s)));
-    let (surrogate, mut memory, mut expected) = directly((0..3).map(|s| frame(1, s)));
+    let (mut stepper, mut memory, mut expected) = directly((0..3).map(|s| frame(1, s)));
     for _ in 1..5 {
-        expected = surrogate.step(&mut memory, &expected);
+        expected = stepper.step(&mut memory, &expected);
     }
     assert_eq!(predictions, [expected]);
 }
@@ -266,11 +267,11 @@ fn a_short_gap_is_filled_with_the_models_own_prediction() {
     feed_all(&mut node, (0..5).map(|s| frame(1, s)));
     let found = feed(&mut node, frame(1, 8));
 
-    let (surrogate, mut memory, mut predicted) = directly((0..5).map(|s| frame(1, s)));
+    let (mut stepper, mut memory, mut predicted) = directly((0..5).map(|s| frame(1, s)));
     for _ in 0..3 {
-        predicted = surrogate.step(&mut memory, &predicted);
+        predicted = stepper.step(&mut memory, &predicted);
     }
-    assert_eq!(found, [surrogate.step(&mut memory, &frame(1, 8))]);
+    assert_eq!(found, [stepper.step(&mut memory, &frame(1, 8))]);
     assert_eq!(node.counters().filled, 3);
     assert_eq!(node.counters().resets, 0);
 }
@@ -373,7 +374,7 @@ fn a_free_run_goes_on_alone_at_dt() {
     let observed = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
     assert_eq!(observed.len(), 1, "tracking ends where the free run begins");
 
-    let (surrogate, mut memory, mut expected) = directly((0..4).map(|s| frame(1, s)));
+    let (mut stepper, mut memory, mut expected) = directly((0..4).map(|s| frame(1, s)));
     for number in 1..=3u32 {
         let due = node.next_tick().unwrap();
         assert_eq!(due, number * Duration::from_millis(16));
@@ -387,7 +388,7 @@ fn a_free_run_goes_on_alone_at_dt() {
             published += 1;
         });
         assert_eq!(published, 1);
-        expected = surrogate.step(&mut memory, &expected);
+        expected = stepper.step(&mut memory, &expected);
     }
     let refusal = observe(&mut node, vec![Payload::Frame(frame(1, 4))]).unwrap_err();
     assert!(matches!(refusal, Refusal::FreeRunning { stream: 1, found: 4 }), "{refusal}");

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use eddy_frames::{Frame, FrameView, Stamp};
-use eddy_inference::engine::Memory;
+use eddy_inference::engine::HiddenState;
 
 /// Frames older than so many intervals mean that the stream started again (a looped bag).
 const RESTART_INTERVALS: u32 = 16;
@@ -11,7 +11,7 @@ const RESTART_INTERVALS: u32 = 16;
 /// One stream: its hidden state and where it stands.
 pub(super) struct StreamTrack {
     /// The model's hidden state, after the last frame or the frame it filled in.
-    pub memory: Memory,
+    pub memory: HiddenState,
     /// The model's prediction from that state: the next frame.
     pub predicted: Frame,
     /// Room for a prediction that takes the place of a missing frame.

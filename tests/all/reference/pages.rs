@@ -135,7 +135,7 @@ pub fn checkpoint() -> String {
             if architecture == Architecture::Frame {
                 (sizes.encoder, sizes.hidden, sizes.layers) = (256, 1250, 1);
                 sizes.particles = Some(2500);
-                description.surroundings = None;
+                description.grid = None;
             }
             description.sizes = sizes;
             let name = [architecture.name(), core.name()].join(" model, ");

@@ -19,7 +19,7 @@ use eddy_frames::{Domain, Material, Stamp};
 use eddy_inference::checkpoint::{Architecture, Core, Normalization};
 use eddy_learning::{
     model::DeviceKind,
-    train::{Machine, Outcome, Run, Stage, TrainConfig, TrainError, train},
+    train::{Machine, Outcome, Run, TrainConfig, TrainError, UnrollStage, train},
 };
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 
@@ -89,7 +89,7 @@ pub fn small(architecture: Architecture, core: Core) -> TrainConfig {
     config.optimizer.learning_rate = 5e-3;
     config.validation.horizon = 8;
     if architecture == Architecture::Particle {
-        config.unroll = vec![Stage { share: 1.0, frames: 4 }];
+        config.unroll = vec![UnrollStage { share: 1.0, frames: 4 }];
         // So wide that walls are near everywhere: of a body in free flight, no drag is believed.
         config.network.cell_width = 0.5;
         config.network.channels = [4, 4, 4];

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
-use eddy_learning::train::{Schedule, Stage, TrainConfig};
+use eddy_learning::train::{Schedule, TrainConfig, UnrollStage};
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
 use crate::support::{Process, eddy, succeed, talking_eddy, wait_for};
@@ -31,7 +31,8 @@ fn eventful(architecture: Architecture, core: Core) -> TrainConfig {
     let mut config = small(architecture, core);
     config.windows.per_epoch = 64;
     config.network.dropout = 0.2;
-    config.unroll = vec![Stage { share: 0.4, frames: 2 }, Stage { share: 0.6, frames: 4 }];
+    config.unroll =
+        vec![UnrollStage { share: 0.4, frames: 2 }, UnrollStage { share: 0.6, frames: 4 }];
     config
 }
 

@@ -176,7 +176,7 @@ impl FrameOptions {
 /// write to, three levels of convolutions on it, and particles that read from it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Surroundings {
+pub struct GridOptions {
     /// Width of a cell of the finest level; those of the others are two and four times as wide (domain
     /// lengths).
     pub cell_width: f32,
@@ -271,9 +271,9 @@ pub struct Description {
     /// Choices within the frame model; the particle model has the defaults.
     #[serde(default, skip_serializing_if = "FrameOptions::is_default")]
     pub frame: FrameOptions,
-    /// How the particle model sees surroundings; the frame model has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub surroundings: Option<Surroundings>,
+    /// How the particle model sees grid; the frame model has none.
+    #[serde(default, rename = "surroundings", skip_serializing_if = "Option::is_none")]
+    pub grid: Option<GridOptions>,
     /// Rules that correct the particle model's predictions; the frame model has none.
     #[serde(default, skip_serializing_if = "Rules::is_empty")]
     pub rules: Rules,
@@ -302,7 +302,7 @@ impl Description {
             data: String::new(),
             sizes,
             frame: FrameOptions::default(),
-            surroundings: (architecture == Architecture::Particle).then_some(Surroundings {
+            grid: (architecture == Architecture::Particle).then_some(GridOptions {
                 cell_width: 1.0 / 32.0,
                 channels: [32, 64, 64],
                 spacing: 1.0 / 128.0,
@@ -401,15 +401,15 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let found = format!("{:?}", description.frame);
         return Err(field(file, "frame", found, "nothing for the particle model"));
     }
-    let surroundings = match (architecture, description.surroundings.is_some()) {
+    let grid = match (architecture, description.grid.is_some()) {
         (Architecture::Frame, true) => Some(("a table", "nothing for the frame model")),
         (Architecture::Particle, false) => Some(("nothing", "a table for the particle model")),
         _ => None,
     };
-    if let Some((found, expected)) = surroundings {
+    if let Some((found, expected)) = grid {
         return Err(field(file, "surroundings", found.to_owned(), expected));
     }
-    if let Some(Surroundings { cell_width, channels, spacing }) = description.surroundings {
+    if let Some(GridOptions { cell_width, channels, spacing }) = description.grid {
         for (name, length) in [("cell_width", cell_width), ("spacing", spacing)] {
             if !(length.is_finite() && length > 0.0) {
                 let name = format!("surroundings.{name}");

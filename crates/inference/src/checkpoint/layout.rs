@@ -36,7 +36,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{
-    Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Surroundings, Weights,
+    Architecture, CheckpointError, Core, Description, GridOptions, MaterialInput, Pooling, Weights,
 };
 use eddy_frames::Material;
 
@@ -93,8 +93,8 @@ pub fn names(layer: &str) -> [String; 2] {
 }
 
 /// Names, inputs, outputs and sharers of the layers on the grid, in order.
-pub fn grid_layers(surroundings: &Surroundings) -> [(&'static str, usize, usize, usize); 11] {
-    let [c0, c1, c2] = surroundings.channels;
+pub fn grid_layers(grid: &GridOptions) -> [(&'static str, usize, usize, usize); 11] {
+    let [c0, c1, c2] = grid.channels;
     [
         ("grid.0.a", 9 * (c0 + NODE_FEATURES), c0, 1),
         ("grid.0.b", 9 * c0, c0, 1),
@@ -112,13 +112,13 @@ pub fn grid_layers(surroundings: &Surroundings) -> [(&'static str, usize, usize,
 
 /// The linear layers of a network, from input to output.
 pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
-    let Description { architecture, core, sizes, frame, surroundings, .. } = description;
+    let Description { architecture, core, sizes, frame, grid, .. } = description;
     let hidden = sizes.hidden;
     let (features, outputs) = match architecture {
         Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
         Architecture::Particle => (PARTICLE_FEATURES, 4),
     };
-    let encoded = surroundings.map_or(hidden, |surroundings| surroundings.channels[0]);
+    let encoded = grid.map_or(hidden, |grid| grid.channels[0]);
     let pooled = match frame.pooling {
         Pooling::Mean | Pooling::Max => hidden,
         Pooling::MeanMax => 2 * hidden,
@@ -134,10 +134,10 @@ pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
         linear(names("encoder.0"), features, sizes.encoder),
         linear(names("encoder.1"), sizes.encoder, encoded),
     ];
-    for (name, input, output, sharing) in surroundings.iter().flat_map(grid_layers) {
+    for (name, input, output, sharing) in grid.iter().flat_map(grid_layers) {
         layers.push(LinearLayer { sharing, ..linear(names(name), input, output) });
     }
-    if surroundings.is_some() {
+    if grid.is_some() {
         layers.push(linear(names("context"), features + encoded, hidden));
     }
     for layer in 0..sizes.layers {

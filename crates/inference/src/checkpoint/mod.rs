@@ -19,7 +19,7 @@ mod rules;
 
 pub use description::{
     Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
-    FrameOptions, MaterialInput, Normalization, Pooling, Sizes, Surroundings, TrainingSummary,
+    FrameOptions, GridOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
 };
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};

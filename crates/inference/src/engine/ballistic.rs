@@ -1,13 +1,13 @@
-//! The ballistic step: free fall between walls, the motion of a particle that nothing else touches.
+//! The ballistic step: free fall between walls, the motion of a particle that touches no other.
 //!
-//! v' = v + g dt, x' = x + v dt + g dt^2 / 2, the parabola; where x' would lie beyond a wall, the particle stops at the wall
-//! and loses the velocity component across it (inelastic, free slip). It serves as a baseline and as the
-//! base of the particle model's residual; `model/ballistic.rs` has the same step over tensors.
+//! v' = v + g dt, x' = x + v dt + g dt^2 / 2. If x' is beyond a wall, the particle stops at the wall and loses the normal
+//! component of its velocity (inelastic, free slip). It is a baseline, and the particle model predicts residuals of it;
+//! `model/ballistic.rs` of `eddy-learning` is the same step over tensors.
 
 use crate::checkpoint::Description;
 use eddy_frames::Domain;
 
-/// Gravity, frame interval and the walls in effect.
+/// Gravity, frame interval and effective walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ballistic {
     /// Gravity (domain lengths per second squared).
@@ -21,8 +21,8 @@ pub struct Ballistic {
 }
 
 impl Ballistic {
-    /// The step of a described network: walls are where training particles stopped.
-    pub fn of(description: &Description) -> Self {
+    /// The step of the described network. The walls are where particles stopped in training.
+    pub fn new(description: &Description) -> Self {
         let scale = &description.normalization;
         Self {
             gravity: description.gravity,
@@ -32,26 +32,25 @@ impl Ballistic {
         }
     }
 
-    /// The step in the domain `to`, which may have another size than `from`, where this one is in effect: walls are as
-    /// far from its corners.
-    pub fn moved(&self, from: &Domain, to: &Domain) -> Self {
-        let mut moved = *self;
+    /// This step, which is for the domain `from`, in the domain `to`: walls keep their distance from the corners.
+    pub fn for_domain(&self, from: &Domain, to: &Domain) -> Self {
+        let mut ballistic = *self;
         for axis in 0..2 {
-            // A domain with the same corners has the very same numbers.
+            // Unchanged corners must keep their bits.
             if to.lower[axis] != from.lower[axis] {
                 let thickness = self.lower[axis] - from.lower[axis];
-                moved.lower[axis] = to.lower[axis] + thickness;
+                ballistic.lower[axis] = to.lower[axis] + thickness;
             }
             if to.upper[axis] != from.upper[axis] {
                 let thickness = from.upper[axis] - self.upper[axis];
-                moved.upper[axis] = to.upper[axis] - thickness;
+                ballistic.upper[axis] = to.upper[axis] - thickness;
             }
         }
-        moved
+        ballistic
     }
 
-    /// One particle, one frame on, if there were no walls: position (domain lengths) and velocity
-    /// (domain lengths per second).
+    /// The motion of a particle after one frame without walls: position (domain lengths) and velocity (domain lengths per
+    /// second).
     #[inline(always)]
     pub fn free(&self, position: [f32; 2], velocity: [f32; 2]) -> ([f32; 2], [f32; 2]) {
         let fallen = [0, 1].map(|axis| velocity[axis] + self.gravity[axis] * self.dt);
@@ -60,22 +59,22 @@ impl Ballistic {
         ([0, 1].map(|axis| position[axis] + mean(axis) * self.dt), fallen)
     }
 
-    /// One particle, one frame on, stopped by walls: as [`Ballistic::free`].
+    /// The motion of a particle after one frame, stopped by walls.
     #[inline(always)]
     pub fn step(&self, position: [f32; 2], velocity: [f32; 2]) -> ([f32; 2], [f32; 2]) {
-        let (mut place, mut fallen) = self.free(position, velocity);
+        let (mut position, mut velocity) = self.free(position, velocity);
         for axis in 0..2 {
-            let held = place[axis].max(self.lower[axis]).min(self.upper[axis]);
-            if held != place[axis] {
-                (place[axis], fallen[axis]) = (held, 0.0);
+            let clamped = position[axis].max(self.lower[axis]).min(self.upper[axis]);
+            if clamped != position[axis] {
+                (position[axis], velocity[axis]) = (clamped, 0.0);
             }
         }
-        (place, fallen)
+        (position, velocity)
     }
 
-    /// A coordinate held between walls; what is not a number stays so.
+    /// A coordinate clamped to the space between the walls; NaN stays NaN.
     #[inline(always)]
-    pub fn hold(&self, axis: usize, x: f32) -> f32 {
+    pub fn clamp_axis(&self, axis: usize, x: f32) -> f32 {
         if x < self.lower[axis] {
             self.lower[axis]
         } else if x > self.upper[axis] {
@@ -85,7 +84,7 @@ impl Ballistic {
         }
     }
 
-    /// All particles, one frame on, in place.
+    /// Advances all particles by one frame, in place.
     pub fn step_all(&self, position: &mut [[f32; 2]], velocity: &mut [[f32; 2]]) {
         for (x, v) in position.iter_mut().zip(velocity) {
             (*x, *v) = self.step(*x, *v);

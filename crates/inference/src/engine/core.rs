@@ -1,7 +1,7 @@
-//! The layers of the core, one panel of units of some rows at a time.
+//! The layers of the core, one panel of units for a few rows at a time.
 //!
-//! The equations are those of `model/mlp.rs`, `lstm.rs`, `gru.rs`, `minlstm.rs` and `mingru.rs`. All gates
-//! of a unit are computed at once, and the unit's state from them, so that no gate is ever stored.
+//! The equations are those of `mlp.rs`, `lstm.rs`, `gru.rs`, `minlstm.rs` and `mingru.rs` in `eddy-learning`'s `model`. All
+//! gates of a unit are computed at once, and the unit's new state from them, so that no gate is ever stored.
 
 use std::collections::BTreeMap;
 
@@ -23,17 +23,16 @@ pub(super) struct CoreLayer {
     form: Form,
     normalize_gates: bool,
     activation: Activation,
-    /// What the layer computes from its input, gate by gate.
+    /// Products with the layer's input, gate by gate.
     input: Vec<Linear>,
-    /// What LSTM and GRU compute from their own last output, gate by gate.
+    /// LSTM and GRU: products with the layer's last output, gate by gate.
     hidden: Vec<Linear>,
 }
 
-/// The state of a panel of units in R rows.
-pub(super) struct Units<S: Simd, const R: usize> {
-    /// Their outputs.
+/// The new state of a panel of units in R rows.
+pub(super) struct UnitState<S: Simd, const R: usize> {
     pub(super) hidden: [S::f32s; R],
-    /// Their cells (LSTM only).
+    /// LSTM only.
     pub(super) cell: Option<[S::f32s; R]>,
 }
 
@@ -63,15 +62,15 @@ impl CoreLayer {
         }
     }
 
-    /// Panels of its units.
+    /// Number of panels.
     pub(super) fn panels(&self) -> usize {
         self.input[0].panels()
     }
 
-    /// The units of a panel where rows have a place for each of its lanes.
+    /// The units of a panel in rows that are padded to whole panels.
     #[inline(always)]
-    pub(super) fn places(&self, panel: usize) -> std::ops::Range<usize> {
-        self.input[0].places(panel)
+    pub(super) fn padded_units(&self, panel: usize) -> std::ops::Range<usize> {
+        self.input[0].padded_outputs(panel)
     }
 
     /// The units of a panel.
@@ -80,18 +79,23 @@ impl CoreLayer {
         self.input[0].outputs(panel)
     }
 
-    /// How many sums of a unit there are at once.
+    /// Whether its state includes a cell.
+    pub(super) fn has_cell(&self) -> bool {
+        self.core == Core::Lstm
+    }
+
+    /// Sums per unit that are accumulated at once.
     pub(super) fn sums(&self) -> usize {
         self.input.len()
     }
 
-    /// Its linear parts.
+    /// The linear parts.
     pub(super) fn linears(&self) -> impl Iterator<Item = &Linear> {
         self.input.iter().chain(&self.hidden)
     }
 
-    /// One frame on: the new state of a panel of units from the layer's inputs, and from its last
-    /// outputs and cells (rows of all units, or longer). Sums are in K parts, as in [`add_products`].
+    /// The new state of a panel of units from the layer's inputs and its last outputs and cells (rows of all units, or
+    /// longer). Each sum is accumulated in K parts, see [`add_products`].
     #[inline(always)]
     pub(super) fn step<S: Simd, const R: usize, const K: usize>(
         &self,
@@ -100,11 +104,11 @@ impl CoreLayer {
         inputs: [&[f32]; R],
         hidden: [&[f32]; R],
         cells: [&[f32]; R],
-    ) -> Units<S, R> {
-        // Rows are as long as there are units, or as there are lanes.
-        let places = self.input[0].places(panel);
-        let units = places.start..places.end.min(hidden[0].len());
-        let mut next = Units { hidden: [simd.splat_f32s(0.0); R], cell: None };
+    ) -> UnitState<S, R> {
+        // Rows may be padded to whole panels.
+        let padded = self.padded_units(panel);
+        let units = padded.start..padded.end.min(hidden[0].len());
+        let mut next = UnitState { hidden: [simd.splat_f32s(0.0); R], cell: None };
         match self.core {
             Core::Mlp => {
                 let [sums] = self.gates::<S, 1, R, K>(simd, panel, inputs);
@@ -183,7 +187,7 @@ impl CoreLayer {
         next
     }
 
-    /// The G sums from the input.
+    /// The G sums over the input.
     #[inline(always)]
     fn gates<S: Simd, const G: usize, const R: usize, const K: usize>(
         &self,
@@ -200,7 +204,7 @@ impl CoreLayer {
         add_products::<S, G, R, K>(simd, panels, inputs, sums)
     }
 
-    /// The G biases of what is computed from the last output.
+    /// The G biases of the products with the last output.
     #[inline(always)]
     fn biases<S: Simd, const G: usize, const R: usize>(
         &self,
@@ -214,7 +218,7 @@ impl CoreLayer {
         biases
     }
 
-    /// The G panels that the last output is multiplied with.
+    /// The G panels of weights for the last output.
     #[inline(always)]
     fn recurrent<const G: usize>(&self, panel: usize) -> [&[f32]; G] {
         let mut panels = [[].as_slice(); G];
@@ -224,7 +228,7 @@ impl CoreLayer {
         panels
     }
 
-    /// `kept` h + `update` c, in the log form with g(c) for c.
+    /// `kept` h + `update` c; in the log form, `kept` h + `update` g(c).
     #[inline(always)]
     fn mix<S: Simd>(
         &self,
@@ -242,7 +246,7 @@ impl CoreLayer {
     }
 }
 
-/// The activation, number by number.
+/// Applies an activation function elementwise.
 #[inline(always)]
 pub(super) fn activate<S: Simd>(simd: S, kind: Activation, x: S::f32s) -> S::f32s {
     match kind {

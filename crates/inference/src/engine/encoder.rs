@@ -1,7 +1,7 @@
 //! The frame model's pointwise encoder: the first Linear and the activation, for every particle.
 //!
-//! Nothing of the shape `[N, E]` is ever stored: the mean is summed up as the points are computed, a
-//! panel of units at a time; the maximum needs the second Linear first, which takes points in blocks.
+//! Nothing of the shape `[N, E]` is ever stored. The mean is accumulated as the points are computed, a panel of units at a
+//! time. The maximum needs the second Linear first, which processes points in blocks.
 
 use std::collections::BTreeMap;
 
@@ -19,10 +19,10 @@ use eddy_frames::{Material, Particles};
 /// Features that change from frame to frame: x, y, vx, vy.
 const STATE: usize = 4;
 
-/// Points that are summed up apart from each other, point n in sum n mod 4.
-const SUMS: usize = 4;
+/// Independent partial sums: point n is added to sum n mod 4.
+const PARTIAL_SUMS: usize = 4;
 
-/// Points computed at once before the second Linear takes them.
+/// Points per block of the second Linear.
 pub(super) const BLOCK: usize = 48;
 
 /// The first Linear of the encoder, the features' scales and the activation.
@@ -33,11 +33,11 @@ pub(super) struct Encoder {
     activation: Activation,
     /// Subtracted from x, y, vx, vy.
     origin: [f32; STATE],
-    /// What the difference is divided by.
+    /// Divisor of the difference.
     range: [f32; STATE],
-    /// `[panel, feature, lane]`, of x, y, vx, vy.
+    /// Weights of x, y, vx, vy, `[panel, feature, lane]`.
     weight: Aligned,
-    /// Bias and the material's part of the product, `[material, panel, lane]`.
+    /// Bias plus the material's contribution, `[material, panel, lane]`.
     base: Aligned,
 }
 
@@ -76,17 +76,17 @@ impl Encoder {
         Self { lanes, width, activation, origin, range, weight, base }
     }
 
-    /// Panels of its units.
+    /// Number of panels.
     pub(super) fn panels(&self) -> usize {
         self.width.div_ceil(self.lanes)
     }
 
-    /// Its width.
+    /// E.
     pub(super) fn width(&self) -> usize {
         self.width
     }
 
-    /// x, y, vx, vy of every particle, scaled.
+    /// Writes x, y, vx, vy of every particle, scaled, to `features`.
     pub(super) fn scale(&self, particles: Particles<'_>, features: &mut [[f32; STATE]]) {
         for (particle, scaled) in features.iter_mut().enumerate() {
             let (position, velocity) = particles.motion(particle);
@@ -107,11 +107,11 @@ impl Encoder {
         material: &[u8],
     ) -> S::f32s {
         let units = Panel::new(simd, self, panel);
-        let mut sums = [simd.splat_f32s(0.0); SUMS];
-        let (groups, rest) = features.as_chunks::<SUMS>();
-        let (materials, rest_materials) = material.as_chunks::<SUMS>();
+        let mut sums = [simd.splat_f32s(0.0); PARTIAL_SUMS];
+        let (groups, rest) = features.as_chunks::<PARTIAL_SUMS>();
+        let (materials, rest_materials) = material.as_chunks::<PARTIAL_SUMS>();
         for (group, materials) in groups.iter().zip(materials) {
-            for n in 0..SUMS {
+            for n in 0..PARTIAL_SUMS {
                 let point = units.point(simd, &group[n], materials[n]);
                 sums[n] = simd.add_f32s(sums[n], point);
             }
@@ -145,10 +145,10 @@ impl Encoder {
         }
     }
 
-    /// Raises `maxima`, `[H]`, to the second Linear's outputs for a block of at most [`BLOCK`]
-    /// particles. `points` is room for `[BLOCK, E]`.
+    /// Raises `maxima`, `[H]`, to the second Linear's outputs for a block of at most [`BLOCK`] particles. `points` is a
+    /// scratch buffer, `[BLOCK, E]`.
     #[inline(always)]
-    pub(super) fn raise<S: Simd>(
+    pub(super) fn update_maxima<S: Simd>(
         &self,
         simd: S,
         second: &Linear,
@@ -159,14 +159,14 @@ impl Encoder {
     ) {
         self.block(simd, features, material, points);
         if S::REGISTER_COUNT >= 32 {
-            self.raise_rows::<S, 6>(simd, second, features.len(), points, maxima);
+            self.update_maxima_rows::<S, 6>(simd, second, features.len(), points, maxima);
         } else {
-            self.raise_rows::<S, 3>(simd, second, features.len(), points, maxima);
+            self.update_maxima_rows::<S, 3>(simd, second, features.len(), points, maxima);
         }
     }
 
     #[inline(always)]
-    fn raise_rows<S: Simd, const R: usize>(
+    fn update_maxima_rows<S: Simd, const R: usize>(
         &self,
         simd: S,
         second: &Linear,
@@ -174,7 +174,7 @@ impl Encoder {
         points: &[f32],
         maxima: &mut [f32],
     ) {
-        // Two panels at a time; the last one twice where their number is odd.
+        // Two panels at a time; the last one is repeated if their number is odd.
         for pair in (0..second.panels()).step_by(2) {
             let panels = [pair, (pair + 1).min(second.panels() - 1)];
             let weights = panels.map(|panel| second.panel(panel));
@@ -183,7 +183,7 @@ impl Encoder {
             let biases =
                 [second.bias::<S, R>(simd, panels[0]), second.bias::<S, R>(simd, panels[1])];
             for first in (0..count).step_by(R) {
-                // The last particle again where there are no more.
+                // The last particle is repeated to fill the block.
                 let rows: [&[f32]; R] = std::array::from_fn(|r| {
                     let particle = (first + r).min(count - 1);
                     &points[particle * self.width..(particle + 1) * self.width]
@@ -207,7 +207,7 @@ impl Encoder {
 struct Panel<'a, S: Simd> {
     activation: Activation,
     weights: [S::f32s; STATE],
-    /// Bias and material, every `stride` vectors one material.
+    /// Bias and material, one material every `stride` vectors.
     base: &'a [S::f32s],
     stride: usize,
 }

@@ -1,11 +1,11 @@
-//! Why a network cannot be used, or not on these particles.
+//! Why a network cannot be used, or not for a frame.
 
 use crate::checkpoint::CheckpointError;
 
-/// Why a network cannot be used, or not on these particles.
+/// Why a network cannot be used, or not for a frame.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
-    /// The weights do not fit the description.
+    /// The weights do not match the description.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The frame model was trained on another number of particles.
@@ -16,17 +16,17 @@ pub enum ModelError {
         /// Particles of the network.
         expected: usize,
     },
-    /// The frame has a material that the data set did not have.
+    /// The frame contains a material that the training data did not have.
     #[error("material[{particle}]: found {found}, expected one of {expected} as in the checkpoint")]
     Material {
-        /// First particle concerned.
+        /// First particle of that material.
         particle: usize,
         /// Its material.
         found: &'static str,
         /// The checkpoint's materials.
         expected: String,
     },
-    /// The frames are further apart, or closer, than in training.
+    /// The frame interval differs from the one in training.
     #[error("dt: found {found} s, expected {expected} s as in the checkpoint")]
     Interval {
         /// The frame's interval (s).
@@ -34,7 +34,7 @@ pub enum ModelError {
         /// The checkpoint's (s).
         expected: f32,
     },
-    /// The particles are in another box than in training (frame model only).
+    /// The domain differs from the one in training (frame model only).
     #[error("lower, upper: found {found}, expected {expected} as in the checkpoint")]
     Domain {
         /// The frame's corners.
@@ -42,7 +42,7 @@ pub enum ModelError {
         /// The checkpoint's.
         expected: String,
     },
-    /// The box has no room between its walls in effect.
+    /// The domain is not larger than its two walls together.
     #[error("lower, upper: found {found}, expected more than {expected:?} from corner to corner")]
     Narrow {
         /// The frame's corners.
@@ -50,16 +50,16 @@ pub enum ModelError {
         /// Thickness of both walls together, on each axis (domain lengths).
         expected: [f32; 2],
     },
-    /// The box is so large for so few particles that the grid's cells would take all the time.
+    /// The domain is so large for its number of particles that empty grid cells would dominate the cost.
     #[error(
         "lower, upper: found {found}, {cells} of the checkpoint's cells, expected at most {most}"
     )]
     Wide {
         /// The frame's corners.
         found: String,
-        /// How many cells there are in it.
+        /// Number of cells in it.
         cells: f32,
-        /// How many there may be.
+        /// Largest accepted number of cells.
         most: usize,
     },
 }

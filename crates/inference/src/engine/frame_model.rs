@@ -1,7 +1,7 @@
-//! The frame model, one frame at a time: `model/frame_model.rs` for one stream.
+//! The frame model, one frame of a stream at a time (`model/frame_model.rs` of `eddy-learning` for training).
 //!
-//! Nearly all of the time goes into reading the weights once. The stages follow each other, the items
-//! of a stage are panels of its outputs (blocks of particles where the maximum is pooled).
+//! Reading the weights once takes nearly all of the time. An item of a stage is a panel of its outputs, or a block of
+//! particles where the maximum is pooled.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 use std::{collections::BTreeMap, ops::Range};
@@ -12,28 +12,28 @@ use super::{
     core::{CoreLayer, activate},
     crew::{Crew, Parts, Task},
     encoder::{BLOCK, Encoder},
+    hidden_state::HiddenState,
     linear::{Linear, add_products, outputs},
-    memory::Memory,
 };
 use crate::{
-    checkpoint::{Activation, Core, Description, Pooling, Weights},
+    checkpoint::{Activation, Description, Pooling, Weights},
     kernels::vectors::Lanes,
 };
 use eddy_frames::{Frame, FrameView};
 
-/// Parts of each sum over a layer's inputs: enough for the additions not to wait for each other.
-const SUM_PARTS: usize = 4;
-/// The same where several gates are summed up at once.
-const GATE_SUM_PARTS: usize = 2;
+/// Partial sums of each product over a layer's inputs: enough to hide the latency of additions.
+const PARTIAL_SUMS: usize = 4;
+/// The same where several gates are summed at once.
+const GATE_PARTIAL_SUMS: usize = 2;
 
-/// What happens to a frame, in order.
+/// The stages of a frame, in order.
 #[derive(Clone, Copy, Debug)]
 enum Stage {
     /// First Linear, activation, mean over the particles.
     PoolMean,
     /// Second Linear of the mean.
     Encode,
-    /// First Linear, activation, second Linear, maximum over the particles that a thread gets.
+    /// First Linear, activation, second Linear, maximum over each thread's particles.
     PoolMax,
     /// Maximum over the threads.
     JoinMax,
@@ -48,7 +48,7 @@ enum Stage {
 /// The packed network.
 #[derive(Debug)]
 pub(super) struct FrameModel {
-    /// Whose vectors the weights are packed for.
+    /// The instruction set that the weights are packed for.
     arch: Arch,
     encoder: Encoder,
     second: Linear,
@@ -66,26 +66,26 @@ pub(super) struct FrameModel {
     dt: f32,
 }
 
-/// Room for what stages hand on.
+/// Buffers between the stages of a frame.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct Scratch {
     /// Scaled features, `[N, 4]`.
     features: Vec<[f32; 4]>,
     /// `[E]`.
     pooled: Vec<f32>,
-    /// Input of the core: `[H]`, `[2 H]` with both poolings.
+    /// Input of the core: `[H]`, or `[2 H]` with both poolings.
     encoded: Vec<f32>,
     /// New outputs of the core's layers, `[layer, H]`.
     hidden: Vec<f32>,
-    /// Their new cells; empty but for LSTM.
+    /// Their new cells; empty except for LSTM.
     cell: Vec<f32>,
     /// `[H]`.
     mixed: Vec<f32>,
     /// `[2 N]` (domain lengths per second).
     change: Vec<f32>,
-    /// Maximum pooling: a block of points of each thread, `[thread, BLOCK, E]`.
+    /// Maximum pooling: a block of points for each thread, `[thread, BLOCK, E]`.
     points: Vec<f32>,
-    /// Maximum pooling: the largest values that each thread has seen, `[thread, H]`.
+    /// Maximum pooling: the maxima over each thread's particles, `[thread, H]`.
     maxima: Vec<f32>,
 }
 
@@ -126,15 +126,15 @@ impl FrameModel {
         }
     }
 
-    /// How many stages a frame has.
+    /// Number of stages of a frame.
     pub(super) fn stages(&self) -> usize {
         self.stages.len()
     }
 
-    /// Multiplications of a frame, about.
+    /// Approximate number of multiplications per frame.
     pub(super) fn work(&self) -> usize {
-        let core = self.core.iter().flat_map(CoreLayer::linears).map(Linear::numbers);
-        let linears = core.sum::<usize>() + self.mixer.numbers() + self.decoder.numbers();
+        let core = self.core.iter().flat_map(CoreLayer::linears).map(Linear::weight_count);
+        let linears = core.sum::<usize>() + self.mixer.weight_count() + self.decoder.weight_count();
         let points = self.particles * self.encoder.width();
         match self.pooling {
             Pooling::Mean => linears + 16 * points,
@@ -142,19 +142,19 @@ impl FrameModel {
         }
     }
 
-    pub(super) fn room(&self, threads: usize, core: Core) -> Room {
+    pub(super) fn scratch(&self, threads: usize) -> Scratch {
         let states = self.core.len() * self.hidden;
         let (poolings, maxima) = match self.pooling {
             Pooling::Mean => (1, 0),
             Pooling::Max => (1, threads),
             Pooling::MeanMax => (2, threads),
         };
-        Room {
+        Scratch {
             features: vec![[0.0; 4]; self.particles],
             pooled: vec![0.0; self.encoder.width()],
             encoded: vec![0.0; poolings * self.hidden],
             hidden: vec![0.0; states],
-            cell: vec![0.0; if core == Core::Lstm { states } else { 0 }],
+            cell: vec![0.0; if self.core[0].has_cell() { states } else { 0 }],
             mixed: vec![0.0; self.hidden],
             change: vec![0.0; 2 * self.particles],
             points: vec![0.0; maxima * BLOCK * self.encoder.width()],
@@ -162,37 +162,37 @@ impl FrameModel {
         }
     }
 
-    /// Observes `frame` and writes the next positions and velocities.
+    /// Observes `frame` and writes the predicted positions and velocities to `next`.
     pub(super) fn step(
         &self,
         crew: &mut Crew,
         alone: bool,
-        room: &mut Room,
-        memory: &mut Memory,
+        scratch: &mut Scratch,
+        hidden_state: &mut HiddenState,
         frame: FrameView<'_>,
         next: &mut Frame,
     ) {
-        self.encoder.scale(frame.particles, &mut room.features);
-        room.maxima.fill(f32::NEG_INFINITY);
-        let pass = Pass {
+        self.encoder.scale(frame.particles, &mut scratch.features);
+        scratch.maxima.fill(f32::NEG_INFINITY);
+        let context = StepContext {
             model: self,
-            memory,
-            features: &room.features,
-            pooled: Parts::new(&mut room.pooled),
-            encoded: Parts::new(&mut room.encoded),
-            hidden: Parts::new(&mut room.hidden),
-            cell: Parts::new(&mut room.cell),
-            mixed: Parts::new(&mut room.mixed),
-            change: Parts::new(&mut room.change),
-            points: Parts::new(&mut room.points),
-            maxima: Parts::new(&mut room.maxima),
+            hidden_state,
+            features: &scratch.features,
+            pooled: Parts::new(&mut scratch.pooled),
+            encoded: Parts::new(&mut scratch.encoded),
+            hidden: Parts::new(&mut scratch.hidden),
+            cell: Parts::new(&mut scratch.cell),
+            mixed: Parts::new(&mut scratch.mixed),
+            change: Parts::new(&mut scratch.change),
+            points: Parts::new(&mut scratch.points),
+            maxima: Parts::new(&mut scratch.maxima),
         };
         let items = self.stages.iter().map(|&stage| self.items(stage));
-        crew.run(items, alone, &|task| self.arch.dispatch(Item { pass: &pass, task }));
-        memory.hidden.copy_from_slice(&room.hidden);
-        memory.cell.copy_from_slice(&room.cell);
+        crew.run(items, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
+        hidden_state.hidden.copy_from_slice(&scratch.hidden);
+        hidden_state.cell.copy_from_slice(&scratch.cell);
 
-        let changes = room.change.as_chunks::<2>().0;
+        let changes = scratch.change.as_chunks::<2>().0;
         let after = next.position.iter_mut().zip(&mut next.velocity);
         for (particle, ((position, velocity), change)) in after.zip(changes).enumerate() {
             let (x, v) = frame.particles.motion(particle);
@@ -215,16 +215,16 @@ impl FrameModel {
         }
     }
 
-    /// Where the state of a layer is in `[layer, H]`.
+    /// The range of a layer's units in `[layer, H]`.
     fn state(&self, layer: usize) -> Range<usize> {
         layer * self.hidden..(layer + 1) * self.hidden
     }
 }
 
-/// One frame under way. Each array is written in one stage, panel by panel, and read in later ones.
-struct Pass<'a> {
+/// One frame in progress. Each array is written panel by panel in one stage and read in later ones.
+struct StepContext<'a> {
     model: &'a FrameModel,
-    memory: &'a Memory,
+    hidden_state: &'a HiddenState,
     features: &'a [[f32; 4]],
     pooled: Parts<'a, f32>,
     encoded: Parts<'a, f32>,
@@ -238,7 +238,7 @@ struct Pass<'a> {
 
 /// An item of a stage.
 struct Item<'a> {
-    pass: &'a Pass<'a>,
+    context: &'a StepContext<'a>,
     task: Task,
 }
 
@@ -247,100 +247,114 @@ impl WithSimd for Item<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { pass, task } = self;
-        let model = pass.model;
-        let (hidden, layers) = (model.hidden, model.core.len());
-        match model.stages[task.stage] {
-            Stage::PoolMean => {
-                let mean =
-                    model.encoder.mean(simd, task.item, pass.features, &pass.memory.material);
-                let lanes = S::F32_LANES;
-                let units = outputs(task.item, lanes, model.encoder.width());
-                // SAFETY: these units are this item's alone.
-                simd.partial_store_f32s(unsafe { pass.pooled.part(units) }, mean);
-            }
+        let Self { context, task: Task { stage, item, thread } } = self;
+        let StepContext { model, pooled, encoded, hidden, mixed, change, .. } = context;
+        match model.stages[stage] {
+            Stage::PoolMean => context.pool_mean(simd, item),
             Stage::Encode => {
-                // SAFETY: written in an earlier stage.
-                let pooled = unsafe { pass.pooled.read(0..model.encoder.width()) };
-                let sums = product(simd, &model.second, task.item, pooled);
-                // SAFETY: these units are this item's alone.
-                let units = unsafe { pass.encoded.part(model.second.outputs(task.item)) };
-                simd.partial_store_f32s(units, sums);
+                let input = (pooled, 0..model.encoder.width());
+                context.linear(simd, &model.second, item, input, None, encoded);
             }
-            Stage::PoolMax => {
-                let particles = task.item * BLOCK..((task.item + 1) * BLOCK).min(model.particles);
-                let room = BLOCK * model.encoder.width();
-                // SAFETY: no other item has this thread's number while this one is under way.
-                let (points, maxima) = unsafe {
-                    let points = pass.points.part(task.thread * room..(task.thread + 1) * room);
-                    (points, pass.maxima.part(model.state(task.thread)))
-                };
-                let features = &pass.features[particles.clone()];
-                let material = &pass.memory.material[particles];
-                model.encoder.raise(simd, &model.second, features, material, points, maxima);
-            }
-            Stage::JoinMax => {
-                // SAFETY: written in an earlier stage.
-                let maxima = unsafe { pass.maxima.read(0..pass.maxima.len()) };
-                // Behind the mean, if that is pooled too.
-                let end = pass.encoded.len();
-                // SAFETY: the stage has one item.
-                let largest = unsafe { pass.encoded.part(end - hidden..end) };
-                largest.fill(f32::NEG_INFINITY);
-                for thread in maxima.chunks_exact(hidden) {
-                    for (largest, &value) in largest.iter_mut().zip(thread) {
-                        *largest = if value > *largest { value } else { *largest };
-                    }
-                }
-            }
-            Stage::Core(layer) => {
-                let state = model.state(layer);
-                // SAFETY: written in an earlier stage.
-                let input = unsafe {
-                    match layer.checked_sub(1) {
-                        None => pass.encoded.read(0..pass.encoded.len()),
-                        Some(below) => pass.hidden.read(model.state(below)),
-                    }
-                };
-                let last = &pass.memory.hidden[state.clone()];
-                let cell = pass.memory.cell.get(state.clone()).unwrap_or_default();
-                let layer = &model.core[layer];
-                let next =
-                    layer.step::<S, 1, GATE_SUM_PARTS>(simd, task.item, [input], [last], [cell]);
-                let units = layer.units(task.item);
-                let units = state.start + units.start..state.start + units.end;
-                // SAFETY: these units are this item's alone.
-                simd.partial_store_f32s(unsafe { pass.hidden.part(units.clone()) }, next.hidden[0]);
-                if let Some([cell]) = next.cell {
-                    // SAFETY: as above.
-                    simd.partial_store_f32s(unsafe { pass.cell.part(units) }, cell);
-                }
-            }
+            Stage::PoolMax => context.pool_max(simd, item, thread),
+            Stage::JoinMax => context.join_max(),
+            Stage::Core(layer) => context.core(simd, layer, item),
             Stage::Mix => {
-                // SAFETY: written in an earlier stage.
-                let signal = unsafe { pass.hidden.read(model.state(layers - 1)) };
-                let sums = product(simd, &model.mixer, task.item, signal);
-                let mixed = activate(simd, model.activation, sums);
-                // SAFETY: these units are this item's alone.
-                let units = unsafe { pass.mixed.part(model.mixer.outputs(task.item)) };
-                simd.partial_store_f32s(units, mixed);
+                let input = (hidden, model.state(model.core.len() - 1));
+                context.linear(simd, &model.mixer, item, input, Some(model.activation), mixed);
             }
             Stage::Decode => {
-                // SAFETY: written in an earlier stage.
-                let mixed = unsafe { pass.mixed.read(0..hidden) };
-                let sums = product(simd, &model.decoder, task.item, mixed);
-                // SAFETY: these units are this item's alone.
-                let units = unsafe { pass.change.part(model.decoder.outputs(task.item)) };
-                simd.partial_store_f32s(units, sums);
+                let input = (mixed, 0..model.hidden);
+                context.linear(simd, &model.decoder, item, input, None, change);
             }
         }
     }
 }
 
-/// A panel of a linear layer's outputs for one row.
-#[inline(always)]
-fn product<S: Simd>(simd: S, linear: &Linear, panel: usize, row: &[f32]) -> S::f32s {
-    let sums = [linear.bias(simd, panel)];
-    let [[sum]] = add_products::<S, 1, 1, SUM_PARTS>(simd, [linear.panel(panel)], [row], sums);
-    sum
+impl StepContext<'_> {
+    /// A panel of a linear layer's outputs, from an array that an earlier stage has written.
+    #[inline(always)]
+    fn linear<S: Simd>(
+        &self,
+        simd: S,
+        linear: &Linear,
+        panel: usize,
+        (input, range): (&Parts<'_, f32>, Range<usize>),
+        activation: Option<Activation>,
+        output: &Parts<'_, f32>,
+    ) {
+        // SAFETY: an earlier stage has written the input; only this item uses these outputs.
+        let (row, units) = unsafe { (input.read(range), output.part(linear.outputs(panel))) };
+        let biases = [linear.bias(simd, panel)];
+        let [[mut sum]] =
+            add_products::<S, 1, 1, PARTIAL_SUMS>(simd, [linear.panel(panel)], [row], biases);
+        if let Some(activation) = activation {
+            sum = activate(simd, activation, sum);
+        }
+        simd.partial_store_f32s(units, sum);
+    }
+
+    #[inline(always)]
+    fn pool_mean<S: Simd>(&self, simd: S, panel: usize) {
+        let Self { model: FrameModel { encoder, .. }, hidden_state, features, .. } = self;
+        let mean = encoder.mean(simd, panel, features, &hidden_state.material);
+        let units = outputs(panel, S::F32_LANES, encoder.width());
+        // SAFETY: only this item uses these units.
+        simd.partial_store_f32s(unsafe { self.pooled.part(units) }, mean);
+    }
+
+    #[inline(always)]
+    fn pool_max<S: Simd>(&self, simd: S, block: usize, thread: usize) {
+        let model = self.model;
+        let particles = block * BLOCK..((block + 1) * BLOCK).min(model.particles);
+        let length = BLOCK * model.encoder.width();
+        // SAFETY: no other running item has this thread number.
+        let (points, maxima) = unsafe {
+            let points = self.points.part(thread * length..(thread + 1) * length);
+            (points, self.maxima.part(model.state(thread)))
+        };
+        let features = &self.features[particles.clone()];
+        let material = &self.hidden_state.material[particles];
+        model.encoder.update_maxima(simd, &model.second, features, material, points, maxima);
+    }
+
+    /// Writes the maxima behind the mean, if that is pooled too.
+    #[inline(always)]
+    fn join_max(&self) {
+        let (hidden, end) = (self.model.hidden, self.encoded.len());
+        // SAFETY: an earlier stage has written the maxima, and this stage has one item.
+        let (maxima, largest) = unsafe {
+            (self.maxima.read(0..self.maxima.len()), self.encoded.part(end - hidden..end))
+        };
+        largest.fill(f32::NEG_INFINITY);
+        for thread in maxima.chunks_exact(hidden) {
+            for (largest, &value) in largest.iter_mut().zip(thread) {
+                *largest = if value > *largest { value } else { *largest };
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn core<S: Simd>(&self, simd: S, layer: usize, panel: usize) {
+        let Self { model, hidden_state, .. } = self;
+        let state = model.state(layer);
+        // SAFETY: an earlier stage has written the input.
+        let input = unsafe {
+            match layer.checked_sub(1) {
+                None => self.encoded.read(0..self.encoded.len()),
+                Some(below) => self.hidden.read(model.state(below)),
+            }
+        };
+        let last = &hidden_state.hidden[state.clone()];
+        let cell = hidden_state.cell.get(state.clone()).unwrap_or_default();
+        let layer = &model.core[layer];
+        let next = layer.step::<S, 1, GATE_PARTIAL_SUMS>(simd, panel, [input], [last], [cell]);
+        let units = layer.units(panel);
+        let units = state.start + units.start..state.start + units.end;
+        // SAFETY: only this item uses these units.
+        simd.partial_store_f32s(unsafe { self.hidden.part(units.clone()) }, next.hidden[0]);
+        if let Some([cell]) = next.cell {
+            // SAFETY: as above.
+            simd.partial_store_f32s(unsafe { self.cell.part(units) }, cell);
+        }
+    }
 }

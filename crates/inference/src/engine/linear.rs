@@ -1,9 +1,8 @@
 //! Weights packed for streaming, and their products with rows of numbers.
 //!
-//! The outputs of a layer are cut into panels as wide as a vector of this processor. A panel holds, for
-//! each input in turn, its weights to all outputs of the panel, so that products read the weights once
-//! and in the order in which they lie in memory, and a lane sums up one output: nothing is summed
-//! across lanes, and the order of a sum does not depend on the width of the vectors.
+//! The outputs of a layer are split into panels as wide as a SIMD vector. A panel stores, for each input in turn, the
+//! weights of all its outputs. Products so read the weights once and sequentially, and each lane accumulates one output:
+//! nothing is summed across lanes, and the order of a sum does not depend on the width of the vectors.
 #![expect(unsafe_code, reason = "reads without bounds checks in the innermost loop")]
 
 use std::collections::BTreeMap;
@@ -12,10 +11,10 @@ use pulp::Simd;
 
 use crate::checkpoint::{Weights, layout};
 
-/// Bytes of a cache line, which the widest vectors fill.
-const LINE: usize = 64;
+/// Size of a cache line, and of the widest vectors (bytes).
+const CACHE_LINE: usize = 64;
 
-/// Numbers that begin at a cache line.
+/// A buffer aligned to a cache line.
 #[derive(Debug)]
 pub(super) struct Aligned {
     numbers: Vec<f32>,
@@ -24,10 +23,10 @@ pub(super) struct Aligned {
 }
 
 impl Aligned {
-    /// So many zeros.
+    /// A buffer of `length` zeros.
     pub(super) fn zeros(length: usize) -> Self {
-        let numbers = vec![0.0f32; length + LINE / size_of::<f32>()];
-        let offset = numbers.as_ptr().align_offset(LINE);
+        let numbers = vec![0.0f32; length + CACHE_LINE / size_of::<f32>()];
+        let offset = numbers.as_ptr().align_offset(CACHE_LINE);
         Self { numbers, offset, length }
     }
 
@@ -41,22 +40,22 @@ impl Aligned {
     }
 }
 
-/// Outputs of a linear layer, y = W x + b, in panels.
+/// A linear layer, y = W x + b, packed in panels of outputs.
 #[derive(Debug)]
 pub(super) struct Linear {
-    /// Outputs of a panel.
+    /// Outputs per panel.
     lanes: usize,
     input: usize,
     output: usize,
-    /// `[panel, input, lane]`; zero where the last panel reaches beyond the outputs.
+    /// `[panel, input, lane]`; zero in unused lanes of the last panel.
     weight: Aligned,
     /// `[panel, lane]`.
     bias: Aligned,
 }
 
 impl Linear {
-    /// Packs part number `part` of `parts` equal ones of the outputs (a gate, where the layer computes
-    /// several) from a checkpoint's weight `[output, input]` and bias `[output]`.
+    /// Packs part number `part` of `parts` equal parts of the outputs (a gate, if the layer computes several) from a
+    /// checkpoint's weight, `[output, input]`, and bias, `[output]`.
     pub(super) fn pack(
         lanes: usize,
         weight: &Weights,
@@ -81,7 +80,7 @@ impl Linear {
         Self { lanes, input, output, weight: packed, bias: packed_bias }
     }
 
-    /// Packs a layer outside the core by its name.
+    /// Packs a layer outside the core by name.
     pub(super) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
         let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
         Self::pack(lanes, weight, bias, 0, 1)
@@ -108,13 +107,13 @@ impl Linear {
         outputs(panel, self.lanes, self.output)
     }
 
-    /// The outputs of a panel where rows are as long as all panels are.
+    /// The outputs of a panel in rows that are padded to whole panels ([`Linear::stride`]).
     #[inline(always)]
-    pub(super) fn places(&self, panel: usize) -> std::ops::Range<usize> {
+    pub(super) fn padded_outputs(&self, panel: usize) -> std::ops::Range<usize> {
         panel * self.lanes..(panel + 1) * self.lanes
     }
 
-    /// Length of rows that have a place for each lane of each panel; those of no output come out as zero.
+    /// Length of output rows that are padded to whole panels; the padding is zero.
     pub(super) fn stride(&self) -> usize {
         self.panels() * self.lanes
     }
@@ -126,31 +125,31 @@ impl Linear {
         &self.weight.get()[panel * length..(panel + 1) * length]
     }
 
-    /// Weights of a panel to some of its inputs.
+    /// Weights of a panel for a range of inputs.
     #[inline(always)]
     pub(super) fn inputs(&self, panel: usize, inputs: std::ops::Range<usize>) -> &[f32] {
         &self.panel(panel)[inputs.start * self.lanes..inputs.end * self.lanes]
     }
 
-    /// Biases of a panel, for R rows.
+    /// Biases of a panel, repeated for R rows.
     #[inline(always)]
     pub(super) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {
         [load(simd, &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes]); R]
     }
 
-    /// How many numbers one pass over the weights reads.
-    pub(super) fn numbers(&self) -> usize {
+    /// Number of weights, including padding.
+    pub(super) fn weight_count(&self) -> usize {
         self.weight.length
     }
 }
 
-/// The outputs of a panel: `lanes` of them, fewer in the last one.
+/// The outputs of a panel: `lanes`, or fewer in the last one.
 #[inline(always)]
 pub(super) fn outputs(panel: usize, lanes: usize, output: usize) -> std::ops::Range<usize> {
     panel * lanes..((panel + 1) * lanes).min(output)
 }
 
-/// The numbers of a panel in some row: a whole vector where it is full.
+/// Loads a vector, which the last panel of a row may fill only in part.
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
     match S::as_simd_f32s(row) {
@@ -159,7 +158,7 @@ pub(super) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
     }
 }
 
-/// The inverse.
+/// Stores a vector, of which the last panel of a row may hold only a part.
 #[inline(always)]
 pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     match S::as_mut_simd_f32s(row) {
@@ -168,9 +167,8 @@ pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     }
 }
 
-/// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers or more. Every
-/// sum is in K parts, input k in part k mod K: independent, so that the processor need not wait for
-/// one addition before it begins the next.
+/// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers or more. Each sum is
+/// accumulated in K independent parts, input k in part k mod K, which hides the latency of additions.
 #[inline(always)]
 pub(super) fn add_products<S: Simd, const G: usize, const R: usize, const K: usize>(
     simd: S,

@@ -1,28 +1,27 @@
-//! The networks of `model`, for streaming: one frame of a stream at a time.
+//! The networks for streaming: one frame of a stream at a time.
 //!
-//! 1. `linear`: weights packed in the order they are read, and their products with rows of numbers;
-//!    `products`: a layer for rows from one place, its sums to another.
-//! 2. `encoder`: the frame model's pointwise encoder with its pooling, fused.
-//! 3. `core`: the layers of the five cores.
-//! 4. `crew`: threads that stay and share the items of a frame's stages.
-//! 5. `frame_model`: the paper's network (Table 1) out of these.
-//! 6. `particle_model`: one hidden state a particle, the stages of a frame. `particle_features` and
-//!    `particle_blocks` have what happens to particles, `pieces` what they write to the grid's nodes,
-//!    `surroundings` what happens to these.
-//! 7. `rules`: what corrects a prediction, with the constants of the checkpoint; [`Corrector`] does it after any
+//! 1. [`scales`]: units of the particle model's inputs and outputs. [`Ballistic`]: the motion of a particle that touches
+//!    nothing.
+//! 2. `crew`: the thread pool that shares the items of a frame's stages.
+//! 3. `linear`: weights packed in the order in which they are read, and their products with rows of numbers;
+//!    `products`: a linear layer for a block of rows.
+//! 4. `core`: the layers of the five recurrent cores.
+//! 5. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
+//! 6. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
+//!    (Table 1).
+//! 7. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
+//!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes.
+//! 8. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
-//! 8. `memory`: what a network remembers of a stream, and in which `order`.
-//! 9. [`Remark`]: what is predicted although the network was not made for it.
-//! 10. [`Ballistic`]: the step of a particle that nothing else touches; [`scales`]: units of the particle
-//!     model's inputs and outputs.
-//! 11. `surrogate`: a checkpoint that predicts frames, one after the other; `workshop`: all threads on one
-//!     stream, or each on its own.
+//! 9. [`Warning`]: inputs that a network can predict, but was not trained for.
+//! 10. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads and buffers that run it.
 //!
-//! Vector instructions are chosen while the program runs (crate `pulp`). After a stream's first frame
-//! nothing is allocated (`tests/allocation.rs` counts). The equations stand in `model`, whose networks
-//! and the same rules behind them give the same numbers within 1e-5 (a property test there holds the two together).
+//! SIMD instructions are selected at run time (crate `pulp`). After a stream's first frame nothing is allocated
+//! (`tests/allocation.rs` counts). The equations are those of the networks in burn (`eddy-learning`), which give the same
+//! predictions within 1e-5; a property test there compares the two.
 //!
-//! Letters in shapes are those of `model`.
+//! Letters in shapes: `N` particles, `F` input features, `E` encoder width, `H` hidden width, `C0` to `C2` channels of
+//! the grid's levels.
 
 mod ballistic;
 mod core;
@@ -30,28 +29,28 @@ mod crew;
 mod encoder;
 mod error;
 mod frame_model;
+mod grid;
+mod hidden_state;
 mod linear;
-mod memory;
 mod order;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
-mod pieces;
 mod products;
-mod remark;
 mod rules;
 pub mod scales;
+mod scatter;
+mod stepper;
 mod surrogate;
-mod surroundings;
-mod workshop;
+mod warning;
 
 #[cfg(test)]
 mod tests;
 
 pub use ballistic::Ballistic;
 pub use error::ModelError;
-pub use memory::Memory;
-pub use remark::Remark;
+pub use hidden_state::HiddenState;
 pub use rules::Corrector;
+pub use stepper::Stepper;
 pub use surrogate::Surrogate;
-pub use workshop::Stepper;
+pub use warning::Warning;

@@ -1,17 +1,17 @@
-//! What the particle model sees of each particle: `model/features.rs` for a block of slots.
+//! The particle model's input features (listed in `model/features.rs` of `eddy-learning`) for a block of slots.
 
 use pulp::Simd;
 
 use super::{
     Ballistic,
     linear::{load, store},
-    scales::{FAR, NEAR, velocity_unit},
+    scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 use crate::{
     checkpoint::{Description, layout::PARTICLE_FEATURES},
     kernels::{
         math::exp,
-        rest::{Rest, SHAPE_FEATURES},
+        rest_shape::{RestShape, SHAPE_FEATURES},
     },
 };
 use eddy_frames::Domain;
@@ -19,22 +19,22 @@ use eddy_frames::Domain;
 /// F.
 pub(super) const FEATURES: usize = PARTICLE_FEATURES;
 
-/// Nearness of four walls at two scales.
-const NEARNESSES: usize = 8;
+/// Proximity to four walls at two scales.
+const PROXIMITIES: usize = 8;
 
-/// Columns of numbers of a block before they are features: positions, velocities and the velocities
-/// that were foretold, then what the ballistic step makes of the first two, along x and y each.
-pub(super) const STATES: usize = 10;
+/// Columns from which the features are computed, x and y of each: position, velocity, expected velocity, and position and
+/// velocity after the ballistic step.
+pub(super) const STATE_COLUMNS: usize = 10;
 
-/// Where nearness, the shape of solids and the material are among the features.
+/// First features of wall proximity, shape of solids, and material.
 const WALLS: usize = 6;
-const SHAPE: usize = WALLS + NEARNESSES;
+const SHAPE: usize = WALLS + PROXIMITIES;
 const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
 
 /// Position and velocity of a particle.
-pub(super) type State = ([f32; 2], [f32; 2]);
+pub(super) type Motion = ([f32; 2], [f32; 2]);
 
-/// Scales of the features, and the ballistic step they refer to.
+/// Scale of the features, and the ballistic step they refer to.
 #[derive(Debug)]
 pub(super) struct Features {
     /// In the checkpoint's domain.
@@ -44,68 +44,66 @@ pub(super) struct Features {
     pub(super) velocity_unit: f32,
 }
 
-/// What is known of the particles before the network.
-pub(super) struct Known<'a> {
-    /// In the order of the stream's memory, as all else here.
+/// The particles before the network, in the order of [`HiddenState::order`](super::HiddenState::order).
+pub(super) struct ParticleInputs<'a> {
     pub(super) position: &'a [[f32; 2]],
     pub(super) velocity: &'a [[f32; 2]],
     /// The ballistic step in the frame's domain.
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],
-    pub(super) rest: &'a Rest,
+    pub(super) rest: &'a RestShape,
 }
 
 impl Features {
     pub(super) fn new(description: &Description) -> Self {
         Self {
-            ballistic: Ballistic::of(description),
+            ballistic: Ballistic::new(description),
             domain: description.domain,
             velocity_unit: velocity_unit(&description.normalization),
         }
     }
 
-    /// The ballistic step in a domain of any size: walls in effect are as far from its corners as in the
-    /// checkpoint's.
+    /// The ballistic step in a domain of any size: walls keep the distance from its corners that they have in the
+    /// checkpoint's domain.
     pub(super) fn ballistic(&self, domain: &Domain) -> Ballistic {
-        self.ballistic.moved(&self.domain, domain)
+        self.ballistic.for_domain(&self.domain, domain)
     }
 
-    /// Fills the columns of a block's features, `[F, length]`, and of its `states`, `[STATES, length]`, for
-    /// the particles with these numbers. `foretold` gives the velocity the ballistic step foretold one frame
-    /// ago for a particle.
+    /// Writes a block's features to `columns`, `[F, length]`, and what they are computed from to `states`,
+    /// `[STATE_COLUMNS, length]`, for the given particles. `expected_velocity` is the velocity that the ballistic step
+    /// predicted for a particle one frame ago.
     #[inline(always)]
     pub(super) fn fill<S: Simd>(
         &self,
         simd: S,
-        known: &Known,
+        inputs: &ParticleInputs,
         particles: &[u32],
-        foretold: impl Fn(usize) -> [f32; 2],
+        expected_velocity: impl Fn(usize) -> [f32; 2],
         (states, length): (&mut [f32], usize),
         columns: &mut [f32],
     ) {
-        let Known { position, velocity, material, rest, .. } = known;
+        let ParticleInputs { position, velocity, material, rest, .. } = inputs;
         let (shape, last) = columns.split_at_mut(MATERIAL * length);
         last.fill(0.0);
         for (place, &particle) in particles.iter().enumerate() {
             let particle = particle as usize;
-            let seen = [position[particle], velocity[particle], foretold(particle)];
+            let seen = [position[particle], velocity[particle], expected_velocity(particle)];
             for (column, number) in seen.as_flattened().iter().enumerate() {
                 states[column * length + place] = *number;
             }
-            let strained = rest.shape_of(particle, position);
-            for (column, number) in strained.iter().enumerate() {
+            let shape_features = rest.shape_of(particle, position);
+            for (column, number) in shape_features.iter().enumerate() {
                 shape[(SHAPE + column) * length + place] = *number;
             }
             last[usize::from(material[particle]) * length + place] = 1.0;
         }
         let vectors = particles.len().div_ceil(S::F32_LANES);
-        self.see(simd, &known.ballistic, vectors, (states, length), columns);
+        self.motion_features(simd, &inputs.ballistic, vectors, (states, length), columns);
     }
 
-    /// The ballistic step and the features that come from a particle's own state, so many vectors of
-    /// particles.
+    /// The ballistic step and the features of motion and walls, for a number of vectors of particles.
     #[inline(always)]
-    fn see<S: Simd>(
+    fn motion_features<S: Simd>(
         &self,
         simd: S,
         ballistic: &Ballistic,
@@ -127,27 +125,27 @@ impl Features {
                 };
                 let x = load(simd, &states[place(axis)]);
                 let v = load(simd, &states[place(2 + axis)]);
-                let foretold = load(simd, &states[place(4 + axis)]);
-                // As `Ballistic::step`, what is not a number included.
+                let expected_velocity = load(simd, &states[place(4 + axis)]);
+                // As `Ballistic::step`, including NaN.
                 let free = simd.add_f32s(v, fall);
                 let mean = simd.mul_f32s(half, simd.add_f32s(v, free));
                 let to = simd.add_f32s(x, simd.mul_f32s(mean, interval));
-                let held = simd.select_f32s(simd.greater_than_f32s(to, low), to, low);
-                let held = simd.select_f32s(simd.less_than_f32s(held, high), held, high);
-                let stopped = simd.select_f32s(simd.equal_f32s(held, to), free, zero);
-                store(simd, &mut states[place(6 + axis)], held);
+                let clamped = simd.select_f32s(simd.greater_than_f32s(to, low), to, low);
+                let clamped = simd.select_f32s(simd.less_than_f32s(clamped, high), clamped, high);
+                let stopped = simd.select_f32s(simd.equal_f32s(clamped, to), free, zero);
+                store(simd, &mut states[place(6 + axis)], clamped);
                 store(simd, &mut states[place(8 + axis)], stopped);
 
-                let push = simd.sub_f32s(v, foretold);
-                let stop = simd.sub_f32s(stopped, free);
+                let residual = simd.sub_f32s(v, expected_velocity);
+                let wall_impulse = simd.sub_f32s(stopped, free);
                 store(simd, &mut columns[place(axis)], simd.mul_f32s(v, per_unit));
-                store(simd, &mut columns[place(2 + axis)], simd.mul_f32s(push, per_unit));
-                store(simd, &mut columns[place(4 + axis)], simd.mul_f32s(stop, per_unit));
+                store(simd, &mut columns[place(2 + axis)], simd.mul_f32s(residual, per_unit));
+                store(simd, &mut columns[place(4 + axis)], simd.mul_f32s(wall_impulse, per_unit));
                 let sides = [simd.sub_f32s(x, low), simd.sub_f32s(high, x)];
                 for (side, distance) in sides.into_iter().enumerate() {
                     let inside = simd.greater_than_f32s(distance, zero);
                     let distance = simd.select_f32s(inside, distance, zero);
-                    for (scale, reach) in [NEAR, FAR].into_iter().enumerate() {
+                    for (scale, reach) in [CONTACT_SCALE, BODY_SCALE].into_iter().enumerate() {
                         let apart = simd.mul_f32s(distance, simd.splat_f32s(-1.0 / reach));
                         let column = WALLS + 4 * scale + 2 * side + axis;
                         store(simd, &mut columns[place(column)], exp(simd, apart));
@@ -158,9 +156,9 @@ impl Features {
     }
 }
 
-/// The ballistic step of the particle in a place, from the columns of [`Features::fill`].
+/// The motion of a particle after the ballistic step, from the `states` of [`Features::fill`].
 #[inline(always)]
-pub(super) fn fallen(states: &[f32], length: usize, place: usize) -> State {
+pub(super) fn ballistic_motion(states: &[f32], length: usize, place: usize) -> Motion {
     let of = |column: usize| states[column * length + place];
     ([of(6), of(7)], [of(8), of(9)])
 }

@@ -1,9 +1,9 @@
-//! The particle model, one frame at a time: `model/particle_model.rs` for one stream.
+//! The particle model, one frame of a stream at a time (`model/particle_model.rs` of `eddy-learning` for training).
 //!
-//! Particles are worked on cell by cell of the grid, in blocks small enough for what their layers hand on
-//! to stay in the nearest caches. Once a frame's particles are in the order of the stream's memory, the rest
-//! is one job: particles are encoded and write to the nodes, the nodes' layers follow each other, particles
-//! read and are decoded; at last liquids get their area back, solids their shape, and bodies their momentum or their rest.
+//! Particles are processed cell by cell of the grid, in blocks small enough for the data between their layers to stay in
+//! the nearest caches. Once a frame's particles are in the order of the hidden state, the rest is one job of the thread
+//! pool: particles are encoded and summed on the nodes, the layers on nodes run one after the other, particles gather from
+//! the nodes and are decoded; at last the rules correct the prediction.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 use std::collections::BTreeMap;
@@ -13,14 +13,14 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     core::CoreLayer,
     crew::{Crew, Parts, Task},
+    grid::{self, Fields, Grid, Walls},
+    hidden_state::{HiddenState, stride},
     linear::Linear,
-    memory::{Memory, stride},
-    order::put_in_order,
-    particle_features::{FEATURES, Features, Known, STATES, State},
-    pieces::Pieces,
+    order::reorder,
+    particle_features::{FEATURES, Features, Motion, ParticleInputs, STATE_COLUMNS},
     rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
-    surroundings::{self, Fields, Grid, Walls},
+    scatter::Segments,
 };
 use crate::{
     checkpoint::{Description, Weights, layout},
@@ -31,16 +31,16 @@ use crate::{
 };
 use eddy_frames::{Frame, FrameView};
 
-/// Particles of a block: a multiple of the rows that are computed at once.
+/// Particles per block: a multiple of the rows that are computed at once.
 pub(super) const BLOCK: usize = 48;
 
-/// Numbers of a block's features.
+/// Length of a block's features.
 pub(super) const COLUMNS: usize = BLOCK * FEATURES;
 
 /// The packed network.
 #[derive(Debug)]
 pub(super) struct ParticleModel {
-    /// Whose vectors the weights are packed for.
+    /// The instruction set that the weights are packed for.
     arch: Arch,
     pub(super) features: Features,
     pub(super) encoder: [Linear; 2],
@@ -51,7 +51,7 @@ pub(super) struct ParticleModel {
     pub(super) decoder: Linear,
     /// H.
     pub(super) hidden: usize,
-    /// Bounds of the network's velocities (domain lengths per second).
+    /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
     rules: RuleSet,
@@ -59,32 +59,32 @@ pub(super) struct ParticleModel {
     pub(super) stages: Vec<Stage>,
 }
 
-/// Room for what stages hand on.
+/// Buffers between the stages of a frame.
 #[derive(Debug)]
-pub(super) struct Room {
-    grid: surroundings::Room,
-    /// Positions and velocities in the order of the stream's memory.
+pub(super) struct Scratch {
+    grid: grid::Scratch,
+    /// Positions and velocities in the order of the hidden state.
     state: [Vec<[f32; 2]>; 2],
     /// Input of the network, `[block, F, BLOCK]`.
     features: Vec<f32>,
-    pieces: Pieces,
-    /// What each piece adds to the nodes.
-    written: Vec<f32>,
-    /// The ballistic step of each slot.
-    fallen: Vec<State>,
+    segments: Segments,
+    /// The sums of each segment on the nodes.
+    segment_sums: Vec<f32>,
+    /// The motion of each slot's particle after the ballistic step.
+    ballistic_motion: Vec<Motion>,
     rules: rules::Scratch,
-    /// For each thread.
-    benches: Vec<Bench>,
+    /// One per thread.
+    buffers: Vec<LayerBuffers>,
 }
 
-/// Room for what layers hand on within a block.
+/// Buffers between the layers of a block.
 #[derive(Debug)]
-pub(super) struct Bench {
+pub(super) struct LayerBuffers {
     /// Input of a layer, `[BLOCK, its width]`.
     pub(super) input: Vec<f32>,
     /// Its output, `[BLOCK, its width]`.
     pub(super) output: Vec<f32>,
-    /// States that come before, of particles or of the core's units, `[BLOCK, their width]`.
+    /// What the features are computed from, or the last outputs of a layer of the core, `[BLOCK, its width]`.
     pub(super) states: Vec<f32>,
 }
 
@@ -97,14 +97,14 @@ impl ParticleModel {
         let lanes = arch.dispatch(Lanes);
         let linear = |layer| Linear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
-        let surroundings = description.surroundings.as_ref();
-        let surroundings = surroundings.expect("a description that was checked has them");
+        let grid = description.grid.as_ref();
+        let grid = grid.expect("checked descriptions of particle models have one");
         let rules = RuleSet::new(description);
         Self {
             arch,
             features: Features::new(description),
             encoder: [linear("encoder.0"), with_one(lanes, tensors, "encoder.1")],
-            grid: Grid::pack(lanes, surroundings, tensors),
+            grid: Grid::pack(lanes, grid, tensors),
             context: linear("context"),
             core: (0..description.sizes.layers)
                 .map(|layer| CoreLayer::pack(lanes, description, tensors, layer))
@@ -119,57 +119,66 @@ impl ParticleModel {
         }
     }
 
-    /// Multiplications of a frame for one particle, without the grid's.
+    /// Approximate number of multiplications per particle and frame, without the layers on nodes.
     pub(super) fn work(&self) -> usize {
         let core = self.core.iter().flat_map(CoreLayer::linears);
         let ends = [&self.context, &self.mixer, &self.decoder];
-        self.encoder.iter().chain(core).chain(ends).map(Linear::numbers).sum()
+        self.encoder.iter().chain(core).chain(ends).map(Linear::weight_count).sum()
     }
 
-    pub(super) fn room(&self, threads: usize) -> Room {
+    pub(super) fn scratch(&self, threads: usize) -> Scratch {
         let widths = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder];
         let widths = widths.map(Linear::stride).into_iter();
         let states = stride(self.hidden);
-        let widest = widths.max().unwrap_or(0).max(states).max(self.grid.read());
+        let widest = widths.max().unwrap_or(0).max(states).max(self.grid.read_width());
         let zeros = |width| vec![0.0; BLOCK * width];
-        let bench = || Bench {
+        let buffers = || LayerBuffers {
             input: zeros(widest),
             output: zeros(widest),
-            states: zeros(states.max(STATES)),
+            states: zeros(states.max(STATE_COLUMNS)),
         };
-        Room {
-            grid: surroundings::Room::default(),
+        Scratch {
+            grid: grid::Scratch::default(),
             state: Default::default(),
             features: Vec::new(),
-            pieces: Pieces::default(),
-            written: Vec::new(),
-            fallen: Vec::new(),
+            segments: Segments::default(),
+            segment_sums: Vec::new(),
+            ballistic_motion: Vec::new(),
             rules: self.rules.scratch(),
-            benches: (0..threads).map(|_| bench()).collect(),
+            buffers: (0..threads).map(|_| buffers()).collect(),
         }
     }
 
-    /// Observes `frame` and writes the next positions and velocities.
+    /// Observes `frame` and writes the predicted positions and velocities to `next`.
     pub(super) fn step(
         &self,
         crew: &mut Crew,
         alone: bool,
-        room: &mut Room,
-        memory: &mut Memory,
+        scratch: &mut Scratch,
+        hidden_state: &mut HiddenState,
         frame: FrameView<'_>,
         next: &mut Frame,
     ) {
         let ballistic = self.features.ballistic(&frame.domain);
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
-        let particles = memory.order.len();
+        let particles = hidden_state.order.len();
         let window = Window { particles: 0..particles, lower, upper };
-        put_in_order(crew, alone, &memory.order, frame.particles, &mut room.state);
-        room.grid.nodes.rebuild(&room.state[0], &[window], self.grid.cell_width);
-        self.make_room(room, particles);
+        reorder(crew, alone, &hidden_state.order, frame.particles, &mut scratch.state);
+        scratch.grid.nodes.rebuild(&scratch.state[0], &[window], self.grid.cell_width);
+        self.resize(scratch, particles);
 
-        let Room { grid, features, pieces, written, fallen, rules, benches, .. } = room;
-        let Room { state: [position, velocity], .. } = room;
-        let surroundings::Room { nodes, fields, columns } = grid;
+        let Scratch {
+            grid,
+            features,
+            segments,
+            segment_sums,
+            ballistic_motion,
+            rules,
+            buffers,
+            ..
+        } = scratch;
+        let Scratch { state: [position, velocity], .. } = scratch;
+        let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
             position,
@@ -177,58 +186,59 @@ impl ParticleModel {
             nodes,
             ballistic,
             domain: frame.domain,
-            rest: &memory.rest,
-            order: &memory.order,
+            rest: &hidden_state.rest,
+            order: &hidden_state.order,
         };
         let predicted = Predicted {
             position: Parts::new(&mut next.position),
             velocity: Parts::new(&mut next.velocity),
             material: &next.material,
         };
-        let pass = Pass {
+        let context = StepContext {
             model: self,
             width: stride(self.hidden),
-            known: Known {
+            inputs: ParticleInputs {
                 position,
                 velocity,
                 ballistic,
-                material: &memory.material,
-                rest: &memory.rest,
+                material: &hidden_state.material,
+                rest: &hidden_state.rest,
             },
-            place: &memory.order,
+            place: &hidden_state.order,
             walls,
             nodes,
-            pieces,
-            begun: memory.begun,
+            segments,
+            begun: hidden_state.begun,
             features: Parts::new(features),
-            sums: Parts::new(written),
-            fallen: Parts::new(fallen),
+            sums: Parts::new(segment_sums),
+            ballistic_motion: Parts::new(ballistic_motion),
             fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
-            benches: Parts::new(benches),
-            hidden: Parts::new(&mut memory.hidden),
-            cell: Parts::new(&mut memory.cell),
-            foretold: Parts::new(&mut memory.foretold),
+            buffers: Parts::new(buffers),
+            hidden: Parts::new(&mut hidden_state.hidden),
+            cell: Parts::new(&mut hidden_state.cell),
+            expected_velocity: Parts::new(&mut hidden_state.expected_velocity),
             predicted,
             correction: self.rules.begin(rules, observed, predicted),
         };
-        let stages = self.stages.iter().map(|&stage| pass.items(stage));
-        crew.run(stages, alone, &|task| self.arch.dispatch(Item { pass: &pass, task }));
-        memory.begun = true;
+        let stages = self.stages.iter().map(|&stage| context.items(stage));
+        crew.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
+        hidden_state.begun = true;
     }
 
-    /// Makes room for what is at particles, cells and nodes.
-    fn make_room(&self, room: &mut Room, particles: usize) {
-        let Room { grid, features, pieces, written, fallen, .. } = room;
-        self.grid.make_room(grid);
+    /// Resizes the buffers for a frame's particles, cells and nodes.
+    fn resize(&self, scratch: &mut Scratch, particles: usize) {
+        let Scratch { grid, features, segments, segment_sums, ballistic_motion, .. } = scratch;
+        self.grid.resize(grid);
         features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
-        let [sums, most] = pieces.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written());
-        written.reserve(most.saturating_sub(written.len()));
-        written.resize(sums.max(written.len()), 0.0);
-        fallen.resize(particles, State::default());
+        let [sums, most] =
+            segments.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written_width());
+        segment_sums.reserve(most.saturating_sub(segment_sums.len()));
+        segment_sums.resize(sums.max(segment_sums.len()), 0.0);
+        ballistic_motion.resize(particles, Motion::default());
     }
 }
 
-/// The second layer of the encoder, with a one behind its outputs, for the mass of the nodes, and room for
+/// The second layer of the encoder, with a constant output of one for the mass of the nodes, and padding for
 /// the nodes' own features.
 fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Linear {
     let [mut weight, mut bias] = layout::names(layer).map(|name| tensors[&name].clone());
@@ -244,52 +254,52 @@ fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> L
 /// A stage of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Stage {
-    /// Features, encoder, sums on nodes; an item is a block of slots.
+    /// Features, encoder, the blocks' sums on nodes; an item is a block of slots.
     Encode,
-    /// The blocks' sums are joined; an item is a row of nodes.
+    /// Adds up the blocks' sums; an item is a row of nodes.
     Write,
-    /// A layer on the nodes; an item is a block of them.
+    /// A layer on the nodes; an item is a block of nodes.
     Layer(usize),
-    /// Particles read, core, decoder; an item is a block of slots.
+    /// Gather, context, core, decoder; an item is a block of slots.
     Decode,
     /// A step of a rule.
     Rule(rules::Stage),
 }
 
-/// The stages of a frame, in order: the network's, then the rules'.
+/// The stages of a frame, in order: those of the network, then those of the rules.
 fn stages(rules: &RuleSet) -> Vec<Stage> {
-    let layers = (0..surroundings::STAGES).map(Stage::Layer);
+    let layers = (0..grid::STAGES).map(Stage::Layer);
     let network = [Stage::Encode, Stage::Write].into_iter().chain(layers).chain([Stage::Decode]);
     network.chain(rules.stages().into_iter().map(Stage::Rule)).collect()
 }
 
-/// One frame under way.
-pub(super) struct Pass<'a> {
+/// One frame in progress.
+pub(super) struct StepContext<'a> {
     pub(super) model: &'a ParticleModel,
     /// Length of the rows of hidden states.
     pub(super) width: usize,
-    pub(super) known: Known<'a>,
-    /// The particle of the frame in each row of the memory.
+    pub(super) inputs: ParticleInputs<'a>,
+    /// The frame's particle in each row of the hidden state.
     pub(super) place: &'a [u32],
     pub(super) walls: Walls<'a>,
     pub(super) nodes: &'a Nodes,
-    pub(super) pieces: &'a Pieces,
+    pub(super) segments: &'a Segments,
     pub(super) begun: bool,
     pub(super) features: Parts<'a, f32>,
-    /// What each piece adds to the nodes.
+    /// The sums of each segment on the nodes.
     pub(super) sums: Parts<'a, f32>,
-    pub(super) fallen: Parts<'a, State>,
+    pub(super) ballistic_motion: Parts<'a, Motion>,
     pub(super) fields: Fields<'a>,
-    pub(super) benches: Parts<'a, Bench>,
+    pub(super) buffers: Parts<'a, LayerBuffers>,
     pub(super) hidden: Parts<'a, f32>,
     pub(super) cell: Parts<'a, f32>,
-    pub(super) foretold: Parts<'a, [f32; 2]>,
+    pub(super) expected_velocity: Parts<'a, [f32; 2]>,
     pub(super) predicted: Predicted<'a>,
     correction: Correction<'a>,
 }
 
-impl Pass<'_> {
-    /// How many items a stage has.
+impl StepContext<'_> {
+    /// Number of items of a stage.
     fn items(&self, stage: Stage) -> usize {
         match stage {
             Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
@@ -302,7 +312,7 @@ impl Pass<'_> {
 
 /// An item of a stage.
 struct Item<'a> {
-    pass: &'a Pass<'a>,
+    context: &'a StepContext<'a>,
     task: Task,
 }
 
@@ -311,19 +321,19 @@ impl WithSimd for Item<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { pass, task: Task { stage, item, thread } } = self;
-        let Pass { model: ParticleModel { grid, stages, .. }, nodes, fields, .. } = pass;
+        let Self { context, task: Task { stage, item, thread } } = self;
+        let StepContext { model: ParticleModel { grid, stages, .. }, nodes, fields, .. } = context;
         match stages[stage] {
-            Stage::Encode => pass.encode(simd, item, thread),
-            Stage::Decode => pass.decode(simd, item, thread),
+            Stage::Encode => context.encode(simd, item, thread),
+            Stage::Decode => context.decode(simd, item, thread),
             Stage::Write => {
-                // SAFETY: this stage only reads what the pieces add.
-                let sums = unsafe { pass.sums.read(0..pass.sums.len()) };
+                // SAFETY: this stage only reads the segments' sums.
+                let sums = unsafe { context.sums.read(0..context.sums.len()) };
                 let row = &nodes.rows()[item];
-                grid.write(simd, nodes, row, (pass.pieces, sums), &pass.walls, fields);
+                grid.write(simd, nodes, row, (context.segments, sums), &context.walls, fields);
             }
             Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
-            Stage::Rule(stage) => pass.correction.run(stage, item),
+            Stage::Rule(stage) => context.correction.run(stage, item),
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Linear layers for some rows at a time: where the rows come from, and where the sums go.
+//! Linear layers for blocks of rows: a [`Source`] of input rows and a [`Sink`] of outputs.
 //!
-//! R rows of G panels stay in registers. How rows are taken together does not change their sums.
+//! The sums of R rows and G panels stay in registers. The grouping of rows does not change their sums.
 #![expect(unsafe_code, reason = "reads without bounds checks in the innermost loop")]
 
 use std::ops::Range;
@@ -10,10 +10,10 @@ use pulp::Simd;
 use super::linear::{Linear, add_products, store};
 use crate::kernels::math::relu;
 
-/// Where the inputs of a layer's rows are.
+/// The inputs of a layer, row by row.
 pub(super) trait Source {
-    /// Adds to `sums` the products of R rows from number `first` on with G panels; the last of `count`
-    /// rows again where there are no more.
+    /// Adds to `sums` the products of the R rows from `first` on with G panels. Beyond `count` rows, the last one is
+    /// repeated.
     fn add<S: Simd, const G: usize, const R: usize>(
         &self,
         simd: S,
@@ -25,15 +25,15 @@ pub(super) trait Source {
     ) -> [[S::f32s; R]; G];
 }
 
-/// Where the outputs go.
+/// The outputs of a layer, row by row.
 pub(super) trait Sink {
-    /// Takes some outputs of a row, a whole vector.
+    /// Receives a vector of a row's outputs.
     fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s);
 }
 
-/// `count` rows through a layer.
+/// Applies a layer to `count` rows.
 #[inline(always)]
-pub(super) fn pass<S: Simd>(
+pub(super) fn apply<S: Simd>(
     simd: S,
     linear: &Linear,
     count: usize,
@@ -41,15 +41,15 @@ pub(super) fn pass<S: Simd>(
     sink: &mut impl Sink,
 ) {
     if S::REGISTER_COUNT >= 32 {
-        pass_rows::<S, 12, 4>(simd, linear, count, source, sink);
+        apply_rows::<S, 12, 4>(simd, linear, count, source, sink);
     } else {
-        pass_rows::<S, 6, 2>(simd, linear, count, source, sink);
+        apply_rows::<S, 6, 2>(simd, linear, count, source, sink);
     }
 }
 
-/// R rows at a time, and Q of those that are left.
+/// Blocks of R rows, then of Q rows for the rest.
 #[inline(always)]
-fn pass_rows<S: Simd, const R: usize, const Q: usize>(
+fn apply_rows<S: Simd, const R: usize, const Q: usize>(
     simd: S,
     linear: &Linear,
     count: usize,
@@ -64,14 +64,32 @@ fn pass_rows<S: Simd, const R: usize, const Q: usize>(
             let many = count - first >= R;
             match (two, many) {
                 (true, true) => {
-                    some::<S, 2, R>(simd, linear, [panel, panel + 1], first, count, source, sink);
+                    apply_block::<S, 2, R>(
+                        simd,
+                        linear,
+                        [panel, panel + 1],
+                        first,
+                        count,
+                        source,
+                        sink,
+                    );
                 }
                 (true, false) => {
-                    some::<S, 2, Q>(simd, linear, [panel, panel + 1], first, count, source, sink);
+                    apply_block::<S, 2, Q>(
+                        simd,
+                        linear,
+                        [panel, panel + 1],
+                        first,
+                        count,
+                        source,
+                        sink,
+                    );
                 }
-                (false, true) => some::<S, 1, R>(simd, linear, [panel], first, count, source, sink),
+                (false, true) => {
+                    apply_block::<S, 1, R>(simd, linear, [panel], first, count, source, sink)
+                }
                 (false, false) => {
-                    some::<S, 1, Q>(simd, linear, [panel], first, count, source, sink)
+                    apply_block::<S, 1, Q>(simd, linear, [panel], first, count, source, sink)
                 }
             }
             first += if many { R } else { Q };
@@ -80,9 +98,9 @@ fn pass_rows<S: Simd, const R: usize, const Q: usize>(
     }
 }
 
-/// G panels of R rows.
+/// A block of R rows and G panels.
 #[inline(always)]
-fn some<S: Simd, const G: usize, const R: usize>(
+fn apply_block<S: Simd, const G: usize, const R: usize>(
     simd: S,
     linear: &Linear,
     panels: [usize; G],
@@ -97,14 +115,14 @@ fn some<S: Simd, const G: usize, const R: usize>(
     }
     let sums = source.add::<S, G, R>(simd, linear, panels, first, count, sums);
     for g in 0..G {
-        let outputs = linear.places(panels[g]);
+        let outputs = linear.padded_outputs(panels[g]);
         for (row, &sums) in (first..count).zip(&sums[g]) {
             sink.put(simd, row, outputs.clone(), sums);
         }
     }
 }
 
-/// Adds the products of R rows with the weights of G panels to the inputs with these numbers.
+/// Adds the products of R rows with the weights of G panels for a range of inputs.
 #[inline(always)]
 fn add_part<S: Simd, const G: usize, const R: usize>(
     simd: S,
@@ -121,12 +139,12 @@ fn add_part<S: Simd, const G: usize, const R: usize>(
     add_products::<S, G, R, 1>(simd, weights, rows, sums)
 }
 
-/// Rows that lie one after the other.
+/// Contiguous rows.
 #[derive(Clone, Copy)]
 pub(super) struct Rows<'a> {
     /// `[.., width]`.
     pub(super) numbers: &'a [f32],
-    /// Length of a row: as many as the layer has inputs, or more.
+    /// Length of a row: the number of inputs, or more.
     pub(super) width: usize,
 }
 
@@ -136,9 +154,9 @@ impl<'a> Rows<'a> {
         &self.numbers[row * self.width..(row + 1) * self.width]
     }
 
-    /// R rows from number `first` on.
+    /// The R rows from `first` on; beyond `count` rows, the last one is repeated.
     #[inline(always)]
-    pub(super) fn some<const R: usize>(&self, first: usize, count: usize) -> [&'a [f32]; R] {
+    pub(super) fn block<const R: usize>(&self, first: usize, count: usize) -> [&'a [f32]; R] {
         let mut rows = [[].as_slice(); R];
         for (r, row) in rows.iter_mut().enumerate() {
             *row = self.row((first + r).min(count - 1));
@@ -158,21 +176,21 @@ impl Source for Rows<'_> {
         count: usize,
         sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
-        add_part(simd, linear, panels, 0..linear.input(), self.some::<R>(first, count), sums)
+        add_part(simd, linear, panels, 0..linear.input(), self.block::<R>(first, count), sums)
     }
 }
 
-/// Rows of a block that lie beside each other, number by number.
+/// The rows of a block in column-major order.
 #[derive(Clone, Copy)]
 pub(super) struct Columns<'a> {
-    /// `[width, LENGTH]`, in the places of rows that there are not anything.
+    /// `[width, length]`; the values of missing rows are arbitrary.
     pub(super) numbers: &'a [f32],
     pub(super) width: usize,
     pub(super) length: usize,
 }
 
 impl Columns<'_> {
-    /// Adds the products of R rows with the weights of the first inputs.
+    /// Adds the products of R rows with the weights of the first `width` inputs.
     #[inline(always)]
     fn add_first<S: Simd, const G: usize, const R: usize>(
         &self,
@@ -189,7 +207,7 @@ impl Columns<'_> {
         assert!(weights.iter().all(|weights| weights.len() == self.width));
         assert!(first + R <= self.length && self.numbers.len() == self.width * self.length);
         for k in 0..self.width {
-            // SAFETY: as asserted, k being below the width.
+            // SAFETY: k is less than the width, which was compared with the lengths above.
             let (weights, numbers) = unsafe {
                 let first = k * self.length + first;
                 (
@@ -223,10 +241,10 @@ impl Source for Columns<'_> {
     }
 }
 
-/// Two parts of a row side by side.
-pub(super) struct Beside<'a>(pub(super) Columns<'a>, pub(super) Rows<'a>);
+/// Rows in two parts: the first inputs from columns, the others from rows.
+pub(super) struct Concatenated<'a>(pub(super) Columns<'a>, pub(super) Rows<'a>);
 
-impl Source for Beside<'_> {
+impl Source for Concatenated<'_> {
     #[inline(always)]
     fn add<S: Simd, const G: usize, const R: usize>(
         &self,
@@ -240,16 +258,16 @@ impl Source for Beside<'_> {
         let Self(left, right) = self;
         let sums = left.add_first(simd, linear, panels, first, sums);
         let inputs = left.width..linear.input();
-        add_part(simd, linear, panels, inputs, right.some::<R>(first, count), sums)
+        add_part(simd, linear, panels, inputs, right.block::<R>(first, count), sums)
     }
 }
 
-/// K rows side by side, which a table names. A row that is missing is left out.
+/// Rows of K concatenated rows that a table selects. Missing rows count as zeros.
 pub(super) struct Gathered<'a, const K: usize> {
     pub(super) table: &'a [[u32; K]],
-    /// All rows; the one behind the last named is zero.
+    /// All rows, and a zero row behind them.
     pub(super) rows: Rows<'a>,
-    /// Number of the zero row.
+    /// Index of the zero row.
     pub(super) zero: usize,
 }
 
@@ -269,7 +287,7 @@ impl<const K: usize> Source for Gathered<'_, K> {
             let mut rows = [[].as_slice(); R];
             let mut none = true;
             for (r, numbers) in rows.iter_mut().enumerate() {
-                // What is missing has a number beyond all.
+                // The index of a missing row is larger than all others.
                 let row = (self.table[(first + r).min(count - 1)][k] as usize).min(self.zero);
                 none &= row == self.zero;
                 *numbers = self.rows.row(row);
@@ -282,7 +300,7 @@ impl<const K: usize> Source for Gathered<'_, K> {
     }
 }
 
-/// Rows that lie one after the other, after ReLU if `rectify`.
+/// Contiguous rows, with ReLU if `rectify`.
 pub(super) struct Output<'a> {
     /// `[.., width]`.
     pub(super) numbers: &'a mut [f32],

@@ -1,18 +1,18 @@
-//! Scales of the particle model's inputs and outputs, which the networks in burn share with the engine.
+//! Scales of the particle model's inputs and outputs, the same for training and streaming.
 
 use crate::checkpoint::Normalization;
 
-/// Scale of contact with a wall (domain lengths): about two cells of the 64 grid.
-pub const NEAR: f32 = 0.03;
-/// Scale of the reach of a wall through a body (domain lengths): about a body's size.
-pub const FAR: f32 = 0.2;
+/// Length scale of contact with a wall (domain lengths): about two cells of a 64 x 64 grid.
+pub const CONTACT_SCALE: f32 = 0.03;
+/// Length scale over which a wall acts through a body (domain lengths): about the size of a body.
+pub const BODY_SCALE: f32 = 0.2;
 
-/// Keeps averages finite where hardly any particle is near (particles of a node).
-pub const LEAST_MASS: f32 = 1e-3;
-/// Particles that fill a cell of the finest level where a solver has four in a cell half as wide.
-pub const FULL: f32 = 16.0;
+/// Added to a node's mass so that averages stay finite where it is almost zero (particles).
+pub const MIN_MASS: f32 = 1e-3;
+/// Particles per cell of the finest level in a full cell: a solver has four in a cell half as wide.
+pub const FULL_MASS: f32 = 16.0;
 
-/// How far v' may leave the range of training velocities, as a share of that range.
+/// By how much predicted velocities may exceed the range in training, as a share of that range.
 const VELOCITY_MARGIN: f32 = 0.25;
 
 /// The unit of velocity changes (domain lengths per second): root mean square of the velocity
@@ -22,7 +22,7 @@ pub fn velocity_unit(scale: &Normalization) -> f32 {
     ((x * x + y * y) / 2.0).sqrt()
 }
 
-/// The smallest and the largest velocities that are predicted, by axis (domain lengths per second).
+/// The smallest and the largest predicted velocities, by axis (domain lengths per second).
 pub fn velocity_limits(scale: &Normalization) -> ([f32; 2], [f32; 2]) {
     let bound = |side: f32, of: [f32; 4]| {
         [2, 3].map(|axis| {

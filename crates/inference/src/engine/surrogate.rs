@@ -1,59 +1,49 @@
-//! A checkpoint that predicts frames, one after the other.
+//! A checkpoint's network, ready to predict.
 
-use std::{
-    num::NonZeroUsize,
-    sync::{Mutex, MutexGuard, PoisonError},
-    thread,
-};
+use std::{num::NonZeroUsize, sync::Arc, thread};
 
 use pulp::Arch;
 
 use super::{
-    Memory, ModelError, Remark,
-    frame_model::FrameModel,
-    particle_model::ParticleModel,
-    remark,
-    workshop::{Network, Stepper, Workshop},
+    HiddenState, ModelError, Stepper, Warning, frame_model::FrameModel,
+    particle_model::ParticleModel, stepper::Network, warning,
 };
-use crate::checkpoint::{Architecture, Checkpoint, Description, Surroundings};
-use eddy_frames::{Domain, Frame, FrameView, Material, Particles, Stamp};
+use crate::checkpoint::{Architecture, Checkpoint, Description, GridOptions};
+use eddy_frames::{Domain, Frame, FrameView, Stamp};
 
-/// How much the frame interval of a stream may differ from the checkpoint's, relative to it.
+/// Largest accepted difference between a stream's frame interval and the checkpoint's, relative to it.
 const INTERVAL_TOLERANCE: f32 = 1e-3;
 
-/// How far a stream's domain corners may be from the checkpoint's (domain lengths).
+/// Largest accepted distance between a stream's domain corners and the checkpoint's (domain lengths).
 const DOMAIN_TOLERANCE: f32 = 1e-6;
 
-/// Cells of a domain that are worth their time for each particle; a filled domain has less than one.
-const CELLS_A_PARTICLE: usize = 64;
+/// Largest accepted number of cells per particle; a filled domain has less than one.
+const MAX_CELLS_PER_PARTICLE: usize = 64;
 
-/// Cells of a domain that take no time worth mentioning.
-const CELLS: usize = 1 << 20;
+/// Number of cells that is always accepted: their cost is negligible.
+const FREE_CELLS: usize = 1 << 20;
 
-/// More threads than this have nothing to do: no layer has many more panels.
-const MOST_THREADS: usize = 256;
+/// More threads than this would idle: no layer has many more panels.
+const MAX_THREADS: usize = 256;
 
-/// A trained network, ready to predict.
+/// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
-/// The same frames give the same bits, whatever other streams there are, with any number of threads,
-/// in any process, and on all processors that have AVX2 with FMA or AVX-512. Other instruction sets
-/// round products, or some of them, differently in the last place.
+/// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
+/// and on all processors that have AVX2 with FMA or AVX-512. Other instruction sets round some products differently in
+/// the last place.
 pub struct Surrogate {
     description: Description,
     digest: String,
-    network: Network,
-    /// Time between two frames (ns).
-    interval: i64,
-    /// Room for frames under way. One step at a time, or one batch, has it.
-    workshop: Mutex<Workshop>,
+    network: Arc<Network>,
+    threads: usize,
 }
 
 impl Surrogate {
-    /// Packs the checkpoint's network, to run on `threads` threads (at most 256); on as many as there
-    /// are cores if not given.
+    /// Packs the checkpoint's network. Each of its steppers runs on `threads` threads (at most 256), by default on as many
+    /// as there are cores.
     ///
     /// # Errors
-    /// [`ModelError::Checkpoint`] when the weights do not fit the description.
+    /// [`ModelError::Checkpoint`] if the weights do not match the description.
     pub fn load(
         checkpoint: &Checkpoint,
         threads: Option<NonZeroUsize>,
@@ -61,7 +51,7 @@ impl Surrogate {
         Self::load_for(checkpoint, threads, Arch::new())
     }
 
-    /// The same with a set of instructions that this processor has.
+    /// As [`Surrogate::load`], for a given instruction set of this processor.
     ///
     /// # Errors
     /// As [`Surrogate::load`].
@@ -72,7 +62,7 @@ impl Surrogate {
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
-        let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MOST_THREADS);
+        let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MAX_THREADS);
         let Checkpoint { description, tensors } = checkpoint;
         let network = match description.architecture {
             Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
@@ -80,32 +70,36 @@ impl Surrogate {
                 Network::Particle(ParticleModel::pack(arch, description, tensors))
             }
         };
-        let workshop = Workshop::new(&network, description.core, threads);
         Ok(Self {
             description: description.clone(),
             digest: checkpoint.digest(),
-            network,
-            interval: Stamp(0).advance(description.dt, 1).0,
-            workshop: Mutex::new(workshop),
+            network: Arc::new(network),
+            threads,
         })
     }
 
-    /// What the network is.
+    /// A stepper of this network, with threads of its own.
+    pub fn stepper(&self) -> Stepper {
+        let interval = Stamp(0).advance(self.description.dt, 1).0;
+        Stepper::new(&self.network, interval, self.threads)
+    }
+
+    /// The checkpoint's description.
     pub fn description(&self) -> &Description {
         &self.description
     }
 
-    /// Digest of its checkpoint, [`Checkpoint::digest`].
+    /// The checkpoint's digest, [`Checkpoint::digest`].
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Whether the network can predict such a frame.
+    /// Checks that the network can predict such a frame.
     ///
     /// # Errors
-    /// [`ModelError`] when it cannot: a material or interval it was not trained on, another number of
-    /// particles or another domain (frame model), a domain with no room between its walls or far too large
-    /// for its particles (particle model).
+    /// [`ModelError`] if it cannot: a material or interval it was not trained on, another number of particles or another
+    /// domain (frame model), a domain with no space between its walls or far too large for its particles (particle
+    /// model).
     pub fn fits<'a>(&self, frame: impl Into<FrameView<'a>>) -> Result<(), ModelError> {
         let frame = frame.into();
         let particles = frame.particles;
@@ -124,131 +118,43 @@ impl Surrogate {
         if (frame.dt - dt).abs() > INTERVAL_TOLERANCE * dt {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
-        match self.description.surroundings {
+        match self.description.grid {
             None => same_domain(&frame.domain, domain),
-            Some(Surroundings { cell_width, .. }) => {
+            Some(GridOptions { cell_width, .. }) => {
                 fits_domain(&frame.domain, &self.description, cell_width, particles.len())
             }
         }
     }
 
-    /// What there is to say about a stream that begins with a frame that [`Surrogate::fits`]: where the
-    /// network works, but was not made for it.
-    pub fn remarks(&self, frame: &Frame) -> Vec<Remark> {
-        remark::remarks(&self.description, frame)
+    /// Warnings about a stream that begins with a frame that [`Surrogate::fits`]: the network can predict it, but was not
+    /// trained for it.
+    pub fn warnings(&self, frame: &Frame) -> Vec<Warning> {
+        warning::warnings(&self.description, frame)
     }
 
-    /// An empty memory for the particles of `frame`. It has not observed `frame`; that is
-    /// [`Surrogate::step`]'s part. The particle model takes jelly and rope to be at rest in the shape they
-    /// have in `frame`.
+    /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed
+    /// to [`Stepper::step_into`] first. The particle model takes the shape of jelly and rope in `frame` as their rest shape.
     ///
     /// # Errors
     /// As [`Surrogate::fits`].
-    pub fn start(&self, frame: &Frame) -> Result<Memory, ModelError> {
+    pub fn start(&self, frame: &Frame) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
-        Ok(Memory::new(&self.description, frame))
-    }
-
-    /// Observes a frame, true or predicted, of the particles the memory was started for, and
-    /// predicts the next one into `next`: its sequence one higher, its stamp `dt` later. The
-    /// prediction may hold numbers that are not finite; [`Frame::check`] tells.
-    ///
-    /// Once a frame of so many particles in such a domain was predicted into `next`, nothing is allocated.
-    ///
-    /// # Panics
-    /// When `frame` has another number of particles than the memory was started for. In a domain that
-    /// [`Surrogate::fits`] refuses, the memory that is asked for may be more than there is.
-    pub fn step_into<'a>(
-        &self,
-        memory: &mut Memory,
-        frame: impl Into<FrameView<'a>>,
-        next: &mut Frame,
-    ) {
-        self.workshop().together(self).step_into(memory, frame, next);
-    }
-
-    /// Does `work` for each item, with what steps streams: all threads together for one item, each thread
-    /// on an item of its own for several. What is predicted is the same, bit for bit. Each thread keeps room for the
-    /// largest frame that it has stepped.
-    ///
-    /// `work` steps with what it is given: a call of another method of this surrogate that steps, this one included,
-    /// would wait for ever.
-    ///
-    /// # Panics
-    /// Where `work` does, on any thread.
-    pub fn each<T: Send + Sync>(
-        &self,
-        items: &mut [T],
-        work: impl Fn(&mut Stepper<'_>, &mut T) + Sync,
-    ) {
-        self.workshop().each(self, items, work);
-    }
-
-    /// How many items [`Surrogate::each`] works on at once.
-    pub fn threads(&self) -> usize {
-        self.workshop().threads()
-    }
-
-    /// A step that panicked left room behind that the next one fills anew.
-    fn workshop(&self) -> MutexGuard<'_, Workshop> {
-        self.workshop.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub(super) fn network(&self) -> &Network {
-        &self.network
-    }
-
-    /// What a prediction from `frame` has but for positions and velocities, for which there is room then.
-    pub(super) fn begin(&self, particles: usize, frame: &FrameView<'_>, next: &mut Frame) {
-        assert_eq!(frame.particles.len(), particles, "the memory is for {particles} particles");
-        let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = next;
-        (*stream, *sequence) = (frame.stream, frame.sequence + 1);
-        *stamp = Stamp(frame.stamp.0.saturating_add(self.interval));
-        (*dt, *domain) = (frame.dt, frame.domain);
-        match frame.particles {
-            Particles::Lists { material: kinds, .. } => kinds.clone_into(material),
-            rows @ Particles::Rows(_) => {
-                // The caller has checked them. A program that writes on nevertheless must not change how
-                // many there are.
-                let kind = |particle| rows.material(particle).unwrap_or(Material::Liquid);
-                material.clear();
-                material.extend((0..particles).map(kind));
-            }
-        }
-        position.resize(particles, [0.0; 2]);
-        velocity.resize(particles, [0.0; 2]);
-    }
-
-    /// As [`Surrogate::step_into`], with a new frame for the prediction.
-    pub fn step(&self, memory: &mut Memory, frame: &Frame) -> Frame {
-        let mut next = Frame {
-            stream: frame.stream,
-            sequence: frame.sequence,
-            stamp: frame.stamp,
-            dt: frame.dt,
-            domain: frame.domain,
-            position: Vec::new(),
-            velocity: Vec::new(),
-            material: Vec::new(),
-        };
-        self.step_into(memory, frame, &mut next);
-        next
+        Ok(HiddenState::new(&self.description, frame))
     }
 }
 
-/// Whether the frame model's domain is the one it was trained in.
+/// Checks that the domain is the one the frame model was trained in.
 fn same_domain(found: &Domain, expected: &Domain) -> Result<(), ModelError> {
     let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
     let distance = apart(found.lower, expected.lower).max(apart(found.upper, expected.upper));
-    // What is not a number does not fit either.
+    // Written so that NaN is rejected.
     if distance <= DOMAIN_TOLERANCE {
         return Ok(());
     }
     Err(ModelError::Domain { found: corners(found), expected: corners(expected) })
 }
 
-/// Whether the particle model can work in a domain: one of any size that its particles fill at least here
-/// and there.
+/// Checks that the particle model can work in a domain: of any size, but not almost empty.
 fn fits_domain(
     found: &Domain,
     description: &Description,
@@ -265,7 +171,7 @@ fn fits_domain(
         return Err(ModelError::Narrow { found: corners(found), expected: thickness });
     }
     let cells = (extent[0] / cell_width) * (extent[1] / cell_width);
-    let most = particles.saturating_mul(CELLS_A_PARTICLE).max(CELLS);
+    let most = particles.saturating_mul(MAX_CELLS_PER_PARTICLE).max(FREE_CELLS);
     if cells <= most as f32 {
         return Ok(());
     }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     math::{sigmoid, tanh},
-    matrix::{Into, Matrix, multiply, product, sum_rows},
+    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
     packed::Recurrent,
     vectors::{parts, parts_mut, zip},
 };
@@ -154,7 +154,7 @@ impl Gru<'_> {
         let mut weight = product(before, Matrix::new(rest, later, GATES * width));
         if !self.starts_from_zero() {
             let before = Matrix::new(self.hidden, rows, width).transposed();
-            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Into::Add);
+            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Accumulate::Add);
         }
         let mut bias = vec![0.0; self.bias.len()];
         sum_rows(&products, &mut bias);

@@ -2,7 +2,7 @@
 
 use super::{
     activation::{rectify, through},
-    matrix::{Into, Matrix, multiply, product, sum_rows},
+    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
     narrow::{Panels, Rows, add_products, by_matrix, products},
 };
 
@@ -42,7 +42,7 @@ impl Linear<'_> {
         }
         let rows = input.len() / inputs;
         let mut output = self.bias.repeat(rows);
-        multiply(Matrix::new(input, rows, inputs), matrix, &mut output, Into::Add);
+        multiply(Matrix::new(input, rows, inputs), matrix, &mut output, Accumulate::Add);
         if self.rectify {
             rectify(&mut output);
         }

@@ -78,7 +78,7 @@ impl<'a> Matrix<'a> {
 
 /// What happens to the numbers that were there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Into {
+pub enum Accumulate {
     /// They are replaced.
     Replace,
     /// The product is added to them.
@@ -89,10 +89,10 @@ pub enum Into {
 ///
 /// # Panics
 /// When the shapes do not fit.
-pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], into: Into) {
+pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], accumulate: Accumulate) {
     assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
     // SAFETY: there is a place for each number, and each holds one.
-    unsafe { gemm(a, b, product.as_mut_ptr(), into, parallelism(a, b)) }
+    unsafe { gemm(a, b, product.as_mut_ptr(), accumulate, parallelism(a, b)) }
 }
 
 /// `a b`, its rows one after the other.
@@ -104,7 +104,7 @@ pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
     let mut product = Vec::with_capacity(length);
     // SAFETY: there is a place for each number, each is written, and none is read before.
     unsafe {
-        gemm(a, b, product.as_mut_ptr(), Into::Replace, parallelism(a, b));
+        gemm(a, b, product.as_mut_ptr(), Accumulate::Replace, parallelism(a, b));
         product.set_len(length);
     }
     product
@@ -118,7 +118,13 @@ fn parallelism(a: Matrix, b: Matrix) -> Parallelism {
 
 /// # Safety
 /// There is a place for each number of the product; if the product is added, each holds a number.
-unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into, parallelism: Parallelism) {
+unsafe fn gemm(
+    a: Matrix,
+    b: Matrix,
+    product: *mut f32,
+    accumulate: Accumulate,
+    parallelism: Parallelism,
+) {
     let ([m, k], [inner, n]) = (a.shape, b.shape);
     assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
     let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
@@ -132,7 +138,7 @@ unsafe fn gemm(a: Matrix, b: Matrix, product: *mut f32, into: Into, parallelism:
             product,
             1,
             n as isize,
-            into == Into::Add,
+            accumulate == Accumulate::Add,
             a.values.as_ptr(),
             stride(a.strides, 1),
             stride(a.strides, 0),
@@ -216,9 +222,9 @@ mod tests {
         let b = [5.0, 6.0, 7.0, 8.0];
         let a = Matrix::with_stride(&a, 2, 2, 3);
         let mut product = [1.0; 4];
-        multiply(a, Matrix::new(&b, 2, 2), &mut product, Into::Replace);
+        multiply(a, Matrix::new(&b, 2, 2), &mut product, Accumulate::Replace);
         assert_eq!(product, [19.0, 22.0, 43.0, 50.0]);
-        multiply(a.transposed(), Matrix::new(&b, 2, 2), &mut product, Into::Add);
+        multiply(a.transposed(), Matrix::new(&b, 2, 2), &mut product, Accumulate::Add);
         assert_eq!(product, [19.0 + 26.0, 22.0 + 30.0, 43.0 + 38.0, 50.0 + 44.0]);
     }
 }

@@ -16,12 +16,12 @@
 //! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
 //! 7. [`gru`], [`lstm`]: frame by frame, with recurrent weights that are [`packed`].
 //!
-//! The particles' surroundings, for both:
+//! The particles' grid, for both:
 //!
 //! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
 //! 9. [`transfer`]: from particles to nodes and back.
 //! 10. [`gathered`]: convolutions on nodes.
-//! 11. [`rest`]: strain and bend of bodies that keep their shape.
+//! 11. [`rest_shape`]: strain and bend of bodies that keep their shape.
 //! 12. [`spacing`]: how far apart particles are.
 
 pub mod activation;
@@ -36,7 +36,7 @@ pub mod minimal;
 pub mod narrow;
 pub mod nodes;
 pub mod packed;
-pub mod rest;
+pub mod rest_shape;
 pub mod spacing;
 pub mod transfer;
 pub mod vectors;

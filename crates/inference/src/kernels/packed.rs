@@ -8,7 +8,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{
-    matrix::{Into, Matrix, multiply},
+    matrix::{Accumulate, Matrix, multiply},
     vectors::Lanes,
 };
 
@@ -92,7 +92,7 @@ impl<'a> Recurrent<'a> {
     /// As [`Packed::add_product`].
     pub fn add_product(&self, rows: Matrix, sums: &mut [f32]) {
         match self {
-            Self::Plain(weight) => multiply(rows, *weight, sums, Into::Add),
+            Self::Plain(weight) => multiply(rows, *weight, sums, Accumulate::Add),
             Self::Packed(packed) => packed.add_product(rows, sums),
         }
     }
@@ -180,7 +180,7 @@ mod tests {
             };
             let mut expected = vec![0.5; count * columns];
             let mut found = expected.clone();
-            multiply(rows, matrix, &mut expected, Into::Add);
+            multiply(rows, matrix, &mut expected, Accumulate::Add);
             Packed::new(matrix).add_product(rows, &mut found);
             for (found, expected) in found.iter().zip(&expected) {
                 prop_assert!((found - expected).abs() <= 1e-5);

@@ -93,9 +93,10 @@ impl Case {
         let times = match engine {
             Engine::Own(threads) => {
                 let surrogate = Surrogate::load(&self.checkpoint, Some(threads))?;
-                let mut memory = surrogate.start(&self.frame)?;
+                let (mut stepper, mut memory) =
+                    (surrogate.stepper(), surrogate.start(&self.frame)?);
                 let mut next = self.frame.clone();
-                time(seconds, || surrogate.step_into(&mut memory, &self.frame, &mut next))
+                time(seconds, || stepper.step_into(&mut memory, &self.frame, &mut next))
             }
             Engine::Burn(device) => {
                 let reference = Reference::load(&self.checkpoint, device)?;
@@ -145,7 +146,7 @@ fn time(seconds: f64, mut step: impl FnMut()) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_learning::train::exercise::PARTICLES;
+    use eddy_learning::train::step_benchmark::PARTICLES;
 
     #[test]
     fn both_networks_are_timed_by_everything_that_predicts() {

@@ -90,9 +90,8 @@ pub struct Timing {
 /// [`BenchError`].
 pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> {
     let surrogate = Surrogate::load(checkpoint, plan.threads)?;
-    let threads = surrogate.threads();
     let frame = particles::frame_for(surrogate.description(), plan.particles);
-    let model = alone(&surrogate, &frame, plan)?;
+    let (model, threads) = alone(&surrogate, &frame, plan)?;
     let warm_up = u64::from(surrogate.description().warm_up);
     let each = (plan.seconds * plan.hertz).ceil() as u64;
     let settings =
@@ -186,8 +185,9 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     })
 }
 
-/// The model's own time at the same pace: caches are as cold, and threads as asleep.
-fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<Spread, ModelError> {
+/// The model's own time at the same pace (caches are as cold, and threads as asleep), and its number of threads.
+fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, usize), ModelError> {
+    let mut stepper = surrogate.stepper();
     let mut memory = surrogate.start(frame)?;
     let mut next = frame.clone();
     let pause = Duration::from_secs_f64(1.0 / (plan.hertz * plan.streams.max(1) as f64));
@@ -197,12 +197,12 @@ fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<Spread, Mo
     for number in 0..frames {
         thread::sleep((pause * number as u32).saturating_sub(clock.now()));
         let begin = clock.now();
-        surrogate.step_into(&mut memory, frame, &mut next);
+        stepper.step_into(&mut memory, frame, &mut next);
         if number >= WARM_UP {
             times.push(clock.now() - begin);
         }
     }
-    Ok(Spread::of(times))
+    Ok((Spread::of(times), stepper.threads()))
 }
 
 /// The latency in a report of the node, unless it had nothing to do.

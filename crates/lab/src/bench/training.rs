@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use eddy_frames::clock::Clock;
 use eddy_learning::{
     model::{Core, DeviceKind},
-    train::exercise::{Exercise, Part},
+    train::step_benchmark::{Part, StepBenchmark},
 };
 
 /// Samples an epoch of the paper's Table 4.
@@ -101,7 +101,7 @@ impl Step {
     /// Times steps of this kind for about so long (s).
     pub fn time(&self, windows: usize, seconds: f64, device: DeviceKind) -> Timing {
         let windows = self.windows.unwrap_or(windows);
-        let mut exercise = Exercise::new(self.part, self.core, self.frames, windows, device);
+        let mut exercise = StepBenchmark::new(self.part, self.core, self.frames, windows, device);
         for _ in 0..WARM_UP {
             exercise.step();
         }

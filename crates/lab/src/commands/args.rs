@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use crate::{bench::training::Step, study::Comparison};
 use eddy_learning::{
     model::{Core, DeviceKind},
-    train::exercise::PARTICLES,
+    train::step_benchmark::PARTICLES,
 };
 use eddy_mpm::Law;
 use eddy_transport::TransportKind;

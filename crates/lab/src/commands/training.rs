@@ -12,7 +12,7 @@ use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
 use eddy_learning::{
     model::Core,
-    train::exercise::{PARTICLES, Part},
+    train::step_benchmark::{PARTICLES, Part},
 };
 
 /// What `--json` prints.

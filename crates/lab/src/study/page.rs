@@ -7,7 +7,7 @@ use super::{
 use crate::bench::training::{CORES, Timing};
 use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
 use eddy_inference::checkpoint::{Activation, Core};
-use eddy_learning::train::exercise::Part;
+use eddy_learning::train::step_benchmark::Part;
 
 /// A report on its way.
 pub struct StudyReport {

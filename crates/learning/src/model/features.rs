@@ -10,7 +10,7 @@
 //! | 2 | velocity, in units of u |
 //! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first; likewise |
 //! | 2 | stop: velocity that the coming ballistic step loses at a wall; likewise |
-//! | 8 | nearness exp(-d / s) of the left, lower, right, upper wall at the scales s of [`NEAR`], then of [`FAR`] |
+//! | 8 | nearness exp(-d / s) of the left, lower, right, upper wall at the scales s of [`CONTACT_SCALE`], then of [`BODY_SCALE`] |
 //! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
 //!
@@ -25,7 +25,7 @@ use eddy_inference::{
     checkpoint::{
         FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
     },
-    engine::scales::{FAR, NEAR, velocity_unit},
+    engine::scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 
 /// Materials one-hot, `[R, 4]`.
@@ -108,8 +108,8 @@ impl Scaling {
         let features = Tensor::cat(
             vec![
                 Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),
-                distance.clone().mul_scalar(-1.0 / NEAR).exp(),
-                distance.mul_scalar(-1.0 / FAR).exp(),
+                distance.clone().mul_scalar(-1.0 / CONTACT_SCALE).exp(),
+                distance.mul_scalar(-1.0 / BODY_SCALE).exp(),
                 shape,
                 material,
             ],

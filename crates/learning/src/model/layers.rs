@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation::relu};
 
-use super::{core::RecurrentLayer, fused, surroundings::GridLayers, training};
+use super::{core::RecurrentLayer, fused, grid::GridLayers, training};
 use eddy_inference::checkpoint::{Description, Weights, layout};
 
 /// y = x W + b.
@@ -91,9 +91,8 @@ impl Layers {
         let linear = |names: [String; 2]| linear(&names, tensors, device);
         Self {
             encoder: ["encoder.0", "encoder.1"].map(|layer| linear(layout::names(layer))),
-            grid: description.surroundings.as_ref().map(|surroundings| GridLayers {
-                grid: layout::grid_layers(surroundings)
-                    .map(|(layer, ..)| linear(layout::names(layer))),
+            grid: description.grid.as_ref().map(|grid| GridLayers {
+                grid: layout::grid_layers(grid).map(|(layer, ..)| linear(layout::names(layer))),
                 context: linear(layout::names("context")),
             }),
             core: (0..description.sizes.layers)

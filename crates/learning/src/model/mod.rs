@@ -10,7 +10,7 @@
 //!    rather than by tensor operations, where gradients are recorded on the CPU.
 //! 7. `frame_model`: the paper's network (Table 1), one hidden state for a frame.
 //! 8. `particle_model`: one hidden state for a particle, a residual on the ballistic step. It sees
-//!    `surroundings` on a `sparse` grid, and the `strain` of solids.
+//!    `grid` on a `sparse` grid, and the `strain` of solids.
 //! 9. `network`: either of the two, behind one set of calls.
 //! 10. [`mod@reference`]: a network that predicts frames one after the other, for comparison.
 //!
@@ -24,6 +24,7 @@ pub(crate) mod core;
 pub(crate) mod features;
 pub(crate) mod frame_model;
 pub(crate) mod fused;
+pub(crate) mod grid;
 pub(crate) mod gru;
 pub(crate) mod layers;
 pub(crate) mod lstm;
@@ -35,7 +36,6 @@ pub(crate) mod particle_model;
 pub(crate) mod scan;
 pub(crate) mod sparse;
 pub(crate) mod strain;
-pub(crate) mod surroundings;
 pub(crate) mod training;
 
 pub use reference::Reference;
@@ -48,7 +48,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
 use eddy_frames::Material;
-use eddy_inference::{checkpoint::Surroundings, kernels::rest::Rest};
+use eddy_inference::{checkpoint::GridOptions, kernels::rest_shape::RestShape};
 
 /// What computes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -128,7 +128,7 @@ pub(crate) struct Matter {
     /// B; each window has equally many particles.
     pub(crate) windows: usize,
     /// The shapes that solids rest in.
-    pub(crate) rest: Arc<Rest>,
+    pub(crate) rest: Arc<RestShape>,
 }
 
 impl Matter {
@@ -138,11 +138,11 @@ impl Matter {
         material: &[Material],
         rest: &[[f32; 2]],
         windows: usize,
-        surroundings: Option<&Surroundings>,
+        grid: Option<&GridOptions>,
         device: &Device,
     ) -> Self {
-        let spacing = surroundings.map_or(0.0, |surroundings| surroundings.spacing);
-        let rest = Arc::new(Rest::new(rest, material, windows, spacing));
+        let spacing = grid.map_or(0.0, |grid| grid.spacing);
+        let rest = Arc::new(RestShape::new(rest, material, windows, spacing));
         let one_hot = Arc::new(features::one_hot(material));
         let data = TensorData::new(one_hot.to_vec(), [material.len(), Material::COUNT]);
         Self { material: Tensor::from_data(data, device), one_hot, windows, rest }

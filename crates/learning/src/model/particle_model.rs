@@ -1,6 +1,6 @@
 //! The particle model: one hidden state for each particle, weights shared, any number of particles.
 //!
-//! features (F) -> Linear -> ReLU -> Linear (C0) -> grid (`surroundings`) -> context (C0);
+//! features (F) -> Linear -> ReLU -> Linear (C0) -> grid (`grid`) -> context (C0);
 //! features, context -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
 //! The decoder gives a velocity and a position residual on the ballistic step, in units of the
 //! training velocities' deviation u:
@@ -16,15 +16,14 @@ use super::{
     ballistic::BallisticTensors,
     features::Scaling,
     fused,
+    grid::Ground,
     layers::Layers,
     network::{Dropout, Hidden},
-    pairs, strain,
-    surroundings::Ground,
-    training,
+    pairs, strain, training,
 };
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint::{Description, Surroundings},
+    checkpoint::{Description, GridOptions},
     engine::{Ballistic, scales::velocity_limits},
 };
 
@@ -32,7 +31,7 @@ use eddy_inference::{
 #[derive(Clone, Debug)]
 pub(crate) struct ParticleModel {
     pub(crate) layers: Layers,
-    surroundings: Surroundings,
+    grid: GridOptions,
     domain: Domain,
     scaling: Scaling,
     ballistic: BallisticTensors,
@@ -44,13 +43,13 @@ impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
         let (slowest, fastest) = velocity_limits(scale);
-        let surroundings = description.surroundings;
+        let grid = description.grid;
         Self {
             layers,
-            surroundings: surroundings.expect("a description that was checked has them"),
+            grid: grid.expect("a description that was checked has them"),
             domain: description.domain,
             scaling: Scaling::new(scale, device),
-            ballistic: BallisticTensors::new(Ballistic::of(description), device),
+            ballistic: BallisticTensors::new(Ballistic::new(description), device),
             limits: [slowest, fastest],
         }
     }
@@ -129,7 +128,7 @@ impl ParticleModel {
         let position = pairs(bodies.position.clone());
         let windows = position.len() / matter.particles();
         let ground =
-            Ground::new(&self.surroundings, &self.ballistic.plain, self.domain, &position, windows);
+            Ground::new(&self.grid, &self.ballistic.plain, self.domain, &position, windows);
         let context = grid.look_around(&ground, encoded, &bodies.position); // [T R, C0]
         grid.context.beside(features, context)
     }

@@ -13,7 +13,7 @@ use super::{
 };
 use eddy_frames::Frame;
 use eddy_inference::{
-    checkpoint::{Checkpoint, CheckpointError, Description, Surroundings},
+    checkpoint::{Checkpoint, CheckpointError, Description, GridOptions},
     engine::Corrector,
 };
 
@@ -23,14 +23,14 @@ pub struct Reference {
     /// The checkpoint's rules.
     corrector: Corrector,
     device: DeviceKind,
-    surroundings: Option<Surroundings>,
+    grid: Option<GridOptions>,
     /// Time between two frames (s).
     dt: f32,
 }
 
 /// The hidden state of one stream: what the network remembers of the frames it observed.
 #[derive(Clone)]
-pub struct Memory {
+pub struct HiddenState {
     hidden: Hidden,
     matter: Matter,
 }
@@ -44,23 +44,23 @@ impl Reference {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
         let corrector = Corrector::new(&checkpoint.description);
-        let Description { surroundings, dt, .. } = checkpoint.description;
-        Ok(Self { network, corrector, device, surroundings, dt })
+        let Description { grid, dt, .. } = checkpoint.description;
+        Ok(Self { network, corrector, device, grid, dt })
     }
 
     /// An empty memory for the particles of `frame`, as many as the network is for; solids are taken to
     /// rest as they are there. It has not observed
     /// `frame`; that is [`Reference::step`]'s part.
-    pub fn start(&self, frame: &Frame) -> Memory {
-        let surroundings = self.surroundings.as_ref();
+    pub fn start(&self, frame: &Frame) -> HiddenState {
+        let grid = self.grid.as_ref();
         let device = self.device.device();
-        let matter = Matter::new(&frame.material, &frame.position, 1, surroundings, &device);
-        Memory { hidden: Hidden::default(), matter }
+        let matter = Matter::new(&frame.material, &frame.position, 1, grid, &device);
+        HiddenState { hidden: Hidden::default(), matter }
     }
 
     /// Observes a frame, true or predicted, of the particles the memory was started for, and
     /// predicts the next one: its sequence one higher, its stamp `dt` later.
-    pub fn step(&self, memory: &mut Memory, frame: &Frame) -> Frame {
+    pub fn step(&self, memory: &mut HiddenState, frame: &Frame) -> Frame {
         let device = self.device.device();
         let rows = |values: &[[f32; 2]]| {
             let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);

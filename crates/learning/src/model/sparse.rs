@@ -3,9 +3,9 @@
 
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
 
-use super::surroundings::Ground;
+use super::grid::Ground;
 use eddy_inference::{
-    engine::scales::{FULL, LEAST_MASS},
+    engine::scales::{FULL_MASS, MIN_MASS},
     kernels::nodes::{MISSING, Nodes},
 };
 
@@ -70,7 +70,7 @@ pub(crate) fn write(ground: &Ground, encoded: Tensor<2>, position: Tensor<2>) ->
     let (sum, mass) = (add(nine * weights.clone()), add(weights)); // [M0, C], [M0, 1]
     let walls = ground.walls.as_flattened().to_vec();
     let walls = Tensor::from_data(TensorData::new(walls, [count, 4]), &device);
-    Tensor::cat(vec![sum / mass.clone().add_scalar(LEAST_MASS), mass.div_scalar(FULL), walls], 1)
+    Tensor::cat(vec![sum / mass.clone().add_scalar(MIN_MASS), mass.div_scalar(FULL_MASS), walls], 1)
 }
 
 /// `[M0, C]` to `[R, C]`.

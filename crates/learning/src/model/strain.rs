@@ -1,14 +1,14 @@
-//! The shape of solids, strain and bend, against the one they rest in: [`Rest::shape`] over tensors.
+//! The shape of solids, strain and bend, against the one they rest in: [`RestShape::shape`] over tensors.
 
 use std::sync::Arc;
 
 use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 
 use super::{fused, sparse::indices, training};
-use eddy_inference::kernels::rest::{LARGEST, Link, Rest, SCALE};
+use eddy_inference::kernels::rest_shape::{LARGEST, Link, RestShape, SCALE};
 
 /// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 5]`.
-pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<Rest>) -> Tensor<2> {
+pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<RestShape>) -> Tensor<2> {
     if fused::runs_on(&position.device()) {
         return training::shape(rest.clone(), position.clone());
     }

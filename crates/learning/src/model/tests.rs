@@ -15,8 +15,8 @@ use super::{
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, MaterialInput,
-        Normalization, Pooling, Rules, Sizes, Surroundings, Weights, initial_weights,
+        Activation, Checkpoint, Description, FeatureScaling, Form, FrameOptions, GridOptions,
+        MaterialInput, Normalization, Pooling, Rules, Sizes, Weights, initial_weights,
         tensor_shapes,
     },
     engine::Ballistic,
@@ -28,9 +28,9 @@ const DT: f32 = 0.016;
 fn description(architecture: Architecture, core: Core) -> Description {
     let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
     // So wide apart that all are neighbours.
-    let surroundings = Surroundings { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
+    let grid = GridOptions { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
     Description {
-        surroundings: particles.is_none().then_some(surroundings),
+        grid: particles.is_none().then_some(grid),
         materials: vec![Material::Liquid, Material::Jelly],
         // The networks alone.
         rules: Rules::default(),
@@ -86,7 +86,7 @@ fn frames(count: u64) -> Vec<Frame> {
 fn matter(description: &Description, starts: &[Frame], device: &Device) -> Matter {
     let material: Vec<_> = starts.iter().flat_map(|frame| frame.material.clone()).collect();
     let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
-    Matter::new(&material, &rest, starts.len(), description.surroundings.as_ref(), device)
+    Matter::new(&material, &rest, starts.len(), description.grid.as_ref(), device)
 }
 
 fn track(frames: &[Frame], device: &Device) -> Track {
@@ -311,7 +311,7 @@ fn an_untrained_particle_model_is_the_ballistic_step() {
     for frame in &frames {
         let next = reference.step(&mut memory, frame);
         let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
-        Ballistic::of(&checkpoint.description).step_all(&mut position, &mut velocity);
+        Ballistic::new(&checkpoint.description).step_all(&mut position, &mut velocity);
         let found = [next.position.as_flattened(), next.velocity.as_flattened()].concat();
         let expected = [position.as_flattened(), velocity.as_flattened()].concat();
         assert!(largest_difference(&found, &expected) <= 1e-6);

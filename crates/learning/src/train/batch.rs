@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::{weigh::Scale, window::Window};
 use crate::model::{Bodies, Matter, Track};
 use eddy_evaluation::dataset::State;
-use eddy_inference::checkpoint::Surroundings;
+use eddy_inference::checkpoint::GridOptions;
 
 /// A batch of B windows of N particles each; `R` = B N rows, window by window.
 pub(super) struct Batch {
@@ -25,7 +25,7 @@ impl Batch {
         windows: &[Window],
         warm_up: usize,
         scale: &Scale,
-        surroundings: Option<&Surroundings>,
+        grid: Option<&GridOptions>,
         device: &Device,
     ) -> Self {
         let material: Vec<_> = windows.iter().flat_map(|w| w.material.iter().copied()).collect();
@@ -59,7 +59,7 @@ impl Batch {
             Track::stack(bodies.collect())
         };
         Self {
-            matter: Matter::new(&material, &rest, windows.len(), surroundings, device),
+            matter: Matter::new(&material, &rest, windows.len(), grid, device),
             observed: track(0..warm_up),
             future: track(warm_up..warm_up + unroll),
             weights: Track { position: weight(0), velocity: weight(1) },

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use eddy_inference::checkpoint::{Architecture, Core, Form, FrameOptions, Sizes, Surroundings};
+use eddy_inference::checkpoint::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes};
 
 /// The largest width a checkpoint may have.
 const LARGEST_WIDTH: usize = 1 << 16;
@@ -26,7 +26,7 @@ pub struct TrainConfig {
     /// Gravity of the data (domain lengths per second squared). Bags do not carry it.
     pub gravity: [f32; 2],
     /// Free frames a window, by share of the run: later stages unroll further.
-    pub unroll: Vec<Stage>,
+    pub unroll: Vec<UnrollStage>,
     /// Widths.
     pub network: NetworkConfig,
     /// What a batch is made of.
@@ -42,7 +42,7 @@ pub struct TrainConfig {
 /// A part of the run with one length of unroll.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Stage {
+pub struct UnrollStage {
     /// Share of the run's iterations (any unit: shares are divided by their sum).
     pub share: f32,
     /// Frames the network predicts from its own output after the warm-up.
@@ -206,7 +206,7 @@ impl TrainConfig {
 
     /// `docs/src/background/particle_model.md` says what was tried.
     fn particle() -> Self {
-        let stage = |share, frames| Stage { share, frames };
+        let stage = |share, frames| UnrollStage { share, frames };
         Self {
             architecture: Architecture::Particle,
             core: Core::MinGru,
@@ -255,7 +255,7 @@ impl TrainConfig {
             epochs: 100,
             patience: 15,
             gravity: [0.0, -9.8],
-            unroll: vec![Stage { share: 1.0, frames: 1 }],
+            unroll: vec![UnrollStage { share: 1.0, frames: 1 }],
             network: NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) },
             windows: WindowConfig {
                 warm_up: 2,
@@ -296,10 +296,10 @@ impl TrainConfig {
         }
     }
 
-    /// What the particle model sees of the surroundings of particles that are `spacing` apart.
-    pub fn surroundings(&self, spacing: f32) -> Option<Surroundings> {
+    /// What the particle model sees of the grid of particles that are `spacing` apart.
+    pub fn grid(&self, spacing: f32) -> Option<GridOptions> {
         let NetworkConfig { cell_width, channels, .. } = self.network;
-        (self.architecture == Architecture::Particle).then_some(Surroundings {
+        (self.architecture == Architecture::Particle).then_some(GridOptions {
             cell_width,
             channels,
             spacing,

@@ -108,10 +108,10 @@ impl Golden {
         let scale = Scale {
             loss: &self.config.loss,
             normalization: &self.description.normalization,
-            ballistic: Ballistic::of(&self.description),
+            ballistic: Ballistic::new(&self.description),
             common: Vec::new(),
         };
-        Batch::new(&self.windows, warm_up, &scale, self.description.surroundings.as_ref(), device)
+        Batch::new(&self.windows, warm_up, &scale, self.description.grid.as_ref(), device)
     }
 
     /// The loss of the network on the golden windows.

@@ -71,8 +71,8 @@ impl Task<'_> {
     /// Of windows that go through the network together.
     fn of(&self, network: Network, windows: &[Window], dropout: &mut Dropout) -> Slope {
         let Self { config, description, scale, .. } = self;
-        let (warm_up, surroundings) = (config.windows.warm_up, description.surroundings.as_ref());
-        let batch = Batch::new(windows, warm_up, scale, surroundings, &self.device.device());
+        let (warm_up, grid) = (config.windows.warm_up, description.grid.as_ref());
+        let batch = Batch::new(windows, warm_up, scale, grid, &self.device.device());
         let (predicted, steps) = loss::unroll(&network, &batch, dropout);
         let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
         let value = loss.clone().inner().into_scalar();

@@ -15,7 +15,7 @@
 //!     on after a stop.
 //! 12. `footprint`: memory and disk that a run needs, known before it starts.
 //!
-//! [`train`] is the loop; [`exercise`] takes its steps on made-up numbers, to be timed; [`dense`] is the
+//! [`train`] is the loop; [`step_benchmark`] takes its steps on made-up numbers, to be timed; [`dense`] is the
 //! small network that the paper compares activations with.
 
 mod adam;
@@ -25,7 +25,6 @@ pub mod dense;
 mod density;
 mod error;
 mod events;
-pub mod exercise;
 mod footprint;
 #[cfg(test)]
 mod golden;
@@ -37,13 +36,14 @@ mod record;
 mod resume;
 mod schedule;
 mod state;
+pub mod step_benchmark;
 mod validate;
 mod weigh;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Schedule, Stage,
-    TrainConfig, ValidationConfig, WindowConfig,
+    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Schedule, TrainConfig,
+    UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
@@ -161,7 +161,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let mut scale = Scale {
         loss: &config.loss,
         normalization: &dataset.normalization,
-        ballistic: Ballistic::of(&description),
+        ballistic: Ballistic::new(&description),
         common: state.common.clone(),
     };
     let mut monitor = Monitor::new(run.output, config, &state, run.quiet)?;
@@ -315,7 +315,7 @@ fn describe(
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
         frame: config.network.frame,
-        surroundings: config.surroundings(dataset.spacing),
+        grid: config.grid(dataset.spacing),
         rules: Rules::standard(config.architecture),
         domain: first.domain,
         normalization: dataset.normalization.clone(),

@@ -1,6 +1,6 @@
 //! Which learning rate and which length of unroll at which moment of the run.
 
-use super::{OptimizerConfig, Schedule, Stage, TrainConfig};
+use super::{OptimizerConfig, Schedule, TrainConfig, UnrollStage};
 
 /// The learning rate; `progress` runs from 0 to 1.
 pub(super) fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
@@ -19,7 +19,7 @@ pub(super) fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
 }
 
 /// The stage that holds at `progress`, 0 to 1.
-pub(super) fn stage(stages: &[Stage], progress: f64) -> usize {
+pub(super) fn stage(stages: &[UnrollStage], progress: f64) -> usize {
     let total: f32 = stages.iter().map(|stage| stage.share).sum();
     let mut end = 0.0;
     stages
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn stages_take_their_shares_of_the_run() {
-        let stages = [Stage { share: 1.0, frames: 2 }, Stage { share: 3.0, frames: 6 }];
+        let stages = [UnrollStage { share: 1.0, frames: 2 }, UnrollStage { share: 3.0, frames: 6 }];
         let found = [0.0, 0.24, 0.26, 0.99, 1.0].map(|progress| stage(&stages, progress));
         assert_eq!(found, [0, 0, 1, 1, 1]);
     }
@@ -100,7 +100,8 @@ mod tests {
         let mut config = TrainConfig::defaults(Architecture::Particle);
         config.epochs = 2;
         (config.windows.batch, config.windows.per_epoch) = (1, 10);
-        config.unroll = vec![Stage { share: 1.0, frames: 2 }, Stage { share: 3.0, frames: 6 }];
+        config.unroll =
+            vec![UnrollStage { share: 1.0, frames: 2 }, UnrollStage { share: 3.0, frames: 6 }];
         assert_eq!(progress(&config, 2, 1), 0.5);
         assert_eq!(batches_of_stage(&config, 1, 1), 5);
         assert_eq!(batches_of_stage(&config, 1, 4), 2);

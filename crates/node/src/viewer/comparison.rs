@@ -82,7 +82,7 @@ pub struct Comparison {
 impl Comparison {
     /// Gravity and walls of the baselines are those of a model.
     pub fn new(model: &Description) -> Self {
-        let Ballistic { gravity, lower, upper, .. } = Ballistic::of(model);
+        let Ballistic { gravity, lower, upper, .. } = Ballistic::new(model);
         Self::within(gravity, model.domain, [lower, upper])
     }
 

@@ -1,16 +1,15 @@
-//! A liquid keeps its area: where predicted particles are closer together than those of a liquid ever are,
-//! they are moved apart, as by the pressure of something incompressible (Kugelstadt et al. 2019, "Implicit
-//! density projection for volume conserving liquids").
+//! Liquids keep their area: where predicted particles are denser than a liquid can be, they are moved apart, as by the
+//! pressure of an incompressible fluid (Kugelstadt et al. 2019, "Implicit density projection for volume conserving
+//! liquids").
 //!
-//! The network's errors of a frame are small, but they add up: a pool would lose a quarter of its area in
-//! a second.
+//! Without it, the errors of a network accumulate until a pool loses a quarter of its area in a second.
 //!
-//! 1. Fill: how full each node of a grid is, 1 in the middle of a body at rest.
-//! 2. Solve: the pressure p with laplacian p = -(fill - limit) times the share of liquid, where there is
-//!    too much; p = 0 at the surface, no slope at walls, and it never pulls.
-//! 3. Shift: each particle of a liquid goes down the slope of p, and its velocity changes with that.
+//! 1. Fill: the density of each node of a grid, 1 inside a body at rest.
+//! 2. Solve: the pressure p with laplacian p = -(fill - limit) times the share of liquid where the fill exceeds the limit;
+//!    p = 0 at the surface, dp/dn = 0 at walls, p >= 0.
+//! 3. Shift: liquid particles move down the gradient of p, and their velocities change accordingly.
 //!
-//! The first two are one step, [`Step::Solve`]: their loops over the nodes of a frame are too short to share.
+//! The first two are one step, [`Step::Solve`]: their loops over nodes are too short to share between threads.
 
 use std::ops::Range;
 
@@ -18,19 +17,19 @@ use super::super::Ballistic;
 use crate::{checkpoint::AreaRule, kernels::nodes::weights};
 use eddy_frames::{Domain, Material};
 
-/// Particles of an item of [`Step::Shift`].
+/// Particles per item of [`Step::Shift`].
 pub(super) const PARTICLES: usize = 512;
-/// An empty range that any node makes one of its own.
+/// An empty range that can be extended to any nodes.
 const NONE: Range<usize> = Range { start: usize::MAX, end: 0 };
-/// Nodes before the domain's lower corner: one in the stencils of particles, and one around all.
+/// Nodes outside the domain on each side: one for the stencils of particles, and one around all of them.
 const MARGIN: usize = 2;
 
 /// A step of the rule.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) enum Step {
-    /// The pressure among liquids; one item.
+    /// The pressure; one item.
     Solve,
-    /// Liquids give way to it; an item is some particles.
+    /// The shift of liquid particles; an item is a block of particles.
     Shift,
 }
 
@@ -39,41 +38,42 @@ pub(super) const STEPS: [Step; 2] = [Step::Solve, Step::Shift];
 
 /// The pressure in one frame.
 #[derive(Debug)]
-pub(super) struct Area {
+pub(super) struct Pressure {
     rule: AreaRule,
+    /// Whether it is above zero anywhere.
     acts: bool,
     corner: [f32; 2],
     /// Cell width (domain lengths).
     width: f32,
     /// Nodes along an axis.
     extent: [usize; 2],
-    /// Nodes between walls, along an axis.
+    /// Nodes between the walls, along an axis.
     inside: [Range<usize>; 2],
-    /// How full each node is, and with liquid, `[nodes up, nodes across]`.
+    /// Fill of each node, by all particles and by liquid, `[rows, columns]`.
     fill: Vec<[f32; 2]>,
-    /// What there is too much of liquid.
+    /// Liquid above the limit of the fill.
     excess: Vec<f32>,
-    /// 1 / neighbours between walls, 0 where there is no pressure.
-    share: Vec<f32>,
+    /// 1 / number of neighbours between the walls; 0 where the pressure is zero.
+    inverse_neighbours: Vec<f32>,
     pressure: Vec<f32>,
-    /// A row of the new pressure.
+    /// A row of the next iteration's pressure.
     row: Vec<f32>,
-    /// The factor of over-relaxation at every other node, else 0.
-    steps: Vec<f32>,
-    /// The columns of each row that particles touch; [`NONE`] where they touch none.
+    /// The relaxation factor at every other node, else 0.
+    relaxation: Vec<f32>,
+    /// The columns of each row with particles; [`NONE`] if it has none.
     touched: Vec<Range<usize>>,
-    /// How much of a node's stencil is between walls, along an axis.
+    /// The share of a node's stencil that is between the walls, along an axis.
     open: [Vec<f32>; 2],
 }
 
-/// The node at the beginning of a stencil, on an axis, and how far beyond it a particle is (cells).
+/// The first node of a stencil on an axis, and the particle's distance from it (cells).
 #[inline(always)]
 fn base(place: f32) -> (usize, f32) {
     let first = (place - 0.5).floor();
     (first as usize, place - first)
 }
 
-/// The integral of the quadratic spline from the far left to `x` (cells).
+/// The integral of the quadratic spline from minus infinity to `x` (cells).
 fn spline_until(x: f32) -> f32 {
     let tail = |x: f32| (1.5 - x).max(0.0).powi(3) / 6.0;
     match x {
@@ -83,14 +83,14 @@ fn spline_until(x: f32) -> f32 {
     }
 }
 
-/// The slopes of a stencil's [`weights`].
+/// The derivatives of a stencil's [`weights`].
 #[inline(always)]
-fn slopes(beyond: f32) -> [f32; 3] {
+fn weight_gradients(beyond: f32) -> [f32; 3] {
     [beyond - 1.5, 2.0 - 2.0 * beyond, beyond - 0.5]
 }
 
-impl Area {
-    /// For particles that are `spacing` apart at rest (domain lengths).
+impl Pressure {
+    /// For particles with this spacing at rest (domain lengths).
     pub(super) fn new(rule: AreaRule, spacing: f32) -> Self {
         Self {
             rule,
@@ -101,18 +101,18 @@ impl Area {
             inside: [0..0, 0..0],
             fill: Vec::new(),
             excess: Vec::new(),
-            share: Vec::new(),
+            inverse_neighbours: Vec::new(),
             pressure: Vec::new(),
             row: Vec::new(),
-            steps: Vec::new(),
+            relaxation: Vec::new(),
             touched: Vec::new(),
             open: [Vec::new(), Vec::new()],
         }
     }
 
-    /// Finds the pressure among particles at `position`.
+    /// Computes the pressure from the positions of all particles.
     #[inline(always)]
-    pub(super) fn find(
+    pub(super) fn solve(
         &mut self,
         position: &[[f32; 2]],
         material: &[Material],
@@ -123,21 +123,21 @@ impl Area {
         if !material.contains(&Material::Liquid) {
             return;
         }
-        self.make_room(domain, walls);
+        self.resize(domain, walls);
         self.fill(position, material);
-        self.acts = self.limit();
+        self.acts = self.mark_excess();
         if self.acts {
             for _ in 0..self.rule.sweeps {
                 self.sweep(0);
                 self.sweep(1);
             }
-            self.extend();
+            self.extend_beyond_walls();
         }
     }
 
-    /// Moves some liquid particles among those that the pressure was found for.
+    /// Shifts the liquid particles of a block.
     #[inline(always)]
-    pub(super) fn give_way(
+    pub(super) fn apply(
         &self,
         position: &mut [[f32; 2]],
         velocity: &mut [[f32; 2]],
@@ -153,19 +153,19 @@ impl Area {
             }
             let shift = self.shift(*x);
             for axis in 0..2 {
-                let place = walls.hold(axis, x[axis] + shift[axis]);
-                v[axis] += (place - x[axis]) / walls.dt;
-                x[axis] = place;
+                let shifted = walls.clamp_axis(axis, x[axis] + shift[axis]);
+                v[axis] += (shifted - x[axis]) / walls.dt;
+                x[axis] = shifted;
             }
         }
     }
 
-    /// How a particle of a liquid is moved (domain lengths).
+    /// The shift of a liquid particle (domain lengths).
     #[inline(always)]
     fn shift(&self, position: [f32; 2]) -> [f32; 2] {
-        let [x, y] = self.place(position);
+        let [x, y] = self.grid_coordinates(position);
         let ((a, x), (b, y)) = (base(x), base(y));
-        let (across, up) = ([weights(x), slopes(x)], [weights(y), slopes(y)]);
+        let (across, up) = ([weights(x), weight_gradients(x)], [weights(y), weight_gradients(y)]);
         let mut slope = [0.0; 2];
         for (j, (weight, steepness)) in up[0].into_iter().zip(up[1]).enumerate() {
             let row = &self.pressure[(b + j) * self.extent[0] + a..][..3];
@@ -177,26 +177,26 @@ impl Area {
         [-slope[0], -slope[1]].map(|way| way.clamp(-longest, longest) * self.width)
     }
 
-    /// Where a particle is (cells from node 0); inside the domain.
+    /// A position clamped to the domain (cells from node 0).
     #[inline(always)]
-    fn place(&self, position: [f32; 2]) -> [f32; 2] {
+    fn grid_coordinates(&self, position: [f32; 2]) -> [f32; 2] {
         let mut place = [0.0; 2];
         for axis in 0..2 {
             let cells = (position[axis] - self.corner[axis]) / self.width;
-            // What is not a number is at the lowest place.
+            // NaN becomes the lower corner.
             let most = (self.extent[axis] - 2 * MARGIN) as f32;
             place[axis] = cells.max(0.0).min(most) + MARGIN as f32;
         }
         place
     }
 
-    /// Room for all nodes of the domain; rows that particles touched last are zero again.
-    fn make_room(&mut self, domain: &Domain, walls: &Ballistic) {
+    /// Resizes the lists to the domain, and clears the rows that the last frame used.
+    fn resize(&mut self, domain: &Domain, walls: &Ballistic) {
         let across = self.extent[0];
         for (j, touched) in self.touched.iter_mut().enumerate().filter(|(_, row)| **row != NONE) {
             let nodes = j * across..(j + 1) * across;
             self.fill[nodes.clone()].fill([0.0; 2]);
-            for list in [&mut self.excess, &mut self.share, &mut self.pressure] {
+            for list in [&mut self.excess, &mut self.inverse_neighbours, &mut self.pressure] {
                 list[nodes.clone()].fill(0.0);
             }
             *touched = NONE;
@@ -209,7 +209,7 @@ impl Area {
             let node = |place: f32| (place - domain.lower[axis]) / self.width + MARGIN as f32;
             let (lower, upper) = (node(walls.lower[axis]), node(walls.upper[axis]));
             self.inside[axis] = lower.ceil() as usize..upper.floor() as usize + 1;
-            // A particle at a wall fills half a spacing beyond.
+            // A particle at a wall fills half a spacing beyond it.
             let beyond = 0.5 / self.rule.cell_width;
             let open = |node: usize| {
                 let node = node as f32;
@@ -222,26 +222,26 @@ impl Area {
             let nodes = self.extent[0] * self.extent[1];
             self.fill.clear();
             self.fill.resize(nodes, [0.0; 2]);
-            for list in [&mut self.excess, &mut self.share, &mut self.pressure] {
+            for list in [&mut self.excess, &mut self.inverse_neighbours, &mut self.pressure] {
                 list.clear();
                 list.resize(nodes, 0.0);
             }
             self.row.resize(self.extent[0], 0.0);
-            self.steps.clear();
-            let relaxation = self.rule.relaxation;
-            let step = |i: usize| if i.is_multiple_of(2) { relaxation } else { 0.0 };
-            self.steps.extend((0..=self.extent[0]).map(step));
+            self.relaxation.clear();
+            let factor = self.rule.relaxation;
+            let alternating = |i: usize| if i.is_multiple_of(2) { factor } else { 0.0 };
+            self.relaxation.extend((0..=self.extent[0]).map(alternating));
             self.touched.clear();
             self.touched.resize(self.extent[1], NONE);
         }
     }
 
-    /// In the order of the particles.
+    /// Sums the particles on the nodes, in the order of the particles.
     #[inline(always)]
     fn fill(&mut self, position: &[[f32; 2]], material: &[Material]) {
         let one = 1.0 / (self.rule.cell_width * self.rule.cell_width);
         for (&position, &material) in position.iter().zip(material) {
-            let [x, y] = self.place(position);
+            let [x, y] = self.grid_coordinates(position);
             let ((a, x), (b, y)) = (base(x), base(y));
             let (across, up) = (weights(x), weights(y));
             let wet = if material == Material::Liquid { 1.0 } else { 0.0 };
@@ -258,7 +258,7 @@ impl Area {
         }
     }
 
-    /// The columns of a row where there may be pressure.
+    /// The columns of a row where the pressure may be above zero.
     #[inline(always)]
     fn columns(&self, row: usize) -> Range<usize> {
         let Range { start, end } = self.touched[row];
@@ -266,9 +266,9 @@ impl Area {
         start.max(self.inside[0].start).min(end)..end
     }
 
-    /// Where there can be pressure, and what for. Says whether there is anywhere.
+    /// Computes the excess and the number of neighbours of each node. Returns whether there is any excess.
     #[inline(always)]
-    fn limit(&mut self) -> bool {
+    fn mark_excess(&mut self) -> bool {
         let AreaRule { fill_limit, surface_fill, .. } = self.rule;
         let [columns, rows] = self.inside.clone();
         let mut any = false;
@@ -276,7 +276,7 @@ impl Area {
             let row = j * self.extent[0];
             let above = u8::from(j > rows.start) + u8::from(j + 1 < rows.end);
             for i in self.columns(j) {
-                // As full as if there were as much beyond walls.
+                // Compensates for the part of the stencil beyond walls.
                 let [found, liquid] = self.fill[row + i];
                 let fill = found / (self.open[0][i] * self.open[1][j]);
                 let beside = u8::from(i > columns.start) + u8::from(i + 1 < columns.end);
@@ -284,9 +284,9 @@ impl Area {
                 if fill < surface_fill || neighbours == 0 {
                     continue;
                 }
-                self.share[row + i] = 1.0 / f32::from(neighbours);
+                self.inverse_neighbours[row + i] = 1.0 / f32::from(neighbours);
                 if fill > fill_limit {
-                    // Others are not moved: snow packs, solids have their shape.
+                    // Only liquid moves: snow is compressible, and solids keep their shape.
                     self.excess[row + i] = (fill - fill_limit) * liquid / found;
                     any |= self.excess[row + i] > 0.0;
                 }
@@ -295,9 +295,9 @@ impl Area {
         any
     }
 
-    /// Beyond a wall pressure is what it is at the wall.
+    /// Copies the pressure at walls to the nodes beyond.
     #[inline(always)]
-    fn extend(&mut self) {
+    fn extend_beyond_walls(&mut self) {
         let [columns, rows] = self.inside.clone();
         let across = self.extent[0];
         for j in rows.clone().filter(|&j| self.touched[j] != NONE) {
@@ -317,7 +317,7 @@ impl Area {
         }
     }
 
-    /// One sweep over the nodes of one colour of the checkerboard.
+    /// A sweep of successive over-relaxation over the nodes of one colour of the checkerboard.
     #[inline(always)]
     fn sweep(&mut self, colour: usize) {
         let across = self.extent[0];
@@ -330,15 +330,15 @@ impl Area {
             let list = |row: usize, from: usize| &self.pressure[row * across + from..][..count];
             let (here, left, right) = (list(j, start), list(j, start - 1), list(j, start + 1));
             let (below, above) = (list(j - 1, start), list(j + 1, start));
-            let (excess, share) = (
+            let (excess, inverse) = (
                 &self.excess[j * across + start..][..count],
-                &self.share[j * across + start..][..count],
+                &self.inverse_neighbours[j * across + start..][..count],
             );
-            let steps = &self.steps[(start + j + colour) % 2..][..count];
+            let factors = &self.relaxation[(start + j + colour) % 2..][..count];
             let new = &mut self.row[..count];
             for i in 0..count {
                 let sum = left[i] + right[i] + below[i] + above[i] + excess[i];
-                let relaxed = here[i] + steps[i] * (sum * share[i] - here[i]);
+                let relaxed = here[i] + factors[i] * (sum * inverse[i] - here[i]);
                 new[i] = if relaxed > 0.0 { relaxed } else { 0.0 };
             }
             self.pressure[j * across + start..][..count].copy_from_slice(&self.row[..count]);
@@ -356,7 +356,7 @@ mod tests {
     const WALLS: Ballistic =
         Ballistic { gravity: [0.0, -9.8], dt: 0.016, lower: [0.03; 2], upper: [0.97; 2] };
 
-    /// A block of 40 x 20 particles whose corner is at `corner`, so many spacings apart.
+    /// A block of 40 x 20 particles whose corner is at `corner`, with a particle spacing of `apart`.
     fn block(corner: [f32; 2], apart: f32, material: Material) -> Frame {
         let at =
             |k: usize| [corner[0] + apart * (k % 40) as f32, corner[1] + apart * (k / 40) as f32];
@@ -377,28 +377,28 @@ mod tests {
         Rules::STANDARD.area.unwrap()
     }
 
-    fn found(frame: &Frame) -> Area {
-        let mut area = Area::new(rule(), SPACING);
-        area.find(&frame.position, &frame.material, &frame.domain, &WALLS);
-        area
+    fn solved(frame: &Frame) -> Pressure {
+        let mut pressure = Pressure::new(rule(), SPACING);
+        pressure.solve(&frame.position, &frame.material, &frame.domain, &WALLS);
+        pressure
     }
 
-    /// Moves all particles of a frame so many times.
+    /// Applies the rule to a frame `times` times.
     fn moved(mut frame: Frame, times: usize) -> Frame {
         for _ in 0..times {
-            let area = found(&frame);
+            let pressure = solved(&frame);
             let Frame { position, velocity, material, .. } = &mut frame;
-            area.give_way(position, velocity, material, &WALLS);
+            pressure.apply(position, velocity, material, &WALLS);
         }
         frame
     }
 
-    /// The largest that a node is full.
+    /// The largest fill of a node.
     fn fullest(frame: &Frame) -> f32 {
-        let mut area = Area::new(rule(), SPACING);
-        area.make_room(&frame.domain, &WALLS);
-        area.fill(&frame.position, &frame.material);
-        area.fill.into_iter().map(|[fill, _]| fill).fold(0.0, f32::max)
+        let mut pressure = Pressure::new(rule(), SPACING);
+        pressure.resize(&frame.domain, &WALLS);
+        pressure.fill(&frame.position, &frame.material);
+        pressure.fill.into_iter().map(|[fill, _]| fill).fold(0.0, f32::max)
     }
 
     fn centre(frame: &Frame) -> [f64; 2] {
@@ -412,7 +412,7 @@ mod tests {
     fn a_block_at_rest_fills_its_nodes_and_stays() {
         let frame = block([0.3, 0.3], SPACING, Material::Liquid);
         assert!((fullest(&frame) - 1.0).abs() < 0.01, "{}", fullest(&frame));
-        assert!(!found(&frame).acts);
+        assert!(!solved(&frame).acts);
     }
 
     #[test]
@@ -439,22 +439,22 @@ mod tests {
     }
 
     #[test]
-    fn wherever_the_wall_is_between_nodes_a_pool_is_not_pushed_into_it() {
+    fn a_pool_is_not_pushed_into_a_wall_wherever_it_lies_between_nodes() {
         for step in 0..16 {
             let right = 0.9 + 0.25 * SPACING * step as f32;
             let walls = Ballistic { upper: [right, 0.97], ..WALLS };
             let frame =
                 block([right - 39.0 * 0.85 * SPACING, 0.03], 0.85 * SPACING, Material::Liquid);
-            let mut area = Area::new(rule(), SPACING);
-            area.find(&frame.position, &frame.material, &frame.domain, &walls);
+            let mut pressure = Pressure::new(rule(), SPACING);
+            pressure.solve(&frame.position, &frame.material, &frame.domain, &walls);
             let at_wall: Vec<_> = (5..15).map(|row| frame.position[40 * row + 38]).collect();
-            let farthest = at_wall.iter().map(|x| area.shift(*x)[0]).fold(-1.0, f32::max);
+            let farthest = at_wall.iter().map(|x| pressure.shift(*x)[0]).fold(-1.0, f32::max);
             assert!(farthest < 0.05 * SPACING, "{step}: {farthest}");
         }
     }
 
     #[test]
-    fn the_integral_of_the_spline_has_its_slope() {
+    fn the_derivative_of_the_splines_integral_is_the_spline() {
         assert_eq!([-1.5, 0.0, 1.5].map(spline_until), [0.0, 0.5, 1.0]);
         for x in [-1.4f32, -0.9, -0.5, -0.2, 0.3, 0.5, 1.2] {
             let slope = (spline_until(x + 1e-2) - spline_until(x - 1e-2)) / 2e-2;
@@ -464,23 +464,23 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_liquid_keeps_its_place() {
+    fn other_materials_do_not_move() {
         for material in [Material::Jelly, Material::Snow, Material::Rope] {
             let frame = block([0.3, 0.3], 0.8 * SPACING, material);
-            assert!(!found(&frame).acts);
+            assert!(!solved(&frame).acts);
         }
     }
 
     #[test]
-    fn what_is_no_number_or_outside_moves_nothing_far() {
+    fn nan_and_positions_outside_the_domain_cause_no_large_shift() {
         let mut frame = block([0.3, 0.3], 0.8 * SPACING, Material::Liquid);
         frame.position[0] = [f32::NAN; 2];
         frame.position[1] = [f32::INFINITY, f32::NEG_INFINITY];
         frame.position[2] = [-7.0, 7.0];
-        let area = found(&frame);
-        assert!(area.acts);
+        let pressure = solved(&frame);
+        assert!(pressure.acts);
         for &place in &frame.position {
-            let shift = area.shift(place);
+            let shift = pressure.shift(place);
             assert!(
                 shift.iter().all(|x| x.abs() <= rule().longest_shift * rule().cell_width * SPACING),
                 "{shift:?}"

@@ -1,22 +1,22 @@
-//! Bodies are what hangs together on the grid: nodes that are next to each other.
+//! Bodies: groups of particles whose nodes on the grid are connected.
 
 use super::super::Ballistic;
 use crate::kernels::nodes::{Cell, Nodes};
 
-/// No body.
+/// A node without a body yet.
 const NONE: u32 = u32::MAX;
 
 /// The bodies of a frame.
 #[derive(Debug, Default)]
 pub(super) struct Bodies {
-    /// The body of each node of level 0.
+    /// The body of each node of the finest level.
     body: Vec<u32>,
     extents: Vec<Extent>,
-    /// Nodes whose neighbours are still to be looked at.
-    open: Vec<u32>,
+    /// Nodes whose neighbours are not visited yet.
+    stack: Vec<u32>,
 }
 
-/// Where particles are, and their velocity.
+/// Bounding box and mean velocity of particles.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
     lower: [f32; 2],
@@ -35,7 +35,7 @@ impl Default for Extent {
 
 impl Extent {
     #[inline(always)]
-    fn take(&mut self, position: [f32; 2], velocity: [f32; 2]) {
+    fn add_particle(&mut self, position: [f32; 2], velocity: [f32; 2]) {
         for axis in 0..2 {
             self.lower[axis] = self.lower[axis].min(position[axis]);
             self.upper[axis] = self.upper[axis].max(position[axis]);
@@ -44,7 +44,7 @@ impl Extent {
         self.count += 1.0;
     }
 
-    fn join(&mut self, other: &Self) {
+    fn merge(&mut self, other: &Self) {
         for axis in 0..2 {
             self.lower[axis] = self.lower[axis].min(other.lower[axis]);
             self.upper[axis] = self.upper[axis].max(other.upper[axis]);
@@ -53,9 +53,8 @@ impl Extent {
         self.count += other.count;
     }
 
-    /// Whether all of it stays `distance` away from walls (domain lengths), now and where free fall takes it at its
-    /// mean velocity.
-    fn clears(&self, walls: &Ballistic, distance: f32) -> bool {
+    /// Whether it keeps `distance` from walls (domain lengths), now and after one frame of free fall at its mean velocity.
+    fn is_clear_of(&self, walls: &Ballistic, distance: f32) -> bool {
         let velocity = self.velocity.map(|sum| (sum / self.count.max(1.0)) as f32);
         let ([x, y], _) = walls.free([0.0; 2], velocity);
         [0, 1].into_iter().zip([x, y]).all(|(axis, way)| {
@@ -65,28 +64,28 @@ impl Extent {
     }
 }
 
-/// The most bodies that there can be on as many nodes as there is room for.
-pub(super) fn capacity(nodes: &Nodes) -> usize {
-    // Each has the nodes of a stencil at least.
-    nodes.level(0).capacity().div_ceil(9)
-}
-
 impl Bodies {
-    /// Makes room for as many nodes as the grid has room for.
-    pub(super) fn make_room(&mut self, nodes: &Nodes) {
-        let Self { body, extents, open } = self;
+    /// The largest number of bodies that the grid can hold without allocating.
+    pub(super) fn capacity(nodes: &Nodes) -> usize {
+        // Each has at least the nodes of one stencil.
+        nodes.level(0).capacity().div_ceil(9)
+    }
+
+    /// Empties the lists, and reserves as much as the grid can grow without allocating.
+    pub(super) fn reserve(&mut self, nodes: &Nodes) {
+        let Self { body, extents, stack } = self;
         let most = nodes.level(0).capacity();
         body.clear();
         extents.clear();
-        open.clear();
+        stack.clear();
         body.reserve(most);
-        open.reserve(most);
-        extents.reserve(capacity(nodes));
+        stack.reserve(most);
+        extents.reserve(Self::capacity(nodes));
     }
 
-    /// Finds the bodies. `position` and `velocity` are those of each row.
+    /// Finds the bodies of particles with these positions and velocities, by rows.
     pub(super) fn find(&mut self, nodes: &Nodes, position: &[[f32; 2]], velocity: &[[f32; 2]]) {
-        let Self { body, extents, open } = self;
+        let Self { body, extents, stack } = self;
         let neighbours = &nodes.level(0).neighbours;
         body.resize(neighbours.len(), NONE);
         for start in 0..neighbours.len() {
@@ -96,15 +95,15 @@ impl Bodies {
             let number = extents.len() as u32;
             extents.push(Extent::default());
             body[start] = number;
-            open.push(start as u32);
-            while let Some(node) = open.pop() {
+            stack.push(start as u32);
+            while let Some(node) = stack.pop() {
                 for &neighbour in &neighbours[node as usize] {
-                    // What is missing has a number beyond all.
+                    // The index of a missing node is larger than all others.
                     if let Some(body) = body.get_mut(neighbour as usize)
                         && *body == NONE
                     {
                         *body = number;
-                        open.push(neighbour);
+                        stack.push(neighbour);
                     }
                 }
             }
@@ -112,21 +111,21 @@ impl Bodies {
         for cell in nodes.cells() {
             let mut extent = Extent::default();
             for &row in &nodes.order()[cell.slots()] {
-                extent.take(position[row as usize], velocity[row as usize]);
+                extent.add_particle(position[row as usize], velocity[row as usize]);
             }
-            extents[body[cell.nodes[0] as usize] as usize].join(&extent);
+            extents[body[cell.nodes[0] as usize] as usize].merge(&extent);
         }
     }
 
-    /// The number of a cell's body.
+    /// The body of a cell.
     #[inline(always)]
     pub(super) fn of(&self, cell: &Cell) -> usize {
         self.body[cell.nodes[0] as usize] as usize
     }
 
-    /// Whether each body stays `distance` away from walls (domain lengths), now and where free fall takes it at its
-    /// mean velocity.
+    /// Whether each body keeps `distance` from walls (domain lengths), now and after one frame of free fall at its mean
+    /// velocity.
     pub(super) fn clear_of(&self, walls: &Ballistic, distance: f32) -> impl Iterator<Item = bool> {
-        self.extents.iter().map(move |extent| extent.clears(walls, distance))
+        self.extents.iter().map(move |extent| extent.is_clear_of(walls, distance))
     }
 }

@@ -5,23 +5,23 @@ use super::{
     Observed, Predicted, RuleSet, Stage,
 };
 use crate::{
-    checkpoint::{Description, Surroundings},
+    checkpoint::{Description, GridOptions},
     kernels::{
         nodes::{Nodes, Window},
-        rest::Rest,
+        rest_shape::RestShape,
     },
 };
 use eddy_frames::{Domain, Frame};
 
-/// The rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
+/// Applies the rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
 #[derive(Clone, Debug)]
 pub struct Corrector {
     rules: RuleSet,
     stages: Vec<Stage>,
     ballistic: Ballistic,
-    /// The domain that the checkpoint was trained in.
+    /// The domain in training.
     domain: Domain,
-    /// Of the grid that tells bodies apart (domain lengths).
+    /// Of the grid on which bodies are found (domain lengths).
     cell_width: f32,
 }
 
@@ -29,22 +29,22 @@ impl Corrector {
     /// The rules of the described network; a frame model has none.
     pub fn new(description: &Description) -> Self {
         let rules = RuleSet::new(description);
-        let cell_width = |surroundings: Surroundings| surroundings.cell_width;
+        let cell_width = |grid: GridOptions| grid.cell_width;
         Self {
             stages: rules.stages(),
             rules,
-            ballistic: Ballistic::of(description),
+            ballistic: Ballistic::new(description),
             domain: description.domain,
-            cell_width: description.surroundings.map_or(0.0, cell_width),
+            cell_width: description.grid.map_or(0.0, cell_width),
         }
     }
 
-    /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is the
-    /// shape in which its solids rest.
+    /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is their rest
+    /// shape.
     ///
     /// # Panics
-    /// When there are not as many particles in all three.
-    pub fn correct(&self, rest: &Rest, before: &Frame, predicted: &mut Frame) {
+    /// If the three differ in the number of particles.
+    pub fn correct(&self, rest: &RestShape, before: &Frame, predicted: &mut Frame) {
         if self.stages.is_empty() {
             return;
         }
@@ -59,7 +59,7 @@ impl Corrector {
             position: &before.position,
             velocity: &before.velocity,
             nodes: &nodes,
-            ballistic: self.ballistic.moved(&self.domain, &before.domain),
+            ballistic: self.ballistic.for_domain(&self.domain, &before.domain),
             domain: before.domain,
             rest,
             order: &order,

@@ -1,45 +1,40 @@
-//! Rules that correct predictions: physics that a network's errors break. The errors of a frame are small, but in
-//! a rollout they add up.
+//! Rules that correct predictions: physical laws that a network's errors violate. The error of a frame is small, but in a
+//! rollout errors accumulate.
 //!
-//! A rule works on a frame as it was observed, its ballistic step, the predicted frame, and what does not change in a
-//! stream: materials, the shape at rest, the order of the particles, the domain. It knows nothing of what predicted. Its
-//! constants stand in the checkpoint ([`checkpoint::Rules`](crate::checkpoint::Rules)); one that is absent is off. In order:
+//! A rule's inputs are an observed frame, its ballistic step, the predicted frame, and what does not change in a stream:
+//! materials, rest shape, order of the particles, domain. It does not depend on the predictor. Its constants are part of the
+//! checkpoint ([`checkpoint::Rules`](crate::checkpoint::Rules)); a rule without constants is off. In order:
 //!
 //! 1. `area`: liquids keep their area.
 //! 2. `shape`: jelly and rope keep their shape.
-//! 3. `bodies`: which particles hang together, for the last two.
-//! 4. `flight`: bodies that touch nothing keep their momentum and their spin.
+//! 3. `bodies`: connected groups of particles; `body_rule`: the steps that the last two rules share.
+//! 4. `flight`: bodies that touch nothing keep their momentum and angular momentum.
 //! 5. `rest`: bodies that touch a wall and hardly move come to rest.
 //!
-//! [`RuleSet::stages`] lists their steps; the particle model runs them behind its own, on all its threads.
+//! [`RuleSet::stages`] lists their steps. The particle model runs them after its own stages, on all threads;
 //! [`Corrector`] runs them after any other predictor.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 mod area;
 mod bodies;
+mod body_rule;
 mod corrector;
 mod flight;
 mod rest;
 mod shape;
 
-use std::ops::Range;
-
-use super::{Ballistic, crew::Parts, particle_features::State};
+use super::{Ballistic, crew::Parts, particle_features::Motion};
 use crate::{
-    checkpoint::{self, Description},
-    kernels::{nodes::Nodes, rest::Rest},
+    checkpoint::{self, Description, FlightRule, RestRule},
+    kernels::{nodes::Nodes, rest_shape::RestShape},
 };
 pub use corrector::Corrector;
 use eddy_frames::{Domain, Material};
 
-use area::Area;
+use area::Pressure;
 use bodies::Bodies;
-use flight::{CellSums, Flights};
-use rest::Rests;
+use body_rule::BodyCorrection;
 use shape::Shape;
-
-/// Cells of an item of the steps for bodies.
-const CELLS: usize = 64;
 
 /// A step of a rule.
 #[derive(Clone, Copy, Debug)]
@@ -48,12 +43,12 @@ pub(super) enum Stage {
     Area(area::Step),
     /// A step of [`shape`].
     Shape(shape::Step),
-    /// Which bodies there are, which fly, and which touch a wall; one item.
+    /// Finds the bodies, and those that each rule applies to; one item.
     Bodies,
     /// A step of [`flight`].
-    Flight(flight::Step),
+    Flight(body_rule::Step),
     /// A step of [`rest`].
-    Rest(rest::Step),
+    Rest(body_rule::Step),
 }
 
 /// The rules of a checkpoint.
@@ -64,28 +59,19 @@ pub(super) struct RuleSet {
     spacing: f32,
 }
 
-/// A frame before its prediction; rows are in the order of the stream's memory.
+/// A frame before its prediction; rows are in the order of the hidden state.
 pub(super) struct Observed<'a> {
-    /// Of each row.
     pub(super) position: &'a [[f32; 2]],
     pub(super) velocity: &'a [[f32; 2]],
-    /// The grid that these particles touch.
+    /// The grid of these particles.
     pub(super) nodes: &'a Nodes,
     /// The ballistic step in the frame's domain.
     pub(super) ballistic: Ballistic,
     pub(super) domain: Domain,
-    /// The shape at rest, by rows.
-    pub(super) rest: &'a Rest,
-    /// The particle of the frame in each row.
+    /// The rest shape, by rows.
+    pub(super) rest: &'a RestShape,
+    /// The frame's particle in each row.
     pub(super) order: &'a [u32],
-}
-
-impl Observed<'_> {
-    /// Where free fall takes a row's particle.
-    #[inline(always)]
-    fn free(&self, row: usize) -> State {
-        self.ballistic.free(self.position[row], self.velocity[row])
-    }
 }
 
 /// A predicted frame, its particles in the frame's order.
@@ -97,26 +83,26 @@ pub(super) struct Predicted<'a> {
 }
 
 impl Predicted<'_> {
-    /// Positions and velocities of all particles.
+    /// The motion of a particle.
     ///
     /// # Safety
-    /// While they live, no item writes any.
+    /// No item writes it at the same time.
     #[inline(always)]
-    unsafe fn all(&self) -> (&[[f32; 2]], &[[f32; 2]]) {
-        let all = 0..self.position.len();
-        // SAFETY: the caller's part.
-        unsafe { (self.position.read(all.clone()), self.velocity.read(all)) }
+    unsafe fn read(&self, particle: usize) -> Motion {
+        let own = particle..particle + 1;
+        // SAFETY: guaranteed by the caller.
+        unsafe { (self.position.read(own.clone())[0], self.velocity.read(own)[0]) }
     }
 
     /// Position and velocity of a particle, to write.
     ///
     /// # Safety
-    /// While they live, no other item uses them.
+    /// No other item uses them at the same time.
     #[inline(always)]
     #[expect(clippy::mut_from_ref, reason = "as in `Parts::part`")]
     pub(super) unsafe fn one(&self, particle: usize) -> (&mut [f32; 2], &mut [f32; 2]) {
         let own = particle..particle + 1;
-        // SAFETY: the caller's part.
+        // SAFETY: guaranteed by the caller.
         unsafe { (&mut self.position.part(own.clone())[0], &mut self.velocity.part(own)[0]) }
     }
 }
@@ -124,34 +110,28 @@ impl Predicted<'_> {
 /// Scratch buffers of the rules.
 #[derive(Debug)]
 pub(super) struct Scratch {
-    area: Option<Area>,
+    pressure: Option<Pressure>,
     shape: shape::Scratch,
     bodies: Bodies,
-    flights: Flights,
-    rests: Rests,
-    /// For each cell.
-    sums: Vec<CellSums>,
-    speeds: Vec<f64>,
+    flight: body_rule::Scratch<FlightRule>,
+    rest: body_rule::Scratch<RestRule>,
 }
 
-/// The correction of one frame under way.
+/// The correction of one frame in progress.
 pub(super) struct Correction<'a> {
-    rules: checkpoint::Rules,
     observed: Observed<'a>,
     predicted: Predicted<'a>,
-    area: Parts<'a, Option<Area>>,
+    pressure: Parts<'a, Option<Pressure>>,
     shape: Option<Shape<'a>>,
     bodies: Parts<'a, Bodies>,
-    flights: Parts<'a, Flights>,
-    rests: Parts<'a, Rests>,
-    sums: Parts<'a, CellSums>,
-    speeds: Parts<'a, f64>,
+    flight: Option<BodyCorrection<'a, FlightRule>>,
+    rest: Option<BodyCorrection<'a, RestRule>>,
 }
 
 impl RuleSet {
     /// The rules of the described network; none for a frame model.
     pub(super) fn new(description: &Description) -> Self {
-        let spacing = description.surroundings.map_or(0.0, |surroundings| surroundings.spacing);
+        let spacing = description.grid.map_or(0.0, |grid| grid.spacing);
         Self { rules: description.rules, spacing }
     }
 
@@ -169,62 +149,44 @@ impl RuleSet {
             stages.push(Stage::Bodies);
         }
         if flight.is_some() {
-            stages.extend(flight::STEPS.map(Stage::Flight));
+            stages.extend(body_rule::STEPS.map(Stage::Flight));
         }
         if rest.is_some() {
-            stages.extend(rest::STEPS.map(Stage::Rest));
+            stages.extend(body_rule::STEPS.map(Stage::Rest));
         }
         stages
     }
 
     pub(super) fn scratch(&self) -> Scratch {
         Scratch {
-            area: self.rules.area.map(|rule| Area::new(rule, self.spacing)),
+            pressure: self.rules.area.map(|rule| Pressure::new(rule, self.spacing)),
             shape: shape::Scratch::default(),
             bodies: Bodies::default(),
-            flights: Flights::default(),
-            rests: Rests::default(),
-            sums: Vec::new(),
-            speeds: Vec::new(),
+            flight: body_rule::Scratch::default(),
+            rest: body_rule::Scratch::default(),
         }
     }
 
-    /// Begins the correction of a frame: its stages may run, in order.
+    /// Begins the correction of a frame, whose stages are then to be run in order.
     pub(super) fn begin<'a>(
         &self,
         scratch: &'a mut Scratch,
         observed: Observed<'a>,
         predicted: Predicted<'a>,
     ) -> Correction<'a> {
-        let Scratch { area, shape, bodies, flights, rests, sums, speeds } = scratch;
-        let checkpoint::Rules { shape: shape_rule, flight, rest, .. } = self.rules;
-        let (particles, cells) = (observed.order.len(), observed.nodes.cells().len());
-        if flight.is_some() || rest.is_some() {
-            bodies.make_room(observed.nodes);
-        }
-        if flight.is_some() {
-            flights.make_room(observed.nodes);
-            // At most a cell for each particle, in any frame.
-            sums.clear();
-            sums.reserve(particles);
-            sums.resize(cells, CellSums::default());
-        }
-        if rest.is_some() {
-            rests.make_room(observed.nodes);
-            speeds.clear();
-            speeds.reserve(particles);
-            speeds.resize(cells, 0.0);
+        let Scratch { pressure, shape, bodies, flight, rest } = scratch;
+        let rules = self.rules;
+        let (nodes, particles) = (observed.nodes, observed.order.len());
+        if rules.flight.is_some() || rules.rest.is_some() {
+            bodies.reserve(nodes);
         }
         let (at_rest, order) = (observed.rest, observed.order);
         Correction {
-            rules: self.rules,
-            area: Parts::new(std::slice::from_mut(area)),
-            shape: shape_rule.map(|rule| shape.shape(rule, at_rest, order)),
+            pressure: Parts::new(std::slice::from_mut(pressure)),
+            shape: rules.shape.map(|rule| shape.shape(rule, at_rest, order)),
             bodies: Parts::new(std::slice::from_mut(bodies)),
-            flights: Parts::new(std::slice::from_mut(flights)),
-            rests: Parts::new(std::slice::from_mut(rests)),
-            sums: Parts::new(sums),
-            speeds: Parts::new(speeds),
+            flight: rules.flight.map(|rule| BodyCorrection::new(rule, flight, nodes, particles)),
+            rest: rules.rest.map(|rule| BodyCorrection::new(rule, rest, nodes, particles)),
             observed,
             predicted,
         }
@@ -232,34 +194,39 @@ impl RuleSet {
 }
 
 impl Correction<'_> {
-    /// How many items a stage has.
+    /// Number of items of a stage.
     pub(super) fn items(&self, stage: Stage) -> usize {
-        let cells = self.observed.nodes.cells().len().div_ceil(CELLS);
         match stage {
             Stage::Area(area::Step::Shift) => {
                 self.predicted.position.len().div_ceil(area::PARTICLES)
             }
             Stage::Shape(_) => self.shape.as_ref().map_or(0, Shape::items),
-            Stage::Flight(flight::Step::Sum | flight::Step::Correct) => cells,
-            Stage::Rest(rest::Step::Weigh | rest::Step::Correct) => cells,
             Stage::Area(area::Step::Solve) | Stage::Bodies => 1,
-            Stage::Flight(flight::Step::Join) | Stage::Rest(rest::Step::Judge) => 1,
+            Stage::Flight(step) | Stage::Rest(step) => step.items(self.observed.nodes),
         }
     }
 
-    /// An item of a stage. Items of one stage may run at the same time, once each, and not beside any of another one.
+    /// Runs an item of a stage. The items of one stage may run at the same time, once each, but not beside those of another
+    /// stage.
     #[inline(always)]
     pub(super) fn run(&self, stage: Stage, item: usize) {
+        let Self { observed, predicted, shape, flight, rest, .. } = self;
         match stage {
             Stage::Area(step) => self.area(step, item),
             Stage::Shape(step) => {
-                let Some(shape) = &self.shape else { return };
-                let Predicted { position, velocity, .. } = &self.predicted;
-                shape.run(step, item, position, velocity, &self.observed.ballistic);
+                let Some(shape) = shape else { return };
+                let Predicted { position, velocity, .. } = predicted;
+                shape.run(step, item, position, velocity, &observed.ballistic);
             }
             Stage::Bodies => self.find_bodies(),
-            Stage::Flight(step) => self.flight(step, item),
-            Stage::Rest(step) => self.rest(step, item),
+            Stage::Flight(step) => {
+                let Some(flight) = flight else { return };
+                flight.run(step, item, self.bodies(), observed, predicted);
+            }
+            Stage::Rest(step) => {
+                let Some(rest) = rest else { return };
+                rest.run(step, item, self.bodies(), observed, predicted);
+            }
         }
     }
 
@@ -270,19 +237,23 @@ impl Correction<'_> {
         match step {
             // SAFETY: this step has one item, which only reads the predictions.
             area::Step::Solve => unsafe {
-                if let [Some(area)] = self.area.part(0..1) {
-                    area.find(position.read(0..position.len()), material, domain, ballistic);
+                if let [Some(pressure)] = self.pressure.part(0..1) {
+                    pressure.solve(position.read(0..position.len()), material, domain, ballistic);
                 }
             },
             area::Step::Shift => {
                 let begin = item * area::PARTICLES;
                 let own = begin..(begin + area::PARTICLES).min(position.len());
-                // SAFETY: this step only reads the pressure, and these particles are those of this item alone.
-                let (area, position, velocity) = unsafe {
-                    (self.area.read(0..1), position.part(own.clone()), velocity.part(own.clone()))
+                // SAFETY: this step only reads the pressure, and only this item uses these particles.
+                let (pressure, position, velocity) = unsafe {
+                    (
+                        self.pressure.read(0..1),
+                        position.part(own.clone()),
+                        velocity.part(own.clone()),
+                    )
                 };
-                if let [Some(area)] = area {
-                    area.give_way(position, velocity, &material[own], ballistic);
+                if let [Some(pressure)] = pressure {
+                    pressure.apply(position, velocity, &material[own], ballistic);
                 }
             }
         }
@@ -290,72 +261,20 @@ impl Correction<'_> {
 
     fn find_bodies(&self) {
         let Observed { position, velocity, nodes, ballistic, .. } = &self.observed;
-        let checkpoint::Rules { flight, rest, .. } = self.rules;
         // SAFETY: this stage has one item.
-        let (bodies, flights, rests) = unsafe {
-            (&mut self.bodies.part(0..1)[0], &mut self.flights.part(0..1)[0], self.rests.part(0..1))
-        };
+        let bodies = unsafe { &mut self.bodies.part(0..1)[0] };
         bodies.find(nodes, position, velocity);
-        if let Some(rule) = flight {
-            flights.begin(rule, bodies, ballistic, nodes.width());
+        if let Some(flight) = &self.flight {
+            flight.select(bodies, ballistic, nodes.width());
         }
-        if let Some(rule) = rest {
-            rests[0].begin(rule, bodies, ballistic, nodes.width());
-        }
-    }
-
-    /// The cells of an item.
-    #[inline(always)]
-    fn cells(&self, item: usize) -> Range<usize> {
-        item * CELLS..((item + 1) * CELLS).min(self.observed.nodes.cells().len())
-    }
-
-    #[inline(always)]
-    fn flight(&self, step: flight::Step, item: usize) {
-        let (observed, predicted) = (&self.observed, &self.predicted);
-        let (cells, own) = (observed.nodes.cells(), self.cells(item));
-        // SAFETY: only the stage before writes them.
-        let bodies = unsafe { &self.bodies.read(0..1)[0] };
-        match step {
-            // SAFETY: this step only reads the flights, and these cells are those of this item alone.
-            flight::Step::Sum => unsafe {
-                let sums = self.sums.part(own.clone());
-                self.flights.read(0..1)[0].sum(bodies, observed, predicted, &cells[own], sums);
-            },
-            // SAFETY: this step has one item.
-            flight::Step::Join => unsafe {
-                let sums = self.sums.read(0..cells.len());
-                self.flights.part(0..1)[0].join(bodies, cells, sums);
-            },
-            // SAFETY: as for the sums.
-            flight::Step::Correct => unsafe {
-                self.flights.read(0..1)[0].correct(bodies, observed, predicted, &cells[own]);
-            },
+        if let Some(rest) = &self.rest {
+            rest.select(bodies, ballistic, nodes.width());
         }
     }
 
     #[inline(always)]
-    fn rest(&self, step: rest::Step, item: usize) {
-        let (observed, predicted) = (&self.observed, &self.predicted);
-        let (cells, own) = (observed.nodes.cells(), self.cells(item));
-        let Some(rule) = self.rules.rest else { return };
-        // SAFETY: only an earlier stage writes them.
-        let bodies = unsafe { &self.bodies.read(0..1)[0] };
-        match step {
-            // SAFETY: this step only reads the bodies, and these cells are those of this item alone.
-            rest::Step::Weigh => unsafe {
-                let speeds = self.speeds.part(own.clone());
-                self.rests.read(0..1)[0].weigh(bodies, observed, predicted, &cells[own], speeds);
-            },
-            // SAFETY: this step has one item.
-            rest::Step::Judge => unsafe {
-                let speeds = self.speeds.read(0..cells.len());
-                self.rests.part(0..1)[0].judge(rule, bodies, &observed.ballistic, cells, speeds);
-            },
-            // SAFETY: as for the speeds.
-            rest::Step::Correct => unsafe {
-                self.rests.read(0..1)[0].correct(bodies, observed, predicted, &cells[own]);
-            },
-        }
+    fn bodies(&self) -> &Bodies {
+        // SAFETY: only the stage that finds them writes them, and it does not call this.
+        unsafe { &self.bodies.read(0..1)[0] }
     }
 }

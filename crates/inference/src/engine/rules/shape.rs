@@ -1,92 +1,92 @@
-//! Jelly and rope keep their shape: where predicted particles are out of line with their neighbours, or stretched
-//! further than such matter is, they are moved to where their neighbours and the shape at rest have them ("As-rigid-as-possible
-//! surface modeling", Sorkine and Alexa 2007, with limits of strain in place of rotations).
+//! Jelly and rope keep their shape: predicted particles that are out of line with their neighbours, or stretched further
+//! than these materials allow, are moved to the positions that their neighbours and the rest shape imply
+//! ("As-rigid-as-possible surface modeling", Sorkine and Alexa 2007, with strain limits instead of rotations).
 //!
-//! The network's errors of a frame are small, but they add up: a body would crumple in a second.
+//! Without it, the errors of a network accumulate until a body crumples within a second.
 //!
-//! 1. Align: positions in the order of the stream's memory.
-//! 2. Limit: the deformation gradient F of each particle, with its stretches limited ([`ShapeRule::strain_limit`]).
-//! 3. Lean: how far a particle is from its neighbours' mean, if they are as at rest but for F: the mean of
-//!    (F + F_j) (X - X_j) / 2, X being places at rest.
-//! 4. Restore, [`ShapeRule::sweeps`] times: each particle goes there.
-//! 5. Adopt: velocities change with positions.
+//! 1. Gather: positions in the order of the hidden state.
+//! 2. Limit: the deformation gradient F of each particle with limited stretches ([`ShapeRule::strain_limit`]).
+//! 3. Offset: the distance of a particle from the mean of its neighbours if they have their rest shape, deformed by F: the
+//!    mean of (F + F_j) (X - X_j) / 2 with X the rest positions.
+//! 4. Relax, [`ShapeRule::sweeps`] times: each particle moves to its neighbours' mean plus that offset.
+//! 5. Scatter: writes the positions back and changes the velocities accordingly.
 
 use std::ops::Range;
 
 use super::super::{Ballistic, crew::Parts};
 use crate::{
     checkpoint::ShapeRule,
-    kernels::rest::{Rest, deformation},
+    kernels::rest_shape::{RestShape, deformation},
 };
 
-/// Rows of an item.
+/// Rows per item.
 const ROWS: usize = 256;
 
-/// A deformation gradient, by rows.
+/// A deformation gradient, row-major.
 type Gradient = [[f32; 2]; 2];
 
-/// A step towards the shape at rest; items are some rows of the stream's memory.
+/// A step of the rule; an item is a block of rows of the hidden state.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) enum Step {
-    Align,
+    Gather,
     Limit,
-    Lean,
-    /// The number of the sweep.
-    Restore(usize),
-    Adopt,
+    Offset,
+    /// With the number of the sweep.
+    Relax(usize),
+    Scatter,
 }
 
 /// The steps, in order.
 pub(super) fn steps(rule: ShapeRule) -> impl Iterator<Item = Step> {
-    let sweeps = (0..rule.sweeps).map(Step::Restore);
-    [Step::Align, Step::Limit, Step::Lean].into_iter().chain(sweeps).chain([Step::Adopt])
+    let sweeps = (0..rule.sweeps).map(Step::Relax);
+    [Step::Gather, Step::Limit, Step::Offset].into_iter().chain(sweeps).chain([Step::Scatter])
 }
 
-/// Scratch buffers between steps, by rows of the stream's memory.
+/// Scratch buffers between steps, by rows of the hidden state.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// Positions before and after a sweep, in turn.
+    /// Positions before and after a sweep, alternating.
     place: [Vec<[f32; 2]>; 2],
     limited: Vec<Gradient>,
-    lean: Vec<[f32; 2]>,
+    offset: Vec<[f32; 2]>,
 }
 
-/// The shapes of a frame.
+/// The rule in one frame.
 pub(super) struct Shape<'a> {
     rule: ShapeRule,
-    rest: &'a Rest,
-    /// The particle of the frame in each row.
+    rest: &'a RestShape,
+    /// The frame's particle in each row.
     order: &'a [u32],
     place: [Parts<'a, [f32; 2]>; 2],
     limited: Parts<'a, Gradient>,
-    lean: Parts<'a, [f32; 2]>,
+    offset: Parts<'a, [f32; 2]>,
 }
 
 impl Scratch {
-    /// For the particles that rest in `rest`, `order` having that of each row.
+    /// The rule for particles with the rest shape `rest`, where `order` has the particle of each row.
     pub(super) fn shape<'a>(
         &'a mut self,
         rule: ShapeRule,
-        rest: &'a Rest,
+        rest: &'a RestShape,
         order: &'a [u32],
     ) -> Shape<'a> {
-        let Self { place, limited, lean } = self;
+        let Self { place, limited, offset } = self;
         let rows = order.len();
         place.iter_mut().for_each(|list| list.resize(rows, [0.0; 2]));
         limited.resize(rows, Gradient::default());
-        lean.resize(rows, [0.0; 2]);
+        offset.resize(rows, [0.0; 2]);
         let place = place.each_mut().map(|list| Parts::new(list));
-        Shape { rule, rest, order, place, limited: Parts::new(limited), lean: Parts::new(lean) }
+        Shape { rule, rest, order, place, limited: Parts::new(limited), offset: Parts::new(offset) }
     }
 }
 
 impl Shape<'_> {
-    /// How many items each step has; none where nothing has a shape.
+    /// Number of items of each step; none if no particle has a rest shape.
     pub(super) fn items(&self) -> usize {
         if self.rest.is_shapeless() { 0 } else { self.order.len().div_ceil(ROWS) }
     }
 
-    /// An item of a step; `position` and `velocity` are the frame's.
+    /// Runs an item of a step; `position` and `velocity` are those of the predicted frame.
     #[inline(always)]
     pub(super) fn run(
         &self,
@@ -98,30 +98,30 @@ impl Shape<'_> {
     ) {
         let rows = item * ROWS..((item + 1) * ROWS).min(self.order.len());
         match step {
-            Step::Align => self.align(rows, position),
+            Step::Gather => self.gather(rows, position),
             Step::Limit => self.limit(rows),
-            Step::Lean => self.lean(rows),
-            Step::Restore(sweep) => self.restore(sweep, rows, walls),
-            Step::Adopt => self.adopt(rows, position, velocity, walls),
+            Step::Offset => self.offset(rows),
+            Step::Relax(sweep) => self.relax(sweep, rows, walls),
+            Step::Scatter => self.scatter(rows, position, velocity, walls),
         }
     }
 
     #[inline(always)]
-    fn align(&self, rows: Range<usize>, position: &Parts<'_, [f32; 2]>) {
-        // SAFETY: this step only reads the positions, and the rows are those of this item alone.
+    fn gather(&self, rows: Range<usize>, position: &Parts<'_, [f32; 2]>) {
+        // SAFETY: this step only reads the positions, and only this item uses these rows.
         let (position, [first, second]) = unsafe {
             let place = [self.place[0].part(rows.clone()), self.place[1].part(rows.clone())];
             (position.read(0..position.len()), place)
         };
         for ((&particle, first), second) in self.order[rows].iter().zip(first).zip(second) {
-            // What has no shape stays in both.
+            // Particles without a rest shape keep their position in both.
             (*first, *second) = (position[particle as usize], position[particle as usize]);
         }
     }
 
     #[inline(always)]
     fn limit(&self, rows: Range<usize>) {
-        // SAFETY: this step only reads the places, and the rows are those of this item alone.
+        // SAFETY: this step only reads the positions, and only this item uses these rows.
         let (place, limits) =
             unsafe { (self.place[0].read(0..self.order.len()), self.limited.part(rows.clone())) };
         for (row, limit) in rows.zip(limits) {
@@ -134,64 +134,65 @@ impl Shape<'_> {
     }
 
     #[inline(always)]
-    fn lean(&self, rows: Range<usize>) {
-        // SAFETY: this step only reads the gradients, and the rows are those of this item alone.
-        let (limited, leans) =
-            unsafe { (self.limited.read(0..self.order.len()), self.lean.part(rows.clone())) };
-        for (row, lean) in rows.zip(leans) {
+    fn offset(&self, rows: Range<usize>) {
+        // SAFETY: this step only reads the gradients, and only this item uses these rows.
+        let (limited, offsets) =
+            unsafe { (self.limited.read(0..self.order.len()), self.offset.part(rows.clone())) };
+        for (row, offset) in rows.zip(offsets) {
             let own = limited[row];
-            *lean = [0.0; 2];
-            for (tie, &[x, y]) in self.rest.ties(row).iter().zip(self.rest.offsets(row)) {
-                let theirs = limited[tie.particle as usize];
+            *offset = [0.0; 2];
+            for (neighbour, &[x, y]) in self.rest.neighbours(row).iter().zip(self.rest.offsets(row))
+            {
+                let theirs = limited[neighbour.particle as usize];
                 for axis in 0..2 {
                     let (a, b) = (own[axis][0] + theirs[axis][0], own[axis][1] + theirs[axis][1]);
-                    lean[axis] -= 0.5 * tie.share * (a * x + b * y);
+                    offset[axis] -= 0.5 * neighbour.share * (a * x + b * y);
                 }
             }
         }
     }
 
     #[inline(always)]
-    fn restore(&self, sweep: usize, rows: Range<usize>, walls: &Ballistic) {
+    fn relax(&self, sweep: usize, rows: Range<usize>, walls: &Ballistic) {
         let (from, to) = (&self.place[sweep % 2], &self.place[(sweep + 1) % 2]);
-        // SAFETY: a sweep reads one of the lists and what leans, and writes the other; there the rows are those
-        // of this item alone.
-        let (from, leans, to) = unsafe {
-            (from.read(0..self.order.len()), self.lean.read(rows.clone()), to.part(rows.clone()))
+        // SAFETY: a sweep reads one of the lists and the offsets and writes the other list, where only this item uses these
+        // rows.
+        let (from, offsets, to) = unsafe {
+            (from.read(0..self.order.len()), self.offset.read(rows.clone()), to.part(rows.clone()))
         };
-        for ((row, lean), to) in rows.zip(leans).zip(to) {
-            let ties = self.rest.ties(row);
-            if ties.is_empty() {
+        for ((row, offset), to) in rows.zip(offsets).zip(to) {
+            let neighbours = self.rest.neighbours(row);
+            if neighbours.is_empty() {
                 continue;
             }
-            let mut place = *lean;
-            for tie in ties {
-                let neighbour = from[tie.particle as usize];
-                place[0] += tie.share * neighbour[0];
-                place[1] += tie.share * neighbour[1];
+            let mut place = *offset;
+            for neighbour in neighbours {
+                let position = from[neighbour.particle as usize];
+                place[0] += neighbour.share * position[0];
+                place[1] += neighbour.share * position[1];
             }
             for axis in 0..2 {
-                to[axis] = walls.hold(axis, place[axis]);
+                to[axis] = walls.clamp_axis(axis, place[axis]);
             }
         }
     }
 
     #[inline(always)]
-    fn adopt(
+    fn scatter(
         &self,
         rows: Range<usize>,
         position: &Parts<'_, [f32; 2]>,
         velocity: &Parts<'_, [f32; 2]>,
         walls: &Ballistic,
     ) {
-        // SAFETY: this step only reads the places.
+        // SAFETY: this step only reads these lists.
         let places = unsafe { self.place[self.rule.sweeps % 2].read(rows.clone()) };
         for (row, place) in rows.zip(places) {
             if self.rest.links(row).is_empty() {
                 continue;
             }
             let particle = self.order[row] as usize;
-            // SAFETY: a particle has one row, which is in this item alone.
+            // SAFETY: a particle has one row, which only this item uses.
             let (x, v) = unsafe {
                 let x = position.part(particle..particle + 1);
                 (&mut x[0], &mut velocity.part(particle..particle + 1)[0])
@@ -204,19 +205,19 @@ impl Shape<'_> {
     }
 }
 
-/// The gradient with its stretches, the singular values, limited; what was turned inside out is turned back.
+/// The gradient with limited stretches (singular values); an inversion is undone.
 #[inline(always)]
 fn limited([[a, b], [c, d]]: Gradient, strain: f32) -> Gradient {
-    // The sum of a turn with a scaling, [[p, -q], [q, p]], and a mirroring with a scaling, [[r, s], [s, -r]]: the
-    // stretches are the sum and the difference of their sizes.
+    // Any 2 x 2 matrix is a scaled rotation, [[p, -q], [q, p]], plus a scaled reflection, [[r, s], [s, -r]]: its singular
+    // values are the sum and the difference of the two scales.
     let (p, q) = (0.5 * (a + d), 0.5 * (c - b));
     let (r, s) = (0.5 * (a - d), 0.5 * (c + b));
-    let (turn, mirror) = ((p * p + q * q).sqrt(), (r * r + s * s).sqrt());
-    let most = (turn + mirror).clamp(1.0 - strain, 1.0 + strain);
-    let least = (turn - mirror).clamp(1.0 - strain, 1.0 + strain);
-    let turned = 0.5 * (most + least) / turn.max(f32::MIN_POSITIVE);
-    let mirrored = 0.5 * (most - least) / mirror.max(f32::MIN_POSITIVE);
-    let (p, q, r, s) = (p * turned, q * turned, r * mirrored, s * mirrored);
+    let (rotation, reflection) = ((p * p + q * q).sqrt(), (r * r + s * s).sqrt());
+    let most = (rotation + reflection).clamp(1.0 - strain, 1.0 + strain);
+    let least = (rotation - reflection).clamp(1.0 - strain, 1.0 + strain);
+    let p_scale = 0.5 * (most + least) / rotation.max(f32::MIN_POSITIVE);
+    let r_scale = 0.5 * (most - least) / reflection.max(f32::MIN_POSITIVE);
+    let (p, q, r, s) = (p * p_scale, q * p_scale, r * r_scale, s * r_scale);
     [[p + r, s - q], [s + q, p - r]]
 }
 
@@ -242,14 +243,14 @@ mod tests {
         (0..COLUMNS * 12).map(|k| at(k).map(|x| 0.4 + SPACING * x)).collect()
     }
 
-    /// Where particles are that were changed from the block, after their shape was restored so many times, and
-    /// their velocities, which were zero before the last.
-    fn restored(
+    /// Positions of a deformed block after the rule was applied `times` times, and velocities, which were zero before the
+    /// last time.
+    fn corrected(
         material: Material,
         mut position: Vec<[f32; 2]>,
         times: usize,
     ) -> [Vec<[f32; 2]>; 2] {
-        let rest = Rest::new(&block(), &vec![material; position.len()], 1, SPACING);
+        let rest = RestShape::new(&block(), &vec![material; position.len()], 1, SPACING);
         let order: Vec<u32> = (0..position.len() as u32).collect();
         let mut velocity = Vec::new();
         for _ in 0..times {
@@ -264,7 +265,7 @@ mod tests {
         [position, velocity]
     }
 
-    /// Root mean square of what distances to the right and upwards are off those at rest, relative to these.
+    /// Root mean square of the relative change of distances to the right and upper neighbours.
     fn distortion(position: &[[f32; 2]]) -> f32 {
         let off = |a: usize, b: usize| {
             let [x, y] = [0, 1].map(|axis| position[b][axis] - position[a][axis]);
@@ -285,26 +286,26 @@ mod tests {
     }
 
     #[test]
-    fn a_block_that_moved_turned_and_is_a_little_strained_stays() {
+    fn a_block_that_moved_rotated_and_is_a_little_strained_stays() {
         let (sin, cos) = 0.7f32.sin_cos();
         let moved = |[x, y]: [f32; 2]| {
             let (x, y) = (1.02 * (x - 0.5), 0.985 * (y - 0.5));
             [0.5 + cos * x - sin * y, 0.45 + sin * x + cos * y]
         };
         let position: Vec<_> = block().into_iter().map(moved).collect();
-        let [after, velocity] = restored(Material::Jelly, position.clone(), 1);
+        let [after, velocity] = corrected(Material::Jelly, position.clone(), 1);
         assert!(farthest(&after, &position) < 1e-3 * SPACING);
         let fastest = farthest(&velocity, &vec![[0.0; 2]; velocity.len()]);
         assert!(fastest < 1e-3 * SPACING / WALLS.dt, "{fastest}");
     }
 
     #[test]
-    fn rows_that_went_out_of_line_come_back_and_the_centre_stays() {
+    fn particles_out_of_line_return_and_the_centre_stays() {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut jolted = |x: [f32; 2]| x.map(|x| x + random.random_range(-0.2..0.2) * SPACING);
         let position: Vec<_> = block().into_iter().map(&mut jolted).collect();
         for material in [Material::Jelly, Material::Rope] {
-            let [after, velocity] = restored(material, position.clone(), 1);
+            let [after, velocity] = corrected(material, position.clone(), 1);
             let (before, left) = (distortion(&position), distortion(&after));
             assert!(before > 0.15 && left < 0.25 * before, "{before} {left}");
             let mean = |list: &[[f32; 2]], axis: usize| {
@@ -320,19 +321,19 @@ mod tests {
     }
 
     #[test]
-    fn a_block_pressed_to_half_its_width_grows_wide_again() {
+    fn a_block_compressed_to_half_its_width_expands() {
         let pressed = |[x, y]: [f32; 2]| [0.5 + 0.5 * (x - 0.5), y];
         let position: Vec<_> = block().into_iter().map(pressed).collect();
-        let [after, _] = restored(Material::Jelly, position.clone(), 100);
+        let [after, _] = corrected(Material::Jelly, position.clone(), 100);
         let (before, left) = (distortion(&position), distortion(&after));
         assert!(before > 0.3 && left < 1.2 * STRAIN, "{before} {left}");
     }
 
     #[test]
-    fn what_has_no_shape_stays_where_it_is() {
+    fn particles_without_a_rest_shape_stay() {
         for material in [Material::Liquid, Material::Snow] {
             let position: Vec<_> = block().into_iter().map(|[x, y]| [0.5 * x, y]).collect();
-            let [after, velocity] = restored(material, position.clone(), 1);
+            let [after, velocity] = corrected(material, position.clone(), 1);
             assert_eq!(after, position);
             assert!(velocity.iter().all(|v| *v == [0.0; 2]));
         }

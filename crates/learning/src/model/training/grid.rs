@@ -6,12 +6,12 @@ use burn::tensor::Tensor;
 
 use crate::model::{
     fused::{Operation, apply, input},
+    grid::Ground,
     sparse::Table,
-    surroundings::Ground,
 };
 use eddy_inference::{
     checkpoint::layout::NODE_FEATURES,
-    engine::scales::{FULL, LEAST_MASS},
+    engine::scales::{FULL_MASS, MIN_MASS},
     kernels::{
         gathered::{self, Convolution, Up},
         nodes::Nodes,
@@ -144,9 +144,9 @@ impl Operation<2> for Write {
         let (sums, mass) = (to_nodes(nodes, encoded, width), mass(nodes));
         let mut written = Vec::with_capacity(mass.len() * (width + NODE_FEATURES));
         for ((sum, &mass), walls) in sums.chunks_exact(width).zip(&mass).zip(walls.iter()) {
-            let scale = 1.0 / (mass + LEAST_MASS);
+            let scale = 1.0 / (mass + MIN_MASS);
             written.extend(sum.iter().map(|sum| sum * scale));
-            written.push(mass / FULL);
+            written.push(mass / FULL_MASS);
             written.extend(walls);
         }
         (written, mass)
@@ -167,10 +167,10 @@ impl Operation<2> for Write {
         let whole = width + NODE_FEATURES;
         let rows = gradient.chunks_exact(whole).zip(written.chunks_exact(whole));
         for ((gradient, written), mass) in rows.zip(&mass) {
-            let scale = 1.0 / (mass + LEAST_MASS);
+            let scale = 1.0 / (mass + MIN_MASS);
             by_sum.extend(gradient[..width].iter().map(|g| g * scale));
             let averages = gradient[..width].iter().zip(written).map(|(g, x)| g * x);
-            by_mass.push(gradient[width] / FULL - scale * averages.sum::<f32>());
+            by_mass.push(gradient[width] / FULL_MASS - scale * averages.sum::<f32>());
         }
         let mut place = Vec::new();
         if by_place {

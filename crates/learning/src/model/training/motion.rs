@@ -11,11 +11,11 @@ use eddy_inference::{
     checkpoint::layout::PARTICLE_FEATURES,
     engine::{
         Ballistic,
-        scales::{FAR, NEAR},
+        scales::{BODY_SCALE, CONTACT_SCALE},
     },
     kernels::{
         activation::Exponentials,
-        rest::{Rest, SHAPE_FEATURES},
+        rest_shape::{RestShape, SHAPE_FEATURES},
     },
 };
 
@@ -27,13 +27,13 @@ const NEARNESSES: usize = 8;
 const BEFORE: usize = 6 + NEARNESSES;
 
 /// [`strain::shape`](crate::model::strain::shape): positions `[T R, 2]` to `[T R, 5]`.
-pub(crate) fn shape(rest: Arc<Rest>, position: Tensor<2>) -> Tensor<2> {
+pub(crate) fn shape(rest: Arc<RestShape>, position: Tensor<2>) -> Tensor<2> {
     let shape = [position.dims()[0], SHAPE_FEATURES];
     apply(Shape(rest), [input(position)], shape)
 }
 
 #[derive(Clone, Debug)]
-struct Shape(Arc<Rest>);
+struct Shape(Arc<RestShape>);
 
 impl Operation<1> for Shape {
     type Kept = ();
@@ -144,8 +144,8 @@ impl Operation<4> for Perceive {
             let mut nearness = vec![[0.0; NEARNESSES]; rows.len()];
             for (nearness, x) in nearness.iter_mut().zip(&position[first..]) {
                 for (wall, distance) in self.distances(*x).into_iter().enumerate() {
-                    nearness[wall] = distance.max(0.0) * (-1.0 / NEAR);
-                    nearness[4 + wall] = distance.max(0.0) * (-1.0 / FAR);
+                    nearness[wall] = distance.max(0.0) * (-1.0 / CONTACT_SCALE);
+                    nearness[4 + wall] = distance.max(0.0) * (-1.0 / BODY_SCALE);
                 }
             }
             Arch::new().dispatch(Exponentials(nearness.as_flattened_mut()));
@@ -199,8 +199,8 @@ impl Operation<4> for Perceive {
                 let side = if wall < 2 { -1.0 } else { 1.0 };
                 if distance > 0.0 {
                     position[wall % 2] += side
-                        * (g[6 + wall] * features[6 + wall] / NEAR
-                            + g[10 + wall] * features[10 + wall] / FAR);
+                        * (g[6 + wall] * features[6 + wall] / CONTACT_SCALE
+                            + g[10 + wall] * features[10 + wall] / BODY_SCALE);
                 }
             }
             shape.copy_from_slice(&g[BEFORE..BEFORE + SHAPE_FEATURES]);

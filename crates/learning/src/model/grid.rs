@@ -12,7 +12,7 @@ use burn::tensor::{Tensor, activation::relu};
 use super::{fused, layers::Linear, sparse, training};
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint::Surroundings,
+    checkpoint::GridOptions,
     engine::Ballistic,
     kernels::nodes::{Nodes, Window},
 };
@@ -40,13 +40,13 @@ impl Ground {
     /// The nodes that particles at `position` (domain lengths) touch, in `windows` windows of equally
     /// many.
     pub(crate) fn new(
-        surroundings: &Surroundings,
+        grid: &GridOptions,
         ballistic: &Ballistic,
         domain: Domain,
         position: &[[f32; 2]],
         windows: usize,
     ) -> Self {
-        let (cell_width, particles) = (surroundings.cell_width, position.len() / windows);
+        let (cell_width, particles) = (grid.cell_width, position.len() / windows);
         let windows: Vec<_> = (0..windows)
             .map(|window| Window {
                 particles: window * particles..(window + 1) * particles,

@@ -36,14 +36,14 @@ const CROWD: usize = 128;
 
 /// The rest shapes of the particles of B windows, R = B N rows one below the other.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Rest {
+pub struct RestShape {
     /// Where each particle's links begin, and where the last one's end, `[R + 1]`. Without links it counts
     /// as not strained.
     first: Vec<u32>,
     links: Vec<Link>,
     /// Of each link, and where the neighbour rests from the particle (domain lengths): lists of their own,
     /// which are read many times a frame.
-    ties: Vec<Tie>,
+    neighbours: Vec<WeightedNeighbour>,
     offsets: Vec<[f32; 2]>,
     /// N.
     particles: usize,
@@ -62,14 +62,14 @@ pub struct Link {
 
 /// A neighbour, and how much it counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tie {
+pub struct WeightedNeighbour {
     /// Its row.
     pub particle: u32,
     /// Its share in the weights of the particle's neighbours.
     pub share: f32,
 }
 
-impl Rest {
+impl RestShape {
     /// The shapes of particles at `position` (domain lengths), `[R]`, in so many windows of equally many
     /// particles; neighbours at rest are `spacing` apart (domain lengths). Only particles of the same
     /// material and window are neighbours.
@@ -93,8 +93,11 @@ impl Rest {
             joined.first.extend(shape.first[1..].iter().map(|first| first + link));
             let moved = |link: Link| Link { particle: link.particle + row, ..link };
             joined.links.extend(shape.links.into_iter().map(moved));
-            let moved = |tie: Tie| Tie { particle: tie.particle + row, ..tie };
-            joined.ties.extend(shape.ties.into_iter().map(moved));
+            let moved = |neighbour: WeightedNeighbour| WeightedNeighbour {
+                particle: neighbour.particle + row,
+                ..neighbour
+            };
+            joined.neighbours.extend(shape.neighbours.into_iter().map(moved));
             joined.offsets.extend(shape.offsets);
         }
         joined
@@ -106,9 +109,9 @@ impl Rest {
         let mut shape = Self { first: vec![0], particles: position.len(), ..Self::default() };
         for (particle, material) in material.iter().enumerate() {
             if keeps_shape(*material) {
-                for (link, tie, offset) in coefficients(&cells.nearest(particle), range) {
+                for (link, neighbour, offset) in coefficients(&cells.nearest(particle), range) {
                     shape.links.push(link);
-                    shape.ties.push(tie);
+                    shape.neighbours.push(neighbour);
                     shape.offsets.push(offset);
                 }
             }
@@ -129,18 +132,21 @@ impl Rest {
         }
         let mut first = Vec::with_capacity(order.len() + 1);
         let mut links = Vec::with_capacity(self.links.len());
-        let mut ties = Vec::with_capacity(self.ties.len());
+        let mut neighbours = Vec::with_capacity(self.neighbours.len());
         let mut offsets = Vec::with_capacity(self.offsets.len());
         first.push(0);
         for &from in order {
             let moved = |link: &Link| Link { particle: place[link.particle as usize], ..*link };
             links.extend(self.links(from as usize).iter().map(moved));
-            let moved = |tie: &Tie| Tie { particle: place[tie.particle as usize], ..*tie };
-            ties.extend(self.ties(from as usize).iter().map(moved));
+            let moved = |neighbour: &WeightedNeighbour| WeightedNeighbour {
+                particle: place[neighbour.particle as usize],
+                ..*neighbour
+            };
+            neighbours.extend(self.neighbours(from as usize).iter().map(moved));
             offsets.extend_from_slice(self.offsets(from as usize));
             first.push(links.len() as u32);
         }
-        Self { first, links, ties, offsets, particles: self.particles }
+        Self { first, links, neighbours, offsets, particles: self.particles }
     }
 
     /// R.
@@ -242,8 +248,8 @@ impl Rest {
 
     /// How much each of these counts.
     #[inline(always)]
-    pub fn ties(&self, particle: usize) -> &[Tie] {
-        &self.ties[self.numbers(particle)]
+    pub fn neighbours(&self, particle: usize) -> &[WeightedNeighbour] {
+        &self.neighbours[self.numbers(particle)]
     }
 
     /// Where each of these rests, from the particle (domain lengths).
@@ -312,7 +318,10 @@ fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
 type Near = (u32, [f64; 2]);
 
 /// Links to these neighbours; none where they do not tell a deformation.
-fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie, [f32; 2])> {
+fn coefficients(
+    near: &[Near],
+    range: f64,
+) -> impl Iterator<Item = (Link, WeightedNeighbour, [f32; 2])> {
     let weight = move |[x, y]: [f64; 2]| (1.0 - (x * x + y * y) / (range * range)).powi(2);
     let (mut sum, mut mean) = (0.0, [0.0; 2]);
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -337,7 +346,7 @@ fn coefficients(near: &[Near], range: f64) -> impl Iterator<Item = (Link, Tie, [
         // What is left of the weighted mean once F has carried it along.
         let share = (k - c[0] * mean[0] - c[1] * mean[1]) / (sum * spacing);
         let link = Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 };
-        (link, Tie { particle, share: (k / sum) as f32 }, [x as f32, y as f32])
+        (link, WeightedNeighbour { particle, share: (k / sum) as f32 }, [x as f32, y as f32])
     })
 }
 

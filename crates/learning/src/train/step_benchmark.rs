@@ -34,7 +34,7 @@ pub enum Part {
 }
 
 /// A network with a batch.
-pub struct Exercise {
+pub struct StepBenchmark {
     network: Network,
     task: Task,
     adam: Adam,
@@ -51,7 +51,7 @@ enum Task {
     Core(Tensor<3>),
 }
 
-impl Exercise {
+impl StepBenchmark {
     /// The paper's widths, and windows of so many frames.
     pub fn new(part: Part, core: Core, frames: usize, windows: usize, device: DeviceKind) -> Self {
         let mut config = TrainConfig::defaults(Architecture::Frame);
@@ -80,7 +80,7 @@ impl Exercise {
                 let scale = Scale {
                     loss: &config.loss,
                     normalization: &description.normalization,
-                    ballistic: Ballistic::of(&description),
+                    ballistic: Ballistic::new(&description),
                     common: Vec::new(),
                 };
                 let batch = Batch::new(&windows, frames, &scale, None, &plain);

@@ -97,7 +97,7 @@ proptest! {
             at_rest.extend(position);
             material.extend(of);
         }
-        let rest = Rest::new(&at_rest, &material, 2, SPACING);
+        let rest = RestShape::new(&at_rest, &material, 2, SPACING);
         plain.extend(moved(plain.clone(), 2 * count));
 
         // The rest shape itself is not strained.
@@ -137,7 +137,7 @@ fn square(side: usize) -> Vec<[f32; 2]> {
 #[test]
 fn a_stretched_and_turned_square_is_strained_by_its_stretch() {
     let at_rest = square(7);
-    let rest = Rest::new(&at_rest, &[Material::Jelly; 49], 1, SPACING);
+    let rest = RestShape::new(&at_rest, &[Material::Jelly; 49], 1, SPACING);
     let (sin, cos) = 0.4f32.sin_cos();
     let stretched = at_rest.iter().map(|[x, y]| [1.1 * (cos * x - sin * y), sin * x + cos * y]);
     let shape = rest.shape(&stretched.collect::<Vec<_>>());
@@ -150,7 +150,7 @@ fn a_stretched_and_turned_square_is_strained_by_its_stretch() {
 #[test]
 fn rows_out_of_line_are_bent_where_nothing_is_strained() {
     let at_rest = square(9);
-    let rest = Rest::new(&at_rest, &[Material::Rope; 81], 1, SPACING);
+    let rest = RestShape::new(&at_rest, &[Material::Rope; 81], 1, SPACING);
     let odd = |n: usize| if n % 9 % 2 == 1 { 0.01 * SPACING } else { -0.01 * SPACING };
     let zigzag: Vec<_> = at_rest.iter().enumerate().map(|(n, [x, y])| [*x, y + odd(n)]).collect();
     let [xx, yy, xy, along, across] = rest.shape_of(40, &zigzag);
@@ -162,11 +162,11 @@ fn rows_out_of_line_are_bent_where_nothing_is_strained() {
 fn places_far_out_or_in_one_point_or_no_numbers_leave_no_links() {
     for x in [f32::NAN, f32::INFINITY, 1e30, -1e30, 0.3] {
         let position = vec![[x, 0.3]; 100_000];
-        let rest = Rest::new(&position, &vec![Material::Rope; position.len()], 1, SPACING);
+        let rest = RestShape::new(&position, &vec![Material::Rope; position.len()], 1, SPACING);
         assert!(rest.links.is_empty(), "{x}");
         assert_eq!(rest.shape(&position), vec![0.0; 500_000]);
     }
-    assert!(Rest::new(&square(4), &[Material::Jelly; 16], 1, 0.0).links.is_empty());
+    assert!(RestShape::new(&square(4), &[Material::Jelly; 16], 1, 0.0).links.is_empty());
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn shapes_in_another_order_are_those_of_their_particles() {
     let (at_rest, material) = body(&mut random, 60);
     let now: Vec<_> = at_rest.iter().map(|[x, y]| [1.05 * x + 0.1 * y, *y]).collect();
     let order: Vec<u32> = (0..60).map(|row| row * 7 % 60).collect();
-    let rest = Rest::new(&at_rest, &material, 1, SPACING);
+    let rest = RestShape::new(&at_rest, &material, 1, SPACING);
     let there: Vec<_> = order.iter().map(|&row| now[row as usize]).collect();
     let (here, moved) = (rest.shape(&now), rest.permuted(&order).shape(&there));
     for (shape, &row) in moved.as_chunks::<SHAPE_FEATURES>().0.iter().zip(&order) {

@@ -1,8 +1,8 @@
-//! What blocks of particles add to the nodes (P2G), each to sums of its own, which are joined later.
+//! Particle-to-grid sums (P2G) by blocks of particles, each into sums of its own, which are added up later.
 //!
-//! Blocks cut the list of slots, and rows of cells cut it, too: what is between two cuts is a piece. Its
-//! cells follow each other, and so do the nodes of each row of their stencils. Where the cuts are does not
-//! depend on threads, nor does the order in which a node's sums are joined.
+//! The list of slots is cut at the ends of blocks and of rows of cells. Between two cuts lies a segment: its cells are
+//! consecutive, and so are the nodes of each row of their stencils. Neither the cuts nor the order in which a node's sums
+//! are added up depend on the number of threads.
 
 use std::ops::Range;
 
@@ -11,50 +11,50 @@ use pulp::Simd;
 use super::linear::{load, store};
 use crate::kernels::nodes::{Cell, Nodes, Row, range};
 
-/// A piece of the list of slots.
+/// A part of the list of slots.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
-    /// Its slots, first and one behind the last.
+struct Segment {
+    /// Its slots, first and end.
     slots: [u32; 2],
-    /// The cells with these slots; the outer two may have more.
+    /// The cells of these slots, first and end; the outer two may have further slots.
     cells: [u32; 2],
-    /// Where the sums of each row of the stencil begin, and where the last one's end (nodes).
+    /// Begin of the sums of each row of the stencil, and end of the last (nodes).
     sums: [u32; 4],
 }
 
-/// The pieces of a frame.
+/// The segments of a frame.
 #[derive(Debug, Default)]
-pub(super) struct Pieces {
-    pieces: Vec<Piece>,
-    /// First piece of each block, and one behind the last.
+pub(super) struct Segments {
+    segments: Vec<Segment>,
+    /// First segment of each block, and the end of the last.
     first: Vec<u32>,
 }
 
-impl Pieces {
-    /// Cuts the list of slots every `block` slots and where a row of cells ends. Returns for how many nodes
-    /// there are sums, and for how many there may be on as many nodes as there is room for.
+impl Segments {
+    /// Cuts the list of slots every `block` slots and at the end of each row of cells. Returns the length of all sums (nodes),
+    /// and the largest it can get without allocating nodes.
     pub(super) fn cut(&mut self, nodes: &Nodes, block: usize) -> [usize; 2] {
-        let Self { pieces, first } = self;
+        let Self { segments, first } = self;
         let (particles, cells) = (nodes.order().len(), nodes.cells());
-        pieces.clear();
+        segments.clear();
         first.clear();
         first.reserve(particles.div_ceil(block) + 1);
-        // A row of cells is the lowest row of the stencils of its cells.
+        // Each row of cells is the lowest row of its cells' stencils.
         let most = particles.min(nodes.most_rows() + particles.div_ceil(block));
-        pieces.reserve(most);
+        segments.reserve(most);
         let mut sum = 0;
         for row in nodes.rows() {
             let mut cells_left = range(row.cells[0]);
             while !cells_left.is_empty() {
-                let begin = match pieces.last() {
-                    Some(piece) => piece.slots[1] as usize,
+                let begin = match segments.last() {
+                    Some(segment) => segment.slots[1] as usize,
                     None => 0,
                 };
                 let end = (begin + 1).next_multiple_of(block);
                 if begin.is_multiple_of(block) {
-                    first.push(pieces.len() as u32);
+                    first.push(segments.len() as u32);
                 }
-                // One behind the last cell that begins before the block's end.
+                // The cells that begin before the block's end.
                 let own = &cells[cells_left.clone()];
                 let count = own.partition_point(|cell| cell.slots().start < end);
                 let last = &own[count - 1];
@@ -66,26 +66,26 @@ impl Pieces {
                     sums[number + 1] = sum;
                 }
                 let here = cells_left.start;
-                pieces.push(Piece {
+                segments.push(Segment {
                     slots: [begin as u32, end as u32],
                     cells: [here as u32, (here + count) as u32],
                     sums,
                 });
-                // A cell that goes on behind the cut is in both pieces.
+                // A cell that continues behind the cut belongs to both segments.
                 let whole = if end < last.slots().end { count - 1 } else { count };
                 cells_left.start += whole;
             }
         }
-        first.push(pieces.len() as u32);
-        // Pieces of a row share the three nodes of a cell at most.
+        first.push(segments.len() as u32);
+        // Two segments of a row share at most the three nodes of a cell.
         [sum as usize, 3 * nodes.level(0).capacity() + 9 * most]
     }
 
-    fn of_block(&self, block: usize) -> &[Piece] {
-        &self.pieces[range([self.first[block], self.first[block + 1]])]
+    fn of_block(&self, block: usize) -> &[Segment] {
+        &self.segments[range([self.first[block], self.first[block + 1]])]
     }
 
-    /// The sums of a block (nodes).
+    /// The range of a block's sums (nodes).
     pub(super) fn sums(&self, block: usize) -> Range<usize> {
         match self.of_block(block) {
             [first, .., last] => first.sums[0] as usize..last.sums[3] as usize,
@@ -94,8 +94,8 @@ impl Pieces {
         }
     }
 
-    /// Sums what a block's particles have in `rows`, `[slot of the block, stride]`, on the nodes around
-    /// them, into the block's own `sums`.
+    /// P2G for a block: sums `rows`, `[slot of the block, stride]`, on the nodes of each particle's stencil, into the block's
+    /// own `sums`.
     #[inline(always)]
     pub(super) fn add<S: Simd>(
         &self,
@@ -107,25 +107,25 @@ impl Pieces {
         sums: &mut [f32],
     ) {
         sums.fill(0.0);
-        let pieces = self.of_block(block);
-        let Some(begin) = pieces.first() else { return };
-        for piece in pieces {
-            let cells = &nodes.cells()[range(piece.cells)];
+        let segments = self.of_block(block);
+        let Some(begin) = segments.first() else { return };
+        for segment in segments {
+            let cells = &nodes.cells()[range(segment.cells)];
             let starts = cells[0].nodes;
             for cell in cells {
-                let own = cell.slots().start.max(piece.slots[0] as usize)
-                    ..cell.slots().end.min(piece.slots[1] as usize);
+                let own = cell.slots().start.max(segment.slots[0] as usize)
+                    ..cell.slots().end.min(segment.slots[1] as usize);
                 let weights = &nodes.weights()[own.clone()];
                 let from = own.start - begin.slots[0] as usize;
                 let rows = &rows[from * stride..(from + own.len()) * stride];
                 let places = [0, 1, 2].map(|number| {
                     let node =
-                        piece.sums[number] - begin.sums[0] + cell.nodes[number] - starts[number];
+                        segment.sums[number] - begin.sums[0] + cell.nodes[number] - starts[number];
                     node as usize * stride
                 });
                 let mut part = 0;
                 while part < stride {
-                    // Two vectors at once where there are registers enough.
+                    // Two vectors at once if there are enough registers.
                     if S::REGISTER_COUNT >= 32 && part + 2 * S::F32_LANES <= stride {
                         add_cell::<S, 2>(simd, weights, rows, stride, part, places, sums);
                         part += 2 * S::F32_LANES;
@@ -138,7 +138,7 @@ impl Pieces {
         }
     }
 
-    /// Adds to a row of nodes, `[node, stride]`, what pieces have in `sums` for them.
+    /// Adds the segments' `sums` of a row of nodes to `joined`, `[node, stride]`.
     #[inline(always)]
     pub(super) fn join<S: Simd>(
         &self,
@@ -150,17 +150,17 @@ impl Pieces {
         joined: &mut [f32],
     ) {
         for (number, &cells) in row.cells.iter().enumerate() {
-            let first = self.pieces.partition_point(
+            let first = self.segments.partition_point(
                 #[inline(always)]
-                |piece| piece.cells[1] <= cells[0],
+                |segment| segment.cells[1] <= cells[0],
             );
-            for piece in &self.pieces[first..] {
-                if piece.cells[0] >= cells[1] {
+            for segment in &self.segments[first..] {
+                if segment.cells[0] >= cells[1] {
                     break;
                 }
-                let cell: &Cell = &nodes.cells()[piece.cells[0] as usize];
+                let cell: &Cell = &nodes.cells()[segment.cells[0] as usize];
                 let place = (cell.nodes[number] - row.nodes[0]) as usize * stride;
-                let own = range([piece.sums[number], piece.sums[number + 1]]);
+                let own = range([segment.sums[number], segment.sums[number + 1]]);
                 let own = S::as_simd_f32s(&sums[own.start * stride..own.end * stride]).0;
                 let joined = S::as_mut_simd_f32s(&mut joined[place..]).0;
                 for (joined, own) in joined.iter_mut().zip(own) {
@@ -171,8 +171,8 @@ impl Pieces {
     }
 }
 
-/// The share of some particles of a cell, from their weights and `rows`: V vectors from number `part` of
-/// the rows on, for the nodes whose rows begin at `places`, three nodes each.
+/// Adds the contribution of particles of one cell, from their weights and `rows`: V vectors from column `part` on, to the
+/// three nodes of each stencil row, whose sums begin at `places`.
 #[inline(always)]
 fn add_cell<S: Simd, const V: usize>(
     simd: S,
@@ -228,7 +228,7 @@ mod tests {
     use super::*;
     use crate::kernels::{nodes::Window, transfer::to_nodes};
 
-    /// The sums on all nodes, from rows by particle.
+    /// The sums on all nodes, from rows in the order of particles.
     struct Sum<'a>(&'a Nodes, usize, &'a [f32], usize);
 
     impl WithSimd for Sum<'_> {
@@ -237,23 +237,23 @@ mod tests {
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> Vec<f32> {
             let Self(nodes, block, rows, stride) = self;
-            let mut pieces = Pieces::default();
-            let [count, most] = pieces.cut(nodes, block);
+            let mut segments = Segments::default();
+            let [count, most] = segments.cut(nodes, block);
             assert!(count <= most, "{count} sums, room for {most}");
-            // What was there before does not matter.
+            // Previous contents must not matter.
             let mut sums = vec![7.0; count * stride];
             for (number, slots) in nodes.order().chunks(block).enumerate() {
                 let row = |&particle: &u32| &rows[particle as usize * stride..][..stride];
                 let rows: Vec<f32> = slots.iter().flat_map(row).copied().collect();
-                let own = pieces.sums(number);
+                let own = segments.sums(number);
                 let own = &mut sums[own.start * stride..own.end * stride];
-                pieces.add(simd, nodes, number, &rows, stride, own);
+                segments.add(simd, nodes, number, &rows, stride, own);
             }
             let mut joined = vec![0.0; nodes.level(0).len() * stride];
             for row in nodes.rows() {
                 let own = range(row.nodes);
                 let own = &mut joined[own.start * stride..own.end * stride];
-                pieces.join(simd, nodes, row, &sums, stride, own);
+                segments.join(simd, nodes, row, &sums, stride, own);
             }
             joined
         }
@@ -261,7 +261,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_pieces_add_up_to_is_what_particles_write(
+        fn sums_of_segments_are_the_sums_over_all_particles(
             position in proptest::collection::vec([-0.1f32..1.1, 0f32..0.6], 0..300),
             block in 1usize..60,
             width in 1usize..4,

@@ -1,0 +1,334 @@
+//! The sparse grid that connects a particle with its surroundings (`model/grid.rs` of `eddy-learning` for training).
+//!
+//! Each layer is a stage whose items are blocks of nodes. It reads one list of features and writes another.
+#![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
+
+use std::{collections::BTreeMap, ops::Range};
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::{
+    Ballistic,
+    crew::Parts,
+    linear::{Linear, load, store},
+    products::{Gathered, Output, Rows, Sink, Source, apply},
+    scales::{FULL_MASS, MIN_MASS},
+    scatter::Segments,
+};
+use crate::{
+    checkpoint::{GridOptions, Weights, layout},
+    kernels::{
+        activation::Exponentials,
+        math::relu,
+        nodes::{Level, MISSING, Nodes, Row, range},
+    },
+};
+use eddy_frames::Domain;
+
+/// Nodes per block: a multiple of the rows that are computed at once.
+const BLOCK: usize = 24;
+
+/// Lists of features at nodes.
+const FIELDS: usize = 7;
+/// The list that particles are summed in: averages, mass, and proximity to the four walls.
+const WRITTEN: usize = 0;
+/// The list that particles gather from.
+pub(super) const READ: usize = 2;
+
+/// The level of each list.
+const LEVEL: [usize; FIELDS] = [0, 0, 0, 1, 1, 2, 2];
+
+/// The inputs of a layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stencil {
+    /// The 3 x 3 around a node.
+    Neighbours,
+    /// A node's children.
+    Children,
+    /// A node's parent; the output is added to this list (skip connection).
+    Parent(usize),
+}
+
+/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
+const LAYERS: [(Stencil, usize, usize); 11] = [
+    (Stencil::Neighbours, WRITTEN, 1),
+    (Stencil::Neighbours, 1, 2),
+    (Stencil::Children, 2, 3),
+    (Stencil::Neighbours, 3, 4),
+    (Stencil::Children, 4, 5),
+    (Stencil::Neighbours, 5, 6),
+    (Stencil::Neighbours, 6, 5),
+    (Stencil::Parent(4), 5, 3),
+    (Stencil::Neighbours, 3, 4),
+    (Stencil::Parent(2), 4, 1),
+    (Stencil::Neighbours, 1, READ),
+];
+
+/// Stages of the layers.
+pub(super) const STAGES: usize = LAYERS.len();
+
+/// The packed layers.
+#[derive(Debug)]
+pub(super) struct Grid {
+    /// One matrix per layer, or one per child.
+    layers: Vec<Vec<Linear>>,
+    /// Length of the rows of each list, padded to whole panels of the layer that writes it.
+    strides: [usize; FIELDS],
+    pub(super) cell_width: f32,
+    /// C0.
+    channels: usize,
+}
+
+/// The nodes of a frame, and the buffers between layers.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    pub(super) nodes: Nodes,
+    /// The lists, `[nodes + 1, its stride]`; the last row is zero.
+    pub(super) fields: [Vec<f32>; FIELDS],
+    /// Proximity to the left and right wall of each column of nodes from [`FIRST_COLUMN`] on.
+    pub(super) columns: Vec<[f32; 2]>,
+}
+
+/// The lists of [`Scratch`], shared between threads.
+pub(super) type Fields<'a> = [Parts<'a, f32>; FIELDS];
+
+impl Grid {
+    pub(super) fn pack(
+        lanes: usize,
+        grid: &GridOptions,
+        tensors: &BTreeMap<String, Weights>,
+    ) -> Self {
+        let [c0, c1, c2] = grid.channels;
+        let pack = |(layer, ..): (&str, usize, usize, usize), stencil| {
+            let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
+            match stencil {
+                Stencil::Neighbours | Stencil::Children => {
+                    vec![Linear::pack(lanes, weight, bias, 0, 1)]
+                }
+                // All children share the bias.
+                Stencil::Parent(_) => {
+                    let [outputs, inputs] = [bias.values.len(), weight.shape[1]];
+                    let children = weight.values.chunks_exact(outputs * inputs);
+                    let child = |values: &[f32]| Weights {
+                        shape: vec![outputs, inputs],
+                        values: values.to_vec(),
+                    };
+                    children.map(|own| Linear::pack(lanes, &child(own), bias, 0, 1)).collect()
+                }
+            }
+        };
+        let layers = layout::grid_layers(grid).into_iter().zip(LAYERS);
+        let widths = [c0 + layout::NODE_FEATURES, c0, c0, c1, c1, c2, c2];
+        Self {
+            layers: layers.map(|(layer, (stencil, ..))| pack(layer, stencil)).collect(),
+            strides: widths.map(|width| width.next_multiple_of(lanes)),
+            cell_width: grid.cell_width,
+            channels: c0,
+        }
+    }
+
+    /// Length of the rows that particles are summed in.
+    pub(super) fn written_width(&self) -> usize {
+        self.strides[WRITTEN]
+    }
+
+    /// Length of the rows that particles gather.
+    pub(super) fn read_width(&self) -> usize {
+        self.strides[READ]
+    }
+
+    /// Resizes the lists to the nodes, and reserves as much as the nodes can grow without allocating.
+    pub(super) fn resize(&self, scratch: &mut Scratch) {
+        for (list, numbers) in scratch.fields.iter_mut().enumerate() {
+            let (level, width) = (scratch.nodes.level(LEVEL[list]), self.strides[list]);
+            let length = level.len() * width;
+            numbers.truncate(length);
+            numbers.reserve((level.capacity() + 1) * width - numbers.len());
+            numbers.resize(length, 0.0);
+            numbers.resize(length + width, 0.0);
+        }
+    }
+
+    /// Number of items of a layer's stage.
+    pub(super) fn items(&self, layer: usize, nodes: &Nodes) -> usize {
+        let (stencil, _, to) = LAYERS[layer];
+        let rows = match stencil {
+            Stencil::Neighbours | Stencil::Children => nodes.level(LEVEL[to]),
+            Stencil::Parent(_) => nodes.level(LEVEL[to] + 1),
+        };
+        rows.len().div_ceil(BLOCK)
+    }
+
+    /// Computes the inputs of a row of nodes from the segments' sums.
+    #[inline(always)]
+    pub(super) fn write<S: Simd>(
+        &self,
+        simd: S,
+        nodes: &Nodes,
+        row: &Row,
+        (segments, sums): (&Segments, &[f32]),
+        walls: &Walls,
+        fields: &Fields,
+    ) {
+        let (channels, width) = (self.channels, self.strides[WRITTEN]);
+        let own = range(row.nodes);
+        // SAFETY: only this item uses these nodes.
+        let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
+        written.fill(0.0);
+        segments.join(simd, nodes, row, sums, width, written);
+        let at = &nodes.level(0).at[own];
+        let [_, lower, _, upper] = walls.negative_distances(at.first().copied().unwrap_or([0; 2]));
+        let mut vertical = [lower, upper];
+        Exponentials(&mut vertical).with_simd(simd);
+        for (written, &[column, _]) in written.chunks_exact_mut(width).zip(at) {
+            let mass = written[channels];
+            let scale = simd.splat_f32s(1.0 / (mass + MIN_MASS));
+            for part in S::as_mut_simd_f32s(written).0 {
+                *part = simd.mul_f32s(*part, scale);
+            }
+            let [left, right] = walls.columns[(column - FIRST_COLUMN) as usize];
+            written[channels] = mass / FULL_MASS;
+            written[channels + 1..channels + 5].copy_from_slice(&[
+                left,
+                vertical[0],
+                right,
+                vertical[1],
+            ]);
+        }
+    }
+
+    /// A layer on a block of nodes.
+    #[inline(always)]
+    pub(super) fn layer<S: Simd>(
+        &self,
+        simd: S,
+        layer: usize,
+        item: usize,
+        nodes: &Nodes,
+        fields: &Fields,
+    ) {
+        let (stencil, from, to) = LAYERS[layer];
+        let (width, level) = (self.strides[to], nodes.level(LEVEL[to]));
+        // SAFETY: this stage does not write to this list.
+        let numbers = unsafe { fields[from].read(0..fields[from].len()) };
+        let rows = Rows { numbers, width: self.strides[from] };
+        let zero = nodes.level(LEVEL[from]).len();
+        let block = |level: &Level| item * BLOCK..((item + 1) * BLOCK).min(level.len());
+        match stencil {
+            Stencil::Neighbours => {
+                let own = block(level);
+                let source = Gathered { table: &level.neighbours[own.clone()], rows, zero };
+                self.gather(simd, layer, own, &source, &fields[to]);
+            }
+            Stencil::Children => {
+                let own = block(level);
+                let source = Gathered { table: &level.children[own.clone()], rows, zero };
+                self.gather(simd, layer, own, &source, &fields[to]);
+            }
+            Stencil::Parent(skip) => {
+                let parents = nodes.level(LEVEL[to] + 1);
+                let own = block(parents);
+                let numbers = &numbers[own.start * rows.width..own.end * rows.width];
+                let children = &parents.children[own.clone()];
+                for (child, linear) in self.layers[layer].iter().enumerate() {
+                    let mut sink =
+                        Children { children, child, skip: fields[skip], to: fields[to], width };
+                    let source = Rows { numbers, width: rows.width };
+                    apply(simd, linear, own.len(), &source, &mut sink);
+                }
+            }
+        }
+    }
+
+    /// A convolution for a range of nodes.
+    #[inline(always)]
+    fn gather<S: Simd>(
+        &self,
+        simd: S,
+        layer: usize,
+        nodes: Range<usize>,
+        source: &impl Source,
+        field: &Parts<'_, f32>,
+    ) {
+        let width = self.strides[LAYERS[layer].2];
+        // SAFETY: only this item uses these nodes.
+        let numbers = unsafe { field.part(nodes.start * width..nodes.end * width) };
+        // Only the last layer has no ReLU.
+        let mut sink = Output { numbers, width, rectify: layer + 1 < STAGES };
+        apply(simd, &self.layers[layer][0], nodes.len(), source, &mut sink);
+    }
+}
+
+/// Writes to one child of each parent of a block: ReLU of the sum with the skip connection.
+struct Children<'a> {
+    children: &'a [[u32; 4]],
+    child: usize,
+    skip: Parts<'a, f32>,
+    to: Parts<'a, f32>,
+    width: usize,
+}
+
+impl Sink for Children<'_> {
+    #[inline(always)]
+    fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s) {
+        let node = self.children[row][self.child];
+        if node == MISSING {
+            return;
+        }
+        let first = node as usize * self.width;
+        let place = first + outputs.start..first + outputs.end;
+        // SAFETY: a node has one parent, which is in this item's block only; this stage does not write to `skip`.
+        let (skip, to) = unsafe { (self.skip.read(place.clone()), self.to.part(place)) };
+        let sums = simd.add_f32s(load(simd, skip), sums);
+        store(simd, to, relu(simd, sums));
+    }
+}
+
+/// Proximity of nodes to the effective walls.
+pub(super) struct Walls<'a> {
+    pub(super) ballistic: Ballistic,
+    /// Lower corner of the domain (domain lengths).
+    origin: [f32; 2],
+    /// Of the finest level (domain lengths).
+    pub(super) cell_width: f32,
+    columns: &'a [[f32; 2]],
+}
+
+/// A column left of all nodes.
+const FIRST_COLUMN: i32 = -2;
+
+impl<'a> Walls<'a> {
+    pub(super) fn new(
+        arch: Arch,
+        ballistic: Ballistic,
+        domain: &Domain,
+        cell_width: f32,
+        columns: &'a mut Vec<[f32; 2]>,
+    ) -> Self {
+        let origin = domain.lower;
+        columns.clear();
+        let count = ((domain.upper[0] - origin[0]) / cell_width).ceil() as i32 + 5;
+        let mut walls = Self { ballistic, origin, cell_width, columns: &[] };
+        columns.extend((FIRST_COLUMN..FIRST_COLUMN + count).map(|column| {
+            let [left, _, right, _] = walls.negative_distances([column, 0]);
+            [left, right]
+        }));
+        arch.dispatch(Exponentials(columns.as_flattened_mut()));
+        walls.columns = columns;
+        walls
+    }
+
+    /// The negative distances of a node from the left, lower, right and upper wall (cells).
+    #[inline(always)]
+    fn negative_distances(&self, at: [i32; 2]) -> [f32; 4] {
+        let mut distances = [0.0; 4];
+        for axis in 0..2 {
+            let place = self.origin[axis] + at[axis] as f32 * self.cell_width;
+            let below = (place - self.ballistic.lower[axis]).max(0.0);
+            let above = (self.ballistic.upper[axis] - place).max(0.0);
+            distances[axis] = -below / self.cell_width;
+            distances[2 + axis] = -above / self.cell_width;
+        }
+        distances
+    }
+}

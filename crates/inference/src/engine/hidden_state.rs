@@ -1,0 +1,112 @@
+//! What a network remembers of a stream.
+
+use std::sync::Arc;
+
+use super::order::spatial_order;
+use crate::{
+    checkpoint::{Core, Description, GridOptions},
+    kernels::rest_shape::RestShape,
+};
+use eddy_frames::Frame;
+
+/// Rows of hidden states are padded to a multiple of this length, so that most begin at a cache line.
+const LINE: usize = 16;
+
+/// Length of a row of hidden states in the particle model.
+pub(super) fn stride(hidden: usize) -> usize {
+    hidden.next_multiple_of(LINE)
+}
+
+/// The hidden state of one stream.
+///
+/// `clone_from` copies into a state of the same network and number of particles without allocating, as a look-ahead does
+/// every frame.
+#[derive(Debug, PartialEq)]
+pub struct HiddenState {
+    /// Particle model: the particle in each row, sorted by place in the stream's first frame. Empty in the frame model, which
+    /// keeps the order of the input.
+    pub(super) order: Arc<Vec<u32>>,
+    /// The material number of each row's particle, `[N]`.
+    pub(super) material: Vec<u8>,
+    /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
+    pub(super) rest: Arc<RestShape>,
+    /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
+    /// [`stride`] long. Zero before the first frame.
+    pub(super) hidden: Vec<f32>,
+    /// Cells of an LSTM, of the same shape; empty for other cores.
+    pub(super) cell: Vec<f32>,
+    /// Particle model: the velocities that the ballistic step expects in the coming frame, `[N, 2]`. Empty in the frame
+    /// model.
+    pub(super) expected_velocity: Vec<[f32; 2]>,
+    /// Whether a frame was observed.
+    pub(super) begun: bool,
+}
+
+impl HiddenState {
+    /// The state for the particles of `frame` before the first observed frame.
+    pub(super) fn new(description: &Description, frame: &Frame) -> Self {
+        let particles = frame.len();
+        let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
+        let (mut order, mut rest) = (Vec::new(), RestShape::default());
+        if let Some(GridOptions { cell_width, spacing, .. }) = description.grid {
+            order = spatial_order(frame, cell_width);
+            // Built before reordering: the choice among equally distant neighbours must not depend on the order.
+            rest = RestShape::new(&frame.position, &frame.material, 1, spacing).permuted(&order);
+            material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
+        }
+        let hidden = description.sizes.hidden;
+        let (numbers, expected_velocity) = match description.sizes.particles {
+            Some(_) => (hidden, 0),
+            None => (particles * stride(hidden), particles),
+        };
+        let states = description.sizes.layers * numbers;
+        let cells = if description.core == Core::Lstm { states } else { 0 };
+        Self {
+            order: Arc::new(order),
+            material,
+            rest: Arc::new(rest),
+            hidden: vec![0.0; states],
+            cell: vec![0.0; cells],
+            expected_velocity: vec![[0.0; 2]; expected_velocity],
+            begun: false,
+        }
+    }
+
+    /// Number of particles.
+    pub fn particles(&self) -> usize {
+        self.material.len()
+    }
+
+    /// Forgets the observed frames, but keeps the rest shape of solids: for a stream that was interrupted.
+    pub fn forget(&mut self) {
+        self.hidden.fill(0.0);
+        self.cell.fill(0.0);
+        self.expected_velocity.fill([0.0; 2]);
+        self.begun = false;
+    }
+}
+
+impl Clone for HiddenState {
+    fn clone(&self) -> Self {
+        Self {
+            order: Arc::clone(&self.order),
+            material: self.material.clone(),
+            rest: Arc::clone(&self.rest),
+            hidden: self.hidden.clone(),
+            cell: self.cell.clone(),
+            expected_velocity: self.expected_velocity.clone(),
+            begun: self.begun,
+        }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { order, material, rest, hidden, cell, expected_velocity, begun } = self;
+        *order = Arc::clone(&other.order);
+        material.clone_from(&other.material);
+        *rest = Arc::clone(&other.rest);
+        hidden.clone_from(&other.hidden);
+        cell.clone_from(&other.cell);
+        expected_velocity.clone_from(&other.expected_velocity);
+        *begun = other.begun;
+    }
+}

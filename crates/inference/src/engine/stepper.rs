@@ -1,0 +1,178 @@
+//! Threads and scratch memory that predict streams: all threads on one stream, or each thread on its own.
+//!
+//! Threads that share a frame wait for each other at every stage. Where several streams have a frame waiting, each
+//! thread takes one and none waits: more frames per second, each with a higher latency.
+#![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
+
+use std::sync::Arc;
+
+use super::{
+    HiddenState,
+    crew::{Crew, Parts, Task},
+    frame_model::{self, FrameModel},
+    particle_model::{self, ParticleModel},
+};
+use eddy_frames::{Frame, FrameView, Material, Particles, Stamp};
+
+/// Multiplications per frame from which waking the other threads pays (some ten microseconds of work).
+const WORTH_WAKING: usize = 1 << 18;
+
+/// A packed network.
+#[expect(clippy::large_enum_variant, reason = "there is one per surrogate")]
+pub(super) enum Network {
+    Frame(FrameModel),
+    Particle(ParticleModel),
+}
+
+impl Network {
+    fn stages(&self) -> usize {
+        match self {
+            Self::Frame(model) => model.stages(),
+            Self::Particle(model) => model.stages.len(),
+        }
+    }
+
+    fn scratch(&self, threads: usize) -> Scratch {
+        match self {
+            Self::Frame(model) => Scratch::Frame(Box::new(model.scratch(threads))),
+            Self::Particle(model) => Scratch::Particle(Box::new(model.scratch(threads))),
+        }
+    }
+}
+
+/// Buffers for one frame.
+enum Scratch {
+    Frame(Box<frame_model::Scratch>),
+    Particle(Box<particle_model::Scratch>),
+}
+
+/// Predicts streams, one frame at a time, on its own threads and in its own scratch memory
+/// ([`Surrogate::stepper`](super::Surrogate::stepper)).
+///
+/// The scratch memory grows to the largest frame predicted so far and is kept.
+pub struct Stepper {
+    network: Arc<Network>,
+    /// Time between two frames (ns).
+    interval: i64,
+    pool: Crew,
+    scratch: Scratch,
+    /// A single-threaded stepper for each thread; none if there is only one thread.
+    single: Vec<Self>,
+}
+
+impl Stepper {
+    pub(super) fn new(network: &Arc<Network>, interval: i64, threads: usize) -> Self {
+        let pool = Crew::new(threads, network.stages());
+        let threads = pool.threads();
+        let single = if threads > 1 { threads } else { 0 };
+        Self {
+            network: Arc::clone(network),
+            interval,
+            scratch: network.scratch(threads),
+            single: (0..single).map(|_| Self::new(network, interval, 1)).collect(),
+            pool,
+        }
+    }
+
+    /// Number of threads, and so of items that [`Stepper::for_each`] processes at once.
+    pub fn threads(&self) -> usize {
+        self.pool.threads()
+    }
+
+    /// Observes a frame, true or predicted, of the particles that `hidden` was started for, and writes the predicted next
+    /// frame to `next`: its sequence is one higher, its stamp `dt` later. The prediction may contain non-finite numbers;
+    /// check it with [`Frame::check`].
+    ///
+    /// Nothing is allocated once a frame with as many particles in as large a domain was predicted into `next`.
+    ///
+    /// # Panics
+    /// If the number of particles differs from that of `hidden`. A domain that
+    /// [`Surrogate::fits`](super::Surrogate::fits) rejects may exhaust the memory.
+    pub fn step_into<'a>(
+        &mut self,
+        hidden: &mut HiddenState,
+        frame: impl Into<FrameView<'a>>,
+        next: &mut Frame,
+    ) {
+        let frame = frame.into();
+        let particles = hidden.particles();
+        assert_eq!(
+            frame.particles.len(),
+            particles,
+            "the hidden state is for {particles} particles"
+        );
+        self.prepare(&frame, next);
+        match (&*self.network, &mut self.scratch) {
+            (Network::Frame(model), Scratch::Frame(scratch)) => {
+                let alone = model.work() < WORTH_WAKING;
+                model.step(&mut self.pool, alone, scratch, hidden, frame, next);
+            }
+            (Network::Particle(model), Scratch::Particle(scratch)) => {
+                let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
+                model.step(&mut self.pool, alone, scratch, hidden, frame, next);
+            }
+            _ => unreachable!("a network and its scratch buffers are made together"),
+        }
+    }
+
+    /// As [`Stepper::step_into`], with a new frame for the prediction.
+    pub fn step(&mut self, hidden: &mut HiddenState, frame: &Frame) -> Frame {
+        let mut next = Frame {
+            stream: frame.stream,
+            sequence: frame.sequence,
+            stamp: frame.stamp,
+            dt: frame.dt,
+            domain: frame.domain,
+            position: Vec::new(),
+            velocity: Vec::new(),
+            material: Vec::new(),
+        };
+        self.step_into(hidden, frame, &mut next);
+        next
+    }
+
+    /// Calls `work` for each item with a stepper: all threads together for a single item, one thread per item for
+    /// several. The predictions have the same bits either way.
+    ///
+    /// # Panics
+    /// If `work` does, on any thread.
+    pub fn for_each<T: Send + Sync>(
+        &mut self,
+        items: &mut [T],
+        work: impl Fn(&mut Self, &mut T) + Sync,
+    ) {
+        if items.len() < 2 || self.single.is_empty() {
+            items.iter_mut().for_each(|item| work(self, item));
+            return;
+        }
+        let (count, items, single) = (items.len(), Parts::new(items), Parts::new(&mut self.single));
+        self.pool.run([count], false, &|Task { item, thread, .. }| {
+            // SAFETY: each item runs once, and no two running items have the same thread number.
+            let (item, stepper) = unsafe {
+                (&mut items.part(item..item + 1)[0], &mut single.part(thread..thread + 1)[0])
+            };
+            work(stepper, item);
+        });
+    }
+
+    /// Sets everything in `next` but positions and velocities, for which it makes room.
+    fn prepare(&self, frame: &FrameView<'_>, next: &mut Frame) {
+        let particles = frame.particles.len();
+        let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = next;
+        (*stream, *sequence) = (frame.stream, frame.sequence + 1);
+        *stamp = Stamp(frame.stamp.0.saturating_add(self.interval));
+        (*dt, *domain) = (frame.dt, frame.domain);
+        match frame.particles {
+            Particles::Lists { material: kinds, .. } => kinds.clone_into(material),
+            rows @ Particles::Rows(_) => {
+                // Checked by the caller; but in shared memory, a program may still write to the rows. Their number must
+                // not change.
+                let kind = |particle| rows.material(particle).unwrap_or(Material::Liquid);
+                material.clear();
+                material.extend((0..particles).map(kind));
+            }
+        }
+        position.resize(particles, [0.0; 2]);
+        velocity.resize(particles, [0.0; 2]);
+    }
+}

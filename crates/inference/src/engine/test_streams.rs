@@ -1,0 +1,97 @@
+//! Networks and streams for tests of the engine. `eddy-learning` includes this file to compare the engine with the networks
+//! in burn: names come from the module that includes it.
+
+use std::num::NonZeroUsize;
+
+use pulp::Arch;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    Architecture, Checkpoint, Core, Description, Domain, Frame, GridOptions, Material,
+    Normalization, Sizes, Stamp, Surrogate, initial_weights,
+};
+
+pub(super) const DT: f32 = 0.016;
+
+pub(super) fn description(architecture: Architecture, core: Core, sizes: Sizes) -> Description {
+    Description {
+        normalization: Normalization {
+            minimum: [0.05, 0.05, -3.0, -4.0],
+            maximum: [0.95, 0.95, 3.0, 3.0],
+            mean: [0.5, 0.3, 0.1, -0.5],
+            standard_deviation: [0.2, 0.2, 0.7, 0.9],
+        },
+        grid: (architecture == Architecture::Particle).then_some(GridOptions {
+            cell_width: 1.0 / 32.0,
+            channels: [16, 24, 20],
+            spacing: 0.02,
+        }),
+        ..Description::untrained(architecture, core, sizes)
+    }
+}
+
+/// Random weights, including biases and the decoder.
+pub(super) fn checkpoint(description: Description, seed: u64) -> Checkpoint {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial_weights(&description, seed);
+    for (name, weights) in &mut tensors {
+        if name.starts_with("decoder") || weights.shape.len() == 1 {
+            for value in &mut weights.values {
+                *value += random.random_range(-0.3..0.3);
+            }
+        }
+    }
+    Checkpoint { description, tensors }
+}
+
+/// Particles at random places in every frame, some at walls and beyond.
+pub(super) fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let material: Vec<_> =
+        (0..particles).map(|_| Material::ALL[random.random_range(0..4)]).collect();
+    let mut pairs = |low: f32, high: f32| {
+        (0..particles).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    (0..count)
+        .map(|sequence| Frame {
+            stream: 4,
+            sequence,
+            stamp: Stamp(0).advance(DT, sequence as u32),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: pairs(0.0, 1.0),
+            velocity: pairs(-2.0, 2.0),
+            material: material.clone(),
+        })
+        .collect()
+}
+
+pub(super) fn largest_difference(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+pub(super) fn threads(number: usize) -> Option<NonZeroUsize> {
+    NonZeroUsize::new(number)
+}
+
+/// The instruction sets of this processor, the scalar one first.
+pub(super) fn instruction_sets() -> Vec<Arch> {
+    let mut sets = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        sets.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        sets.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    sets.push(Arch::new());
+    sets
+}
+
+/// The prediction after each frame of a stream.
+pub(super) fn predict(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
+    let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
+    frames.iter().map(|frame| stepper.step(&mut hidden, frame)).collect()
+}
