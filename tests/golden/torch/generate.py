@@ -1,23 +1,23 @@
-"""Writes the golden data beside this script: what PyTorch computes in float64 with small models.
+"""Write the golden data next to this script: results of small models, computed by PyTorch in float64.
 
     pip install -r tests/peers/requirements-bench.txt
     python tests/golden/torch/generate.py
 
-Each row of `ROWS` and `PARTICLE_ROWS` becomes `NAME.safetensors`. Its metadata `row` is JSON with `description` (the network,
-as `model.toml` describes it) and `training` (what is minimised, and the clip), its tensors are
+Each row of `ROWS` and `PARTICLE_ROWS` becomes `NAME.safetensors`. Its metadata `row` is JSON with `description` (the network
+as in `model.toml`) and `training` (the loss and the gradient clip). Its tensors are
 
-    weight.*                     initial weights, every one an f32
-    input.position, .velocity    [T, B, N, 2], warm-up and future; at rest in the first frame
+    weight.*                     initial weights, exactly representable as f32
+    input.position, .velocity    [T, B, N, 2], warm-up and future; the first frame is the rest shape
     input.material               [B, N]
-    forward.position, .velocity  the frame predicted after each of the T frames, [T, B, N, 2]
-    unroll.position, .velocity   the future, predicted from the warm-up alone, [K, B, N, 2]
+    forward.position, .velocity  prediction after each of the T frames, [T, B, N, 2]
+    unroll.position, .velocity   free rollout from the warm-up, [K, B, N, 2]
     loss                         [1]
-    gradient.*                   of that loss
-    change.*                     of the weights by ten steps of Adam on that loss
+    gradient.*                   gradients of the loss
+    change.*                     change of the weights after ten steps of Adam
 
-all computed in float64 and stored as f32 (loss: f64). In `checkpoints/CORE/` PyTorch wrote a checkpoint,
-with `frames.safetensors`: the frames it was shown, [T, N, 2], and what it predicted after each of them.
-`VERSIONS` says what computed.
+all computed in float64 and stored as f32 (loss: f64). `checkpoints/CORE/` contains a checkpoint written by PyTorch
+and `frames.safetensors`: input frames, [T, N, 2], and the prediction after each of them. `VERSIONS` lists the
+versions used.
 """
 
 import json
@@ -37,7 +37,7 @@ from torch_model import Model, describe, network, save  # noqa: E402
 
 FRAMES, WINDOWS, PARTICLES = 5, 3, 12
 SIZES = {"encoder": 7, "hidden": 6, "layers": 2, "particles": PARTICLES}
-# A whole pack of SIMD lanes, and one over.
+# One more than a multiple of the SIMD width.
 WIDE = {"encoder": 33, "hidden": 17, "layers": 1, "particles": PARTICLES}
 STEPS, LEARNING_RATE, EPSILON = 10, 1e-3, 1e-8
 
@@ -45,7 +45,7 @@ TEACHER = {"warm_up": 4, "observed_weight": 1.0, "clip": None}
 UNROLL = {"warm_up": 3, "observed_weight": 0.5, "clip": 3e-4}
 CORES = ("mlp", "lstm", "gru", "minlstm", "mingru")
 
-# Name, core, what differs from the defaults, what is minimised.
+# Name, core, differences from the defaults, loss.
 ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
     *((f"{core}_teacher", core, {}, TEACHER) for core in CORES),
     *((f"{core}_unroll", core, {"sizes": WIDE}, UNROLL) for core in CORES),
@@ -63,11 +63,10 @@ ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
     ("mingru_z_score", "mingru", {"frame": {"scaling": "z-score"}}, UNROLL),
 ]
 
-# A cell and a spacing so wide that a few particles fill the grid.
+# Cells and spacing large enough for a few particles to fill the grid.
 SURROUNDINGS = {"cell_width": 0.125, "channels": [3, 4, 5], "spacing": 0.0625}
-# A scene's bodies as columns and rows, how far apart their particles are (spacings), their lower left
-# corner and how fast they fly. The jelly is so dense that not every particle in reach is a neighbour, the
-# thread so thin that none is.
+# A scene's bodies: columns and rows, distance between particles (spacings), lower left corner, velocity. The jelly is
+# so dense that not every particle in range is a neighbour, the thread so thin that none is.
 BODIES = {
     "jelly": ((4, 4), 0.8, (0.2, 0.5), (1.0, -0.5)),
     "rope": ((4, 2), 1.0, (0.3, 0.07), (0.2, -1.0)),
@@ -75,18 +74,18 @@ BODIES = {
 }
 DROPS, FLAKES = 3, 2
 SCENE = torch.tensor([2] * 16 + [3] * 12 + [0] * DROPS + [1] * FLAKES)  # materials
-# PyTorch's initial matrices shrink what passes through so many layers with a ReLU until gradients are
-# smaller than Adam's epsilon.
+# With PyTorch's initial weights, signals shrink in so many ReLU layers until gradients are smaller than Adam's
+# epsilon.
 GAIN = 2.0
 
-# The same for the particle model.
+# Rows of the particle model.
 PARTICLE_ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
     (f"particle_{core}", core, {}, UNROLL) for core in CORES
 ]
 
 
 def particles(frames: int, windows: int) -> tuple[Bodies, Tensor]:
-    """Particles that fly nearly straight, and their materials."""
+    """Particles that move almost in straight lines, and their materials."""
     push = 0.1 * torch.randn(frames, windows, PARTICLES, 2)
     push[0] = 2 * torch.rand(windows, PARTICLES, 2) - 1
     velocity = push.cumsum(0)
@@ -95,7 +94,7 @@ def particles(frames: int, windows: int) -> tuple[Bodies, Tensor]:
 
 
 def body(shape: tuple[int, int], apart: float, corner: tuple[float, float], flies: tuple[float, float]) -> Bodies:
-    """The particles of a body, [N, 2] each, a bit out of line; it turns as it flies."""
+    """The particles of a flying, rotating body, [N, 2] each, slightly disordered."""
     step = apart * SURROUNDINGS["spacing"]
     places = step * torch.cartesian_prod(*(torch.arange(count) for count in shape)) + torch.tensor(corner)
     places += 0.2 * step * (torch.rand(places.shape) - 0.5)
@@ -104,7 +103,7 @@ def body(shape: tuple[int, int], apart: float, corner: tuple[float, float], flie
 
 
 def scene(frames: int, windows: int) -> tuple[Bodies, Tensor]:
-    """A jelly in flight, a rope at the floor, a thread at a wall, drops in a corner, and lonely flakes."""
+    """A flying jelly, a rope on the floor, a thread at a wall, drops in a corner, and single flakes."""
     places, thrown = [], []
     for _ in range(windows):
         bodies = [body(*row) for row in BODIES.values()]
@@ -120,7 +119,7 @@ def scene(frames: int, windows: int) -> tuple[Bodies, Tensor]:
 
 
 def unroll(model: Model, observed: Bodies, matter: Any, frames: int) -> tuple[Bodies, Bodies]:
-    """Predicts `frames` frames from its own output, and each frame after an observed one."""
+    """Predict `frames` frames in a free rollout, and one frame after each observed one."""
     steps, state = model(observed, matter)
     future = [tuple(track[-1:] for track in steps)]
     while len(future) < frames:
@@ -131,14 +130,14 @@ def unroll(model: Model, observed: Bodies, matter: Any, frames: int) -> tuple[Bo
 
 
 def mean_squared_error(found: Bodies, truth: Bodies, unit: Tensor) -> Tensor:
-    """Of positions and velocities in units of the features' ranges (the paper's eq. 2)."""
+    """Mean squared error of positions and velocities, scaled by the features' ranges (the paper's eq. 2)."""
     return ((torch.cat(found, -1) - torch.cat(truth, -1)) / unit).square().mean()
 
 
 def objective(
     model: Model, bodies: Bodies, matter: Any, unit: Tensor, training: dict[str, Any]
 ) -> tuple[Tensor, Bodies]:
-    """The loss of a free unroll and of the one-step predictions in the warm-up; the unroll."""
+    """The loss of a free rollout and of the one-step predictions in the warm-up; also returns the rollout."""
     warm_up = training["warm_up"]
     position, velocity = bodies
     observed, future = (position[:warm_up], velocity[:warm_up]), (position[warm_up:], velocity[warm_up:])
@@ -172,7 +171,7 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
         adam.zero_grad()
         objective(model, bodies, matter, unit, training)[0].backward()
         if training["clip"] is not None:
-            for tensor in model.parameters():  # each on its own
+            for tensor in model.parameters():  # clip each tensor separately
                 tensor.grad *= (training["clip"] / tensor.grad.norm()).clamp(max=1)
         adam.step()
 
@@ -186,7 +185,7 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
 
 
 def checkpoint(core: str) -> None:
-    """A checkpoint, eight frames it was shown, and what it predicted after each of them."""
+    """Write a checkpoint with eight input frames and the prediction after each of them."""
     directory = HERE / "checkpoints" / core
     description = describe(core, SIZES)
     model = network(description)
@@ -201,7 +200,7 @@ def checkpoint(core: str) -> None:
 
 
 def write(rows: list[tuple[str, str, dict[str, Any], dict[str, Any]]], defaults: dict[str, Any]) -> None:
-    """The files of some rows."""
+    """Write the files of some rows."""
     for name, core, changes, training in rows:
         description = describe(core, warm_up=training["warm_up"], **defaults | changes)
         row = json.dumps({"description": description, "training": training})

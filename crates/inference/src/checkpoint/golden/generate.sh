@@ -1,7 +1,7 @@
 #!/bin/sh
 # Writes the checkpoint in the folder $1 with the `eddy` that is found first in PATH:
 #
-#     PATH=DIR:$PATH src/checkpoint/golden/generate.sh src/checkpoint/golden/version_2
+#     PATH=DIR:$PATH crates/inference/src/checkpoint/golden/generate.sh crates/inference/src/checkpoint/golden/version_2
 #
 # version_1 was written by eddy at 1fb7837, the last commit of format version 1. A new format version gets a folder of its
 # own; those of old versions are never written again.
