@@ -8,6 +8,8 @@ use std::{
 
 use toml::Table;
 
+use crate::documented::spans;
+
 /// Dependencies that belong to one crate, and that crate.
 const HOMES: [(&str, &str); 15] = [
     ("axum", "node"),
@@ -42,6 +44,19 @@ const WITHOUT: [(&str, &[&str]); 3] = [
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),
 ];
+
+/// Pages and pictures that guide through the source.
+const GUIDES: [&str; 5] = [
+    "CONTRIBUTING.md",
+    "docs/src/background/how_it_works.md",
+    "docs/src/background/source.md",
+    "docs/src/pictures/frame_path.svg",
+    "docs/src/pictures/training_batch.svg",
+];
+
+/// Folders at the top of the repository.
+const FOLDERS: [&str; 9] =
+    [".ci", "bags", "checkpoints", "crates", "docs", "launch_configs", "msgs", "src", "tests"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -147,5 +162,52 @@ fn parts_that_are_taken_alone_build_no_framework_and_no_middleware() {
                 assert!(!all[&part].contains(*unwanted), "{package} builds {unwanted} with {part}");
             }
         }
+    }
+}
+
+/// `a/{b,c}/d` as `a/b/d` and `a/c/d`.
+fn alternatives(path: &str) -> Vec<String> {
+    let braces = path.split_once('{').zip(path.split_once('}'));
+    let Some(((before, rest), (_, after))) = braces else { return vec![path.to_owned()] };
+    let names = rest.split('}').next().unwrap_or_default().split(',');
+    names.map(|name| format!("{before}{name}{after}")).collect()
+}
+
+#[test]
+fn every_path_and_type_that_a_guide_names_exists() {
+    let read = |file: PathBuf| fs::read_to_string(file).unwrap();
+    let files = ["crates", "src"].iter().flat_map(|folder| sources(&root().join(folder)));
+    let code: String = files.map(read).collect();
+    let known: BTreeSet<_> = code.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+    for guide in GUIDES {
+        let text = read(root().join(guide));
+        let is_picture = guide.ends_with(".svg");
+        let code = if is_picture { text.replace(['<', '>'], " ") } else { spans(&text).join(" ") };
+        let (mut paths, mut names) = (0, 0);
+        for word in code.split_whitespace().map(|word| word.trim_end_matches([':', ',', '.', ';']))
+        {
+            let is_name = |part: &str| part.chars().all(|c| c.is_alphanumeric() || c == '_');
+            let is_type = word.starts_with(char::is_uppercase)
+                && word.contains(char::is_lowercase)
+                && word.split("::").all(is_name);
+            if word.split_once('/').is_some_and(|(folder, _)| FOLDERS.contains(&folder)) {
+                for path in alternatives(word) {
+                    assert!(root().join(&path).exists(), "{guide}: {path} does not exist");
+                }
+                paths += 1;
+            } else if is_type && (!is_picture || word.contains("::")) {
+                for name in word.split("::") {
+                    assert!(
+                        known.contains(name),
+                        "{guide}: {name} of `{word}` is nowhere in the source"
+                    );
+                }
+                names += 1;
+            }
+        }
+        assert!(
+            paths > 5 && names > 0,
+            "{guide}: found {paths} paths and {names} names, expected more"
+        );
     }
 }

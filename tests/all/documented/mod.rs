@@ -77,7 +77,7 @@ fn follow(path: &str) {
     }
 }
 
-/// The Markdown files of README and book.
+/// The Markdown files at the top of the repository that users read, and those of the book.
 pub fn documents() -> BTreeSet<String> {
     fn collect(folder: &Path, found: &mut BTreeSet<String>) {
         for entry in fs::read_dir(folder).unwrap() {
@@ -89,7 +89,7 @@ pub fn documents() -> BTreeSet<String> {
             }
         }
     }
-    let mut found = BTreeSet::from(["README.md".to_owned()]);
+    let mut found = BTreeSet::from(["CONTRIBUTING.md".to_owned(), "README.md".to_owned()]);
     collect(&root().join("docs/src"), &mut found);
     found
 }
@@ -114,8 +114,8 @@ fn every_page_with_commands_has_its_test_and_every_block_says_what_it_is() {
     assert_eq!(with_commands, PAGES.iter().map(|page| (*page).to_owned()).collect());
 }
 
-/// What is between single backticks in the prose of a page.
-fn spans(text: &str) -> Vec<String> {
+/// The code spans in the prose of a page.
+pub fn spans(text: &str) -> Vec<String> {
     let mut fenced = false;
     let prose = text.lines().filter(|line| {
         let fence = line.trim_start().starts_with("```");
