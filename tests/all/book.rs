@@ -1,4 +1,4 @@
-//! The book in `docs` holds together: mdbook would find every page, and a reader every link.
+//! The book in `docs`: every page is in the summary, every link and anchor exists.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -27,7 +27,7 @@ fn prose(path: &str) -> String {
     prose
 }
 
-/// What a page links to, pictures too.
+/// The link targets of a page, including pictures.
 fn links(prose: &str) -> Vec<String> {
     let targets = prose.split("](").skip(1).filter_map(|rest| rest.split(')').next());
     targets.map(str::to_owned).collect()
@@ -89,18 +89,21 @@ fn every_relative_link_and_anchor_resolves() {
             let folder = Path::new(&page).parent().unwrap();
             let target =
                 if file.is_empty() { page.clone().into() } else { straight(&folder.join(file)) };
-            assert!(root().join(&target).exists(), "{page}: {link}: there is no such file");
+            assert!(root().join(&target).exists(), "{page}: {link}: no such file");
             // mdbook copies what is below docs/src and nothing else.
             assert!(
                 !page.starts_with("docs/") || target.starts_with("docs/src"),
-                "{page}: {link}: found a link out of the book, expected one within or an address"
+                "{page}: {link}: found a link to a file outside the book, expected one inside or a URL"
             );
             let known = anchor.is_empty() || anchors(target.to_str().unwrap()).contains(anchor);
-            assert!(known, "{page}: {link}: there is no such heading");
+            assert!(known, "{page}: {link}: no such heading");
             followed += 1;
         }
     }
-    assert!(followed > 20, "found {followed} links, expected more: are they still written so?");
+    assert!(
+        followed > 20,
+        "found only {followed} links, expected more; does the parser still recognise them?"
+    );
 }
 
 #[test]
@@ -114,5 +117,8 @@ fn the_book_s_settings_are_toml_with_a_title_and_this_source() {
 #[test]
 fn the_readme_is_short() {
     let lines = fs::read_to_string(root().join("README.md")).unwrap().lines().count();
-    assert!(lines <= 150, "found {lines} lines, expected at most 150: the book is for the rest");
+    assert!(
+        lines <= 150,
+        "found {lines} lines, expected at most 150; the rest belongs in the book"
+    );
 }

@@ -1,4 +1,4 @@
-//! The files in `launch_configs/` run; those in `launch_configs/scenes` do in `scenes.rs`.
+//! Runs the files in `launch_configs/`; `scenes.rs` runs those in `launch_configs/scenes`.
 
 use std::{collections::BTreeSet, fs, os::unix::fs::symlink, path::Path};
 
@@ -16,7 +16,7 @@ fn file(name: &str) -> String {
     folder.join(name).to_str().unwrap().to_owned()
 }
 
-/// A test for each file.
+/// One test for each file.
 macro_rules! files {
     ($($test:ident: $name:literal => $run:expr,)*) => {
         $(#[test]
@@ -50,7 +50,7 @@ files! {
         launch(name, "chain", "chain", &topics);
     },
     a_free_run_at_the_pace_of_a_clock_runs_from_one_file: "free_run_clock.toml" => |name| {
-        // Of the first five frames come no more than three predictions.
+        // The first five frames give at most three predictions.
         let topics = [("/free_run/particles", 20), ("/free_run/prediction", 10)];
         launch(name, "free_run", "free_run", &topics);
     },
@@ -67,7 +67,7 @@ fn node(name: &str) {
     assert!(node.wait().success());
 }
 
-/// Simulates until the first signal: to the end it would take an hour.
+/// Interrupts the study during its simulation; the whole study would take an hour.
 fn study(name: &str) {
     let folder = tempfile::tempdir().unwrap();
     let mut command = talking_eddy();
@@ -129,7 +129,7 @@ fn launch(name: &str, place: &str, bag: &str, topics: &[(&str, u64)]) {
     }
 }
 
-/// Files that a launch file hands to what it runs are run with it.
+/// Files that a launch file passes to its processes count as run.
 #[test]
 fn every_file_is_run_by_a_test() {
     let mut run: BTreeSet<String> = FILES.iter().map(|name| (*name).to_owned()).collect();

@@ -1,4 +1,4 @@
-//! What the manifests and the source hold to: imports run one way, and a dependency has one home.
+//! Rules of the workspace: crates depend on each other in one direction, and an external dependency belongs to one crate.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -10,7 +10,7 @@ use toml::Table;
 
 use crate::documented::spans;
 
-/// Dependencies that belong to one crate, and that crate.
+/// External dependencies and the crate that each belongs to.
 const HOMES: [(&str, &str); 15] = [
     ("axum", "node"),
     ("burn", "learning"),
@@ -29,7 +29,7 @@ const HOMES: [(&str, &str); 15] = [
     ("zenoh", "transport"),
 ];
 
-/// Middleware, and where in the crate `transport` it may be named.
+/// Middleware crates and the folder of the crate `transport` that each belongs to.
 const MIDDLEWARE: [(&str, &str); 5] = [
     ("foxglove", "foxglove"),
     ("iceoryx2", "shm"),
@@ -38,7 +38,7 @@ const MIDDLEWARE: [(&str, &str); 5] = [
     ("zenoh", "zenoh"),
 ];
 
-/// What a robot that only predicts, or somebody who wants only the solver, must not have to build.
+/// Dependencies that crates meant for use on their own must not pull in.
 const WITHOUT: [(&str, &[&str]); 3] = [
     ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
@@ -66,7 +66,7 @@ fn manifest(folder: &Path) -> Table {
     fs::read_to_string(folder.join("Cargo.toml")).unwrap().parse().unwrap()
 }
 
-/// Dependencies of each package of ours, by its name; those of tests are left out.
+/// Dependencies of each package of the workspace, without dev-dependencies.
 fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
     let members = fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().path());
     let folders = members.chain([root().to_owned()]);
@@ -80,7 +80,7 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         .collect()
 }
 
-/// All packages of ours that a package builds, itself included.
+/// All packages of the workspace that a package depends on, itself included.
 fn closure(name: &str, all: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     let mut open = vec![name.to_owned()];

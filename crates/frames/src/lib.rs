@@ -1,9 +1,8 @@
-//! Frames: all particles at one instant, checked and typed.
+//! Frames: all particles of a simulation at one instant.
 //!
-//! A [`Frame`] is always whole: its lengths agree, every number is finite, every material is known.
-//! Whatever comes from outside becomes a frame through [`Frame::new`], which refuses the rest with an
-//! [`InvalidFrame`] that names the field, what was found and what was expected. A [`FrameView`] is a frame
-//! that is read where it lies.
+//! Data from outside becomes a [`Frame`] through [`Frame::new`], which checks that lengths agree, every number is finite
+//! and every material is known. An [`InvalidFrame`] names the field, the value found and the value expected. Predicted
+//! frames are checked with [`Frame::check`] before they are published. A [`FrameView`] reads a frame in place.
 
 pub mod clock;
 pub mod progress;

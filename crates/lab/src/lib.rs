@@ -1,9 +1,9 @@
-//! What measures and studies eddy, beside the product.
+//! Tools that measure and study eddy.
 //!
-//! 1. [`mod@bench`]: tables of what a machine carries.
+//! 1. [`mod@bench`]: benchmarks.
 //! 2. [`study`]: the paper's comparisons.
-//! 3. [`commands`]: `eddy bench` and `eddy study`, whose arguments and tables they are.
-//! 4. [`fuzzing`]: one function for each kind of bytes that arrive from outside.
+//! 3. [`commands`]: arguments and tables of `eddy bench` and `eddy study`.
+//! 4. [`fuzzing`]: one function per kind of external input.
 
 pub mod bench;
 pub mod commands;

@@ -1,6 +1,6 @@
 //! The networks in burn, and their training.
 //!
-//! 1. [`model`]: the networks as tensor operations: the definition that everything else is checked against.
+//! 1. [`model`]: the networks as tensor operations: the reference that everything else is tested against.
 //! 2. [`train`]: windows, losses, the training loop, checkpoints, resume.
 
 pub mod model;

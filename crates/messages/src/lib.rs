@@ -1,17 +1,17 @@
-//! ROS 2 messages: Rust twins of the `.msg` files, their bytes and their names.
+//! ROS 2 messages: Rust structs for the `.msg` files, their CDR encoding, schema text and type hashes.
 //!
-//! 1. [`twins`]: one Rust struct a message, field by field as in `msgs/`.
-//! 2. [`cdr`]: struct to bytes and back (CDR, XCDR1, little-endian header `00 01 00 00`).
-//! 3. [`schema`]: the `.msg` text with its dependencies, as MCAP files carry it, and the type
+//! 1. [`twins`]: one Rust struct per message, with the fields of the `.msg` file.
+//! 2. [`cdr`]: encoding and decoding (CDR, XCDR1, little-endian header `00 01 00 00`).
+//! 3. [`schema`]: the `.msg` text with its dependencies, as stored in MCAP files, and the type
 //!    description parsed from it.
-//! 4. [`services`], [`playback`]: requests and responses, likewise one struct each.
+//! 4. [`services`], [`playback`]: requests and responses, also one struct each.
 //! 5. [`service_type`]: the `.srv` files and their type hashes.
 //! 6. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
-//! 7. `dds_type`: type names as DDS has them.
-//! 8. [`cloud`]: a frame as points, for programs that know no `ParticleFrame`.
+//! 7. `dds_type`: type names in DDS.
+//! 8. [`cloud`]: a frame as `PointCloud2`, for programs that do not know `ParticleFrame`.
 //!
-//! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hash come from them,
-//! and a test holds the twins against them.
+//! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hashes are derived from them,
+//! and a test compares the structs with them.
 
 pub mod cdr;
 pub mod cloud;

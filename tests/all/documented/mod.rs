@@ -1,12 +1,12 @@
-//! Every command in `README.md`, in the book and at the end of `--help` is run as it stands there, but for
-//! what [`tables::CHEAPER`] changes and [`tables::NOT_HERE`] leaves out. A page is a story in a folder of its own that
-//! begins as a clone does.
+//! Runs every command in `README.md`, in the book and at the end of `--help` as written, except for the changes in
+//! [`tables::CHEAPER`] and the commands in [`tables::NOT_HERE`]. Each page runs from top to bottom in its own folder, which
+//! starts like a clone of the repository.
 //!
-//! What a block's opening fence says:
-//! - `sh`: a command after the other; one that would run for ever is ended (SIGINT) once it has said something.
-//! - `sh terminals`: a line a terminal, all at once; when the last one has ended, the others are ended.
-//! - `LANGUAGE FILE`: the reader saves it under that name.
-//! - `text`, `toml`, ...: nothing to do.
+//! The opening fence of a block:
+//! - `sh`: commands, one after the other; one that would run forever is interrupted (SIGINT) after its first output.
+//! - `sh terminals`: one terminal per line, all in parallel; when the last one has ended, the others are interrupted.
+//! - `LANGUAGE FILE`: saved as this file.
+//! - `text`, `toml`, ...: ignored.
 
 mod page;
 mod tables;
@@ -23,7 +23,7 @@ use crate::{
     support::{eddy, succeed},
 };
 
-/// A test for each page that has commands.
+/// One test for each page with commands.
 macro_rules! pages {
     ($($test:ident: $path:literal,)*) => {
         $(#[test]
@@ -60,14 +60,14 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Does what a page says.
+/// Follows the instructions of a page.
 fn follow(path: &str) {
     let mut world = World::new();
     for Block { line, words, text } in blocks(&fs::read_to_string(root().join(path)).unwrap()) {
         let place = format!("{path}:{line}");
         let words: Vec<_> = words.iter().map(String::as_str).collect();
         match words[..] {
-            [] => panic!("{place}: say what the block is: sh, text, toml, ..."),
+            [] => panic!("{place}: found a block without a language, expected sh, text, toml, ..."),
             ["sh"] => world.one_after_another(&place, &commands(&text)),
             ["sh", "terminals"] => world.together(&place, &commands(&text)),
             ["sh", other] => panic!("{place}: found `{other}`, expected `terminals`"),
@@ -100,7 +100,7 @@ fn every_page_with_commands_has_its_test_and_every_block_says_what_it_is() {
     for path in documents() {
         for block in blocks(&fs::read_to_string(root().join(&path)).unwrap()) {
             let language = block.words.first().map(String::as_str);
-            assert!(language.is_some(), "{path}:{}: a block of no language", block.line);
+            assert!(language.is_some(), "{path}:{}: found a block without a language", block.line);
             assert!(
                 !["bash", "console", "shell", "zsh"].contains(&language.unwrap()),
                 "{path}:{}: found {language:?}, expected sh, so that it is run",
@@ -126,14 +126,14 @@ pub fn spans(text: &str) -> Vec<String> {
     prose.split('`').skip(1).step_by(2).map(str::to_owned).collect()
 }
 
-/// They are parts of sentences, and some would take hours: that such a command exists with these options is
-/// what is held.
+/// These commands are parts of sentences, and some would take hours: only the existence of the command and its options is
+/// tested.
 #[test]
 fn every_command_within_a_sentence_exists() {
     let mut held = 0;
     for path in documents() {
         for span in spans(&fs::read_to_string(root().join(&path)).unwrap()) {
-            // With a word to fill in, or a part left out, it is no whole command.
+            // A command with a placeholder or an ellipsis is incomplete.
             let whole = !span.contains("...")
                 && !span.split(' ').any(|word| word.chars().all(char::is_uppercase));
             let Some(words) = span.strip_prefix("eddy ").filter(|_| whole) else { continue };
@@ -143,7 +143,10 @@ fn every_command_within_a_sentence_exists() {
             held += 1;
         }
     }
-    assert!(held > 20, "found {held} commands, expected more: are they still written so?");
+    assert!(
+        held > 20,
+        "found only {held} commands, expected more; does the parser still recognise them?"
+    );
 }
 
 #[test]
@@ -155,7 +158,7 @@ fn what_does_not_run_here_stands_somewhere() {
         }
     }
     for (command, reason) in NOT_HERE {
-        assert!(written.contains(*command), "no page has `{command}` any more ({reason})");
+        assert!(written.contains(*command), "no page has `{command}` ({reason})");
     }
 }
 
@@ -169,7 +172,7 @@ fn examples(command: &[String]) -> Vec<String> {
 #[test]
 fn the_examples_of_every_help() {
     let mut world = World::new();
-    // What later examples use, the earlier ones make.
+    // Earlier examples create the files that later ones use.
     let order = ["simulate", "train", "predict", "bag merge", "bag recover", "bag export"];
     let place = |words: &[String]| {
         let name = words.join(" ");

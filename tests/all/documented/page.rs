@@ -1,13 +1,13 @@
-//! What a page of the documentation asks its reader to do.
+//! The fenced blocks and commands of a page.
 
 /// A fenced block.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Block {
     /// Line of its opening fence, counted from 1.
     pub line: usize,
-    /// The words after the fence: the language, and what becomes of it.
+    /// The words after the fence: the language and its argument.
     pub words: Vec<String>,
-    /// What is in it, without the indentation of the fence.
+    /// Its content, without the indentation of the fence.
     pub text: String,
 }
 
@@ -27,14 +27,14 @@ pub fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
-/// The commands of a block: a line each, or several with `\` at their ends.
+/// The commands of a block: one per line; `\` at the end continues a line.
 pub fn commands(text: &str) -> Vec<String> {
     let whole = text.replace("\\\n", " ");
     let lines = whole.lines().map(str::trim);
     lines.filter(|line| !line.is_empty() && !line.starts_with('#')).map(squeezed).collect()
 }
 
-/// One blank where several are, and no remark at the end.
+/// Collapses blanks and removes a trailing comment.
 fn squeezed(line: &str) -> String {
     let line = line.split_once("  #").map_or(line, |(command, _)| command);
     line.split_whitespace().collect::<Vec<_>>().join(" ")

@@ -1,9 +1,9 @@
-//! Where the commands that run differ from those that are written, and those that do not run.
+//! Commands that run with changes, and commands that do not run.
 
-/// What is written, what runs, and why. All that apply are applied, from the top. `{topic}` is a prefix, `{port}`
-/// and `{other_port}` are ports that nobody else uses.
+/// The written text, its replacement, and the reason. All matching entries are applied in order. `{topic}` is an unused
+/// prefix, `{port}` and `{other_port}` are unused ports.
 pub const CHEAPER: &[(&str, &str, &str)] = &[
-    ("cargo run --release --", "eddy", "it is built"),
+    ("cargo run --release --", "eddy", "already built"),
     (
         "simulate --preset kinds",
         "simulate --preset kinds --particles 250 --duration 0.8",
@@ -21,18 +21,18 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     (
         "eddy eval --horizon 20 --compare",
         "eddy eval --compare",
-        "it has the horizon of its reports",
+        "the horizon is that of the reports",
     ),
     (
         "checkpoints/elsewhere",
         "checkpoints/particle-mingru",
         "no PyTorch here; the shipped checkpoint stands in",
     ),
-    ("10.0.0.1:7447", "127.0.0.1:{port}", "nobody is there"),
+    ("10.0.0.1:7447", "127.0.0.1:{port}", "no router is running"),
     ("--preset snowball --publish", "--preset snowball --duration 0.5 --publish", "a short scene"),
     ("eddy demo", "eddy demo --headless --seconds 1", "a short scene"),
     ("--seconds 1 --headless --seconds 4", "--seconds 1", "a short scene"),
-    ("eddy replay bags/sample --rate 0.2", "eddy replay bags/sample", "at its own pace"),
+    ("eddy replay bags/sample --rate 0.2", "eddy replay bags/sample", "at the recorded rate"),
     (
         "--particles 2500,10000 --threads 1,2",
         "--particles 1000 --threads 1 --seconds 0.02",
@@ -41,106 +41,112 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     (
         "bench inference",
         "bench inference --device flex --particles 100 --seconds 0.02 --threads 1",
-        "a short look on one device",
+        "a short run on one device",
     ),
-    ("bench training", "bench training --seconds 0.02", "a short look"),
-    ("bench transport", "bench transport --messages 20", "a short look"),
-    ("bench node", "bench node --seconds 0.5", "a short look"),
-    ("--hertz 250 --seconds 15", "--hertz 250 --seconds 0.5", "a short look"),
-    ("bench bag --seconds 4", "bench bag --seconds 0.1 --particles 1000", "a short look"),
+    ("bench training", "bench training --seconds 0.02", "a short run"),
+    ("bench transport", "bench transport --messages 20", "a short run"),
+    ("bench node", "bench node --seconds 0.5", "a short run"),
+    ("--hertz 250 --seconds 15", "--hertz 250 --seconds 0.5", "a short run"),
+    ("bench bag --seconds 4", "bench bag --seconds 0.1 --particles 1000", "a short run"),
     (
         "bench view --particles 100000 --seconds 4",
         "bench view --particles 250 --seconds 0.2",
-        "a short look",
+        "a short run",
     ),
-    ("--view 8081", "--view {port}", "ports that nobody else has"),
-    ("--foxglove", "--foxglove 0", "any port that is free"),
+    ("--view 8081", "--view {port}", "unused ports"),
+    ("--foxglove", "--foxglove 0", "any free port"),
     ("--view 8082", "--view {other_port}", "the same"),
     ("eddy study", "eddy study --config study.toml", "few steps of small networks"),
-    ("--duration 10", "--duration 1", "a short look"),
-    ("--wait 5", "--wait 0.2", "nobody else is there"),
+    ("--duration 10", "--duration 1", "a short run"),
+    ("--wait 5", "--wait 0.2", "no other publishers"),
     ("--rivals mpm,chaos", "--rivals mpm,chaos --starts 1", "one rollout a scene"),
     (
         "--to shm",
         "--to shm --remap /particles:=/{topic}/particles",
-        "shared memory is that of the whole machine",
+        "shared memory is global to the machine",
     ),
     ("shm:/", "shm:/{topic}/", "the same"),
     ("/particles:=/truth", "/particles:=/{topic}/truth", "the same"),
-    ("10.0.0.1:7450", "127.0.0.1:{port}", "one machine plays both"),
-    ("10.0.0.2:7450", "127.0.0.1:{other_port}", "one machine plays both"),
+    ("10.0.0.1:7450", "127.0.0.1:{port}", "one machine instead of two"),
+    ("10.0.0.2:7450", "127.0.0.1:{other_port}", "one machine instead of two"),
 ];
 
-/// Commands that do not run here, and why.
+/// Commands that do not run here, and the reason.
 pub const NOT_HERE: &[(&str, &str)] = &[
-    ("cargo test --release", "it is what runs this"),
-    ("cargo install --locked --path .", "it builds what is built"),
-    ("ros2 topic hz /prediction", "a ROS 2; tests/peers/run talks to one"),
-    ("ros2 param set /eddy_node horizon 20", "a ROS 2; tests/peers/run talks to one"),
+    ("cargo test --release", "it runs this test"),
+    ("cargo install --locked --path .", "already built"),
+    ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
+    ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (
         r#"ros2 service call /eddy_replay/seek rosbag2_interfaces/srv/Seek "{time: {sec: 12, nanosec: 500000000}}""#,
-        "a ROS 2; tests/peers/sdk_peer.py calls the service",
+        "needs ROS 2; tests/peers/sdk_peer.py calls the service",
     ),
     (
         "tensorboard --logdir checkpoints/frame",
-        "TensorBoard; tests/peers/check_training.py reads the files with it",
+        "needs TensorBoard; tests/peers/check_training.py uses it",
     ),
     (
         "PYTHONPATH=tests/peers python3 train.py",
-        "PyTorch; tests/peers/torch_exchange.py takes networks both ways",
+        "needs PyTorch; tests/peers/torch_exchange.py tests both directions",
     ),
     (
         "python3 tests/peers/taichi_solver.py target/release/eddy",
-        "hours of an idle machine, Taichi and PyTorch",
+        "needs hours on an idle machine, Taichi and PyTorch",
     ),
     (
         "python3 tests/peers/torch_speed.py target/release/eddy",
-        "hours of an idle machine, Taichi and PyTorch",
+        "needs hours on an idle machine, Taichi and PyTorch",
     ),
-    ("tests/bench/steady.sh", "hours of an idle machine, Taichi and PyTorch"),
+    ("tests/bench/steady.sh", "needs hours on an idle machine, Taichi and PyTorch"),
     (
         r#"openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 365 -subj "/CN=eddy" -keyout ca_key.pem -out ca.pem"#,
-        "certificates; tests/all/secure.rs makes such with rcgen",
+        "creates certificates; tests/all/secure.rs does so with rcgen",
     ),
     (
         r#"openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj "/CN=robot" -keyout key.pem -out request.pem"#,
-        "certificates; tests/all/secure.rs makes such with rcgen",
+        "creates certificates; tests/all/secure.rs does so with rcgen",
     ),
     (
         r#"printf "subjectAltName=IP:127.0.0.1,DNS:robot.local" > names"#,
-        "certificates; tests/all/secure.rs makes such with rcgen",
+        "creates certificates; tests/all/secure.rs does so with rcgen",
     ),
     (
         "openssl x509 -req -in request.pem -CA ca.pem -CAkey ca_key.pem -days 365 -extfile names -out certificate.pem",
-        "certificates; tests/all/secure.rs makes such with rcgen",
+        "creates certificates; tests/all/secure.rs does so with rcgen",
     ),
     (
         "ZENOH_SESSION_CONFIG_URI=/etc/eddy/recorder.json5 eddy record zenoh:/particles --output bags/live",
-        "files in /etc; tests/all/secure.rs runs both with the example",
+        "needs files in /etc; tests/all/secure.rs runs both with the example",
     ),
     (
         "ZENOH_SESSION_CONFIG_URI=/etc/eddy/player.json5 eddy replay bags/sample --to zenoh --wait-for 1",
-        "files in /etc; tests/all/secure.rs runs both with the example",
+        "needs files in /etc; tests/all/secure.rs runs both with the example",
     ),
-    ("install -D target/release/eddy /usr/local/bin/eddy", "systemd, root or Docker"),
-    ("useradd --system --create-home --home-dir /var/lib/eddy eddy", "systemd, root or Docker"),
+    ("install -D target/release/eddy /usr/local/bin/eddy", "needs systemd, root or Docker"),
+    (
+        "useradd --system --create-home --home-dir /var/lib/eddy eddy",
+        "needs systemd, root or Docker",
+    ),
     (
         "install -D -m 644 launch_configs/node_lookahead.toml /etc/eddy/node.toml",
-        "systemd, root or Docker",
+        "needs systemd, root or Docker",
     ),
     (
         "install -m 644 docs/src/deploy/eddy-node.service /etc/systemd/system/",
-        "systemd, root or Docker",
+        "needs systemd, root or Docker",
     ),
-    ("systemctl daemon-reload && systemctl enable --now eddy-node", "systemd, root or Docker"),
-    ("journalctl -u eddy-node -f", "systemd, root or Docker"),
-    ("docker build -f docs/src/deploy/Dockerfile -t eddy .", "systemd, root or Docker"),
+    (
+        "systemctl daemon-reload && systemctl enable --now eddy-node",
+        "needs systemd, root or Docker",
+    ),
+    ("journalctl -u eddy-node -f", "needs systemd, root or Docker"),
+    ("docker build -f docs/src/deploy/Dockerfile -t eddy .", "needs systemd, root or Docker"),
     (
         "docker run --rm --network host --ipc host --pid host -v /tmp/iceoryx2:/tmp/iceoryx2 eddy node --input shm:/particles --output shm:/prediction",
-        "systemd, root or Docker",
+        "needs systemd, root or Docker",
     ),
     (
         "docker run --rm --network host eddy node --input zenoh:/particles --output zenoh:/prediction",
-        "systemd, root or Docker",
+        "needs systemd, root or Docker",
     ),
 ];

@@ -1,4 +1,4 @@
-//! A folder that begins as a clone, and a shell in it.
+//! A folder that starts like a clone of the repository, and a shell in it.
 
 use std::{
     fs::{self, File},
@@ -18,10 +18,10 @@ use super::{
 };
 use crate::support::{domain, free_port, unique};
 
-/// Programs besides eddy that pages may use: those of every Unix.
+/// Programs besides eddy that pages may use.
 const SHELL: &[&str] = &["cat", "cp", "ls", "mkdir", "rm", "source"];
 
-/// No command takes longer.
+/// Time limit of a command.
 const DEADLINE: Duration = Duration::from_secs(120);
 
 /// Settings that make an epoch short.
@@ -33,7 +33,7 @@ validation.horizon = 5
 validation.starts = 1
 ";
 
-/// A folder that begins as a clone, and a shell in it.
+/// A folder that starts like a clone of the repository, and a shell in it.
 pub struct World {
     folder: TempDir,
     domain: u16,
@@ -42,7 +42,7 @@ pub struct World {
     started: usize,
 }
 
-/// A command that runs.
+/// A running command.
 struct Running {
     line: String,
     child: Child,
@@ -69,7 +69,7 @@ judging.starts = 1
 ";
 
 impl World {
-    /// A folder with what a clone has, and eddy on the path.
+    /// A folder with the files of a clone, and eddy in the path.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         for name in ["bags/sample", "checkpoints/particle-mingru", "launch_configs"] {
@@ -86,7 +86,7 @@ impl World {
         world
     }
 
-    /// Makes the files of settings as cheap as [`CHEAPER`] makes commands.
+    /// Reduces settings files, as [`CHEAPER`] reduces commands.
     fn shrink(&self) {
         for entry in fs::read_dir(self.at("launch_configs")).unwrap() {
             let file = entry.unwrap().path();
@@ -116,37 +116,37 @@ impl World {
         self.folder.path().join(name)
     }
 
-    /// Writes a file, as the reader does.
+    /// Writes a file that a page tells its reader to save.
     pub fn save(&self, name: &str, text: &str) {
         let path = self.at(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
     }
 
-    /// Runs commands, each after the end of the one before; what has no end is ended.
+    /// Runs commands one after the other; endless ones are interrupted.
     pub fn one_after_another(&mut self, place: &str, lines: &[String]) {
         for line in lines {
             let Some(mut running) = self.start(place, line) else { continue };
             if endless(line) {
-                wait(place, "says something", &mut running, |running| !running.said().is_empty());
+                wait(place, "prints something", &mut running, |running| !running.said().is_empty());
                 running.interrupt();
             }
             running.ends_well(place);
         }
     }
 
-    /// Runs commands beside each other until the last one has ended, then ends the others.
+    /// Runs commands in parallel until the last one has ended, then interrupts the others.
     pub fn together(&mut self, place: &str, lines: &[String]) {
         let started = lines.iter().filter_map(|line| self.start(place, line));
         let mut running: Vec<_> = started.collect();
         let Some(mut last) = running.pop() else { return };
         if endless(&last.line) {
-            wait(place, "says something", &mut last, |last| !last.said().is_empty());
+            wait(place, "prints something", &mut last, |last| !last.said().is_empty());
             last.interrupt();
         }
         last.ends_well(place);
         while let Some(mut other) = running.pop() {
-            wait(place, "says something", &mut other, |other| {
+            wait(place, "prints something", &mut other, |other| {
                 !other.said().is_empty() || other.child.try_wait().unwrap().is_some()
             });
             if other.child.try_wait().unwrap().is_none() {
@@ -156,7 +156,7 @@ impl World {
         }
     }
 
-    /// Starts a command, unless it is none for this place.
+    /// Starts a command, unless [`NOT_HERE`] lists it.
     fn start(&mut self, place: &str, line: &str) -> Option<Running> {
         if NOT_HERE.iter().any(|(command, _)| *command == line) {
             return None;
@@ -189,14 +189,14 @@ impl World {
 }
 
 impl Running {
-    /// What it has printed.
+    /// Its output so far.
     fn said(&self) -> String {
         let mut said = Vec::new();
         File::open(&self.output).unwrap().read_to_end(&mut said).unwrap();
         String::from_utf8_lossy(&said).into_owned()
     }
 
-    /// Asks it to end, as Ctrl-C does: bash has made way for a lone command.
+    /// Interrupts it like Ctrl-C; bash replaces itself by a single command.
     fn interrupt(&self) {
         let id = self.child.id().to_string();
         assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
@@ -230,7 +230,7 @@ fn wait(
     }
 }
 
-/// Whether a command runs until it is told to end.
+/// Whether a command runs until it is interrupted.
 fn endless(line: &str) -> bool {
     let has = |word: &str| line.split(' ').any(|other| other == word);
     let bounded = ["--stop-after", "--max-messages", "--count", "--duration", "--help"];

@@ -1,18 +1,18 @@
-//! Settings files: every key with its type, its defaults and its docs.
+//! The page on settings files: every key with its type, default and documentation.
 
 use eddy_learning::{model::Architecture, train::TrainConfig};
 use eddy_node::{NodeSettings, PARAMETERS};
 
 use super::source::{Item, Member, Source, bare, is_list};
 
-/// A row: key, values, docs.
+/// A row of a table.
 pub struct Row {
     pub key: String,
     pub values: String,
     pub docs: String,
 }
 
-/// The keys below `item`, those of tables within it too.
+/// The keys of `item`, including those of nested tables.
 pub fn rows(source: &Source, item: &Item, prefix: &str) -> Vec<Row> {
     let of_member = |member: &Member| {
         let list = if is_list(&member.kind) { "[]" } else { "" };
@@ -46,7 +46,7 @@ pub fn rows(source: &Source, item: &Item, prefix: &str) -> Vec<Row> {
     item.members.iter().flat_map(of_member).collect()
 }
 
-/// What a field of a type may be, in words.
+/// The values that a field of a type may have, in words.
 fn values(source: &Source, kind: &str) -> String {
     if let Some(inside) = kind.strip_prefix("Option<").and_then(|kind| kind.strip_suffix('>')) {
         return values(source, inside);
@@ -74,7 +74,7 @@ fn values(source: &Source, kind: &str) -> String {
     }
 }
 
-/// As a cell of a table: rustdoc's links are plain here.
+/// As a table cell; rustdoc links become plain code.
 fn cell(text: &str) -> String {
     let plain = text.replace('|', "\\|");
     let mut out = String::new();
@@ -91,7 +91,7 @@ fn cell(text: &str) -> String {
     out + rest
 }
 
-/// A table of three columns.
+/// A table with three columns.
 pub fn table(rows: &[Row]) -> String {
     let mut text = "| key | values | |\n|---|---|---|\n".to_owned();
     for Row { key, values, docs } in rows {
@@ -107,7 +107,7 @@ fn at<'t>(table: &'t toml::Table, key: &str) -> Option<&'t toml::Value> {
     words.try_fold(first, |value, word| value.get(word))
 }
 
-/// Numbers as they were written in the program: f32 as such, not as the f64 that TOML makes of it.
+/// A value as in the program: f32 numbers without the digits that a conversion to f64 adds.
 fn shown(value: &toml::Value) -> String {
     match value {
         toml::Value::Float(number) => (*number as f32).to_string(),
@@ -176,10 +176,9 @@ pub fn page() -> String {
     ]);
     format!(
         "# Configuration\n\n\
-         Files are TOML and hold only what differs from the defaults. A key that is unknown is refused, with the one that was \
-         probably meant. `a.b` is the key `b` in the table `[a]`, `a[].b` the key `b` of each `[[a]]`.\n\n\
-         ## Training\n\n`eddy train --config FILE`; the command line goes first. Defaults depend on the `architecture`.\n\n{}\n\
-         ## Node\n\n`eddy node --config FILE`; the command line goes first, parameters of ROS 2 before both.\n\n{}\n\
+         Files are TOML and contain only what differs from the defaults. Unknown keys are rejected with a suggestion. `a.b` is the key `b` in the table `[a]`, `a[].b` the key `b` of each `[[a]]`.\n\n\
+         ## Training\n\n`eddy train --config FILE`; command-line options override the file. Defaults depend on the `architecture`.\n\n{}\n\
+         ## Node\n\n`eddy node --config FILE`; command-line options override the file, and ROS 2 parameters override both.\n\n{}\n\
          ## Launch\n\n`eddy launch FILE`\n\n{}\n\
          ## Scene\n\n`eddy simulate --scene FILE`; [Write scenes](../how-to/scenes.md) has examples.\n\n{}",
         training(),

@@ -1,10 +1,10 @@
-//! The README's figure, drawn from the table in `checkpoints/README.md`, which names the commands behind its numbers.
+//! The README's plot, drawn from the table in `checkpoints/README.md`, which names the commands behind its numbers.
 
 use std::{fmt::Write as _, fs};
 
 use super::root;
 
-/// Rows of the table that are curves: how the row begins, its label, its colour, where the label is moved to (pixels).
+/// Rows of the table that are drawn as curves: first cell, label, colour, vertical shift of the label (pixels).
 const CURVES: [(&str, &str, &str, f64); 4] = [
     ("this model, mean of five kinds", "shipped model", "#0072b2", 6.0),
     ("MPM restarted from the same frames", "MPM restarted", "#d55e00", 0.0),
@@ -14,24 +14,24 @@ const CURVES: [(&str, &str, &str, f64); 4] = [
 
 const WIDTH: f64 = 760.0;
 const HEIGHT: f64 = 300.0;
-/// Around the plot: left, top, right, bottom (pixels).
+/// Margins of the plot: left, top, right, bottom (pixels).
 const MARGIN: [f64; 4] = [52.0, 16.0, 210.0, 44.0];
 
-/// The first row that has this name: its numbers.
+/// The numbers of the first row with this name.
 fn row(table: &str, name: &str) -> Vec<f64> {
     let line = table.lines().find(|line| line.starts_with(&format!("| {name} |")));
     let line = line.unwrap_or_else(|| panic!("no row `{name}`"));
     line.split('|').skip(2).filter_map(|cell| cell.trim().parse().ok()).take(6).collect()
 }
 
-/// Where a frame and a skill are (pixels); frames by their logarithm.
+/// Position of a frame and a skill (pixels); frames on a logarithmic scale.
 fn place(frame: f64, skill: f64) -> (f64, f64) {
     let [left, top, right, bottom] = MARGIN;
     let x = left + frame.log(100.0) * (WIDTH - left - right);
     (x, top + (1.0 - skill) * (HEIGHT - top - bottom))
 }
 
-/// The figure.
+/// The plot as SVG.
 pub fn svg() -> String {
     let table = fs::read_to_string(root().join("checkpoints/README.md")).unwrap();
     let header = table.lines().find(|line| line.starts_with("| | frame 1 |")).unwrap();

@@ -1,5 +1,5 @@
-//! The reference pages of the book, and the README's figure, are written by this test from the program, its
-//! defaults, the docs in its source and measured tables: `UPDATE_REFERENCE=1 cargo test --release --test all reference` writes them anew.
+//! The reference pages of the book and the README's plot are generated from the program, its defaults, the docs in its
+//! source and measured tables. `UPDATE_REFERENCE=1 cargo test --release --test all reference` updates them.
 
 mod configuration;
 mod figure;
@@ -12,7 +12,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Compares a page with what it should be, or writes it.
+/// Compares a page with its expected content, or writes it.
 fn page(name: &str, expected: &str) {
     let file = root().join("docs/src").join(name);
     if std::env::var_os("UPDATE_REFERENCE").is_some() {
@@ -27,8 +27,8 @@ fn page(name: &str, expected: &str) {
     let first = found.lines().zip(expected.lines()).enumerate().find_map(differs);
     assert!(
         found == expected,
-        "docs/src/{name} is not what the program says any more: {}; \
-         UPDATE_REFERENCE=1 cargo test --release --test all reference writes it anew",
+        "docs/src/{name} is out of date: {}; \
+         UPDATE_REFERENCE=1 cargo test --release --test all reference updates it",
         first.unwrap_or_else(|| "one is longer than the other".to_owned())
     );
 }

@@ -1,4 +1,4 @@
-//! The other pages: commands, messages, checkpoints, diagnostics.
+//! The pages on commands, messages, checkpoints and diagnostics.
 
 use std::{fs, path::Path};
 
@@ -19,12 +19,14 @@ use crate::{shell, support::succeed};
 
 /// `--help` of every command.
 pub fn commands() -> String {
-    let mut text = "# Commands\n\nWhat `--help` says of each; `-h` is shorter.\n".to_owned();
+    let mut text =
+        "# Commands\n\nThe output of `--help` for each command; `-h` prints a shorter version.\n"
+            .to_owned();
     let global = ["  -q, --quiet", "      --log-level", "  -h, --help", "  -V, --version"];
     for words in shell::commands() {
         let help = succeed(words.iter().map(String::as_str).chain(["--help"]));
         let name = [&["eddy".to_owned()], words.as_slice()].concat().join(" ");
-        // What every command has stands with the first.
+        // Global options are listed only for the program itself.
         let help = if words.is_empty() { help } else { without(&help, &global) };
         text.push_str(&format!("\n## {name}\n\n```text\n{}\n```\n", help.trim_end()));
     }
@@ -50,11 +52,11 @@ fn without(help: &str, options: &[&str]) -> String {
     kept
 }
 
-/// The `.msg` files, and frames in shared memory.
+/// The page on `.msg` files and frames in shared memory.
 pub fn messages() -> String {
     let mut text = "# Messages\n\n\
-        `msgs/eddy_msgs` is an ament package with eddy's own two. Type hashes are those of ROS 2 (RIHS01), by which nodes on \
-        rmw_zenoh find each other.\n"
+        The ament package `msgs/eddy_msgs` defines eddy's own messages. Nodes on rmw_zenoh match topics by their ROS 2 type hash \
+        (RIHS01).\n"
         .to_owned();
     for name in ["ParticleFrame", "PredictionStatus"] {
         let file = root().join(format!("msgs/eddy_msgs/msg/{name}.msg"));
@@ -63,7 +65,7 @@ pub fn messages() -> String {
         let hash = &type_support(&full).unwrap().hash;
         text.push_str(&format!("\n## {full}\n\n`{hash}`\n\n```text\n{definition}```\n"));
     }
-    text.push_str("\n## Of ROS 2\n\n| type | type hash |\n|---|---|\n");
+    text.push_str("\n## Standard messages and services\n\n| type | type hash |\n|---|---|\n");
     let mut standard = Vec::new();
     collect(&root().join("msgs/standard"), &mut standard);
     standard.sort();
@@ -83,7 +85,7 @@ pub fn messages() -> String {
             "eddy::FrameHeader",
             "The user header of a frame on shm (iceoryx2), `repr(C)`, 48 bytes.",
         ),
-        ("Particle", "eddy::Particle", "An element of its payload, a slice; `repr(C)`, 20 bytes."),
+        ("Particle", "eddy::Particle", "An element of the payload slice; `repr(C)`, 20 bytes."),
     ] {
         text.push_str(&format!("\n## {name}\n\n{what}\n\n| field | type | |\n|---|---|---|\n"));
         for field in &shm.item(item).members {
@@ -93,7 +95,7 @@ pub fn messages() -> String {
     text
 }
 
-/// The names of types in a folder such as `msgs/standard`.
+/// Collects the names of the types in a folder such as `msgs/standard`.
 fn collect(folder: &Path, names: &mut Vec<String>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -106,7 +108,7 @@ fn collect(folder: &Path, names: &mut Vec<String>) {
     }
 }
 
-/// `model.toml`, and the tensors of each network.
+/// The page on `model.toml` and the tensors of each network.
 pub fn checkpoint() -> String {
     let source = Source::of(&[
         "crates/inference/src/checkpoint/description.rs",
@@ -117,14 +119,14 @@ pub fn checkpoint() -> String {
     let mut keys = rows(&source, source.item("Description"), "");
     let version = shipped.description.format_version;
     keys[0].docs = format!(
-        "Version of the format: {version}. Version 1, without `rules`, is read as well; its particle models have all rules, with \
+        "Version of the format: {version}. Version 1, without `rules`, is also read; its particle models have all rules, with \
          the constants of the shipped model."
     );
     let mut text = format!(
-        "# Checkpoint\n\nA directory with `model.toml`, which says what the network is, and `model.safetensors`, its weights: f32, in \
-         PyTorch's layout [out, in]. Its digest covers both files.\n\n## model.toml\n\nEach table below `rules` is a rule that \
-         corrects predictions of the particle model; a table that is absent switches its rule off \
-         ([what each is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}",
+        "# Checkpoint\n\nA directory with `model.toml`, the description of the network, and `model.safetensors`, its weights: f32, in \
+         PyTorch's layout [out, in]. The digest covers both files.\n\n## model.toml\n\nEach table below `rules` is a rule that \
+         corrects predictions of the particle model; a missing table switches its rule off \
+         ([what each rule is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}",
         table(&keys)
     );
     for architecture in [Architecture::Particle, Architecture::Frame] {
@@ -154,20 +156,20 @@ pub fn checkpoint() -> String {
 fn widths(sizes: &eddy_inference::checkpoint::Sizes) -> String {
     let particles =
         sizes.particles.map_or(String::new(), |particles| format!(", {particles} particles"));
-    format!("Here with encoder {}, hidden {}, one layer{particles}.", sizes.encoder, sizes.hidden)
+    format!("For encoder {}, hidden {}, one layer{particles}.", sizes.encoder, sizes.hidden)
 }
 
-/// What a parameter may be.
+/// The values that a parameter may have.
 pub fn values(spec: &ParameterSpec) -> String {
     match &spec.values {
         Values::Bool => "true or false".to_owned(),
-        Values::Integer(range) if *range.end() == i64::MAX => format!("{} and more", range.start()),
+        Values::Integer(range) if *range.end() == i64::MAX => format!("{} or more", range.start()),
         Values::Integer(range) => format!("{} to {}", range.start(), range.end()),
         Values::Word(words) => words.join(", "),
     }
 }
 
-/// A parameter's value.
+/// A parameter's value as text.
 pub fn value(value: &ParameterValue) -> String {
     match value.kind() {
         Ok(ParameterKind::Bool) => value.bool_value.to_string(),
@@ -176,7 +178,7 @@ pub fn value(value: &ParameterValue) -> String {
     }
 }
 
-/// Counters, levels, parameters.
+/// The page on diagnostics and parameters.
 pub fn diagnostics() -> String {
     let source = Source::of(&["crates/node/src/counters.rs"]);
     let docs = |name: &str| {
@@ -188,21 +190,21 @@ pub fn diagnostics() -> String {
     let counters = Counters::default();
     let counted = counters.named().map(|(name, _)| row(name, docs(name)));
     let mut text = format!(
-        "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. Its level is \
-         ERROR when a prediction was not finite since the last one, WARN when a frame was refused (the message says why) or lost, and OK \
-         otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
-         | `rate (1/s)` | number | Predictions a second, since the last message. |\n\
-         | `latency p50 (ms)` | number | Median time from a frame's arrival to its predictions' publication. |\n\
-         | `latency p99 (ms)` | number | 99th percentile of it. |\n\
+        "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
+         ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason) or lost, \
+         and OK otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
+         | `rate (1/s)` | number | Predictions per second since the last message. |\n\
+         | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\
+         | `latency p99 (ms)` | number | 99th percentile of the same time. |\n\
          | `model` | text | Digest of the checkpoint. |\n{}\
-         | `dropped_from_queue, by stream` | text | {} Only where there are any: those that lost most, eight at most. |\n",
+         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n",
         table(&counted).split_once("|---|---|---|\n").unwrap().1,
         docs("dropped_by_stream"),
     );
     text.push_str("\n## Parameters\n\nEach is also a key of `[node]` in a settings file.\n\n| parameter | values | default | |\n|---|---|---|---|\n");
     let defaults = NodeSettings::default();
     for spec in &PARAMETERS {
-        let read_only = if spec.read_only { "; read-only once the node runs" } else { "" };
+        let read_only = if spec.read_only { "; read-only at run time" } else { "" };
         let default = value(&spec.get(&defaults));
         text.push_str(&format!(
             "| `{}` | {} | {default} | {}{read_only} |\n",

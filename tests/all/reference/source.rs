@@ -1,17 +1,17 @@
-//! What the source says of the structs and enums that files are read into: fields, types, words, docs.
+//! Parses the structs and enums of settings from the source: fields, types, variants, docs.
 
 use std::{collections::BTreeMap, fs};
 
 use super::root;
 
-/// A struct, or an enum whose words stand in files.
+/// A struct, or an enum whose variants are words in files.
 #[derive(Debug, Default)]
 pub struct Item {
     /// Its docs, in one line.
     pub docs: String,
     /// Whether it is an enum.
     pub is_enum: bool,
-    /// Its fields or variants, as files have them.
+    /// Its fields or variants, with their names in files.
     pub members: Vec<Member>,
 }
 
@@ -22,17 +22,17 @@ pub struct Member {
     pub name: String,
     /// Its docs, in one line.
     pub docs: String,
-    /// The type of a field; of a variant nothing.
+    /// The type of a field; empty for a variant.
     pub kind: String,
-    /// The fields of a variant.
+    /// Fields of a struct-like variant.
     pub fields: Vec<Self>,
 }
 
-/// The items of some source files, by name.
+/// The items of source files by name.
 pub struct Source(BTreeMap<String, Item>);
 
 impl Source {
-    /// Reads files, named from the root of the workspace.
+    /// Reads files, given by their path from the root of the workspace.
     pub fn of(files: &[&str]) -> Self {
         let mut items = BTreeMap::new();
         for file in files {
@@ -46,13 +46,13 @@ impl Source {
         self.0.get(name).unwrap_or_else(|| panic!("no struct or enum {name} was read"))
     }
 
-    /// The item that a field holds, if it was read: itself, in an `Option` or in a list.
+    /// The item in a field, directly, in an `Option` or in a list; `None` if it was not read.
     pub fn held(&self, kind: &str) -> Option<&Item> {
         self.0.get(bare(kind))
     }
 }
 
-/// A type without what it is wrapped in.
+/// A type without surrounding `Option` and `Vec`.
 pub fn bare(kind: &str) -> &str {
     let inside =
         ["Option<", "Vec<"].iter().find_map(|wrap| kind.strip_prefix(wrap)?.strip_suffix('>'));
@@ -64,7 +64,7 @@ pub fn is_list(kind: &str) -> bool {
     kind.starts_with("Vec<")
 }
 
-/// What has been read of the lines above an item or a member.
+/// Docs and attributes above an item or a member.
 #[derive(Default)]
 struct Above {
     docs: Vec<String>,
@@ -72,7 +72,7 @@ struct Above {
 }
 
 impl Above {
-    /// Takes a line that belongs to what comes; `false` if it is no such line.
+    /// Takes a line of docs or attributes; returns whether it was one.
     fn takes(&mut self, line: &str) -> bool {
         if let Some(doc) = line.strip_prefix("///") {
             self.docs.push(doc.trim().to_owned());
@@ -84,7 +84,7 @@ impl Above {
         true
     }
 
-    /// Whether an attribute goes on in the next line.
+    /// Whether an attribute continues on the next line.
     fn is_open(&self) -> bool {
         self.attributes.matches('[').count() > self.attributes.matches(']').count()
     }
@@ -119,7 +119,7 @@ fn read(text: &str, items: &mut BTreeMap<String, Item>) {
     }
 }
 
-/// The members up to the closing brace.
+/// Parses the members up to the closing brace.
 fn members<'a>(
     lines: &mut impl Iterator<Item = &'a str>,
     variants: bool,
