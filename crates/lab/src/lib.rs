@@ -1,6 +1,6 @@
 //! Tools that measure and study eddy.
 //!
-//! 1. [`mod@bench`]: benchmarks.
+//! 1. [`mod@bench`]: what `eddy bench` measures.
 //! 2. [`study`]: the paper's comparisons.
 //! 3. [`commands`]: arguments and tables of `eddy bench` and `eddy study`.
 //! 4. [`fuzzing`]: one function per kind of external input.
