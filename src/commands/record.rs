@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
-use eddy_bag::{BagSummary, BagWriter, Split, TopicChoice, WriterOptions};
+use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions};
 use eddy_frames::clock::{self, Clock};
 use eddy_messages::topic_type;
 use eddy_node::{
@@ -36,7 +36,7 @@ pub fn run(
     check(&args)?;
     let transports = Transports::new(transport_options(ros)?);
     let known = args.links.iter().map(|link| link.topic.clone()).collect();
-    let choice = TopicChoice {
+    let choice = TopicFilter {
         names: Vec::new(),
         regex: args.regex.clone(),
         exclude: args.exclude.clone(),
@@ -120,7 +120,7 @@ fn end(
     let kept = || format!("what was written stays in {}", unfinished.display());
     let failure = match outcome {
         // Nothing can follow a failed write; what came before it is in the file.
-        Err(RecordError::Bag(error)) if !error.is_no_room() => {
+        Err(RecordError::Bag(error)) if !error.is_disk_full() => {
             return Err(error).with_context(kept);
         }
         Err(RecordError::Bag(error)) => Some(error.into()),

@@ -141,7 +141,7 @@ fn a_bag_dropped_before_its_end_is_readable_under_its_unfinished_name() {
     assert!(path.join("bag_0.mcap.active").exists());
     assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("a"))]);
     assert!(BagReader::open(&path).unwrap().is_unfinished());
-    assert!(findings(&path)[0].contains("found a file that was never closed"));
+    assert!(findings(&path)[0].contains("found an unfinished file"));
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn a_cut_in_a_chunk_keeps_the_messages_before_it_in_the_chunk() {
     assert!((3..7).contains(&frames.len()), "{}", frames.len());
     let message = frames.last().unwrap().as_ref().unwrap_err().to_string();
     let expected = format!(
-        "{}: found the end of the file at byte 5000, {} whole messages before it, expected a chunk of",
+        "{}: found the end of the file at byte 5000 after {} complete messages, expected a chunk of",
         cut.display(),
         frames.len() - 1
     );
@@ -255,7 +255,7 @@ fn errors_name_file_topic_found_and_expected() {
         (conflict, format!("{at}: topic /words: found type eddy_msgs/msg/ParticleFrame, expected std_msgs/msg/String")),
         (unknown, "topic /points: message type: found sensor_msgs/msg/PointCloud, expected one of builtin".into()),
         (early, format!("{at}: topic /words: log_time: found -5 ns, expected 0 or later")),
-        (exists, format!("{at}: found something of that name, expected a bag directory that does not exist yet")),
+        (exists, format!("{at}: already exists; choose another output path or delete it")),
         (frames("/words"), format!("{at}: topic /words: found type std_msgs/msg/String, expected eddy_msgs/msg/ParticleFrame")),
         (frames("/truth"), format!("{at}: topics: found /particles (eddy_msgs/msg/ParticleFrame), /words (std_msgs/msg/String), expected /truth among them")),
         (frames("/particles"), format!("{at}: topic /particles: found 0 messages, expected at least 1")),

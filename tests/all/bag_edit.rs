@@ -241,8 +241,8 @@ fn what_is_there_is_never_overwritten_and_what_fails_leaves_nothing() {
     let before = folder.names();
     let (taken, cut, new) = (folder.path("taken"), folder.path("cut.mcap"), folder.path("new"));
     for (arguments, expected) in [
-        (vec!["bag", "recover", &whole, "-o", &taken], "found something of that name"),
-        (vec!["bag", "merge", &whole, &whole, "-o", &taken], "found something of that name"),
+        (vec!["bag", "recover", &whole, "-o", &taken], "already exists"),
+        (vec!["bag", "merge", &whole, &whole, "-o", &taken], "already exists"),
         (vec!["bag", "cut", &whole, "--start", "99", "-o", &new], "found no message"),
         (vec!["bag", "filter", &whole, "-x", "/", "-o", &new], "found no message"),
         (vec!["bag", "merge", &whole, &cut, "-o", &new], "eddy bag recover saves"),
@@ -358,7 +358,7 @@ fn damage_in_the_middle_costs_its_chunk_and_no_other() {
     let kept = messages(&folder.join("saved"));
     assert!((50..60).contains(&kept.len()), "{}", kept.len());
     assert_eq!(recovered.losses.len(), 2);
-    let counted = format!("found {} messages, expected the 60 it states", kept.len());
+    let counted = format!("found {} messages, expected the 60 declared", kept.len());
     assert!(recovered.losses[1].ends_with(&counted), "{:?}", recovered.losses);
     assert!(kept.iter().all(|message| whole.contains(message)));
     assert_eq!(findings(&folder.join("saved")), [""; 0]);

@@ -119,7 +119,7 @@ fn a_bag_that_states_more_messages_than_it_has_is_not_whole() {
     assert!(kept < 30);
     assert_eq!(
         recovered.losses,
-        [format!("{}: found {kept} messages, expected the 30 it states", bag.display())]
+        [format!("{}: found {kept} messages, expected the 30 declared", bag.display())]
     );
 }
 
@@ -282,8 +282,8 @@ fn who_ends_the_work_between_two_files_is_told_which_of_them_are_new() {
     };
     let error = Reindexing::open(&bag, &mut |_| true).unwrap().save(&mut once).unwrap_err();
     assert_eq!(told, before.each_ref().map(|bytes| bytes.len() as u64));
-    let said = "interrupted after 1 of 2 files: they have a summary now, the other files and metadata.yaml \
-                are as they were";
+    let said = "interrupted after 1 of 2 files: these have a summary now, the other files and metadata.yaml \
+                are unchanged";
     assert!(error.to_string().ends_with(said), "{error}");
     assert_eq!(fs::read(&files[1]).unwrap(), before[1]);
     assert!(!bag.join("metadata.yaml").exists());
@@ -366,10 +366,10 @@ fn every_damaged_chunk_is_told_and_of_many_the_first_ten_and_how_many_more() {
             let (mut losses, path) = (recovered.losses, file.display());
             if !bare {
                 let stated = losses.pop().unwrap();
-                assert!(stated.ends_with("expected the 100 it states"), "{stated}");
+                assert!(stated.ends_with("expected the 100 declared"), "{stated}");
             }
             if damaged > 10 {
-                let more = format!("{path}: found {} more faults, expected none", damaged - 10);
+                let more = format!("{path}: {} more errors, not listed", damaged - 10);
                 assert_eq!(losses.pop(), Some(more));
             }
             assert_eq!(losses.len(), damaged.min(10), "{losses:?}");
@@ -404,7 +404,7 @@ fn attachments_of_any_size_together_are_saved_one_after_the_other() {
     let output = command.args(["-o", saved.to_str().unwrap()]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let bag = BagReader::open(&saved).unwrap();
-    assert_eq!(bag.extra_counts(), [usize::from(ATTACHMENTS), 0]);
+    assert_eq!(bag.auxiliary_counts(), [usize::from(ATTACHMENTS), 0]);
     assert!(bag.size() > SIZE as u64 * u64::from(ATTACHMENTS));
 }
 

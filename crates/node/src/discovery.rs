@@ -11,7 +11,7 @@ use std::{
 };
 
 use super::{cache::Producer, intake::Received};
-use eddy_bag::TopicChoice;
+use eddy_bag::TopicFilter;
 use eddy_frames::clock::Clock;
 use eddy_transport::{Link, TransportKind, Transports};
 
@@ -24,7 +24,7 @@ const NAP: Duration = Duration::from_millis(20);
 pub struct TopicSearch {
     transports: Transports,
     from: Vec<TransportKind>,
-    choice: TopicChoice,
+    choice: TopicFilter,
     found: Mutex<Found>,
 }
 
@@ -47,7 +47,7 @@ impl TopicSearch {
     pub fn new(
         transports: Transports,
         from: Vec<TransportKind>,
-        choice: TopicChoice,
+        choice: TopicFilter,
         known: HashSet<String>,
     ) -> Self {
         let found = Found { known, failed: BTreeMap::new(), ended: Reasons::new() };
@@ -112,7 +112,7 @@ impl TopicSearch {
                 return;
             }
         };
-        for topic in topics.into_iter().filter(|topic| self.choice.wants(&topic.link.topic)) {
+        for topic in topics.into_iter().filter(|topic| self.choice.matches(&topic.link.topic)) {
             if self.lock().known.contains(&topic.link.topic) {
                 continue;
             }

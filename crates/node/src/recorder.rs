@@ -47,12 +47,12 @@ impl Recorder {
 
     /// Has `metadata.yaml` say one more thing.
     pub fn note(&mut self, key: &str, value: String) {
-        self.bag.note(key, value);
+        self.bag.set_custom_data(key, value);
     }
 
     /// Has `metadata.yaml` say that so many messages arrived and did not come as far as here.
     pub fn note_not_given(&mut self, messages: u64) {
-        self.bag.note_not_given(messages);
+        self.bag.count_dropped(messages);
     }
 
     /// Writes a message that arrived at `now`, which becomes both its times.

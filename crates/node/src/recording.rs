@@ -160,7 +160,7 @@ mod tests {
     use std::{collections::HashSet, path::Path};
 
     use super::*;
-    use eddy_bag::{BagReader, BagWriter, TopicChoice, WriterOptions};
+    use eddy_bag::{BagReader, BagWriter, TopicFilter, WriterOptions};
     use eddy_messages::{Message, RosString, cdr, topic_type};
     use eddy_transport::{
         Payload, Publisher, Reliability, TransportKind, TransportOptions, Transports,
@@ -206,7 +206,7 @@ mod tests {
             inputs: Vec<(SeenTopic, Box<dyn Subscriber>)>,
             terms: &RecordingTerms<'_>,
         ) -> (u64, Result<(), RecordError>, Losses) {
-            let none = (Vec::new(), TopicChoice::default(), HashSet::new());
+            let none = (Vec::new(), TopicFilter::default(), HashSet::new());
             let search = TopicSearch::new(self.transports.clone(), none.0, none.1, none.2);
             let writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
             let mut recorder = Recorder::new(writer, clock::wall());

@@ -10,7 +10,7 @@ use crate::{
     commands::{Interrupt, progress_bar},
 };
 use eddy_bag::{
-    BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicChoice, clouds, extract,
+    BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicFilter, clouds, extract,
     merge as merged, without_cloud,
 };
 use eddy_frames::Stamp;
@@ -58,8 +58,8 @@ pub fn filter(args: FilterArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::R
         anyhow::bail!("--topics: found {unknown}, expected one of {}{hint}", topics.join(", "));
     }
     let all = args.topics.is_empty() && args.regex.is_empty();
-    let choice = TopicChoice { names: args.topics, regex: args.regex, exclude: args.exclude, all };
-    let wanted = bag.topics().iter().map(|topic| &topic.name).filter(|name| choice.wants(name));
+    let choice = TopicFilter { names: args.topics, regex: args.regex, exclude: args.exclude, all };
+    let wanted = bag.topics().iter().map(|topic| &topic.name).filter(|name| choice.matches(name));
     let selection = Selection { topics: Some(wanted.cloned().collect()), ..Selection::default() };
     copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
         extract(&bag, &selection, output, options)

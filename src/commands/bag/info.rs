@@ -20,7 +20,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     println!("compression  {}", if compressions.is_empty() { "none" } else { &compressions });
     println!("messages     {}", bag.message_count());
 
-    for (what, count) in ["attachments", "metadata"].iter().zip(bag.extra_counts()) {
+    for (what, count) in ["attachments", "metadata"].iter().zip(bag.auxiliary_counts()) {
         if count > 0 {
             println!("{what:<12} {count}");
         }

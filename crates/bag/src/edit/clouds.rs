@@ -1,27 +1,29 @@
-//! The frames of a bag also as point clouds.
+//! Adds point clouds to the frames of a bag.
 
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
-use super::{CopyOptions, copy};
+use super::copy::{CopyOptions, copy};
 use crate::{
-    channel::Channel, error::BagError, messages::BagMessage, reader::BagReader, writer::BagSummary,
+    error::BagError,
+    format::{channel::Channel, summary::BagSummary},
+    read::{messages::BagMessage, reader::BagReader},
 };
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud, type_support};
 
-/// The topics of frames that have no cloud beside them yet.
+/// The topics of frames without a topic of clouds.
 pub fn without_cloud(bag: &BagReader) -> Vec<String> {
     let topics = bag.topics();
-    let has_cloud = |name: &str| topics.iter().any(|topic| topic.name == beside(name));
+    let has_cloud = |name: &str| topics.iter().any(|topic| topic.name == cloud_topic(name));
     let frames = topics.iter().filter(|topic| topic.type_name == ParticleFrame::TYPE);
     frames.map(|topic| topic.name.clone()).filter(|name| !has_cloud(name)).collect()
 }
 
-/// Copies a bag into a new one at `output`, with a `sensor_msgs/msg/PointCloud2` on `TOPIC/cloud` beside
-/// every frame of [`without_cloud`], of the same times. A message that is no frame has none.
+/// Copies a bag into a new one at `output` and adds a `sensor_msgs/msg/PointCloud2` on `TOPIC/cloud` for every
+/// frame of [`without_cloud`], with its times. A message that is not a frame has no cloud.
 ///
 /// # Errors
-/// As [`extract`](fn@super::extract); [`BagError::Type`] never, as the type of clouds is known.
+/// As [`extract`](fn@super::extract).
 pub fn clouds(
     bag: &BagReader,
     output: &Path,
@@ -31,8 +33,13 @@ pub fn clouds(
     for topic in without_cloud(bag) {
         let support = type_support(PointCloud2::TYPE)
             .map_err(|reason| BagError::Type { topic: topic.clone(), reason })?;
-        let channel =
-            Channel::ros(&beside(&topic), PointCloud2::TYPE, &support.schema, &support.hash, 0);
+        let channel = Channel::ros(
+            &cloud_topic(&topic),
+            PointCloud2::TYPE,
+            &support.schema,
+            &support.hash,
+            0,
+        );
         channels.insert(topic, Arc::new(channel));
     }
     let with_clouds = bag.messages().flat_map(|message| {
@@ -43,11 +50,11 @@ pub fn clouds(
         [Some(message), cloud.map(Ok)].into_iter().flatten()
     });
     let channels = bag.channels().iter().chain(channels.values());
-    copy(output, channels, bag.extras(), with_clouds, options)
+    copy(output, channels, bag.auxiliary(), with_clouds, options)
 }
 
-/// The topic of the clouds of a topic of frames, as the node publishes them.
-fn beside(topic: &str) -> String {
+/// The topic on which a node publishes the clouds of a topic of frames.
+fn cloud_topic(topic: &str) -> String {
     format!("{topic}/cloud")
 }
 

@@ -1,24 +1,28 @@
-//! Some topics of a bag, some of its time.
+//! Copies selected topics and times of a bag.
 
 use std::path::Path;
 
-use super::{CopyOptions, copy};
-use crate::{error::BagError, messages::Selection, reader::BagReader, writer::BagSummary};
+use super::copy::{CopyOptions, copy};
+use crate::{
+    error::BagError,
+    format::summary::BagSummary,
+    read::{messages::Selection, reader::BagReader},
+};
 
-/// Copies the selected messages of a bag into a new one at `output`. All wanted topics are in it, also
-/// those without a message.
+/// Copies the selected messages of a bag into a new one at `output`, which has all selected topics, also those
+/// without messages.
 ///
 /// # Errors
-/// [`BagError::Exists`] when there is something at `output`; [`BagError::Nothing`] when no message
-/// is selected; damage of the bag; what writing gives. There is then no new bag.
+/// [`BagError::Exists`] when `output` exists; [`BagError::Nothing`] when no message is selected; damage of the
+/// bag; errors of the writer. No new bag is left then.
 pub fn extract(
     bag: &BagReader,
     selection: &Selection,
     output: &Path,
     options: CopyOptions<'_>,
 ) -> Result<BagSummary, BagError> {
-    let wanted = bag.channels().iter().filter(|channel| {
+    let selected = bag.channels().iter().filter(|channel| {
         selection.topics.as_ref().is_none_or(|topics| topics.contains(&channel.topic))
     });
-    copy(output, wanted, bag.extras(), bag.select(selection), options)
+    copy(output, selected, bag.auxiliary(), bag.select(selection), options)
 }

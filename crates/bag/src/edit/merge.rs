@@ -1,14 +1,15 @@
-//! Several bags as one, in the order of time.
+//! Merges several bags in the order of time.
 
 use std::{collections::BTreeMap, iter::Peekable, path::Path};
 
-use super::{CopyOptions, copy};
+use super::copy::{CopyOptions, copy};
 use crate::{
-    channel::Channel,
     error::BagError,
-    messages::{BagMessage, Messages},
-    reader::BagReader,
-    writer::BagSummary,
+    format::{channel::Channel, summary::BagSummary},
+    read::{
+        messages::{BagMessage, Messages},
+        reader::BagReader,
+    },
 };
 
 /// Copies the messages of all bags into a new one at `output`, in the order of their log time;
@@ -25,8 +26,8 @@ pub fn merge(
     check_types(bags)?;
     let channels = bags.iter().flat_map(|bag| bag.channels());
     let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
-    let extras = bags.iter().flat_map(BagReader::extras);
-    copy(output, channels, extras, Merged { inputs }, options)
+    let auxiliary = bags.iter().flat_map(BagReader::auxiliary);
+    copy(output, channels, auxiliary, Merged { inputs }, options)
 }
 
 fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
@@ -42,8 +43,8 @@ fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
                 return Err(BagError::TopicType {
                     path: bag.path().into(),
                     topic: channel.topic.clone(),
-                    found: in_words(channel),
-                    expected: in_words(first),
+                    found: type_and_hash(channel),
+                    expected: type_and_hash(first),
                 });
             }
         }
@@ -51,14 +52,14 @@ fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
     Ok(())
 }
 
-fn in_words(channel: &Channel) -> String {
+fn type_and_hash(channel: &Channel) -> String {
     match channel.type_hash() {
         Some(hash) => format!("{} ({hash})", channel.type_name()),
         None => channel.type_name().to_owned(),
     }
 }
 
-/// The messages of several bags. The first error is the last that comes.
+/// The messages of several bags.
 struct Merged {
     inputs: Vec<Peekable<Messages>>,
 }
@@ -68,7 +69,7 @@ impl Iterator for Merged {
 
     fn next(&mut self) -> Option<Self::Item> {
         let time = |next: Option<&Result<BagMessage, BagError>>| {
-            // An error goes first: it ends the work.
+            // An error comes first: it stops the copy.
             next.map(|message| message.as_ref().ok().map(|message| message.log_time))
         };
         let (_, earliest) = self

@@ -1,30 +1,30 @@
-//! A moment of a bag, as people write it.
+//! A point in time of a bag, as users write it.
 
 use std::str::FromStr;
 
 use eddy_frames::Stamp;
 
-/// A moment of a bag: `2.5` seconds after its start, or at log time `1700000000000000000ns`.
+/// A point in time of a bag: `2.5` (seconds after its start) or `1700000000000000000ns` (log time).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Moment {
-    /// So long after the first message (s).
+    /// Time after the first message (s).
     After(f64),
-    /// This log time.
+    /// Log time.
     At(Stamp),
 }
 
-/// Why a word is no moment.
+/// A text that is not a [`Moment`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "moment: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 1700000000000000000ns"
 )]
 pub struct InvalidMoment {
-    /// The word.
+    /// The text.
     pub found: String,
 }
 
 impl Moment {
-    /// The log time of this moment in a bag that starts then.
+    /// The log time in a bag that starts at `start`.
     pub fn in_bag(self, start: Stamp) -> Stamp {
         match self {
             Self::After(seconds) => Stamp(start.0.saturating_add(Stamp::from_seconds(seconds).0)),
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn other_words_are_refused_with_what_was_expected() {
+    fn other_texts_are_rejected_with_what_was_expected() {
         for text in ["", "-1", "soon", "1e999", "-5ns", "2.5ns"] {
             let message = text.parse::<Moment>().unwrap_err().to_string();
             assert!(message.starts_with(&format!("moment: found `{text}`, expected")), "{message}");

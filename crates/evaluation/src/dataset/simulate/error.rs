@@ -164,7 +164,7 @@ impl SimulateError {
                 reason.kind(),
                 ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge
             ),
-            Self::Bag(reason) => reason.is_no_room(),
+            Self::Bag(reason) => reason.is_disk_full(),
             _ => false,
         }
     }

@@ -1,4 +1,4 @@
-//! `metadata.yaml`, version 9: written as rosbag2 writes it, read as far as eddy needs it.
+//! `metadata.yaml`, version 9, as rosbag2 writes it; only the fields that eddy needs are read.
 
 use std::{
     collections::BTreeMap,
@@ -9,27 +9,18 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    error::BagError,
-    layout::METADATA,
     qos::{self, QosProfile},
-    writer::BagSummary,
+    summary::BagSummary,
 };
+use crate::error::BagError;
 use eddy_frames::Stamp;
 use eddy_settings::atomic;
 
+/// The file in a bag directory.
+pub(crate) const FILE_NAME: &str = "metadata.yaml";
+
 /// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
 const VERSION: u32 = 9;
-
-/// The value of a channel's `offered_qos_profiles` where eddy writes it, for publishers that keep so many
-/// messages for subscribers that come later: a list as a text.
-pub(super) fn offered_qos_profiles(kept: usize) -> String {
-    to_yaml(&[QosProfile::keeping(kept)])
-}
-
-fn to_yaml<T: Serialize>(value: &T) -> String {
-    serde_saphyr::to_string(value)
-        .expect("structs of numbers and strings with fixed keys are always YAML")
-}
 
 #[derive(Serialize)]
 struct Document<'a> {
@@ -85,9 +76,9 @@ struct FileInformation<'a> {
     message_count: u64,
 }
 
-/// Writes `metadata.yaml` into the bag's directory, complete or not at all.
-pub(super) fn write(bag: &BagSummary) -> Result<(), BagError> {
-    let path = bag.directory.join(METADATA);
+/// Writes `metadata.yaml` into the bag directory, atomically.
+pub(crate) fn write(bag: &BagSummary) -> Result<(), BagError> {
+    let path = bag.directory.join(FILE_NAME);
     atomic::replace(&path, text(bag).as_bytes()).map_err(BagError::io(path, "writing the metadata"))
 }
 
@@ -102,7 +93,7 @@ fn text(bag: &BagSummary) -> String {
             message_count: file.messages,
         })
         .collect();
-    to_yaml(&Document {
+    serde_saphyr::to_string(&Document {
         rosbag2_bagfile_information: Information {
             version: VERSION,
             storage_identifier: "mcap",
@@ -110,7 +101,7 @@ fn text(bag: &BagSummary) -> String {
             starting_time: starting_time(bag.start),
             message_count: bag.messages,
             topics_with_message_count: topics(bag),
-            // Compression is that of MCAP's chunks; these two are for whole files and messages.
+            // MCAP compresses its chunks; these two are about compressed files and messages.
             compression_format: "",
             compression_mode: "",
             relative_file_paths: files.iter().map(|file| file.path).collect(),
@@ -119,6 +110,7 @@ fn text(bag: &BagSummary) -> String {
             ros_distro: "eddy",
         },
     })
+    .expect("structs of numbers and strings with fixed keys are always YAML")
 }
 
 fn starting_time(start: Option<Stamp>) -> SinceEpoch {
@@ -129,7 +121,7 @@ fn duration(start: Option<Stamp>, end: Option<Stamp>) -> Nanoseconds {
     Nanoseconds { nanoseconds: start.zip(end).map_or(0, |(start, end)| end.0 - start.0) }
 }
 
-/// Each topic and type once, whatever else its writers said about it.
+/// Each topic and type once, with the QoS profiles of all its channels.
 fn topics(bag: &BagSummary) -> Vec<TopicWithCount<'_>> {
     let mut topics: Vec<TopicWithCount> = Vec::new();
     for topic in &bag.topics {
@@ -185,7 +177,7 @@ fn read(path: &Path) -> Result<ReadInformation, BagError> {
             path,
             "rosbag2_bagfile_information",
             error.to_string(),
-            "the keys that rosbag2 writes",
+            "the fields that rosbag2 writes",
         )
     })?;
     Ok(document.rosbag2_bagfile_information)
@@ -195,8 +187,8 @@ fn wrong(path: &Path, field: &'static str, found: String, expected: &'static str
     BagError::Metadata { path: path.into(), field, found, expected }
 }
 
-/// The MCAP files that `metadata.yaml` at `path` names, in the bag's `directory`.
-pub(super) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The MCAP files in `directory` that `metadata.yaml` at `path` lists.
+pub(crate) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagError> {
     let information = read(path)?;
     if information.version > VERSION {
         return Err(wrong(path, "version", information.version.to_string(), "at most 9"));
@@ -205,13 +197,13 @@ pub(super) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagEr
         return Err(wrong(path, "storage_identifier", information.storage_identifier, "mcap"));
     }
     if !matches!(information.compression_mode.to_lowercase().as_str(), "" | "none") {
-        let expected = "an empty text: MCAP compresses its own chunks";
+        let expected = "an empty string: MCAP compresses its own chunks";
         return Err(wrong(path, "compression_mode", information.compression_mode, expected));
     }
-    // Only the last part of each path counts: bags are moved, and older versions wrote more.
+    // Only the file name of each path counts: bags are moved, and older versions wrote longer paths.
     let file = |name: &String| Path::new(name).file_name().map(|name| directory.join(name));
     let files: Vec<PathBuf> = information.relative_file_paths.iter().filter_map(file).collect();
-    let expected = "the names of files beside metadata.yaml";
+    let expected = "names of files beside metadata.yaml";
     if let Some(missing) = files.iter().find(|file| !file.exists()) {
         let found = format!("{}, which does not exist", missing.display());
         return Err(wrong(path, "relative_file_paths", found, expected));
@@ -222,18 +214,18 @@ pub(super) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagEr
     Ok(files)
 }
 
-/// `message_count` of the metadata of the bag at `bag`, if it has any.
-pub(super) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
-    let path = bag.join(METADATA);
+/// `message_count` in the metadata of the bag at `bag`; `None` without `metadata.yaml`.
+pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
+    let path = bag.join(FILE_NAME);
     if !path.exists() {
         return Ok(None);
     }
     Ok(Some(read(&path)?.message_count))
 }
 
-/// `custom_data` of the metadata of the bag at `bag`, if it can be read.
-pub(super) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
-    read(&bag.join(METADATA)).ok()?.custom_data
+/// `custom_data` in the metadata of the bag at `bag`, if it can be read.
+pub(crate) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
+    read(&bag.join(FILE_NAME)).ok()?.custom_data
 }
 
 #[cfg(test)]
@@ -241,14 +233,17 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::{Channel, WrittenTopic, channel::OFFERED_QOS, writer::WrittenFile};
+    use crate::format::{
+        channel::{Channel, OFFERED_QOS},
+        summary::{WrittenFile, WrittenTopic},
+    };
 
     fn bag() -> BagSummary {
         let channel = Channel {
             topic: "/particles".into(),
             schema: None,
             encoding: "cdr".into(),
-            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), offered_qos_profiles(0))]),
+            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), qos::offered_profiles(0))]),
         };
         let topic = WrittenTopic {
             name: "/particles".into(),
@@ -277,19 +272,19 @@ mod tests {
     }
 
     #[test]
-    fn every_file_of_a_split_bag_is_listed_with_what_the_recorder_had_to_say() {
+    fn every_file_of_a_split_bag_is_listed_beside_the_custom_data() {
         let mut bag = bag();
         let second = WrittenFile { path: "run/run_1.mcap".into(), ..bag.files[0].clone() };
         bag.files.push(second);
-        bag.custom_data.insert("not_kept".into(), "7".into());
+        bag.custom_data.insert("not_recorded".into(), "7".into());
         let text = text(&bag);
         assert!(text.contains("relative_file_paths:\n  - run_0.mcap\n  - run_1.mcap\n"), "{text}");
         assert!(text.contains("  - path: run_1.mcap\n"), "{text}");
-        assert!(text.contains("custom_data:\n    not_kept: \"7\"\n"), "{text}");
+        assert!(text.contains("custom_data:\n    not_recorded: \"7\"\n"), "{text}");
     }
 
     #[test]
-    fn the_text_is_that_of_rosbag2() {
+    fn the_text_is_what_rosbag2_writes() {
         insta::assert_snapshot!(text(&bag()), @r#"
         rosbag2_bagfile_information:
           version: 9
@@ -339,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn metadata_that_cannot_be_used_names_field_found_and_expected() {
+    fn unusable_metadata_is_rejected_with_field_found_and_expected() {
         let good = text(&bag());
         let cases = [
             ("version: 9", "version: 10", "version: found 10, expected at most 9"),
@@ -356,12 +351,12 @@ mod tests {
             (
                 "  - run_0.mcap",
                 "  - gone.mcap",
-                "gone.mcap, which does not exist, expected the names of files",
+                "gone.mcap, which does not exist, expected names of files",
             ),
             ("message_count: 3", "message_count: many", "rosbag2_bagfile_information: found"),
         ];
         let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join(METADATA);
+        let path = directory.path().join(FILE_NAME);
         fs::write(directory.path().join("run_0.mcap"), "").unwrap();
         fs::write(&path, &good).unwrap();
         assert_eq!(files(&path, directory.path()).unwrap(), [directory.path().join("run_0.mcap")]);

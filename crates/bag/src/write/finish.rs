@@ -1,6 +1,6 @@
-//! Writes the end of a file whose writer could not: data end, summary, footer.
+//! Finishes a file whose writer could not: data end, summary section, footer.
 //!
-//! The chunks stay where they are; the summary is made from what a walk through the file found.
+//! The chunks stay where they are; the summary section is made from the index of a scan.
 
 use std::{
     fs::{File, OpenOptions},
@@ -15,45 +15,47 @@ use mcap::{
     records::{self, DataEnd, Footer, SchemaHeader, Statistics, op},
 };
 
-use super::{
-    channel::Schema,
+use crate::{
     error::BagError,
-    extra::{Extra, ExtraIndex},
-    index::FileIndex,
-    record::{HEADER_SIZE, RecordHeader},
+    format::channel::Schema,
+    read::{
+        auxiliary::{AuxiliaryIndex, AuxiliaryRecord},
+        index::FileIndex,
+        records::{HEADER_SIZE, RecordHeader},
+    },
 };
 
-/// Room that `metadata.yaml` and the directory may need beside the summary (bytes).
-const ELBOW_ROOM: usize = 64 << 10;
+/// Space that is left for `metadata.yaml` and the directory (bytes).
+const RESERVE: usize = 64 << 10;
 
-/// Whether the last chunks of a file may go to make room for its summary.
+/// What happens when the summary section does not fit on the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Chunks {
-    Stay,
-    MakeRoom,
+pub(crate) enum OnFullDisk {
+    Fail,
+    /// The last chunks are dropped.
+    DropChunks,
 }
 
-/// Ends the file, of which `index` tells what a walk through it found, after its last whole record. When the
-/// disk has no room for the summary, the last chunks make some, if they may. Gives what the file then holds.
+/// Finishes the file with the index of its scan after its last complete record, and returns the index of the
+/// finished file.
 ///
 /// # Errors
-/// [`BagError::Io`]; what was whole before is whole after it.
-pub(super) fn end_file(
+/// [`BagError::Io`]; complete records stay complete.
+pub(crate) fn finish_file(
     path: &Path,
     mut index: FileIndex,
-    chunks: Chunks,
+    on_full_disk: OnFullDisk,
 ) -> Result<FileIndex, BagError> {
-    let failed = |reason| BagError::Io { path: path.into(), action: "ending the file", reason };
-    let extras = index.extras.iter().map(|header| Ok((*header, Extra::read(path, header)?)));
-    let extras: Vec<_> = extras
-        .map(|extra| extra.map(|(header, extra)| (header, extra.index(&header))))
-        .collect::<Result<_, BagError>>()?;
+    let failed = |reason| BagError::Io { path: path.into(), action: "finishing the file", reason };
+    let read =
+        |header: &RecordHeader| Ok((*header, AuxiliaryRecord::read(path, header)?.index(header)));
+    let auxiliary: Vec<_> = index.auxiliary.iter().map(read).collect::<Result<_, BagError>>()?;
     let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
-    // What a cut chunk still has is not in the file any more then.
+    // Without the messages of a truncated chunk.
     let mut data_end = index.data_end;
     loop {
-        index.cut_back(data_end);
-        let end = ending(&index, &extras);
+        index.truncate(data_end);
+        let end = ending(&index, &auxiliary);
         file.set_len(data_end).map_err(failed)?;
         match append(&mut file, data_end, &end) {
             Ok(()) => {
@@ -61,37 +63,37 @@ pub(super) fn end_file(
                 return Ok(index);
             }
             Err(error)
-                if chunks == Chunks::MakeRoom
-                    && BagError::is_out_of_room(&error)
+                if on_full_disk == OnFullDisk::DropChunks
+                    && BagError::means_disk_full(&error)
                     && !index.chunks.is_empty() =>
             {
-                data_end = without_chunks(&index, (end.len() + ELBOW_ROOM) as u64);
+                data_end = without_chunks(&index, (end.len() + RESERVE) as u64);
             }
             Err(error) => return Err(failed(error)),
         }
     }
 }
 
-/// Where the data end when chunks from their end have given so many bytes.
+/// End of the data section (bytes) without the last chunks of at least `bytes` bytes.
 fn without_chunks(index: &FileIndex, bytes: u64) -> u64 {
     let mut starts = index.chunks.iter().map(|chunk| chunk.chunk_start_offset);
     let first = starts.next().unwrap_or(index.data_end);
     starts.rev().find(|start| index.data_end - start >= bytes).unwrap_or(first)
 }
 
-/// Writes `bytes` there, if there is also some room for what is written after it.
+/// Writes `bytes` at byte `at`, if the disk has also space for the reserve.
 fn append(file: &mut File, at: u64, bytes: &[u8]) -> std::io::Result<()> {
     file.seek(SeekFrom::Start(at))?;
     file.write_all(bytes)?;
-    file.write_all(&[0; ELBOW_ROOM])?;
+    file.write_all(&[0; RESERVE])?;
     file.set_len(at + bytes.len() as u64)?;
     file.sync_all()
 }
 
-/// Data end, summary, footer and magic of a file with this index.
-fn ending(index: &FileIndex, extras: &[(RecordHeader, ExtraIndex)]) -> Vec<u8> {
+/// Data end, summary section, footer and magic of a file with this index.
+fn ending(index: &FileIndex, auxiliary: &[(RecordHeader, AuxiliaryIndex)]) -> Vec<u8> {
     let mut end = Vec::new();
-    // No checksum over the data section, which is read again nowhere here; each chunk has its own.
+    // No checksum of the data section, which would have to be read again; each chunk has its own.
     record(&mut end, op::DATA_END, &DataEnd { data_section_crc: 0 });
     let summary_start = index.data_end + end.len() as u64;
     for (&id, schema) in &index.schemas {
@@ -110,14 +112,15 @@ fn ending(index: &FileIndex, extras: &[(RecordHeader, ExtraIndex)]) -> Vec<u8> {
         };
         record(&mut end, op::CHANNEL, &record_of_channel);
     }
-    let attachments = index.extras.iter().filter(|extra| extra.opcode == op::ATTACHMENT).count();
+    let attachments =
+        index.auxiliary.iter().filter(|record| record.opcode == op::ATTACHMENT).count();
     let (message_start_time, message_end_time) = index.times.unwrap_or_default();
     let statistics = Statistics {
         message_count: index.messages(),
         schema_count: index.schemas.len() as u16,
         channel_count: index.channels.len() as u32,
         attachment_count: attachments as u32,
-        metadata_count: (index.extras.len() - attachments) as u32,
+        metadata_count: (index.auxiliary.len() - attachments) as u32,
         chunk_count: index.chunks.len() as u32,
         message_start_time,
         message_end_time,
@@ -127,10 +130,10 @@ fn ending(index: &FileIndex, extras: &[(RecordHeader, ExtraIndex)]) -> Vec<u8> {
     for chunk in &index.chunks {
         record(&mut end, op::CHUNK_INDEX, chunk);
     }
-    for (_, extra) in extras.iter().filter(|(header, _)| header.position < index.data_end) {
-        match extra {
-            ExtraIndex::Attachment(index) => record(&mut end, op::ATTACHMENT_INDEX, index),
-            ExtraIndex::Metadata(index) => record(&mut end, op::METADATA_INDEX, index),
+    for (_, found) in auxiliary.iter().filter(|(header, _)| header.position < index.data_end) {
+        match found {
+            AuxiliaryIndex::Attachment(index) => record(&mut end, op::ATTACHMENT_INDEX, index),
+            AuxiliaryIndex::Metadata(index) => record(&mut end, op::METADATA_INDEX, index),
         }
     }
     record(&mut end, op::FOOTER, &Footer { summary_start, ..Footer::default() });
@@ -146,7 +149,7 @@ where
     header(into, opcode);
     let mut cursor = Cursor::new(&mut *into);
     cursor.set_position((start + HEADER_SIZE as usize) as u64);
-    body.write_le(&mut cursor).expect("a vector takes whatever is written");
+    body.write_le(&mut cursor).expect("writing to a vector does not fail");
     close(into, start);
 }
 
@@ -159,7 +162,7 @@ fn schema_record(into: &mut Vec<u8>, id: u16, schema: &Schema) {
     SchemaHeader { id, name, encoding }
         .write_le(&mut cursor)
         .and_then(|()| Ok(into.write_u32::<LittleEndian>(schema.data.len() as u32)?))
-        .expect("a vector takes whatever is written");
+        .expect("writing to a vector does not fail");
     into.extend_from_slice(&schema.data);
     close(into, start);
 }
@@ -169,7 +172,7 @@ fn header(into: &mut Vec<u8>, opcode: u8) {
     into.extend_from_slice(&[0; 8]);
 }
 
-/// Fills in the length of the record that starts there and ends here.
+/// Sets the length of the record from byte `start` to the end.
 fn close(bytes: &mut [u8], start: usize) {
     let body = start + HEADER_SIZE as usize;
     let length = (bytes.len() - body) as u64;

@@ -1,28 +1,28 @@
-//! The contents of records. MCAP's parser takes memory for as many bytes as a text or a list says it has,
-//! up to 4 GiB, and reads beyond the end of an attachment that is too short: what lengths say is held
-//! against what is there before it is asked.
+//! Parses the bodies of records with the lengths in them checked first: the parser of the mcap crate (0.26)
+//! allocates whatever length a string or list declares, up to 4 GiB, and panics on attachments that are too
+//! short. For the same reason its `SummaryReader` and `IndexedReader` are not used on files that may be damaged.
 
 use mcap::{
     McapError, McapResult, parse_record,
     records::{Record, op},
 };
 
-/// A part of a record's body, as far as its length is concerned.
+/// A field of a record's body, as far as its length is concerned.
 #[derive(Clone, Copy)]
-enum Part {
-    /// So many bytes.
+enum Field {
+    /// A number of bytes.
     Fixed(usize),
-    /// Four bytes of length, then a text or a list.
+    /// A string or list after its length in four bytes.
     Text,
-    /// Four bytes of length, then texts, one after the other.
+    /// A map of strings after its length in four bytes.
     Texts,
-    /// Eight bytes of length, then data.
+    /// Data after its length in eight bytes.
     Data,
 }
-use Part::{Data, Fixed, Text, Texts};
+use Field::{Data, Fixed, Text, Texts};
 
-/// The parts of the records that are parsed here (MCAP specification, "Records").
-fn parts(opcode: u8) -> &'static [Part] {
+/// The fields of the records that are parsed here (MCAP specification, "Records").
+fn fields(opcode: u8) -> &'static [Field] {
     match opcode {
         op::SCHEMA => &[Fixed(2), Text, Text, Text],
         op::CHANNEL => &[Fixed(4), Text, Text, Texts],
@@ -36,19 +36,19 @@ fn parts(opcode: u8) -> &'static [Part] {
     }
 }
 
-/// The record with this body.
+/// Parses the body of a record.
 ///
 /// # Errors
-/// What MCAP's parser says; [`McapError::UnexpectedEof`] when a length does not fit the body.
-pub(super) fn record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
+/// Those of mcap's parser; [`McapError::UnexpectedEof`] when a length does not fit the body.
+pub(crate) fn record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     fits(opcode, body).ok_or(McapError::UnexpectedEof)?;
     parse_record(opcode, body)
 }
 
 fn fits(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = body;
-    for part in parts(opcode) {
-        match *part {
+    for field in fields(opcode) {
+        match *field {
             Fixed(length) => rest = rest.get(length..)?,
             Text => (_, rest) = text(rest)?,
             Texts => {
@@ -67,7 +67,7 @@ fn fits(opcode: u8, body: &[u8]) -> Option<()> {
     Some(())
 }
 
-/// A text, and what comes after it.
+/// Splits off a string that is preceded by its length.
 fn text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn attachments_that_are_cut_or_changed_are_refused() {
+    fn truncated_or_changed_attachments_are_rejected() {
         let body = attachment();
         assert!(matches!(record(op::ATTACHMENT, &body), Ok(Record::Attachment { .. })));
         for length in 0..body.len() {
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_that_claim_more_than_there_is_are_refused() {
+    fn strings_longer_than_the_record_are_rejected() {
         let metadata = |name: u32, entries: u32, key: u32| {
             let mut body = name.to_le_bytes().to_vec();
             body.extend_from_slice(b"place");

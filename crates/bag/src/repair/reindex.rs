@@ -1,4 +1,4 @@
-//! Summaries and `metadata.yaml` of the files that are there.
+//! Writes missing summary sections and `metadata.yaml`.
 
 use std::{
     collections::BTreeMap,
@@ -9,24 +9,27 @@ use std::{
 
 use crate::{
     error::BagError,
-    index::{FileIndex, WATCHED, Watch},
-    layout, metadata, summary,
-    writer::{BagSummary, WrittenFile, WrittenTopic},
+    format::{
+        layout, metadata,
+        summary::{BagSummary, WrittenFile, WrittenTopic},
+    },
+    read::index::{FileIndex, PROGRESS_STEP, Progress},
+    write::finish::{OnFullDisk, finish_file},
 };
 use eddy_frames::Stamp;
 use eddy_settings::atomic::Staged;
 
-/// What was done to a bag.
+/// Result of reindexing a bag.
 #[derive(Clone, Debug)]
 pub struct Reindexed {
-    /// The bag as its files are now.
+    /// The bag with its files as they are now.
     pub bag: BagSummary,
-    /// The files that had no usable summary and have one now.
+    /// The files that got a summary section.
     pub summarized: Vec<PathBuf>,
 }
 
-/// A bag of which every file that lacks a usable summary will get a new one, and a directory a new
-/// `metadata.yaml`. Each file is replaced as a whole; the records in it stay as they are.
+/// A bag to reindex: every file without a usable summary section gets a new one, and a directory a new
+/// `metadata.yaml`. Files are replaced atomically; their records stay as they are.
 #[derive(Debug)]
 pub struct Reindexing {
     path: PathBuf,
@@ -34,13 +37,13 @@ pub struct Reindexing {
 }
 
 impl Reindexing {
-    /// Looks at all files. `watch` is called with the bytes that were passed over since; `false` ends the
-    /// work.
+    /// Indexes the files. `progress` is called with the number of bytes read since the last call; `false` stops
+    /// the operation.
     ///
     /// # Errors
-    /// [`BagError::Unfinished`] and damage of a file, which [`Recovery`](super::Recovery) is for;
+    /// [`BagError::Unfinished`] and the damage of a file, which need a [`Recovery`](super::Recovery);
     /// [`BagError::Io`], [`BagError::NotABag`], [`BagError::Magic`], [`BagError::Interrupted`].
-    pub fn open(path: &Path, watch: &mut dyn FnMut(u64) -> bool) -> Result<Self, BagError> {
+    pub fn open(path: &Path, progress: &mut dyn FnMut(u64) -> bool) -> Result<Self, BagError> {
         let files = layout::mcap_files(path)?;
         if let Some(active) = files.iter().find(|file| layout::is_active(file)) {
             return Err(BagError::Unfinished { path: active.clone() });
@@ -48,30 +51,30 @@ impl Reindexing {
         let files: Vec<FileIndex> = files
             .iter()
             .enumerate()
-            .map(|(number, file)| FileIndex::open_watched(file, number, watch))
+            .map(|(number, file)| FileIndex::open_with_progress(file, number, progress))
             .collect::<Result<_, _>>()?;
-        files.iter().flat_map(FileIndex::faults).next().map_or(Ok(()), Err)?;
+        files.iter().flat_map(FileIndex::errors).next().map_or(Ok(()), Err)?;
         Ok(Self { path: path.into(), files })
     }
 
-    /// Size of the files that will be copied, those without a usable summary (bytes).
+    /// Total size of the files without a usable summary section, which will be copied (bytes).
     pub fn to_copy(&self) -> u64 {
         self.files.iter().filter(|file| !file.summarized).map(|file| file.size).sum()
     }
 
-    /// Writes the summaries and `metadata.yaml`. `watch` is called with the bytes that were copied since;
-    /// `false` ends the work, and each file is then the old or the new one.
+    /// Writes the summary sections and `metadata.yaml`. `progress` is called with the number of bytes copied since
+    /// the last call; `false` stops the operation, and each file is then either the old or the new one.
     ///
     /// # Errors
-    /// [`BagError::Io`] when writing failed; [`BagError::Interrupted`] when no file was replaced yet,
-    /// [`BagError::PartlyReindexed`] later.
-    pub fn save(self, watch: &mut dyn FnMut(u64) -> bool) -> Result<Reindexed, BagError> {
+    /// [`BagError::Io`] when writing failed; [`BagError::Interrupted`] before the first file was replaced,
+    /// [`BagError::PartlyReindexed`] after it.
+    pub fn save(self, progress: &mut dyn FnMut(u64) -> bool) -> Result<Reindexed, BagError> {
         let Self { path, files } = self;
         let expected = files.iter().filter(|file| !file.summarized).count();
         let (mut indexes, mut summarized) = (Vec::new(), Vec::new());
         for mut index in files {
             if !index.summarized {
-                index = match summarize(&index.path, watch) {
+                index = match summarize(&index.path, progress) {
                     Err(BagError::Interrupted { .. }) if !summarized.is_empty() => {
                         let summarized = summarized.len();
                         return Err(BagError::PartlyReindexed { path, summarized, expected });
@@ -91,27 +94,27 @@ impl Reindexing {
     }
 }
 
-/// Writes the summary of a file into a copy, which then takes its place.
-fn summarize(file: &Path, watch: &mut Watch<'_>) -> Result<FileIndex, BagError> {
+/// Replaces a file by a copy with a summary section.
+fn summarize(file: &Path, progress: &mut Progress<'_>) -> Result<FileIndex, BagError> {
     let staged = Staged::replacing(file).map_err(BagError::io(file, "copying the file"))?;
     let copy = staged.path();
-    copy_watched(file, &copy, watch)?;
-    // The records of the copy count, whatever the old summary says.
-    let index = summary::end_file(&copy, FileIndex::walk(&copy)?, summary::Chunks::Stay)?;
+    copy_file(file, &copy, progress)?;
+    // From the records of the copy, regardless of the old summary section.
+    let index = finish_file(&copy, FileIndex::scan(&copy)?, OnFullDisk::Fail)?;
     staged.commit().map_err(BagError::io(file, "replacing the file"))?;
     Ok(FileIndex { path: file.into(), ..index })
 }
 
-fn copy_watched(file: &Path, copy: &Path, watch: &mut Watch<'_>) -> Result<(), BagError> {
+fn copy_file(file: &Path, copy: &Path, progress: &mut Progress<'_>) -> Result<(), BagError> {
     let failed = |reason| BagError::Io { path: copy.into(), action: "copying the file", reason };
     let source = File::open(file).map_err(BagError::io(file, "opening the file"))?;
     let mut target = File::create(copy).map_err(failed)?;
     let permissions = source.metadata().map_err(failed)?.permissions();
     target.set_permissions(permissions).map_err(failed)?;
     loop {
-        match io::copy(&mut (&source).take(WATCHED), &mut target).map_err(failed)? {
+        match io::copy(&mut (&source).take(PROGRESS_STEP), &mut target).map_err(failed)? {
             0 => return Ok(()),
-            copied if watch(copied) => {}
+            copied if progress(copied) => {}
             _ => return Err(BagError::Interrupted { path: file.into() }),
         }
     }
@@ -129,16 +132,8 @@ fn describe(path: &Path, indexes: &[FileIndex]) -> BagSummary {
             size: index.size,
         })
         .collect();
-    BagSummary {
-        directory: path.into(),
-        messages: files.iter().map(|file| file.messages).sum(),
-        lost: 0,
-        start: files.iter().filter_map(|file| file.start).min(),
-        end: files.iter().filter_map(|file| file.end).max(),
-        files,
-        topics: topics(indexes),
-        custom_data: metadata::custom_data(path).unwrap_or_default(),
-    }
+    let custom_data = metadata::custom_data(path).unwrap_or_default();
+    BagSummary::new(path.into(), files, topics(indexes), custom_data)
 }
 
 fn topics(indexes: &[FileIndex]) -> Vec<WrittenTopic> {

@@ -1,4 +1,4 @@
-//! One piece of a file, a chunk or a run of messages outside chunks, decompressed and checked.
+//! Blocks of the data section: a chunk, or consecutive messages outside chunks. Decompressed and checked.
 
 use std::{
     fs::File,
@@ -12,48 +12,45 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-use super::{
-    error::BagError,
-    parse,
-    record::{self, ChunkHeader, HEADER_SIZE, SIZE_LIMIT},
-};
+use super::records::{self, ChunkHeader, HEADER_SIZE, RecordHeader, SIZE_LIMIT};
+use crate::{error::BagError, format::parse};
 
-/// What a piece of a file is.
+/// Form of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// One chunk record, whole.
+pub(super) enum BlockKind {
+    /// A complete chunk record.
     Chunk,
-    /// One chunk record that the end of the file cuts.
-    CutChunk,
-    /// Schemas, channels and messages outside chunks, one after the other.
-    Loose,
+    /// A chunk record that the end of the file truncates.
+    TruncatedChunk,
+    /// Schemas, channels and messages outside chunks.
+    Unchunked,
 }
 
-/// A piece of a file that holds messages.
+/// A block that holds messages.
 #[derive(Clone, Debug)]
-pub(super) struct Segment {
-    /// Which of the bag's files.
+pub(super) struct Block {
+    /// Index of the file in the bag.
     pub(super) file: usize,
-    /// Where it starts (bytes).
+    /// Start (bytes).
     pub(super) position: u64,
-    /// How long it is (bytes).
+    /// Length (bytes).
     pub(super) length: u64,
-    pub(super) kind: Kind,
+    pub(super) kind: BlockKind,
     /// Smallest log time (ns).
     pub(super) first: u64,
     /// Largest log time (ns).
     pub(super) last: u64,
 }
 
-impl Segment {
-    /// Calls `on_record` with every schema, channel and message in it.
+impl Block {
+    /// Calls `on_record` for every schema, channel and message.
     ///
-    /// A whole chunk is checked against its checksum before its first record. Of a cut one, the
-    /// records before the cut are read; that it is cut is no error here.
+    /// The checksum of a complete chunk is checked before its first record. Of a truncated chunk the records
+    /// before the end of the file are read; its truncation is not an error here.
     ///
     /// # Errors
-    /// [`BagError::Io`]; [`BagError::Corrupt`] when the bytes are not what they should be, or when
-    /// `on_record` says why it cannot use a record.
+    /// [`BagError::Io`]; [`BagError::Corrupt`] when the block is damaged, or when `on_record` returns the
+    /// reason why it rejects a record.
     pub(super) fn read(
         &self,
         path: &Path,
@@ -68,21 +65,23 @@ impl Segment {
         if self.length > SIZE_LIMIT {
             return Err(corrupt((format!("{} bytes", self.length), "at most 1 GiB")));
         }
-        let bytes = read_piece(path, self.position, self.length)?;
+        let bytes = read_bytes(path, self.position, self.length)?;
         let outcome = match self.kind {
-            Kind::Loose => walk(&bytes, on_record),
-            Kind::Chunk => read_chunk(&bytes, on_record),
-            Kind::CutChunk => return read_cut_chunk(bytes, on_record).map_err(corrupt),
+            BlockKind::Unchunked => read_records(&bytes, on_record),
+            BlockKind::Chunk => read_chunk(&bytes, on_record),
+            BlockKind::TruncatedChunk => {
+                return read_truncated_chunk(bytes, on_record).map_err(corrupt);
+            }
         };
-        outcome.map_err(|fault| corrupt(fault.words()))
+        outcome.map_err(|fault| corrupt(fault.found_and_expected()))
     }
 }
 
-/// So many bytes of a file from there.
+/// Reads `length` bytes of a file from byte `position`.
 ///
 /// # Errors
-/// [`BagError::Corrupt`] when the disk cannot read them, [`BagError::Io`] when the system refuses.
-pub(super) fn read_piece(path: &Path, position: u64, length: u64) -> Result<Vec<u8>, BagError> {
+/// [`BagError::Corrupt`] when the disk cannot read them, [`BagError::Io`] for other errors of the system.
+pub(super) fn read_bytes(path: &Path, position: u64, length: u64) -> Result<Vec<u8>, BagError> {
     let read = || {
         let mut file = File::open(path)?;
         file.seek(SeekFrom::Start(position))?;
@@ -103,60 +102,59 @@ pub(super) fn read_piece(path: &Path, position: u64, length: u64) -> Result<Vec<
     })
 }
 
-/// For messages about bytes that the disk cannot read.
+/// Describes bytes that the disk cannot read, for error messages.
 pub(super) fn unreadable(error: &std::io::Error) -> String {
     format!("bytes that the disk cannot read ({error})")
 }
 
-/// What the formats can make of a byte at most: zstd repeats one in a block of 128 KiB by four bytes, LZ4
-/// adds 255 to a length by one. Memory is taken for what a chunk claims, before it is decompressed.
-const MOST_OF_ZSTD: u64 = 1 << 15;
-const MOST_OF_LZ4: u64 = 1 << 8;
+/// Largest expansion of a byte: zstd fills a block of 128 KiB from four bytes, a byte in LZ4 adds 255 to a
+/// length. Checked because memory for the declared size is allocated before a chunk is decompressed.
+const ZSTD_EXPANSION: u64 = 1 << 15;
+const LZ4_EXPANSION: u64 = 1 << 8;
 
-/// What so many bytes of a chunk can hold at most (bytes).
-fn most_of(header: &ChunkHeader, compressed: u64) -> u64 {
-    let factor = if header.compression == "lz4" { MOST_OF_LZ4 } else { MOST_OF_ZSTD };
+/// Largest content of `compressed` bytes of a chunk (bytes).
+fn largest_content(header: &ChunkHeader, compressed: u64) -> u64 {
+    let factor = if header.compression == "lz4" { LZ4_EXPANSION } else { ZSTD_EXPANSION };
     compressed.saturating_mul(factor)
 }
 
-/// Holds what a chunk claims to contain against its compressed size (bytes).
-fn check_claim(header: &ChunkHeader, compressed: u64) -> Result<(), Fault> {
+/// Checks the declared size of a chunk's content against its compressed size (bytes).
+fn check_declared_size(header: &ChunkHeader, compressed: u64) -> Result<(), Fault> {
     let uncompressed = header.uncompressed;
-    if uncompressed > most_of(header, compressed) {
-        return Err(Fault::Claim { compressed, uncompressed });
+    if uncompressed > largest_content(header, compressed) {
+        return Err(Fault::DeclaredSize { compressed, uncompressed });
     }
     Ok(())
 }
 
-/// Why the records of a piece could not be read to its end.
+/// Why the records of a block cannot all be read.
 enum Fault {
-    /// The bytes are no records, or fail their checksum.
+    /// The bytes are not records, or do not match their checksum.
     Mcap(McapError),
-    /// A record cannot be used, for the reason given.
+    /// A record is rejected.
     Record(String),
-    /// No compression makes so few bytes of so many.
-    Claim { compressed: u64, uncompressed: u64 },
+    /// The compression cannot achieve the declared sizes (bytes).
+    DeclaredSize { compressed: u64, uncompressed: u64 },
 }
 
 impl Fault {
-    /// Found and expected.
-    fn words(self) -> (String, &'static str) {
+    fn found_and_expected(self) -> (String, &'static str) {
         match self {
-            Self::Record(found) => (found, "a record that fits those before it"),
-            Self::Claim { compressed, uncompressed } => (
-                format!("a chunk of {compressed} bytes that claims to hold {uncompressed}"),
-                "a size that its compression can reach",
+            Self::Record(found) => (found, "a record consistent with the records before it"),
+            Self::DeclaredSize { compressed, uncompressed } => (
+                format!(
+                    "a chunk of {compressed} bytes that declares {uncompressed} bytes of content"
+                ),
+                "a size that its compression can achieve",
             ),
             Self::Mcap(McapError::BadChunkCrc { saved, calculated }) => (
-                format!("checksum {calculated:08x} where the chunk says {saved:08x}"),
+                format!("checksum {calculated:08x} in a chunk with checksum {saved:08x}"),
                 "equal checksums",
             ),
             Self::Mcap(McapError::UnsupportedCompression(name)) => {
                 (format!("compression `{name}`"), "zstd, lz4 or none")
             }
-            Self::Mcap(error) => {
-                (format!("bytes that cannot be read ({error})"), "whole MCAP records")
-            }
+            Self::Mcap(error) => (format!("unreadable bytes ({error})"), "complete MCAP records"),
         }
     }
 }
@@ -172,26 +170,25 @@ fn read_chunk(
     on_record: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), Fault> {
     match bytes.get(HEADER_SIZE as usize..).and_then(ChunkHeader::parse) {
-        // Where they are, without the copies that MCAP's reader makes.
+        // In place, without the copies that mcap's reader makes.
         Some(header) if header.compression.is_empty() => {
             let records = bytes.get(HEADER_SIZE as usize + header.records..).unwrap_or_default();
             let (saved, calculated) = (header.crc, crc32fast::hash(records));
-            // Without a checksum nothing vouches for the lengths in it: they are checked one by one.
             if saved != 0 && saved != calculated {
                 return Err(McapError::BadChunkCrc { saved, calculated }.into());
             }
-            walk(records, on_record)
+            read_records(records, on_record)
         }
         Some(header) => {
-            check_claim(&header, bytes.len() as u64)?;
-            drive(bytes, header.uncompressed, on_record)
+            check_declared_size(&header, bytes.len() as u64)?;
+            read_compressed(bytes, header.uncompressed, on_record)
         }
-        None => drive(bytes, 0, on_record),
+        None => read_compressed(bytes, 0, on_record),
     }
 }
 
-/// Gives the records in memory, one after the other.
-fn walk(
+/// Calls `on_record` for the records in `bytes`, with all lengths checked.
+fn read_records(
     mut bytes: &[u8],
     mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), Fault> {
@@ -207,7 +204,7 @@ fn walk(
     Ok(())
 }
 
-fn read_cut_chunk(
+fn read_truncated_chunk(
     mut bytes: Vec<u8>,
     mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), (String, &'static str)> {
@@ -218,29 +215,31 @@ fn read_cut_chunk(
         return Ok(());
     }
     let outcome = if header.compression.is_empty() {
-        walk(&bytes[records..], on_record)
+        read_records(&bytes[records..], on_record)
     } else {
-        // What it claims was of all its bytes. It now claims what is there, and no checksum, so that it is
-        // read up to the cut.
+        // Its fields describe the complete chunk. Changed to the bytes that are left, and without a checksum,
+        // it is read up to the end of the file.
         let (length, compressed) = ((bytes.len() - body) as u64, (bytes.len() - records) as u64);
-        let uncompressed = header.uncompressed.min(most_of(&header, compressed));
+        let uncompressed = header.uncompressed.min(largest_content(&header, compressed));
         bytes[1..body].copy_from_slice(&length.to_le_bytes());
         bytes[body + 16..body + 24].copy_from_slice(&uncompressed.to_le_bytes());
         bytes[body + 24..body + 28].fill(0);
         bytes[records - 8..records].copy_from_slice(&compressed.to_le_bytes());
-        check_claim(&header, header.compressed)
-            .and_then(|()| drive(&bytes, uncompressed, &mut on_record))
+        check_declared_size(&header, header.compressed)
+            .and_then(|()| read_compressed(&bytes, uncompressed, &mut on_record))
     };
     match outcome {
-        Err(fault @ (Fault::Record(_) | Fault::Claim { .. })) => Err(fault.words()),
-        // Bytes that end too early are what a cut is.
+        Err(fault @ (Fault::Record(_) | Fault::DeclaredSize { .. })) => {
+            Err(fault.found_and_expected())
+        }
+        // A truncated chunk ends in a truncated record.
         Err(Fault::Mcap(_)) | Ok(()) => Ok(()),
     }
 }
 
-/// Runs MCAP's reader over a compressed chunk of so much content (bytes). It takes memory for as much as a record
-/// says it is long: none is longer than the content.
-fn drive(
+/// Runs mcap's reader over a chunk that declares `uncompressed` bytes of content. The reader allocates the declared
+/// length of a record, which is limited to that of the content.
+fn read_compressed(
     bytes: &[u8],
     uncompressed: u64,
     mut on_record: impl FnMut(Record<'_>) -> Result<(), String>,
@@ -272,7 +271,7 @@ fn drive(
     Ok(())
 }
 
-/// The record, if it is one of the three kinds that count here.
+/// Parses a schema, channel or message; `None` for other records.
 pub(super) fn wanted_record(opcode: u8, body: &[u8]) -> McapResult<Option<Record<'_>>> {
     match opcode {
         op::SCHEMA | op::CHANNEL | op::MESSAGE => parse::record(opcode, body).map(Some),
@@ -280,7 +279,12 @@ pub(super) fn wanted_record(opcode: u8, body: &[u8]) -> McapResult<Option<Record
     }
 }
 
-/// For messages about records: `a chunk of 12 bytes`.
-pub(super) fn described(header: &record::RecordHeader) -> String {
-    format!("a {} of {} bytes", record::name(header.opcode), header.length)
+/// Describes a record for error messages: `a chunk of 12 bytes`.
+pub(super) fn describe(header: &RecordHeader) -> String {
+    format!("a {} of {} bytes", records::name(header.opcode), header.length)
+}
+
+/// Describes a message that no channel was declared for, for error messages.
+pub(super) fn unknown_channel(channel: u16) -> String {
+    format!("a message of channel {channel}, which is not declared")
 }

@@ -1,7 +1,6 @@
-//! The records of an MCAP file, one after the other, without their contents.
+//! Steps through the records of an MCAP file without parsing them, also where the file is damaged.
 //!
-//! A record is one byte of opcode, eight bytes of length, and so many bytes of body (MCAP
-//! specification, "Records").
+//! A record is one byte of opcode, eight bytes of length, and the body (MCAP specification, "Records").
 
 use std::{
     fs::File,
@@ -10,84 +9,92 @@ use std::{
 
 use mcap::{MAGIC, records::op};
 
-use super::{error::BagError, resync::Searched};
+use crate::error::BagError;
 
-/// Opcode and length.
-pub(super) const HEADER_SIZE: u64 = 9;
+/// Size of opcode and length (bytes).
+pub(crate) const HEADER_SIZE: u64 = 9;
 
-/// No record has this opcode: bytes that were never written, most likely.
-pub(super) const NO_RECORD: u8 = 0;
+/// Not an opcode: most likely bytes that were never written.
+pub(crate) const NO_RECORD: u8 = 0;
 
-/// Body of the footer: start of the summary, start of its offsets, checksum.
+/// Body of the footer: start of the summary, start of the summary offsets, checksum (bytes).
 const FOOTER_BODY: u64 = 20;
 
-/// Body of a chunk before the name of its compression: two times, size, checksum, length of the
-/// name.
+/// Body of a chunk before the name of its compression: two times, size, checksum, length of the name
+/// (bytes).
 const CHUNK_FIXED: usize = 8 + 8 + 8 + 4 + 4;
 
-/// Longer names of compressions are not looked at.
+/// Longest name of a compression that is read (bytes).
 const COMPRESSION_NAME_LIMIT: usize = 64;
 
 /// Longest body, and largest chunk, that is read into memory (bytes).
-pub(super) const SIZE_LIMIT: u64 = 1 << 30;
+pub(crate) const SIZE_LIMIT: u64 = 1 << 30;
 
-/// A record's place in the file.
+/// Position and length of a record.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RecordHeader {
-    /// Where it starts (bytes).
-    pub(super) position: u64,
-    pub(super) opcode: u8,
-    /// Length of the body (bytes), as claimed.
-    pub(super) length: u64,
+pub(crate) struct RecordHeader {
+    /// Start of the record (bytes).
+    pub(crate) position: u64,
+    pub(crate) opcode: u8,
+    /// Declared length of the body (bytes).
+    pub(crate) length: u64,
 }
 
 impl RecordHeader {
-    /// Where the body starts.
-    pub(super) fn body(&self) -> u64 {
+    /// Start of the body (bytes).
+    pub(crate) fn body(&self) -> u64 {
         self.position + HEADER_SIZE
     }
 
-    /// Where the next record starts.
-    pub(super) fn end(&self) -> u64 {
+    /// Start of the next record (bytes).
+    pub(crate) fn end(&self) -> u64 {
         self.body().saturating_add(self.length)
     }
 }
 
-/// What the walk through a file met.
+/// Outcome of [`Records::step`].
 pub(super) enum Step {
-    /// A record that is there with its whole body.
+    /// A complete record.
     Record(RecordHeader),
-    /// A record whose header is there, but not its whole body.
-    CutBody(RecordHeader),
-    /// Less than a record's header before the end of the file.
-    CutHeader,
-    /// The end of the file, just after a record.
+    /// A record whose body is truncated.
+    TruncatedBody(RecordHeader),
+    /// Fewer bytes before the end of the file than a record header has.
+    TruncatedHeader,
+    /// The end of the file, after a complete record.
     End,
 }
 
-/// Walks through the records of a file.
+/// The records of a file.
 pub(super) struct Records {
     file: BufReader<File>,
     pub(super) size: u64,
-    /// Where the next record starts.
+    /// Start of the next record (bytes).
     pub(super) position: u64,
-    pub(super) searched: Searched,
+    /// What was searched for up to the end of the file in vain.
+    pub(super) absent: Absent,
+}
+
+/// Records that do not follow any more.
+#[derive(Default)]
+pub(super) struct Absent {
+    pub(super) chunks: bool,
+    pub(super) messages: bool,
 }
 
 impl Records {
-    /// Starts at a byte position of a file of `size` bytes.
+    /// Starts at byte `position` of a file of `size` bytes.
     pub(super) fn new(file: File, size: u64, position: u64) -> Self {
-        Self { file: BufReader::new(file), size, position, searched: Searched::default() }
+        Self { file: BufReader::new(file), size, position, absent: Absent::default() }
     }
 
-    /// The next record's place; its body is passed over, unless [`Records::read`] is called for it.
+    /// Steps over the next record.
     pub(super) fn step(&mut self) -> io::Result<Step> {
         let left = self.size.saturating_sub(self.position);
         if left == 0 {
             return Ok(Step::End);
         }
         if left < HEADER_SIZE {
-            return Ok(Step::CutHeader);
+            return Ok(Step::TruncatedHeader);
         }
         let mut header = [0; HEADER_SIZE as usize];
         self.read_at(self.position, &mut header)?;
@@ -95,20 +102,20 @@ impl Records {
         let length = u64::from_le_bytes(length);
         let record = RecordHeader { position: self.position, opcode, length };
         if record.length > left - HEADER_SIZE {
-            return Ok(Step::CutBody(record));
+            return Ok(Step::TruncatedBody(record));
         }
         self.position = record.end();
         Ok(Step::Record(record))
     }
 
-    /// The body of a record that is there whole.
+    /// Reads the body of a complete record.
     pub(super) fn read(&mut self, record: &RecordHeader) -> io::Result<Vec<u8>> {
         let mut body = vec![0; record.length as usize];
         self.read_at(record.body(), &mut body)?;
         Ok(body)
     }
 
-    /// What a chunk states about itself, if so much of it is there.
+    /// Reads the fields of a chunk before its records; `None` if they are truncated or unreadable.
     pub(super) fn chunk_header(&mut self, chunk: &RecordHeader) -> io::Result<Option<ChunkHeader>> {
         let available = self.size.saturating_sub(chunk.body()).min(chunk.length);
         let mut start =
@@ -130,7 +137,7 @@ impl Records {
     }
 }
 
-/// What a chunk states about itself.
+/// The fields of a chunk before its records.
 pub(super) struct ChunkHeader {
     /// Size of the records before compression (bytes).
     pub(super) uncompressed: u64,
@@ -138,19 +145,19 @@ pub(super) struct ChunkHeader {
     pub(super) compression: String,
     /// CRC-32 of the records before compression; 0 if there is none.
     pub(super) crc: u32,
-    /// Where the records start in the body.
+    /// Start of the records in the body (bytes).
     pub(super) records: usize,
-    /// Their size after compression (bytes).
+    /// Size of the records after compression (bytes).
     pub(super) compressed: u64,
 }
 
 impl ChunkHeader {
-    /// How long the chunk's body is by what it states about itself (bytes).
+    /// Length of the chunk's body by these fields (bytes).
     pub(super) fn length(&self) -> Option<u64> {
         self.compressed.checked_add(self.records as u64)
     }
 
-    /// The header at the start of a chunk's body, if it is there whole.
+    /// Parses the start of a chunk's body; `None` if it is truncated.
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
         let number = |at: usize| body.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
         let long = |at: usize| body.get(at..at + 8)?.try_into().ok().map(u64::from_le_bytes);
@@ -166,8 +173,8 @@ impl ChunkHeader {
     }
 }
 
-/// Where the summary of a finished file starts; `None` if the file does not end as a finished one,
-/// or has no summary.
+/// Start of the summary section (bytes); `None` if the file does not end with a footer or has no summary
+/// section.
 pub(super) fn summary_start(file: &mut File, size: u64) -> io::Result<Option<u64>> {
     let footer_size = HEADER_SIZE + FOOTER_BODY + MAGIC.len() as u64;
     if size < MAGIC.len() as u64 + footer_size {
@@ -186,7 +193,7 @@ pub(super) fn summary_start(file: &mut File, size: u64) -> io::Result<Option<u64
     Ok((whole && plausible).then_some(start))
 }
 
-/// What a record is, for messages.
+/// Name of a record type, for error messages.
 pub(super) fn name(opcode: u8) -> String {
     let name = match opcode {
         op::HEADER => "header",

@@ -1,4 +1,4 @@
-//! Everything that can be wrong with a bag, and what its streams are: one pass over all messages.
+//! Checks everything in a bag and collects its streams, in one pass over all messages.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -12,65 +12,59 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-use super::{
-    error::BagError,
-    messages::BagMessage,
-    metadata,
-    reader::{BagReader, TopicInfo},
-    record::SIZE_LIMIT,
-};
+use super::{contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT};
+use crate::{error::BagError, format::metadata};
 use eddy_frames::{Frame, Stamp, decimal};
 use eddy_messages::{
     Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus, RosString, cdr,
     type_support,
 };
 
-/// So many findings are kept; the rest is counted.
+/// Findings that are kept; the others are counted.
 const KEPT_FINDINGS: usize = 50;
 
-/// How much of a file is read at once for its checksums (bytes).
+/// Bytes of a file that are read at a time.
 const BLOCK: usize = 1 << 16;
 
-/// What a pass over all messages of a bag found.
+/// Result of a check of all messages of a bag.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
     /// For each topic of [`BagReader::topics`], in the same order.
     pub topics: Vec<TopicSurvey>,
-    /// What is wrong, one sentence each; at most 50.
+    /// Descriptions of what is wrong; at most 50.
     pub findings: Vec<String>,
-    /// How many more findings there were.
+    /// Number of findings beyond these.
     pub further_findings: u64,
 }
 
-/// What was found in a topic.
+/// A topic of a [`Survey`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopicSurvey {
-    /// Messages read.
+    /// Number of messages read.
     pub messages: u64,
-    /// Its streams, by number, if it carries frames.
+    /// Streams of a topic of frames, by stream id.
     pub streams: BTreeMap<u64, StreamSurvey>,
 }
 
-/// What was found in a stream.
+/// A stream of a [`TopicSurvey`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamSurvey {
-    /// Usable frames.
+    /// Number of valid frames.
     pub frames: u64,
-    /// Fewest and most particles of a frame.
+    /// Smallest and largest number of particles of a frame.
     pub particles: (usize, usize),
-    /// Time between two frames (s), by its first frame.
+    /// Time between two frames (s), from the first frame.
     pub dt: f32,
     /// Highest sequence so far, and its stamp.
     highest: (u64, Stamp),
 }
 
 impl Survey {
-    /// Reads every message: chunk checksums, CDR, finite numbers, sequences and stamps of every
-    /// stream, type hashes, and the counts that the files state. Calls `progress` with the number
-    /// of messages read so far.
+    /// Reads every message and checks chunk checksums, CDR, finite numbers, sequences and stamps of every
+    /// stream, type hashes and message counts. Calls `progress` with the number of messages read so far.
     ///
-    /// On topics whose name ends in `prediction` a sequence may come again: every observed frame
-    /// may have been followed by several predictions.
+    /// On topics whose name ends in `prediction` sequence numbers may repeat: every observed frame may be
+    /// followed by several predictions.
     pub fn of(bag: &BagReader, mut progress: impl FnMut(u64)) -> Self {
         let mut survey =
             Self { topics: vec![TopicSurvey::default(); bag.topics().len()], ..Self::default() };
@@ -81,7 +75,7 @@ impl Survey {
         for message in bag.messages() {
             match message {
                 Ok(message) => survey.check_message(bag, &message),
-                Err(BagError::FurtherFaults { faults, .. }) => survey.further_findings += faults,
+                Err(BagError::MoreErrors { count, .. }) => survey.further_findings += count,
                 Err(error) => survey.found(error.to_string()),
             }
             read += 1;
@@ -91,14 +85,12 @@ impl Survey {
         survey
     }
 
-    /// Checks the checksums over whole files, which reading messages does not look at.
+    /// Checks the checksums of the data and summary sections, which reading messages does not use.
     pub fn check_files(&mut self, bag: &BagReader) {
         if bag.is_unfinished() {
             let files: BTreeSet<_> = bag.files().map(|file| file.display().to_string()).collect();
             let files = files.into_iter().collect::<Vec<_>>().join(", ");
-            self.found(format!(
-                "{files}: found a file that was never closed, expected a finished bag"
-            ));
+            self.found(format!("{files}: found an unfinished file, expected a finished bag"));
             return;
         }
         if bag.damage().is_some() {
@@ -205,7 +197,7 @@ impl StreamSurvey {
         }
     }
 
-    /// Takes the next frame; says what does not fit those before it.
+    /// Adds the next frame; returns what contradicts the frames before it.
     fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 2] {
         let (fewest, most) = self.particles;
         self.frames += 1;
@@ -237,7 +229,7 @@ fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
     cdr::decode::<M>(bytes).map(drop).map_err(|error| error.to_string())
 }
 
-/// Reads a file from end to end against the checksums of its data and its summary.
+/// Checks the checksums of the data and summary sections of a file.
 fn checksums(path: &Path) -> Result<(), McapError> {
     let mut file = File::open(path)?;
     let mut reader = LinearReader::new_with_options(

@@ -1,49 +1,47 @@
-//! Which files a bag has, and where bags are.
+//! The files of a bag, and where bags are found.
 
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use super::{error::BagError, metadata};
+use super::metadata;
+use crate::error::BagError;
 
-/// The file beside the MCAP files that rosbag2 looks for.
-pub(super) const METADATA: &str = "metadata.yaml";
+/// Suffix of a file that is being written.
+pub(crate) const ACTIVE: &str = ".active";
 
-/// Added to the name of a file while it is being written.
-pub(super) const ACTIVE: &str = ".active";
-
-/// The name of the bag in `directory`: its last part.
+/// The name of the bag in `directory`: the last component of the path.
 ///
 /// # Errors
-/// [`BagError::NotABag`] when the path has none (`/`, `..`).
-pub(super) fn name_of(directory: &Path) -> Result<String, BagError> {
+/// [`BagError::NotABag`] when the path does not end in a name (`/`, `..`), or not in UTF-8.
+pub(crate) fn name_of(directory: &Path) -> Result<String, BagError> {
     let name = directory.file_name().and_then(|name| name.to_str());
     name.map(str::to_owned).ok_or_else(|| BagError::NotABag {
         path: directory.into(),
-        found: "a path without a last part in UTF-8".into(),
+        found: "a path that does not end in a name in UTF-8".into(),
     })
 }
 
-/// File `number`, from 0, of the bag called `name`: `run7` has `run7_0.mcap`.
-pub(super) fn numbered(directory: &Path, name: &str, number: usize) -> PathBuf {
+/// Split file `number`, from 0, of the bag `name`: `run7_0.mcap` for the bag `run7`.
+pub(crate) fn numbered(directory: &Path, name: &str, number: usize) -> PathBuf {
     directory.join(format!("{name}_{number}.mcap"))
 }
 
-/// Whether the name is that of an MCAP file, being written or finished.
-pub(super) fn is_mcap(path: &Path) -> bool {
+/// Whether the path names an MCAP file, finished or not.
+pub(crate) fn is_mcap(path: &Path) -> bool {
     let name = path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
     name.strip_suffix(ACTIVE).unwrap_or(&name).ends_with(".mcap")
 }
 
-/// Whether the file is still being written, or was left so.
-pub(super) fn is_active(path: &Path) -> bool {
+/// Whether the file is still being written, or its writer was killed.
+pub(crate) fn is_active(path: &Path) -> bool {
     path.to_string_lossy().ends_with(ACTIVE)
 }
 
-/// The MCAP files of the bag at `path`: those that `metadata.yaml` names, or all in the directory
-/// when the bag was never finished, or the file itself.
-pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The MCAP files of the bag at `path`: those listed in `metadata.yaml`, or all files in the directory of
+/// an unfinished bag, or the file itself.
+pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let not_a_bag = |found: &str| BagError::NotABag { path: path.into(), found: found.into() };
     let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
     if kind.is_file() {
@@ -53,14 +51,14 @@ pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
             Err(not_a_bag("a file of another kind"))
         };
     }
-    let description = path.join(METADATA);
+    let description = path.join(metadata::FILE_NAME);
     if description.exists() {
         return metadata::files(&description, path);
     }
     let (files, folders) = children(path)?;
     if files.is_empty() {
         let found = "a directory without metadata.yaml and without .mcap files";
-        let bag = folders.iter().find(|folder| folder.join(METADATA).exists());
+        let bag = folders.iter().find(|folder| folder.join(metadata::FILE_NAME).exists());
         return Err(not_a_bag(&match bag {
             Some(bag) => format!("{found} (but with bags, such as {})", bag.display()),
             None => found.to_owned(),
@@ -69,8 +67,8 @@ pub(super) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     Ok(files)
 }
 
-/// The MCAP files at `path`, whatever `metadata.yaml` says: those in a directory, or the file itself.
-pub(super) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The MCAP files at `path` regardless of `metadata.yaml`: all in a directory, or the file itself.
+pub(crate) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
     if !kind.is_dir() {
         return Ok(vec![path.into()]);
@@ -83,15 +81,15 @@ pub(super) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     Ok(files)
 }
 
-/// The bags at and beneath `paths`, each once, in the order of `paths` and then of their names.
+/// The bags at and below `paths`, each once, in the order of `paths` and then by name.
 ///
-/// A path may be a bag directory, an MCAP file, or a directory that holds bags at any depth
-/// (links to directories are not followed). A directory is itself a bag when it holds
-/// `metadata.yaml` or a file named after it, as [`super::BagWriter`] leaves it when it is killed.
+/// A path may be a bag directory, an MCAP file, or a directory that contains bags at any depth
+/// (links to directories are not followed). A directory is a bag when it contains `metadata.yaml` or a
+/// file named after the directory, as a killed [`BagWriter`](crate::BagWriter) leaves it.
 ///
 /// # Errors
 /// [`BagError::Io`] when a path cannot be read, [`BagError::NotABag`] when one is a file of another
-/// kind, [`BagError::NoBags`] when there is no bag at all.
+/// kind, [`BagError::NoBags`] when no bag is found.
 pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
     let mut bags = Vec::new();
     for path in paths {
@@ -116,7 +114,7 @@ fn collect(directory: &Path, bags: &mut Vec<PathBuf>) -> Result<(), BagError> {
         let file = numbered(directory, &name, 0);
         file.exists() || active(&file).exists()
     });
-    if named_after_it || directory.join(METADATA).exists() {
+    if named_after_it || directory.join(metadata::FILE_NAME).exists() {
         bags.push(directory.into());
         return Ok(());
     }
@@ -134,7 +132,7 @@ fn children(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), BagError> 
         let entry = entry.map_err(failed)?;
         let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
         if entry.file_name().as_encoded_bytes().starts_with(b".") {
-            // Hidden: among others the scenes that `eddy simulate` is still writing.
+            // Hidden: for example the scenes that `eddy simulate` is still writing.
             continue;
         }
         if kind.is_dir() {
@@ -158,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn bags_are_found_as_directories_files_and_beneath_directories() {
+    fn bags_are_found_as_directories_as_files_and_below_directories() {
         let root = tempfile::tempdir().unwrap();
         let at = |name: &str| root.path().join(name);
         for file in [
@@ -191,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_another_kind_is_refused() {
+    fn a_file_of_another_kind_is_rejected() {
         let root = tempfile::tempdir().unwrap();
         let file = root.path().join("notes.txt");
         touch(&file);

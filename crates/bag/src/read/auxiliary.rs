@@ -1,4 +1,4 @@
-//! What a file holds beside messages: attachments and metadata records.
+//! Attachments and metadata records: what a file holds beside messages.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -11,29 +11,27 @@ use mcap::{
 };
 
 use super::{
-    error::BagError,
-    parse,
-    record::{RecordHeader, SIZE_LIMIT},
-    segment::{described, read_piece},
+    block::{describe, read_bytes},
+    records::{RecordHeader, SIZE_LIMIT},
 };
+use crate::{error::BagError, format::parse};
 
-/// The metadata record in which rosbag2 repeats `metadata.yaml`. It is about the file that it is in, not
-/// about what was recorded.
-const ABOUT_THE_FILE: &str = "rosbag2";
+/// The metadata record in which rosbag2 repeats `metadata.yaml`: a description of the file it is in.
+const ROSBAG2: &str = "rosbag2";
 
 /// An attachment or a metadata record.
 #[derive(Debug)]
-pub(super) enum Extra {
+pub(crate) enum AuxiliaryRecord {
     Attachment(Attachment<'static>),
     Metadata(Metadata),
 }
 
-impl Extra {
-    /// Reads the one whose record lies there.
+impl AuxiliaryRecord {
+    /// Reads the record at this position.
     ///
     /// # Errors
-    /// [`BagError::Io`]; [`BagError::Corrupt`] when the bytes are not what they should be.
-    pub(super) fn read(path: &Path, header: &RecordHeader) -> Result<Self, BagError> {
+    /// [`BagError::Io`]; [`BagError::Corrupt`] when the record is damaged.
+    pub(crate) fn read(path: &Path, header: &RecordHeader) -> Result<Self, BagError> {
         let corrupt = |found: String, expected: &str| BagError::Corrupt {
             path: path.into(),
             position: header.position,
@@ -41,10 +39,10 @@ impl Extra {
             expected: expected.into(),
         };
         if header.length > SIZE_LIMIT {
-            return Err(corrupt(described(header), "at most 1 GiB"));
+            return Err(corrupt(describe(header), "at most 1 GiB"));
         }
-        let body = read_piece(path, header.body(), header.length)?;
-        Self::parse(header.opcode, &body).map_err(|found| corrupt(found, "a whole record"))
+        let body = read_bytes(path, header.body(), header.length)?;
+        Self::parse(header.opcode, &body).map_err(|found| corrupt(found, "a valid record"))
     }
 
     fn parse(opcode: u8, body: &[u8]) -> Result<Self, String> {
@@ -58,20 +56,20 @@ impl Extra {
             })),
             Ok(Record::Metadata(metadata)) => Ok(Self::Metadata(metadata)),
             Ok(_) => Err(format!("a record with opcode {opcode:#04x}")),
-            Err(error) => Err(format!("bytes that cannot be read ({error})")),
+            Err(error) => Err(format!("unreadable bytes ({error})")),
         }
     }
 
-    /// Whether it is worth keeping in another file.
-    pub(super) fn is_about_what_was_recorded(&self) -> bool {
-        !matches!(self, Self::Metadata(metadata) if metadata.name == ABOUT_THE_FILE)
+    /// Whether it describes the recording rather than the file it is in, and belongs into copies of the bag.
+    pub(crate) fn describes_recording(&self) -> bool {
+        !matches!(self, Self::Metadata(metadata) if metadata.name == ROSBAG2)
     }
 
-    /// What a summary says about it.
-    pub(super) fn index(&self, header: &RecordHeader) -> ExtraIndex {
+    /// Its index record for the summary section.
+    pub(crate) fn index(&self, header: &RecordHeader) -> AuxiliaryIndex {
         let (offset, length) = (header.position, header.end() - header.position);
         match self {
-            Self::Attachment(attachment) => ExtraIndex::Attachment(AttachmentIndex {
+            Self::Attachment(attachment) => AuxiliaryIndex::Attachment(AttachmentIndex {
                 offset,
                 length,
                 log_time: attachment.log_time,
@@ -81,23 +79,23 @@ impl Extra {
                 media_type: attachment.media_type.clone(),
             }),
             Self::Metadata(Metadata { name, .. }) => {
-                ExtraIndex::Metadata(MetadataIndex { offset, length, name: name.clone() })
+                AuxiliaryIndex::Metadata(MetadataIndex { offset, length, name: name.clone() })
             }
         }
     }
 }
 
-/// What a summary says about an attachment or a metadata record.
-pub(super) enum ExtraIndex {
+/// Index record of an attachment or a metadata record.
+pub(crate) enum AuxiliaryIndex {
     Attachment(AttachmentIndex),
     Metadata(MetadataIndex),
 }
 
-/// Knows those that were written, so that none is written twice.
+/// The records that were written, so that none is written twice.
 #[derive(Default)]
-pub(super) struct Written(HashSet<Key>);
+pub(crate) struct Written(HashSet<Key>);
 
-/// What makes two of them one.
+/// Records with equal keys are equal.
 #[derive(PartialEq, Eq, Hash)]
 enum Key {
     Attachment { name: String, media_type: String, times: [u64; 2], length: usize, crc: u32 },
@@ -105,17 +103,17 @@ enum Key {
 }
 
 impl Written {
-    /// Whether it is new.
-    pub(super) fn add(&mut self, extra: &Extra) -> bool {
-        self.0.insert(match extra {
-            Extra::Attachment(attachment) => Key::Attachment {
+    /// Whether the record was not there yet.
+    pub(crate) fn insert(&mut self, record: &AuxiliaryRecord) -> bool {
+        self.0.insert(match record {
+            AuxiliaryRecord::Attachment(attachment) => Key::Attachment {
                 name: attachment.name.clone(),
                 media_type: attachment.media_type.clone(),
                 times: [attachment.log_time, attachment.create_time],
                 length: attachment.data.len(),
                 crc: crc32fast::hash(&attachment.data),
             },
-            Extra::Metadata(metadata) => {
+            AuxiliaryRecord::Metadata(metadata) => {
                 Key::Metadata(metadata.name.clone(), metadata.metadata.clone())
             }
         })

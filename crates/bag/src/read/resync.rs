@@ -1,37 +1,27 @@
-//! Where a damaged file can be read on: at the next chunk or message that is there whole.
+//! Finds where reading a damaged file can continue: at the next complete chunk or message.
 
 use std::{collections::BTreeMap, io, sync::Arc};
 
 use mcap::records::op;
 
-use super::{
-    channel::Channel,
-    error::BagError,
-    record::{ChunkHeader, HEADER_SIZE, NO_RECORD, Records, SIZE_LIMIT},
-};
+use super::records::{ChunkHeader, HEADER_SIZE, NO_RECORD, Records, SIZE_LIMIT};
+use crate::{error::BagError, format::channel::Channel};
 
-/// How much of the file is looked at at once (bytes).
+/// Bytes that are searched at a time.
 const BLOCK: u64 = 1 << 20;
-/// The most that is needed to tell a chunk: its record's header, and its own with the longest name.
-const TELLING: u64 = HEADER_SIZE + 40 + 64;
-/// What a disk reads or refuses as a whole (bytes).
+/// Bytes needed to recognise a chunk: the record header and the chunk fields with the longest name.
+const LOOKAHEAD: u64 = HEADER_SIZE + 40 + 64;
+/// Bytes that a disk reads or fails to read together.
 const SECTOR: u64 = 4096;
 /// Body of a message before its data: channel, number, two times (bytes).
 const MESSAGE_FIXED: u64 = 2 + 4 + 8 + 8;
-/// Opcodes of the MCAP specification; above [`PRIVATE`] are those of applications.
+/// Opcodes of the MCAP specification; from [`PRIVATE`] on they are application-specific.
 const SPECIFIED: std::ops::RangeInclusive<u8> = op::HEADER..=op::DATA_END;
 const PRIVATE: u8 = 0x80;
 
-/// What was looked for up to the end of the file, and is not there.
-#[derive(Default)]
-pub(super) struct Searched {
-    chunks: bool,
-    messages: bool,
-}
-
 impl Records {
-    /// Whether a record may start there, or the file ends there.
-    pub(super) fn goes_on_at(&mut self, position: u64) -> io::Result<bool> {
+    /// Whether a record may start at `position`, or the file ends there.
+    pub(super) fn may_continue_at(&mut self, position: u64) -> io::Result<bool> {
         let Some(left) = self.size.checked_sub(position) else { return Ok(false) };
         if left < HEADER_SIZE {
             return Ok(true);
@@ -46,51 +36,50 @@ impl Records {
         let fits = length <= left - HEADER_SIZE;
         Ok(match opcode {
             NO_RECORD => length == 0,
-            // The file may end in it.
+            // The file may be truncated in it.
             opcode if SPECIFIED.contains(&opcode) => fits || length <= SIZE_LIMIT,
             opcode => fits && opcode >= PRIVATE,
         })
     }
 
-    /// Goes to the first whole chunk that starts at `from` or after it. `false` when there is none.
+    /// Moves to the first complete chunk that starts at or after byte `from`; `false` when there is none.
     ///
-    /// Bytes are taken for a chunk when they name a known compression and when its three lengths agree:
-    /// that of the record, that of its header, and that of its data.
-    pub(super) fn go_to_chunk(&mut self, from: u64) -> io::Result<bool> {
-        // What one search did not find the next one, which starts behind it, need not look for.
-        if self.searched.chunks {
+    /// A chunk is recognised by a known compression and by lengths that agree: the record's, and the sum
+    /// of the chunk's own fields.
+    pub(super) fn seek_chunk(&mut self, from: u64) -> io::Result<bool> {
+        if self.absent.chunks {
             return Ok(false);
         }
-        let found = self.go_to(from, |_, bytes, left| Ok(is_chunk(bytes, left)))?;
-        self.searched.chunks = !found;
+        let found = self.seek(from, |_, bytes, left| Ok(is_chunk(bytes, left)))?;
+        self.absent.chunks = !found;
         Ok(found)
     }
 
-    /// Goes to the first whole chunk, or message of a known channel, that starts at `from` or after it.
-    /// `false` when there is none.
-    pub(super) fn go_to_message(
+    /// Moves to the first complete chunk, or message of a known channel, that starts at or after byte
+    /// `from`; `false` when there is none.
+    pub(super) fn seek_message(
         &mut self,
         from: u64,
         channels: &BTreeMap<u16, Arc<Channel>>,
     ) -> io::Result<bool> {
-        if self.searched.messages {
+        if self.absent.messages {
             return Ok(false);
         }
-        let found = self.go_to(from, |records, bytes, left| {
+        let found = self.seek(from, |records, bytes, left| {
             if is_chunk(bytes, left) {
                 return Ok(true);
             }
             match message_length(bytes, left, channels) {
-                Some(length) => records.goes_on_at(records.size - left + length),
+                Some(length) => records.may_continue_at(records.size - left + length),
                 None => Ok(false),
             }
         })?;
-        self.searched.messages = !found;
-        self.searched.chunks |= !found;
+        self.absent.messages = !found;
+        self.absent.chunks |= !found;
         Ok(found)
     }
 
-    fn go_to(
+    fn seek(
         &mut self,
         from: u64,
         mut starts: impl FnMut(&mut Self, &[u8], u64) -> io::Result<bool>,
@@ -109,9 +98,9 @@ impl Records {
         Ok(false)
     }
 
-    /// What the file has there; zeros where the disk cannot read.
+    /// Reads a block; zeros where the disk cannot read.
     fn block(&mut self, start: u64) -> io::Result<Vec<u8>> {
-        let mut block = vec![0; (self.size - start).min(BLOCK + TELLING) as usize];
+        let mut block = vec![0; (self.size - start).min(BLOCK + LOOKAHEAD) as usize];
         match self.read_at(start, &mut block) {
             Err(error) if BagError::is_unreadable(&error) => {}
             read => return read.map(|()| block),
@@ -130,7 +119,7 @@ impl Records {
     }
 }
 
-/// Whether a chunk starts here that ends within the `left` bytes of the file.
+/// Whether `bytes` start with a chunk that ends within the `left` bytes of the file.
 fn is_chunk(bytes: &[u8], left: u64) -> bool {
     let Some((&op::CHUNK, rest)) = bytes.split_first() else { return false };
     let Some((length, body)) = rest.split_first_chunk() else { return false };
@@ -143,8 +132,8 @@ fn is_chunk(bytes: &[u8], left: u64) -> bool {
     fits && ChunkHeader::parse(body).is_some_and(agrees)
 }
 
-/// How long the record is if a message of a known channel starts here that ends within the `left` bytes
-/// of the file (bytes).
+/// Length of the record (bytes) if `bytes` start with a message of a known channel that ends within the
+/// `left` bytes of the file.
 fn message_length(bytes: &[u8], left: u64, channels: &BTreeMap<u16, Arc<Channel>>) -> Option<u64> {
     let (&op::MESSAGE, rest) = bytes.split_first()? else { return None };
     let (length, body) = rest.split_first_chunk()?;

@@ -1,11 +1,11 @@
-//! Offered quality of service: a list in YAML, in a channel's metadata and in `metadata.yaml`.
+//! QoS profiles offered by publishers: a YAML list in the metadata of a channel and in `metadata.yaml`.
 //!
-//! Up to version 8 of the metadata the policies are numbers (`rmw/types.h`), from version 9 on words
-//! (`rosbag2_storage/src/rosbag2_storage/qos.cpp`). Both are read, words are written.
+//! Up to version 8 of `metadata.yaml` policies are numbers (`rmw/types.h`), from version 9 names
+//! (`rosbag2_storage/src/rosbag2_storage/qos.cpp`). Both are read; names are written.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// `rmw_qos_history_policy_e`, by its numbers.
+/// Names of `rmw_qos_history_policy_e`, by number.
 const HISTORY: &[&str] = &["system_default", "keep_last", "keep_all", "unknown"];
 /// `rmw_qos_reliability_policy_e`.
 const RELIABILITY: &[&str] =
@@ -23,15 +23,15 @@ const LIVELINESS: &[&str] = &[
     "best_available",
 ];
 
-/// The durability of publishers that keep messages for subscribers that come later.
+/// Durability of publishers that keep messages for late-joining subscribers.
 const TRANSIENT_LOCAL: &str = "transient_local";
 
-/// `rmw_time_t` of a duration without end: 2^63 - 1 nanoseconds.
+/// `rmw_time_t` for an infinite duration: 2^63 - 1 nanoseconds.
 const INFINITE: QosTime = QosTime { sec: 9_223_372_036, nsec: 854_775_807 };
 
-/// One offered quality of service, in the words of version 9.
+/// One QoS profile, with the policy names of version 9.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct QosProfile {
+pub(crate) struct QosProfile {
     #[serde(deserialize_with = "history")]
     history: String,
     depth: u64,
@@ -54,7 +54,7 @@ struct QosTime {
 }
 
 impl Default for QosProfile {
-    /// ROS 2's default profile, which a player then offers: nothing is lost when a bag is replayed.
+    /// ROS 2's default profile; a player offers it again, so that replay is reliable.
     fn default() -> Self {
         Self {
             history: "keep_last".to_owned(),
@@ -71,8 +71,8 @@ impl Default for QosProfile {
 }
 
 impl QosProfile {
-    /// That of publishers that keep so many messages for subscribers that come later.
-    pub(super) fn keeping(kept: usize) -> Self {
+    /// The profile of a publisher that keeps `kept` messages for late-joining subscribers.
+    pub(crate) fn keeping(kept: usize) -> Self {
         match kept {
             0 => Self::default(),
             kept => Self {
@@ -84,9 +84,9 @@ impl QosProfile {
     }
 }
 
-/// How many messages publishers with these profiles keep together for subscribers that come later; none
-/// unless all of them do.
-pub(super) fn kept(profiles: &[QosProfile]) -> usize {
+/// Number of messages that publishers with these profiles keep together for late-joining subscribers; 0
+/// unless all of them are transient local.
+pub(crate) fn kept(profiles: &[QosProfile]) -> usize {
     if profiles.iter().any(|profile| profile.durability != TRANSIENT_LOCAL) {
         return 0;
     }
@@ -94,23 +94,29 @@ pub(super) fn kept(profiles: &[QosProfile]) -> usize {
     profiles.iter().map(depth).fold(0, usize::saturating_add)
 }
 
-/// The profiles in a channel's metadata; none if the text is empty or says something else.
-pub(super) fn parse(text: &str) -> Vec<QosProfile> {
+/// The value of `offered_qos_profiles` for publishers that keep `kept` messages.
+pub(crate) fn offered_profiles(kept: usize) -> String {
+    serde_saphyr::to_string(&[QosProfile::keeping(kept)])
+        .expect("structs of numbers and strings with fixed keys are always YAML")
+}
+
+/// Parses the value of `offered_qos_profiles`; empty if it is not a list of profiles.
+pub(crate) fn parse(text: &str) -> Vec<QosProfile> {
     serde_saphyr::from_str(text).unwrap_or_default()
 }
 
-/// A policy as a number or as a word.
+/// A policy as a number or a name.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Policy {
     Number(usize),
-    Word(String),
+    Name(String),
 }
 
-fn policy<'de, D: Deserializer<'de>>(from: D, words: &[&str]) -> Result<String, D::Error> {
+fn policy<'de, D: Deserializer<'de>>(from: D, names: &[&str]) -> Result<String, D::Error> {
     Ok(match Policy::deserialize(from)? {
-        Policy::Word(word) => word,
-        Policy::Number(number) => words.get(number).copied().unwrap_or("unknown").to_owned(),
+        Policy::Name(name) => name,
+        Policy::Number(number) => names.get(number).copied().unwrap_or("unknown").to_owned(),
     })
 }
 
@@ -135,30 +141,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn policies_are_read_as_numbers_and_as_words() {
+    fn policies_are_read_as_numbers_and_as_names() {
         let numbers = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: \
             9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
             liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
             avoid_ros_namespace_conventions: false\n";
         let expected = QosProfile { history: "unknown".into(), depth: 0, ..QosProfile::default() };
         assert_eq!(parse(numbers), [expected]);
-        let words = serde_saphyr::to_string(&[QosProfile::default()]).unwrap();
-        assert_eq!(parse(&words), [QosProfile::default()]);
+        let names = serde_saphyr::to_string(&[QosProfile::default()]).unwrap();
+        assert_eq!(parse(&names), [QosProfile::default()]);
     }
 
     #[test]
-    fn what_publishers_keep_adds_up_if_all_of_them_keep_something() {
+    fn kept_messages_add_up_if_all_publishers_are_transient_local() {
         let profiles = [3, 0, 2].map(QosProfile::keeping);
         assert_eq!(kept(&profiles), 0);
         assert_eq!(kept(&[profiles[0].clone(), profiles[2].clone()]), 5);
         assert_eq!(kept(&[]), 0);
-        // rosbag2 knows no depth of publishers whose history is unknown.
+        // rosbag2 does not know the depth of publishers whose history is unknown.
         let unknown = QosProfile { depth: 0, ..QosProfile::keeping(1) };
         assert_eq!(kept(&[unknown]), 1);
     }
 
     #[test]
-    fn other_texts_are_no_profiles() {
+    fn other_texts_have_no_profiles() {
         for text in ["", "[]", "nothing", "- history: 1\n", "{"] {
             assert_eq!(parse(text), [], "{text}");
         }

@@ -1,0 +1,81 @@
+//! MCAP channels and schemas, with the metadata keys that rosbag2 uses. Copies of a bag keep them as they are.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use super::qos;
+
+/// Metadata key of a channel: the RIHS01 type hash.
+pub(crate) const TYPE_HASH: &str = "topic_type_hash";
+/// Metadata key of a channel: the QoS profiles its publishers offered, a YAML list.
+pub(crate) const OFFERED_QOS: &str = "offered_qos_profiles";
+
+/// An MCAP schema: a message type and its definition.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Schema {
+    /// Name of the type, such as `eddy_msgs/msg/ParticleFrame`.
+    pub name: String,
+    /// Language of the definition: `ros2msg` or `ros2idl` in ROS 2; empty if there is none.
+    pub encoding: String,
+    /// The definition; for `ros2msg` the `.msg` text followed by that of every dependency.
+    pub data: Vec<u8>,
+}
+
+/// An MCAP channel: a topic as one writer described it.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Channel {
+    /// Name of the topic.
+    pub topic: String,
+    /// The message type; `None` if the file has no schema for it.
+    pub schema: Option<Arc<Schema>>,
+    /// Encoding of the messages: `cdr` in ROS 2.
+    pub encoding: String,
+    /// Other properties, such as `topic_type_hash` and `offered_qos_profiles`.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Channel {
+    /// A topic as rosbag2 describes it. `schema` is the `.msg` text of the type and all its dependencies,
+    /// `hash` its RIHS01 type hash; both empty if unknown. `kept` is the number of messages that publishers
+    /// keep for late-joining subscribers (transient local), 0 for volatile.
+    pub fn ros(topic: &str, type_name: &str, schema: &str, hash: &str, kept: usize) -> Self {
+        Self {
+            topic: topic.to_owned(),
+            schema: Some(Arc::new(Schema {
+                name: type_name.to_owned(),
+                encoding: "ros2msg".to_owned(),
+                data: schema.as_bytes().to_vec(),
+            })),
+            encoding: "cdr".to_owned(),
+            metadata: BTreeMap::from([
+                (OFFERED_QOS.to_owned(), qos::offered_profiles(kept)),
+                (TYPE_HASH.to_owned(), hash.to_owned()),
+            ]),
+        }
+    }
+
+    /// Name of the type; empty if unknown.
+    pub fn type_name(&self) -> &str {
+        self.schema.as_ref().map_or("", |schema| &schema.name)
+    }
+
+    /// RIHS01 type hash, if known.
+    pub fn type_hash(&self) -> Option<&str> {
+        self.metadata.get(TYPE_HASH).map(String::as_str).filter(|hash| !hash.is_empty())
+    }
+
+    /// The definition of the type as text; empty if unknown.
+    pub(crate) fn definition(&self) -> String {
+        let data = self.schema.as_ref().map_or(&[][..], |schema| &schema.data);
+        String::from_utf8_lossy(data).into_owned()
+    }
+
+    /// Number of messages that its publishers kept for late-joining subscribers.
+    pub(crate) fn kept(&self) -> usize {
+        qos::kept(&qos::parse(self.offered_qos()))
+    }
+
+    /// The offered QoS profiles as YAML text; empty if unknown.
+    pub(crate) fn offered_qos(&self) -> &str {
+        self.metadata.get(OFFERED_QOS).map_or("", String::as_str)
+    }
+}

@@ -1,0 +1,14 @@
+//! What bags consist of.
+//!
+//! 1. `channel`, `qos`: channels and schemas, QoS profiles.
+//! 2. `parse`: bodies of records, with their lengths checked.
+//! 3. `summary`: a finished bag, its files and topics.
+//! 4. `metadata`: `metadata.yaml`, version 9.
+//! 5. `layout`: which files a bag has, where bags are.
+
+pub(crate) mod channel;
+pub(crate) mod layout;
+pub(crate) mod metadata;
+pub(crate) mod parse;
+pub(crate) mod qos;
+pub(crate) mod summary;

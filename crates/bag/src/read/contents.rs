@@ -1,0 +1,114 @@
+//! The files and topics of an open bag.
+
+use std::{
+    collections::{BTreeMap, HashSet},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use super::index::FileIndex;
+use crate::{error::BagError, format::channel::Channel};
+
+/// A topic of a bag.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicInfo {
+    /// Name of the topic.
+    pub name: String,
+    /// Name of its message type; empty if unknown.
+    pub type_name: String,
+    /// Definition of the type: in bags of eddy the `.msg` text and that of every dependency.
+    pub schema: String,
+    /// RIHS01 type hash, if known.
+    pub hash: Option<String>,
+    /// Number of messages.
+    pub message_count: u64,
+    /// Number of messages that its publishers kept for late-joining subscribers (transient local).
+    pub kept: usize,
+}
+
+/// Name and type of a topic, shared by its messages.
+#[derive(Debug)]
+pub(super) struct TopicNames {
+    pub(super) name: Arc<str>,
+    pub(super) type_name: Arc<str>,
+}
+
+/// A channel of a file, and the index of its topic.
+#[derive(Debug)]
+pub(super) struct FileChannel {
+    pub(super) topic: usize,
+    pub(super) channel: Arc<Channel>,
+}
+
+/// Files and topics.
+#[derive(Debug)]
+pub(super) struct Contents {
+    pub(super) path: PathBuf,
+    pub(super) files: Vec<FileIndex>,
+    /// Sorted by name, then by type.
+    pub(super) topics: Vec<TopicInfo>,
+    /// For each topic.
+    pub(super) names: Vec<TopicNames>,
+    /// For each file, by channel id. Equal channels of several files are shared.
+    pub(super) channels: Vec<BTreeMap<u16, FileChannel>>,
+    /// Each channel once, in the order of the files and of the channel ids.
+    pub(super) distinct: Vec<Arc<Channel>>,
+}
+
+impl Contents {
+    /// The files, in this order, as the bag `path`.
+    pub(super) fn new(path: &Path, files: Vec<FileIndex>) -> Self {
+        let topics = topics(&files);
+        let (mut known, mut distinct) = (HashSet::new(), Vec::new());
+        let channels = files
+            .iter()
+            .map(|file| {
+                let of_file = |(id, channel): (&u16, &Arc<Channel>)| {
+                    let topic = topics.iter().position(|topic| {
+                        topic.name == channel.topic && topic.type_name == channel.type_name()
+                    })?;
+                    if known.insert(Arc::clone(channel)) {
+                        distinct.push(Arc::clone(channel));
+                    }
+                    let channel = Arc::clone(known.get(channel)?);
+                    Some((*id, FileChannel { topic, channel }))
+                };
+                file.channels.iter().filter_map(of_file).collect()
+            })
+            .collect();
+        let names = topics
+            .iter()
+            .map(|topic| TopicNames {
+                name: topic.name.as_str().into(),
+                type_name: topic.type_name.as_str().into(),
+            })
+            .collect();
+        Self { path: path.into(), files, topics, names, channels, distinct }
+    }
+
+    /// The first damage found when the bag was opened.
+    pub(super) fn damage(&self) -> Option<BagError> {
+        self.files.iter().flat_map(FileIndex::errors).next()
+    }
+}
+
+/// The topics of all files, sorted by name, then by type.
+fn topics(files: &[FileIndex]) -> Vec<TopicInfo> {
+    let mut topics = BTreeMap::new();
+    for file in files {
+        for (id, channel) in &file.channels {
+            let key = (channel.topic.as_str(), channel.type_name());
+            let topic = topics.entry(key).or_insert_with(|| TopicInfo {
+                name: channel.topic.clone(),
+                type_name: channel.type_name().to_owned(),
+                schema: channel.definition(),
+                hash: channel.type_hash().map(str::to_owned),
+                message_count: 0,
+                kept: 0,
+            });
+            topic.kept = topic.kept.max(channel.kept());
+            topic.message_count += file.counts.get(id).copied().unwrap_or_default();
+        }
+    }
+    topics.into_values().collect()
+}

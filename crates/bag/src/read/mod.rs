@@ -1,0 +1,24 @@
+//! Reads bags.
+//!
+//! 1. `records`: steps through the records of a file; `resync`: finds where to continue after damage.
+//! 2. `block`: a chunk or consecutive messages outside chunks, decompressed and checked.
+//! 3. `auxiliary`: attachments and metadata records.
+//! 4. `index`: where the messages of a file are; read from its `summary` section or made by a `scan` of the whole
+//!    file, as `open` decides. `error_log`: the damage.
+//! 5. `contents`: files and topics of an open bag; `messages`: its messages, merged by time.
+//! 6. `reader`: topics, messages and frames of a bag.
+//! 7. `survey`: a check of everything in a bag.
+
+pub(crate) mod auxiliary;
+mod block;
+pub(crate) mod contents;
+pub(crate) mod error_log;
+pub(crate) mod index;
+pub(crate) mod messages;
+mod open;
+pub(crate) mod reader;
+pub(crate) mod records;
+mod resync;
+mod scan;
+mod summary;
+pub(crate) mod survey;

@@ -1,0 +1,265 @@
+//! Topics, messages and frames of a bag.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use mcap::records::op;
+
+use super::{
+    auxiliary::AuxiliaryRecord,
+    contents::{Contents, TopicInfo},
+    index::FileIndex,
+    messages::{Messages, Selection},
+};
+use crate::{
+    error::BagError,
+    format::{channel::Channel, layout},
+};
+use eddy_frames::{Frame, Stamp};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
+
+/// A bag opened for reading. Cheap to clone.
+///
+/// Files with a summary section are indexed from it. Files without one (still being written, truncated, or
+/// from other programs) are scanned when the bag is opened.
+#[derive(Clone, Debug)]
+pub struct BagReader {
+    contents: Arc<Contents>,
+}
+
+impl BagReader {
+    /// Opens a bag directory, an `.mcap` file or an `.mcap.active` file.
+    ///
+    /// # Errors
+    /// [`BagError::Io`], [`BagError::NotABag`], [`BagError::Metadata`], [`BagError::Magic`]. A bag
+    /// with damage after its first bytes can be opened: [`BagReader::damage`] returns the damage, and its
+    /// messages end with the error.
+    pub fn open(path: &Path) -> Result<Self, BagError> {
+        Self::open_files(path, &layout::files_of(path)?)
+    }
+
+    fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
+        let files = files.iter().enumerate();
+        let files = files.map(|(number, file)| FileIndex::open(file, number));
+        Ok(Self::of_files(path, files.collect::<Result<_, _>>()?))
+    }
+
+    /// Indexed files, in this order, as the bag `path`.
+    pub(crate) fn of_files(path: &Path, files: Vec<FileIndex>) -> Self {
+        Self { contents: Arc::new(Contents::new(path, files)) }
+    }
+
+    /// The path it was opened with.
+    pub fn path(&self) -> &Path {
+        &self.contents.path
+    }
+
+    /// The MCAP files.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.contents.files.iter().map(|file| file.path.as_path())
+    }
+
+    /// Total size of the MCAP files (bytes).
+    pub fn size(&self) -> u64 {
+        self.contents.files.iter().map(|file| file.size).sum()
+    }
+
+    /// Compressions of the chunks, each once: `zstd`, `lz4` or `none`.
+    pub fn compressions(&self) -> BTreeSet<&str> {
+        let names = self.contents.files.iter().flat_map(|file| &file.compressions);
+        names.map(|name| if name.is_empty() { "none" } else { name }).collect()
+    }
+
+    /// Whether a file is still being written, or its writer was killed.
+    pub fn is_unfinished(&self) -> bool {
+        self.files().any(layout::is_active)
+    }
+
+    /// The first damage found when the bag was opened. Reading may find more.
+    pub fn damage(&self) -> Option<BagError> {
+        self.contents.damage()
+    }
+
+    /// The topics, sorted by name. A topic with messages of two types is listed twice.
+    pub fn topics(&self) -> &[TopicInfo] {
+        &self.contents.topics
+    }
+
+    /// The channels, in the order of the files and of the channel ids. A topic that several writers described
+    /// differently has several channels.
+    pub fn channels(&self) -> &[Arc<Channel>] {
+        &self.contents.distinct
+    }
+
+    /// Number of messages.
+    pub fn message_count(&self) -> u64 {
+        self.topics().iter().map(|topic| topic.message_count).sum()
+    }
+
+    /// Smallest log time; `None` without messages.
+    pub fn start(&self) -> Option<Stamp> {
+        let first =
+            self.contents.files.iter().filter_map(|file| file.times).map(|(first, _)| first);
+        first.min().map(saturated)
+    }
+
+    /// Largest log time; `None` without messages.
+    pub fn end(&self) -> Option<Stamp> {
+        let last = self.contents.files.iter().filter_map(|file| file.times).map(|(_, last)| last);
+        last.max().map(saturated)
+    }
+
+    /// Time from the first to the last message (s).
+    pub fn duration(&self) -> f64 {
+        match (self.start(), self.end()) {
+            (Some(start), Some(end)) => Stamp(end.0 - start.0).seconds(),
+            _ => 0.0,
+        }
+    }
+
+    /// Number of attachments, and of metadata records.
+    pub fn auxiliary_counts(&self) -> [usize; 2] {
+        [op::ATTACHMENT, op::METADATA].map(|opcode| {
+            let records = self.contents.files.iter().flat_map(|file| &file.auxiliary);
+            records.filter(|record| record.opcode == opcode).count()
+        })
+    }
+
+    /// The attachments and metadata records, in the order of the files.
+    pub(crate) fn auxiliary(&self) -> impl Iterator<Item = Result<AuxiliaryRecord, BagError>> {
+        self.contents.files.iter().flat_map(|file| {
+            file.auxiliary.iter().map(|record| AuxiliaryRecord::read(&file.path, record))
+        })
+    }
+
+    /// All messages, in the order of their log time.
+    pub fn messages(&self) -> Messages {
+        self.select(&Selection::default())
+    }
+
+    /// The selected messages, in the order of their log time.
+    pub fn select(&self, selection: &Selection) -> Messages {
+        Messages::new(self.contents.clone(), selection)
+    }
+
+    /// The messages of a topic of type `type_name`, in the order of their log time.
+    ///
+    /// # Errors
+    /// [`BagError::NoTopic`] when the bag does not have the topic, [`BagError::TopicType`] when it has another
+    /// type, [`BagError::NoMessages`] when it is empty; the damage of the bag when nothing of the topic is left.
+    pub fn messages_of(&self, topic: &str, type_name: &str) -> Result<Messages, BagError> {
+        let path = self.path();
+        let of_topic: Vec<_> = self.topics().iter().filter(|info| info.name == topic).collect();
+        if of_topic.is_empty() {
+            let found = self.list_topics();
+            let none = BagError::NoTopic { path: path.into(), topic: topic.into(), found };
+            return Err(if self.topics().is_empty() {
+                self.damage().unwrap_or(none)
+            } else {
+                none
+            });
+        }
+        if let Some(other) = of_topic.iter().find(|info| info.type_name != type_name) {
+            return Err(BagError::TopicType {
+                path: path.into(),
+                topic: topic.into(),
+                found: other.type_name.clone(),
+                expected: type_name.into(),
+            });
+        }
+        if of_topic.iter().all(|info| info.message_count == 0) {
+            let none = BagError::NoMessages { path: path.into(), topic: topic.into() };
+            return Err(self.damage().unwrap_or(none));
+        }
+        let topics = Some(vec![topic.into()]);
+        Ok(self.select(&Selection { topics, ..Selection::default() }))
+    }
+
+    /// The frames of a topic, in the order of their log time.
+    ///
+    /// # Errors
+    /// As [`BagReader::messages_of`] with the type `eddy_msgs/msg/ParticleFrame`.
+    pub fn frames(&self, topic: &str) -> Result<Frames, BagError> {
+        let messages = self.messages_of(topic, ParticleFrame::TYPE)?;
+        Ok(self.frames_in(messages, topic))
+    }
+
+    /// The frames of a topic with log times from `from` to `until`, inclusive. Only the chunks that contain them
+    /// are read.
+    ///
+    /// # Errors
+    /// As [`BagReader::frames`].
+    pub fn frames_between(
+        &self,
+        topic: &str,
+        from: Stamp,
+        until: Stamp,
+    ) -> Result<Frames, BagError> {
+        self.messages_of(topic, ParticleFrame::TYPE)?;
+        let topics = Some(vec![topic.into()]);
+        let (from, until) = (Some(from), Some(until));
+        Ok(self.frames_in(self.select(&Selection { topics, from, until }), topic))
+    }
+
+    fn frames_in(&self, messages: Messages, topic: &str) -> Frames {
+        let path = self.path().into();
+        Frames { messages, path, topic: topic.into(), read: 0, log_time: Stamp::default() }
+    }
+
+    /// The topics with their types, for error messages.
+    fn list_topics(&self) -> String {
+        if self.topics().is_empty() {
+            return "no topic".to_owned();
+        }
+        let describe = |topic: &TopicInfo| format!("{} ({})", topic.name, topic.type_name);
+        self.topics().iter().map(describe).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// Times beyond the range of ROS are an error when the messages are read.
+fn saturated(time: u64) -> Stamp {
+    Stamp(i64::try_from(time).unwrap_or(i64::MAX))
+}
+
+/// The frames of a topic. A message that is not a valid frame is a [`BagError::Frame`], followed by the other
+/// frames. Damage of the bag comes last.
+#[derive(Debug)]
+pub struct Frames {
+    messages: Messages,
+    path: PathBuf,
+    topic: String,
+    read: u64,
+    log_time: Stamp,
+}
+
+impl Frames {
+    /// Log time of the last frame; zero before the first.
+    pub fn log_time(&self) -> Stamp {
+        self.log_time
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Result<Frame, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let data = match self.messages.next()? {
+            Ok(message) => {
+                self.log_time = message.log_time;
+                message.data
+            }
+            Err(error) => return Some(Err(error)),
+        };
+        let message = self.read;
+        self.read += 1;
+        Some(Frame::from_cdr(&data).map_err(|reason| BagError::Frame {
+            path: self.path.clone(),
+            topic: self.topic.clone(),
+            message,
+            reason,
+        }))
+    }
+}

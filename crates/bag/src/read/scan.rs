@@ -1,0 +1,372 @@
+//! Indexes a file by a scan of all its records: for files without a usable summary section.
+
+use std::collections::BTreeMap;
+
+use mcap::{
+    MAGIC,
+    records::{ChunkIndex, Record, op},
+};
+
+use super::{
+    block::{Block, BlockKind, describe, unknown_channel, unreadable, wanted_record},
+    index::{BlockContents, Damage, FileIndex, PROGRESS_STEP, Progress, add_counts, widen},
+    records::{NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
+};
+use crate::{
+    error::BagError,
+    format::{layout, parse},
+};
+
+/// Body of a data end record: a checksum (bytes).
+const DATA_END_LENGTH: u64 = 4;
+
+/// Size (bytes) after which a block of messages outside chunks ends, to bound the memory of a reader.
+const UNCHUNKED_BLOCK: u64 = 1 << 20;
+
+impl FileIndex {
+    /// Reads the whole file once, with the contents of its chunks.
+    pub(super) fn scan_records(
+        mut self,
+        mut records: Records,
+        progress: &mut Progress<'_>,
+    ) -> Result<Self, BagError> {
+        let failed = BagError::io(self.path.clone(), "reading");
+        let mut reported = 0;
+        match self.scan_to_end(&mut records, progress, &mut reported) {
+            Ok(None) => {}
+            Ok(Some(expected)) => {
+                let (size, messages) = (self.size, self.messages());
+                self.damage.push(Damage::Truncated { size, messages, expected });
+            }
+            Err(ScanError::Io(error)) => return Err(failed(error)),
+            Err(ScanError::Bag(error)) => return Err(error),
+        }
+        if !progress(self.size.saturating_sub(reported)) {
+            return Err(BagError::Interrupted { path: self.path });
+        }
+        Ok(self)
+    }
+
+    /// Scans to the end; `reported` bytes were reported to `progress`. Returns what is missing if the file is
+    /// truncated.
+    fn scan_to_end(
+        &mut self,
+        records: &mut Records,
+        progress: &mut Progress<'_>,
+        reported: &mut u64,
+    ) -> Result<Option<String>, ScanError> {
+        if self.size < MAGIC.len() as u64 {
+            return Ok(Some("the rest of the 8 bytes that start an MCAP file".into()));
+        }
+        let mut in_summary = false;
+        loop {
+            let read = records.position - *reported;
+            if read >= PROGRESS_STEP {
+                *reported = records.position;
+                if !progress(read) {
+                    let path = self.path.clone();
+                    return Err(ScanError::Bag(BagError::Interrupted { path }));
+                }
+            }
+            let header = match records.step() {
+                Ok(Step::Record(header) | Step::TruncatedBody(header)) if !in_summary => {
+                    match self.with_true_length(header, records)? {
+                        Some(header) => header,
+                        None => continue,
+                    }
+                }
+                Ok(Step::Record(header) | Step::TruncatedBody(header)) => header,
+                Ok(Step::TruncatedHeader) => return Ok(Some("a record header of 9 bytes".into())),
+                // A file that is still being written may end after any complete record.
+                Ok(Step::End) if !in_summary && layout::is_active(&self.path) => {
+                    return Ok(None);
+                }
+                Ok(Step::End) => return Ok(Some("the data end record and the footer".into())),
+                Err(error) if BagError::is_unreadable(&error) => {
+                    let position = records.position;
+                    self.add_damage(position, unreadable(&error), "a record".into());
+                    if in_summary || !records.seek_message(position + 1, &self.channels)? {
+                        return Ok(Some(format!("a record from byte {position}")));
+                    }
+                    continue;
+                }
+                Err(error) => return Err(error.into()),
+            };
+            if header.end() > self.size {
+                if header.opcode == op::CHUNK && !in_summary {
+                    self.chunk(&header, BlockKind::TruncatedChunk, records)?;
+                }
+                let start = header.position;
+                return Ok(Some(format!("{} from byte {start}", describe(&header))));
+            }
+            match header.opcode {
+                NO_RECORD if !in_summary => {
+                    return Ok(Some(format!("a record from byte {}", header.position)));
+                }
+                op::FOOTER => {
+                    let rest = self.size - header.end();
+                    if rest > MAGIC.len() as u64 {
+                        // A damaged opcode: the record is not a footer and hides what follows.
+                        let expected = "one at the end of the file".to_owned();
+                        self.add_damage(header.position, describe(&header), expected);
+                    }
+                    let expected = "the 8 bytes that end an MCAP file";
+                    return Ok((rest < MAGIC.len() as u64).then(|| expected.into()));
+                }
+                op::DATA_END => {
+                    if header.length != DATA_END_LENGTH {
+                        let expected = format!("{DATA_END_LENGTH} bytes");
+                        self.add_damage(header.position, describe(&header), expected);
+                    }
+                    in_summary = true;
+                }
+                op::STATISTICS if in_summary => self.statistics(&header, records)?,
+                _ if in_summary => {}
+                op::CHUNK => self.chunk(&header, BlockKind::Chunk, records)?,
+                op::MESSAGE_INDEX => self.message_index(&header, records)?,
+                op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                    self.unchunked_record(&header, records)?
+                }
+                op::ATTACHMENT | op::METADATA => self.auxiliary.push(header),
+                _ => {}
+            }
+            if !in_summary {
+                self.data_end = header.end();
+            }
+        }
+    }
+
+    /// Checks the length of a record by what follows it. Where no record follows, the length is damaged: a chunk
+    /// repeats it in its own fields; after other records the scan continues at the next chunk or message, and the
+    /// result is `None` if there is one.
+    fn with_true_length(
+        &mut self,
+        header: RecordHeader,
+        records: &mut Records,
+    ) -> Result<Option<RecordHeader>, ScanError> {
+        if header.opcode == op::FOOTER {
+            return Ok(Some(header));
+        }
+        if header.opcode == op::CHUNK
+            && let Some(length) = records.chunk_header(&header)?.and_then(|chunk| chunk.length())
+            && length != header.length
+        {
+            let corrected = RecordHeader { length, ..header };
+            if records.may_continue_at(corrected.end())? {
+                self.add_damage(header.position, describe(&header), format!("{length} bytes"));
+                records.position = corrected.end();
+                return Ok(Some(corrected));
+            }
+        }
+        if header.opcode != NO_RECORD && records.may_continue_at(header.end())? {
+            return Ok(Some(header));
+        }
+        let continues = match header.opcode {
+            // Messages in a chunk are protected by its checksum only.
+            op::CHUNK => records.seek_chunk(header.position + 1)?,
+            _ => records.seek_message(header.position + 1, &self.channels)?,
+        };
+        if continues {
+            let expected = "a record that is followed by another".into();
+            self.add_damage(header.position, describe(&header), expected);
+        }
+        Ok((!continues).then_some(header))
+    }
+
+    fn statistics(
+        &mut self,
+        header: &RecordHeader,
+        records: &mut Records,
+    ) -> Result<(), ScanError> {
+        if header.length <= SIZE_LIMIT
+            && let Ok(Record::Statistics(found)) =
+                parse::record(header.opcode, &records.read(header)?)
+        {
+            self.declared_messages = Some(found.message_count);
+        }
+        Ok(())
+    }
+
+    fn chunk(
+        &mut self,
+        header: &RecordHeader,
+        kind: BlockKind,
+        records: &mut Records,
+    ) -> Result<(), ScanError> {
+        let fields = records.chunk_header(header)?;
+        if let Some(fields) = &fields {
+            self.compressions.insert(fields.compression.clone());
+        }
+        let end = header.end().min(self.size);
+        let block = Block {
+            file: self.number,
+            position: header.position,
+            length: end - header.position,
+            kind,
+            first: 0,
+            last: 0,
+        };
+        let path = self.path.clone();
+        let (mut counts, mut times) = (BTreeMap::new(), None);
+        let outcome = block.read(&path, |record| match record {
+            Record::Message { header, .. } => {
+                if !self.channels.contains_key(&header.channel_id) {
+                    return Err(unknown_channel(header.channel_id));
+                }
+                *counts.entry(header.channel_id).or_insert(0) += 1;
+                times = Some(widen(times, (header.log_time, header.log_time)));
+                Ok(())
+            }
+            other => self.declare(&other),
+        });
+        match outcome {
+            Ok(()) => {}
+            Err(BagError::Corrupt { position, found, expected, .. }) => {
+                // Later chunks may be intact.
+                self.add_damage(position, found, expected);
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        }
+        if let Some(fields) = fields.filter(|_| kind == BlockKind::Chunk) {
+            let (message_start_time, message_end_time) = times.unwrap_or_default();
+            self.chunks.push(ChunkIndex {
+                message_start_time,
+                message_end_time,
+                chunk_start_offset: header.position,
+                chunk_length: block.length,
+                message_index_offsets: BTreeMap::new(),
+                message_index_length: 0,
+                compressed_size: header.length.saturating_sub(fields.records as u64),
+                uncompressed_size: fields.uncompressed,
+                compression: fields.compression,
+            });
+        }
+        if let Some((first, last)) = times {
+            self.blocks.push(Block { first, last, ..block });
+            self.count(BlockContents { position: header.position, counts, times: (first, last) });
+        }
+        Ok(())
+    }
+
+    /// Adds a message index to the chunk before it.
+    fn message_index(
+        &mut self,
+        header: &RecordHeader,
+        records: &mut Records,
+    ) -> Result<(), ScanError> {
+        let Some(chunk) = self.chunks.last_mut() else { return Ok(()) };
+        let indexed = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length;
+        if header.position != indexed || header.length > SIZE_LIMIT {
+            return Ok(());
+        }
+        let body = match records.read(header) {
+            // Not needed to read the messages.
+            Err(error) if BagError::is_unreadable(&error) => return Ok(()),
+            body => body?,
+        };
+        if let Ok(Record::MessageIndex(index)) = parse::record(header.opcode, &body) {
+            chunk.message_index_offsets.insert(index.channel_id, header.position);
+            chunk.message_index_length += header.end() - header.position;
+        }
+        Ok(())
+    }
+
+    fn unchunked_record(
+        &mut self,
+        header: &RecordHeader,
+        records: &mut Records,
+    ) -> Result<(), ScanError> {
+        if header.length > SIZE_LIMIT {
+            self.add_damage(header.position, describe(header), "at most 1 GiB".into());
+            return Ok(());
+        }
+        let body = match records.read(header) {
+            Ok(body) => body,
+            Err(error) if BagError::is_unreadable(&error) => {
+                self.add_damage(header.position, unreadable(&error), describe(header));
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let parsed = wanted_record(header.opcode, &body).map_err(|error| error.to_string());
+        let outcome = match parsed {
+            Ok(Some(Record::Message { header: message, .. })) => {
+                if self.channels.contains_key(&message.channel_id) {
+                    self.add_unchunked_message(header, message.log_time);
+                    let (counts, time) = ([(message.channel_id, 1)].into(), message.log_time);
+                    self.count(BlockContents {
+                        position: header.position,
+                        counts,
+                        times: (time, time),
+                    });
+                    Ok(())
+                } else {
+                    Err(unknown_channel(message.channel_id))
+                }
+            }
+            Ok(Some(other)) => self.declare(&other),
+            Ok(None) => Ok(()),
+            Err(reason) => Err(reason),
+        };
+        if let Err(found) = outcome {
+            let expected = "a record consistent with the records before it".into();
+            self.add_damage(header.position, found, expected);
+        }
+        Ok(())
+    }
+
+    /// Adds a message outside chunks to the block before it if that ends where the message starts.
+    fn add_unchunked_message(&mut self, header: &RecordHeader, time: u64) {
+        let length = header.end() - header.position;
+        if let Some(block) = self.blocks.last_mut()
+            && block.kind == BlockKind::Unchunked
+            && block.position + block.length == header.position
+            && block.length < UNCHUNKED_BLOCK
+        {
+            block.length += length;
+            (block.first, block.last) = widen(Some((block.first, block.last)), (time, time));
+            return;
+        }
+        self.blocks.push(Block {
+            file: self.number,
+            position: header.position,
+            length,
+            kind: BlockKind::Unchunked,
+            first: time,
+            last: time,
+        });
+    }
+
+    /// Adds the contents of the last block, or of the last message in it.
+    fn count(&mut self, added: BlockContents) {
+        add_counts(&mut self.counts, &added.counts);
+        self.times = Some(widen(self.times, added.times));
+        let block = self.blocks.last().map(|block| (block.kind, block.position));
+        match (block, self.contents.last_mut()) {
+            (Some((BlockKind::Unchunked, start)), Some(last)) if last.position >= start => {
+                add_counts(&mut last.counts, &added.counts);
+                last.times = widen(Some(last.times), added.times);
+            }
+            _ => self.contents.push(added),
+        }
+    }
+}
+
+/// Why a scan stopped.
+enum ScanError {
+    Io(std::io::Error),
+    Bag(BagError),
+}
+
+impl From<std::io::Error> for ScanError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<BagError> for ScanError {
+    fn from(error: BagError) -> Self {
+        Self::Bag(error)
+    }
+}

@@ -1,0 +1,10 @@
+//! Repairs bags.
+//!
+//! 1. `recover`: copies what can be read of a damaged bag into a new one.
+//! 2. `reindex`: writes missing summary sections and `metadata.yaml`.
+
+mod recover;
+mod reindex;
+
+pub use recover::{Recovered, Recovery};
+pub use reindex::{Reindexed, Reindexing};
