@@ -8,7 +8,8 @@ use std::{
 
 use eddy_bag::{BagReader, BagWriter, WriterOptions};
 use eddy_exchange::{
-    Choice, ExchangeError, ExportFormat, ImportFormat, Streams, Supplement, export, import,
+    ExchangeError, ExportFormat, FrameSelection, ImportFormat, ImportOverrides, Streams, export,
+    import,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
@@ -50,7 +51,11 @@ fn frames_in(bag: &Path) -> Vec<Frame> {
 }
 
 fn streams(bag: &Path) -> Streams {
-    let choice = Choice { bags: vec![bag.into()], topic: "/particles".into(), ..Choice::default() };
+    let choice = FrameSelection {
+        bags: vec![bag.into()],
+        topic: "/particles".into(),
+        ..FrameSelection::default()
+    };
     Streams::find(&choice, &mut || true).unwrap()
 }
 
@@ -61,7 +66,7 @@ fn try_export(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), Exchang
 fn try_import(
     from: &Path,
     format: ImportFormat,
-    given: Supplement,
+    given: ImportOverrides,
     to: &Path,
 ) -> Result<(), ExchangeError> {
     import(from, format, &given, to, &mut || true).map(drop)
@@ -127,7 +132,7 @@ proptest! {
         write_bag(&bag, &frames);
         try_export(&bag, ExportFormat::Npz, &file).unwrap();
         let out = folder.path().join("out");
-        try_import(&file, ImportFormat::Npz, Supplement::default(), &out).unwrap();
+        try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out).unwrap();
         let back = frames_in(&out.join(format!("stream_{:04}", frames[0].stream)));
         prop_assert_eq!(back, frames);
     }
@@ -142,7 +147,7 @@ proptest! {
         write_bag(&bag, &frames);
         try_export(&bag, ExportFormat::Gns, &set).unwrap();
         let out = folder.path().join("out");
-        let outcome = try_import(&set, ImportFormat::Gns, Supplement::default(), &out);
+        let outcome = try_import(&set, ImportFormat::Gns, ImportOverrides::default(), &out);
         if frames.len() == 1 {
             // There is nothing to take velocities from.
             let error = outcome.unwrap_err().to_string();
@@ -165,7 +170,7 @@ fn velocities_that_a_file_lacks_are_differences_of_positions() {
     let (folder, bag) = two_streams();
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
-    let given = Supplement { dt: Some(0.5), domain: Some(WIDE), material: None };
+    let given = ImportOverrides { dt: Some(0.5), domain: Some(WIDE), material: None };
     try_import(&set, ImportFormat::Gns, given, &out).unwrap();
     assert_eq!(entries(&out), ["stream_0000", "stream_0001"]);
     for frame in frames_in(&out.join("stream_0001")) {
@@ -253,12 +258,12 @@ fn an_output_that_exists_is_never_written_over() {
     let (bag, name) = (bag.to_str().unwrap(), out.to_str().unwrap());
     for format in ["npz", "vtu", "ply", "gns", "csv"] {
         let error = fail(1, ["bag", "export", bag, "--format", format, "--output", name]);
-        assert!(error.contains("out.png: found something of that name"), "{error}");
+        assert!(error.contains("out.png: already exists"), "{error}");
     }
     let error = fail(1, ["bag", "render", bag, "--output", name]);
-    assert!(error.contains("out.png: found something of that name"), "{error}");
+    assert!(error.contains("out.png: already exists"), "{error}");
     let error = fail(1, ["bag", "import", bag, "--format", "npz", "--output", name]);
-    assert!(error.contains("out.png: found something of that name"), "{error}");
+    assert!(error.contains("out.png: already exists"), "{error}");
     assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     assert_eq!(entries(folder.path()), ["bag", "out.png"]);
 }
@@ -275,7 +280,7 @@ fn what_is_not_there_is_named_with_what_is() {
     assert!(error.contains("stream: found 3, 8, expected 4"), "{error}");
     let file = format!("{out}.npz");
     let error = fail(1, ["bag", "export", bag, "--format", "npz", "--output", &file]);
-    assert!(error.contains("found 2 streams, expected 1 for a lone file"), "{error}");
+    assert!(error.contains("found 2 streams, expected 1 for a single file"), "{error}");
     let error = fail(1, ["bag", "import", "nowhere.npz", "--format", "npz", "--output", out]);
     assert!(error.contains("nowhere.npz: opening the file"), "{error}");
     fail(2, ["bag", "export", bag, "--format", "pickle"]);
@@ -353,7 +358,7 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
         let with = with.as_ref().map(|(name, header, data)| (*name, header.as_str(), &data[..]));
         let path = changed(&file, without, with);
         let out = folder.path().join("out");
-        let error = try_import(&path, ImportFormat::Npz, Supplement::default(), &out);
+        let error = try_import(&path, ImportFormat::Npz, ImportOverrides::default(), &out);
         let error = error.unwrap_err().to_string();
         assert!(error.contains("changed.npz") && error.contains(expected), "{error}");
         assert!(!out.exists());
@@ -389,9 +394,9 @@ fn a_cut_archive_is_refused_wherever_it_is_cut() {
     let out = folder.path().join("out");
     for end in (0..bytes.len()).step_by(7) {
         fs::write(&file, &bytes[..end]).unwrap();
-        let error = try_import(&file, ImportFormat::Npz, Supplement::default(), &out);
+        let error = try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out);
         let error = error.unwrap_err().to_string();
-        assert!(error.contains("stream.npz: found no whole zip archive"), "{end}: {error}");
+        assert!(error.contains("stream.npz: found no complete zip archive"), "{end}: {error}");
     }
     // A changed number is found by the checksum.
     let mut wrong = bytes.clone();
@@ -399,7 +404,7 @@ fn a_cut_archive_is_refused_wherever_it_is_cut() {
     let at = wrong.windows(4).position(|bytes| bytes == number).unwrap();
     wrong[at] ^= 1;
     fs::write(&file, &wrong).unwrap();
-    let error = try_import(&file, ImportFormat::Npz, Supplement::default(), &out).unwrap_err();
+    let error = try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out).unwrap_err();
     assert!(error.to_string().contains("position"), "{error}");
     assert!(!out.exists());
 }
@@ -459,7 +464,7 @@ fn positions_and_materials_come_back_from_hdf5() {
     let (set, out) = (folder.path().join("set"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Hdf5, &set).unwrap();
     assert_eq!(entries(&set), ["metadata.json", "train.h5", "valid.h5"]);
-    try_import(&set, ImportFormat::Hdf5, Supplement::default(), &out).unwrap();
+    try_import(&set, ImportFormat::Hdf5, ImportOverrides::default(), &out).unwrap();
     for (number, stream) in [(0, 3), (1, 8)] {
         let back = frames_in(&out.join(format!("stream_{number:04}")));
         for (k, back) in back.iter().enumerate() {
@@ -473,7 +478,8 @@ fn positions_and_materials_come_back_from_hdf5() {
     let bytes = fs::read(&cut).unwrap();
     fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
     let again = folder.path().join("again");
-    let error = try_import(&cut, ImportFormat::Hdf5, Supplement::default(), &again).unwrap_err();
+    let error =
+        try_import(&cut, ImportFormat::Hdf5, ImportOverrides::default(), &again).unwrap_err();
     assert!(error.to_string().contains("train.h5: HDF5: "), "{error}");
     assert!(!again.exists());
 }

@@ -1,7 +1,9 @@
-//! numpy's arrays in a zip archive (`.npz`), written and read.
+//! Reads and writes NumPy arrays in a zip archive (`.npz`).
 //!
-//! Format: `numpy.lib.format` (NEP 1). Object arrays are pickles, which are programs: they are
-//! refused by their header, and their bytes are never looked at.
+//! Format: `numpy.lib.format` (NEP 1). Object arrays are pickles, which are programs: they are rejected by their
+//! header, and their bytes are never read.
+//!
+//! The feature `npz` of npyz would bring zip 0.6 with bzip2, AES and a second zstd; zip 9 with deflate is enough.
 
 use std::{
     fs::File,
@@ -29,7 +31,7 @@ impl ArchiveWriter {
         Ok(Self { zip: ZipWriter::new(BufWriter::new(file)), path: path.into() })
     }
 
-    /// Adds an array of `shape`, in C order.
+    /// Writes an array of `shape`, in C order.
     pub(super) fn array<T: AutoSerialize>(
         &mut self,
         name: &str,
@@ -49,7 +51,7 @@ impl ArchiveWriter {
         write(&mut self.zip).map_err(failed)
     }
 
-    /// Begins an array of any type, in C order; its bytes follow with [`Self::bytes`].
+    /// Starts an array of any type, in C order; its bytes follow with [`Self::bytes`].
     pub(super) fn begin(
         &mut self,
         name: &str,
@@ -62,25 +64,24 @@ impl ArchiveWriter {
         written.map(drop).map_err(ExchangeError::io(&self.path, "writing"))
     }
 
-    /// Appends to the array that was begun.
+    /// Appends bytes to the array that was started.
     pub(super) fn bytes(&mut self, bytes: &[u8]) -> Result<(), ExchangeError> {
         self.zip.write_all(bytes).map_err(ExchangeError::io(&self.path, "writing"))
     }
 
     fn start(&mut self, name: &str) -> Result<(), ExchangeError> {
-        // Always ready for more than 4 GiB, as numpy's own archives are.
+        // With 64-bit sizes, as in archives written by NumPy.
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .large_file(true);
         let started = self.zip.start_file(format!("{name}.npy"), options);
-        started.map_err(|error| refused(&self.path, error))
+        started.map_err(|error| zip_error(&self.path, error))
     }
 
     pub(super) fn finish(self) -> Result<(), ExchangeError> {
         let Self { zip, path } = self;
-        let file = zip.finish().map_err(|error| refused(&path, error))?;
-        let file = file.into_inner().map_err(|error| error.into_error());
-        file.and_then(|file| file.sync_all()).map_err(ExchangeError::io(&path, "writing"))
+        let mut file = zip.finish().map_err(|error| zip_error(&path, error))?;
+        file.flush().map_err(ExchangeError::io(&path, "writing"))
     }
 }
 
@@ -88,26 +89,26 @@ fn extents(shape: &[usize]) -> Vec<u64> {
     shape.iter().map(|&extent| extent as u64).collect()
 }
 
-fn refused(path: &Path, error: ZipError) -> ExchangeError {
+fn zip_error(path: &Path, error: ZipError) -> ExchangeError {
     match error {
         ZipError::Io(reason) if reason.kind() != std::io::ErrorKind::UnexpectedEof => {
             ExchangeError::Io { path: path.into(), action: "opening the archive", reason }
         }
         other => ExchangeError::File {
             path: path.into(),
-            found: format!("no whole zip archive ({other})"),
+            found: format!("no complete zip archive ({other})"),
             expected: "an .npz file",
         },
     }
 }
 
-/// An archive to read.
+/// An archive opened for reading.
 pub(super) struct Archive {
     zip: ZipArchive<BufReader<File>>,
     path: PathBuf,
 }
 
-/// Numbers of one array, in C order.
+/// The numbers of an array, in C order.
 #[derive(Debug, PartialEq)]
 pub(super) struct Array<T> {
     pub(super) shape: Vec<usize>,
@@ -117,7 +118,7 @@ pub(super) struct Array<T> {
 impl Archive {
     pub(super) fn open(path: &Path) -> Result<Self, ExchangeError> {
         let file = File::open(path).map_err(ExchangeError::io(path, "opening the file"))?;
-        let zip = ZipArchive::new(BufReader::new(file)).map_err(|error| refused(path, error))?;
+        let zip = ZipArchive::new(BufReader::new(file)).map_err(|error| zip_error(path, error))?;
         Ok(Self { zip, path: path.into() })
     }
 
@@ -130,12 +131,12 @@ impl Archive {
         names.collect()
     }
 
-    /// Whether it has the array.
+    /// Whether the archive has the array.
     pub(super) fn has(&self, name: &str) -> bool {
         self.zip.index_for_name(&format!("{name}.npy")).is_some()
     }
 
-    /// An array of plain numbers; `None` when the archive lacks it.
+    /// Reads an array of numbers; `None` when the archive does not have it.
     pub(super) fn read<T: Number>(
         &mut self,
         name: &str,
@@ -144,58 +145,58 @@ impl Archive {
             return Ok(None);
         }
         let entry = self.zip.by_name(&format!("{name}.npy"));
-        let mut entry = entry.map_err(|error| refused(&self.path, error))?;
-        let place = Place { path: &self.path, name };
-        let header = place.header(&mut entry)?;
-        let shape = place.shape(header.shape())?;
-        let plain = Plain::of(&header.dtype())
-            .ok_or_else(|| place.fault(header.dtype().descr(), "an array of plain numbers"))?;
-        let values = place.numbers(&mut entry, &plain, &shape)?;
-        place.end(&mut entry)?;
+        let mut entry = entry.map_err(|error| zip_error(&self.path, error))?;
+        let source = Source { path: &self.path, name };
+        let header = source.header(&mut entry)?;
+        let shape = source.shape(header.shape())?;
+        let numeric = Numeric::of(&header.dtype())
+            .ok_or_else(|| source.fault(header.dtype().descr(), "an array of numbers"))?;
+        let values = source.numbers(&mut entry, &numeric, &shape)?;
+        source.end(&mut entry)?;
         Ok(Some(Array { shape, values }))
     }
 
-    /// Hands over the first two fields of each record of a structured array.
+    /// Calls `each` with the first two fields of each record of a structured array.
     pub(super) fn records<A: Number, B: Number>(
         &mut self,
         name: &str,
         mut each: impl FnMut(Array<A>, Array<B>) -> Result<(), ExchangeError>,
     ) -> Result<(), ExchangeError> {
         let entry = self.zip.by_name(&format!("{name}.npy"));
-        let mut entry = entry.map_err(|error| refused(&self.path, error))?;
-        let place = Place { path: &self.path, name };
-        let header = place.header(&mut entry)?;
+        let mut entry = entry.map_err(|error| zip_error(&self.path, error))?;
+        let source = Source { path: &self.path, name };
+        let header = source.header(&mut entry)?;
         let dtype = header.dtype();
-        let expected = "a structured array with at least two fields of plain numbers";
-        let fault = || place.fault(dtype.descr(), expected);
+        let expected = "a structured array with at least two fields of numbers";
+        let fault = || source.fault(dtype.descr(), expected);
         let DType::Record(fields) = &dtype else { return Err(fault()) };
         let [first, second, rest @ ..] = fields.as_slice() else { return Err(fault()) };
         let (first, second) = (
-            Plain::of(&first.dtype).ok_or_else(fault)?,
-            Plain::of(&second.dtype).ok_or_else(fault)?,
+            Numeric::of(&first.dtype).ok_or_else(fault)?,
+            Numeric::of(&second.dtype).ok_or_else(fault)?,
         );
         let rest: usize = rest.iter().map(|field| field.dtype.num_bytes().unwrap_or(0)).sum();
-        let records = place.length(&place.shape(header.shape())?)?;
+        let records = source.length(&source.shape(header.shape())?)?;
         for _ in 0..records {
-            let a = place.numbers(&mut entry, &first, &[])?;
-            let b = place.numbers(&mut entry, &second, &[])?;
-            place.skip(&mut entry, rest)?;
+            let a = source.numbers(&mut entry, &first, &[])?;
+            let b = source.numbers(&mut entry, &second, &[])?;
+            source.skip(&mut entry, rest)?;
             each(
                 Array { shape: first.shape.clone(), values: a },
                 Array { shape: second.shape.clone(), values: b },
             )?;
         }
-        place.end(&mut entry)
+        source.end(&mut entry)
     }
 }
 
-/// Where something was found, for messages.
-struct Place<'a> {
+/// File and array, for error messages.
+struct Source<'a> {
     path: &'a Path,
     name: &'a str,
 }
 
-impl Place<'_> {
+impl Source<'_> {
     fn fault(&self, found: impl Into<String>, expected: &str) -> ExchangeError {
         ExchangeError::Array {
             path: self.path.into(),
@@ -228,27 +229,27 @@ impl Place<'_> {
         length.ok_or_else(|| self.fault(format!("shape {shape:?}"), "one that fits into memory"))
     }
 
-    /// The numbers of an array of `outer` shape whose elements are `plain`. Memory grows with what
-    /// is there, not with what the header says.
+    /// Reads an array of shape `outer` with elements of type `numeric`. Allocates for the bytes that are read, not
+    /// for the shape in the header.
     fn numbers<T: Number>(
         &self,
         entry: &mut impl Read,
-        plain: &Plain,
+        numeric: &Numeric,
         outer: &[usize],
     ) -> Result<Vec<T>, ExchangeError> {
-        let count = self.length(&[outer, &plain.shape].concat())?;
-        let bytes = self.length(&[count, plain.size])?;
+        let count = self.length(&[outer, &numeric.shape].concat())?;
+        let bytes = self.length(&[count, numeric.size])?;
         let mut raw = Vec::new();
         let read = entry.take(bytes as u64).read_to_end(&mut raw);
-        // A wrong checksum, or a cut archive.
+        // A wrong checksum, or a truncated archive.
         read.map_err(|error| self.fault(error.to_string(), "readable bytes"))?;
         if raw.len() < bytes {
             let found = format!("{} bytes of numbers", raw.len());
-            return Err(self.fault(found, &format!("{bytes} by its header")));
+            return Err(self.fault(found, &format!("{bytes} according to its header")));
         }
-        let values = raw.chunks_exact(plain.size).map(|bytes| {
-            let value = plain.decode(bytes);
-            T::from_value(value).ok_or_else(|| self.fault(value.words(), T::WORD))
+        let values = raw.chunks_exact(numeric.size).map(|bytes| {
+            let value = numeric.decode(bytes);
+            T::from_value(value).ok_or_else(|| self.fault(value.describe(), T::EXPECTED))
         });
         values.collect()
     }
@@ -258,20 +259,20 @@ impl Place<'_> {
         skipped.map(drop).map_err(|error| self.fault(error.to_string(), "readable bytes"))
     }
 
-    /// Reads to the end, where the archive's checksum is compared.
+    /// Reads to the end, where the checksum of the archive is checked.
     fn end(&self, entry: &mut impl Read) -> Result<(), ExchangeError> {
         let rest = std::io::copy(entry, &mut std::io::sink())
             .map_err(|error| self.fault(error.to_string(), "readable bytes"))?;
         if rest > 0 {
-            let found = format!("{rest} bytes behind the numbers");
-            return Err(self.fault(found, "none by its header"));
+            let found = format!("{rest} bytes after the numbers");
+            return Err(self.fault(found, "none according to its header"));
         }
         Ok(())
     }
 }
 
-/// Elements of one number type, with their own shape inside a structured array.
-struct Plain {
+/// A numeric element type, with a shape of its own in a structured array.
+struct Numeric {
     kind: TypeChar,
     /// Bytes of one number.
     size: usize,
@@ -279,15 +280,15 @@ struct Plain {
     shape: Vec<usize>,
 }
 
-impl Plain {
-    /// `None` for types that are no numbers.
+impl Numeric {
+    /// `None` for other types.
     fn of(dtype: &DType) -> Option<Self> {
         match dtype {
             DType::Plain(text) => Self::of_text(text),
             DType::Array(extent, inner) => {
-                let mut plain = Self::of(inner)?;
-                plain.shape.insert(0, usize::try_from(*extent).ok()?);
-                Some(plain)
+                let mut numeric = Self::of(inner)?;
+                numeric.shape.insert(0, usize::try_from(*extent).ok()?);
+                Some(numeric)
             }
             DType::Record(_) => None,
         }
@@ -321,7 +322,7 @@ impl Plain {
     }
 }
 
-/// A number of any of numpy's types, without loss.
+/// A number of any NumPy type, without loss.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Value {
     Float(f64),
@@ -329,7 +330,7 @@ pub(super) enum Value {
 }
 
 impl Value {
-    fn words(self) -> String {
+    fn describe(self) -> String {
         match self {
             Self::Float(number) => number.to_string(),
             Self::Integer(number) => number.to_string(),
@@ -337,15 +338,15 @@ impl Value {
     }
 }
 
-/// What an array can be read as.
+/// Number types that arrays are read as.
 pub(super) trait Number: Sized {
-    /// What is expected, for messages.
-    const WORD: &str;
+    /// For error messages.
+    const EXPECTED: &str;
     fn from_value(value: Value) -> Option<Self>;
 }
 
 impl Number for f32 {
-    const WORD: &str = "a number";
+    const EXPECTED: &str = "a number";
 
     fn from_value(value: Value) -> Option<Self> {
         Some(match value {
@@ -356,7 +357,7 @@ impl Number for f32 {
 }
 
 impl Number for i64 {
-    const WORD: &str = "an integer of 64 bits";
+    const EXPECTED: &str = "an integer of 64 bits";
 
     fn from_value(value: Value) -> Option<Self> {
         match value {
@@ -367,7 +368,7 @@ impl Number for i64 {
 }
 
 impl Number for u64 {
-    const WORD: &str = "an integer from 0 to 2^64 - 1";
+    const EXPECTED: &str = "an integer from 0 to 2^64 - 1";
 
     fn from_value(value: Value) -> Option<Self> {
         match value {
@@ -381,7 +382,7 @@ impl Number for u64 {
 mod tests {
     use super::*;
 
-    /// An archive with one array, `x`, of these header words and bytes.
+    /// An archive with one array, `x`, of this header and data.
     fn archive(folder: &Path, header: &str, data: &[u8]) -> PathBuf {
         let path = folder.join("x.npz");
         let mut zip = ZipWriter::new(File::create(&path).unwrap());
@@ -418,16 +419,16 @@ mod tests {
     }
 
     #[test]
-    fn arrays_that_cannot_be_used_are_named_with_the_reason() {
+    fn unusable_arrays_are_rejected_with_name_and_reason() {
         let folder = tempfile::tempdir().unwrap();
         let four = [0; 4];
         let fortran = header("'<f4'", "(1, 1)").replace("False", "True");
         let cases: [(&str, &[u8], &str); 7] = [
             (&header("'|O'", "(1,)"), b"cos\nsystem\n", "object arrays are pickles"),
             (&header("[('a', '|O')]", "(1,)"), b"", "object arrays are pickles"),
-            (&header("'<U4'", "(1,)"), &[0; 16], "expected an array of plain numbers"),
+            (&header("'<U4'", "(1,)"), &[0; 16], "expected an array of numbers"),
             (&header("'<f4'", "(2,)"), &four, "found 4 bytes of numbers, expected 8"),
-            (&header("'<f4'", "(0,)"), &four, "found 4 bytes behind the numbers"),
+            (&header("'<f4'", "(0,)"), &four, "found 4 bytes after the numbers"),
             (&fortran, &four, "found Fortran order, expected C order"),
             (
                 &header("'<f8'", "(9223372036854775807, 9)"),

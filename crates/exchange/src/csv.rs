@@ -1,4 +1,4 @@
-//! One long table, a line a particle and frame.
+//! CSV: one table with a row per particle and frame.
 
 use std::{
     fs::File,
@@ -8,21 +8,21 @@ use std::{
 
 use super::{
     error::ExchangeError,
-    streams::{Streams, Watch},
+    streams::{Progress, Streams},
 };
 
-/// Writes every frame of every stream. Time in s, lengths in domain lengths.
+/// Writes every frame of every stream. Times in s, lengths in domain lengths.
 pub(super) fn write(
     streams: &Streams,
     path: &Path,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     let file = File::create_new(path).map_err(ExchangeError::io(path, "creating the file"))?;
     let mut table = BufWriter::new(file);
     let failed = || ExchangeError::io(path, "writing");
     writeln!(table, "stream,sequence,time,particle,material,x,y,vx,vy").map_err(failed())?;
     for track in streams.tracks() {
-        streams.read(track, watch, |frame| {
+        streams.read(track, progress, |frame| {
             let before = format!("{},{},{}", frame.stream, frame.sequence, frame.stamp.seconds());
             for particle in 0..frame.len() {
                 let material = frame.material[particle].name();

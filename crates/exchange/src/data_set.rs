@@ -1,13 +1,12 @@
-//! What data sets of graph network simulators have in common: a file for each part of the split that
-//! `eddy train` makes (a lone stream trains), and `metadata.json` with the statistics of the training
-//! part.
+//! Data sets of graph network simulators: a file for each part of the split that `eddy train` makes (a single
+//! stream is used for training), and `metadata.json` with statistics of the training part.
 
 use std::path::{Path, PathBuf};
 
 use super::{
     error::ExchangeError,
     metadata::{Metadata, Statistics},
-    streams::{Streams, Track, Watch},
+    streams::{Progress, Streams, Track},
 };
 use eddy_evaluation::dataset::Part;
 
@@ -17,25 +16,25 @@ const SCALE_RULE: &str = "metadata.json has one dt and one domain for all trajec
 const PARTS: [(&str, Part); 3] =
     [("train", Part::Train), ("valid", Part::Validation), ("test", Part::Test)];
 
-/// Writes one file of trajectories, and counts them.
+/// Writes one file of trajectories and adds them to the statistics.
 pub(super) type Write = fn(
     &Streams,
     &[&Track],
     &Path,
     Option<&mut Statistics>,
-    &mut Watch<'_>,
+    &mut Progress<'_>,
 ) -> Result<(), ExchangeError>;
 
-/// Writes a data set whose files have this extension.
+/// Writes a data set of files with the given extension.
 pub(super) fn write_set(
     streams: &Streams,
     directory: &Path,
     extension: &str,
     write: Write,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     let all: Vec<&Track> = streams.tracks().iter().collect();
-    one_scale(&all)?;
+    check_scale(&all)?;
     let mut statistics = Statistics::default();
     for (name, part) in PARTS {
         let tracks = part_of(&all, part);
@@ -43,7 +42,7 @@ pub(super) fn write_set(
             continue;
         }
         let counted = (part == Part::Train).then_some(&mut statistics);
-        write(streams, &tracks, &directory.join(format!("{name}.{extension}")), counted, watch)?;
+        write(streams, &tracks, &directory.join(format!("{name}.{extension}")), counted, progress)?;
     }
     let (train, test) = (part_of(&all, Part::Train), part_of(&all, Part::Test));
     Metadata::new(&all, &train, &test, &statistics).write(directory)
@@ -55,13 +54,13 @@ fn part_of<'a>(all: &[&'a Track], part: Part) -> Vec<&'a Track> {
     all.iter().copied().filter(|track| Part::of(&ids, track.stream) == part).collect()
 }
 
-/// Checks that all streams have the same dt and domain, and do not change them.
-fn one_scale(all: &[&Track]) -> Result<(), ExchangeError> {
+/// Checks that all streams have the same, constant dt and domain.
+fn check_scale(all: &[&Track]) -> Result<(), ExchangeError> {
     for track in all {
-        track.keeps(&["dt", "domain", "sequence"], SCALE_RULE)?;
+        track.check_constant(&["dt", "domain", "sequence"], SCALE_RULE)?;
         let first = all[0];
         let differ = |field, found: String, expected: String| {
-            Err(track.unfit(field, found, expected, SCALE_RULE))
+            Err(track.unsuitable(field, found, expected, SCALE_RULE))
         };
         if track.dt != first.dt {
             return differ("dt", format!("{} s", track.dt), format!("{} s", first.dt));
@@ -74,16 +73,16 @@ fn one_scale(all: &[&Track]) -> Result<(), ExchangeError> {
     Ok(())
 }
 
-/// Checks that a stream keeps its materials.
-pub(super) fn one_material(track: &Track, rule: &'static str) -> Result<(), ExchangeError> {
+/// Checks that the materials of a stream are constant.
+pub(super) fn check_material(track: &Track, rule: &'static str) -> Result<(), ExchangeError> {
     if !track.material_varies {
         return Ok(());
     }
-    let (found, expected) = ("materials that change".into(), "one a particle".into());
-    Err(track.unfit("material", found, expected, rule))
+    let (found, expected) = ("materials that change".into(), "one per particle".into());
+    Err(track.unsuitable("material", found, expected, rule))
 }
 
-/// The file, or the files of a data set in the order of its parts; `expected` names them.
+/// The file, or the files of a data set in the order of its parts; `expected` names them in the error.
 pub(super) fn files(
     path: &Path,
     extension: &str,

@@ -1,4 +1,4 @@
-//! What can be wrong with files of other programs.
+//! Errors of imports and exports.
 
 use std::{
     io,
@@ -8,143 +8,69 @@ use std::{
 use eddy_bag::BagError;
 use eddy_frames::InvalidFrame;
 
-/// Why frames could not be handed to, or taken from, another program's file.
+/// Why frames cannot be imported or exported.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message of each variant says what its fields are")]
 pub enum ExchangeError {
-    /// A bag could not be read or written.
+    /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The operating system refused.
+    /// The operating system reports an error.
     #[error("{path}: {action}: {reason}", path = .path.display())]
-    Io {
-        /// The file or directory.
-        path: PathBuf,
-        /// What was tried.
-        action: &'static str,
-        /// What the system said.
-        reason: io::Error,
-    },
-    /// The output would overwrite something.
-    #[error("{path}: found something of that name, expected a path where nothing is yet", path = .path.display())]
-    Exists {
-        /// The path asked for.
-        path: PathBuf,
-    },
-    /// The output cannot hold so many streams.
-    #[error("{path}: found {found} streams, expected 1 for a lone file: choose one with --stream, or name a directory", path = .path.display())]
-    OneFile {
-        /// The path asked for.
-        path: PathBuf,
-        /// How many streams there are.
-        found: usize,
-    },
-    /// No bag has the stream.
+    Io { path: PathBuf, action: &'static str, reason: io::Error },
+    /// The output exists.
+    #[error("{path}: already exists; choose another output path or delete it", path = .path.display())]
+    Exists { path: PathBuf },
+    /// The output is a single file, for one stream.
+    #[error("{path}: found {found} streams, expected 1 for a single file; choose one with --stream, or give a directory", path = .path.display())]
+    OneFile { path: PathBuf, found: usize },
+    /// No bag has the stream; `found` lists their streams.
     #[error("stream: found {found}, expected {wanted}")]
-    NoStream {
-        /// The streams there are.
-        found: String,
-        /// The one asked for.
-        wanted: u64,
-    },
-    /// A stream is there twice, and both would get one name.
-    #[error("stream {stream}: found it in {first} and in {second}, expected it in one of them", first = .first.display(), second = .second.display())]
-    SameStream {
-        /// The stream.
-        stream: u64,
-        /// A bag or file that has it.
-        first: PathBuf,
-        /// Another one.
-        second: PathBuf,
-    },
-    /// A stream has fewer frames than were asked for.
+    NoStream { found: String, wanted: u64 },
+    /// Two bags or files have a stream with this id.
+    #[error("stream {stream}: found in {first} and in {second}, expected in one of them", first = .first.display(), second = .second.display())]
+    SameStream { stream: u64, first: PathBuf, second: PathBuf },
+    /// A stream has fewer frames than selected.
     #[error("{bag}: stream {stream}: found {found} frames, expected at least {wanted}", bag = .bag.display())]
-    TooShort {
-        /// The bag.
-        bag: PathBuf,
-        /// The stream.
-        stream: u64,
-        /// How many frames it has.
-        found: usize,
-        /// How many were asked for.
-        wanted: usize,
-    },
-    /// A stream does not have the form that the format asks for.
+    TooShort { bag: PathBuf, stream: u64, found: usize, wanted: usize },
+    /// The format cannot represent a stream; `rule` is its requirement, and what else can be done.
     #[error("{bag}: stream {stream}: {field}: found {found}, expected {expected}: {rule}", bag = .bag.display())]
-    Unfit {
-        /// The bag.
+    Unsuitable {
         bag: PathBuf,
-        /// The stream.
         stream: u64,
-        /// What does not fit.
         field: &'static str,
-        /// Its value there.
         found: String,
-        /// The value it should have.
         expected: String,
-        /// What the format demands, and what else can be done.
         rule: &'static str,
     },
-    /// A file is not of the kind expected.
+    /// A file is not of the expected kind.
     #[error("{path}: found {found}, expected {expected}", path = .path.display())]
-    File {
-        /// The file or directory.
-        path: PathBuf,
-        /// What is there.
-        found: String,
-        /// What should be there.
-        expected: &'static str,
-    },
-    /// An array, or a key, of a file cannot be used.
+    File { path: PathBuf, found: String, expected: &'static str },
+    /// An array of a file cannot be used.
     #[error("{path}: {array}: found {found}, expected {expected}", path = .path.display())]
-    Array {
-        /// The file.
-        path: PathBuf,
-        /// The array's name.
-        array: String,
-        /// What it holds.
-        found: String,
-        /// What it should hold.
-        expected: String,
-    },
+    Array { path: PathBuf, array: String, found: String, expected: String },
     /// An array holds Python objects.
     #[error(
         "{path}: {array}: found an object array, expected numbers: object arrays are pickles, and \
-         reading a pickle runs whatever program its author put into it; where the file is \
-         trusted, save it in Python as a structured array with the fields position and \
-         particle_type instead", path = .path.display()
+         reading a pickle runs any program that its author put into it; if you trust the file, \
+         save it in Python as a structured array with the fields position and particle_type \
+         instead", path = .path.display()
     )]
-    Pickle {
-        /// The file.
-        path: PathBuf,
-        /// The array's name.
-        array: String,
-    },
-    /// What a file holds is no frame.
+    Pickle { path: PathBuf, array: String },
+    /// Frame `frame` of a file, from 0, is invalid.
     #[error("{path}: frame {frame}: {reason}", path = .path.display())]
-    Frame {
-        /// The file.
-        path: PathBuf,
-        /// Number of the frame in the file, from 0.
-        frame: usize,
-        /// What is wrong with it.
-        reason: InvalidFrame,
-    },
+    Frame { path: PathBuf, frame: usize, reason: InvalidFrame },
     /// This program was built without HDF5.
     #[error(
-        "hdf5: found a program built without HDF5, expected one built with `--features hdf5` \
-         (needs the HDF5 C library) or `--features hdf5-static` (needs cmake)"
+        "hdf5: this program was built without HDF5; build it with `--features hdf5` (needs the \
+         HDF5 C library) or `--features hdf5-static` (needs cmake)"
     )]
     NoHdf5,
-    /// The HDF5 library refused.
+    /// The HDF5 library reports an error.
     #[error("{path}: HDF5: {reason}", path = .path.display())]
-    Hdf5 {
-        /// The file.
-        path: PathBuf,
-        /// What it said.
-        reason: String,
-    },
-    /// The caller asked for an early end.
-    #[error("interrupted: nothing was written")]
+    Hdf5 { path: PathBuf, reason: String },
+    /// The progress callback stopped the operation.
+    #[error("interrupted; nothing was written")]
     Interrupted,
 }
 

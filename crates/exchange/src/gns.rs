@@ -1,12 +1,11 @@
 //! The data sets of graph network simulators: DeepMind's `learning_to_simulate` in the `.npz` form
 //! of its PyTorch ports (geoelements/gns, `gns/data_loader.py`).
 //!
-//! Those loaders read two forms. The common one, an object array a trajectory, is a pickle and is
-//! neither written nor read here. The other is one structured array `gns_data` `[S]` with the fields
-//! `position` `[T, N, 2]` and `particle_type` `[N]`: plain numbers, but `T` and `N` are the same for
-//! all trajectories of a file.
+//! Its loaders read two forms. The common one, an object array per trajectory, is a pickle and neither written
+//! nor read here. The other is one structured array `gns_data` `[S]` with the fields `position` `[T, N, 2]` and
+//! `particle_type` `[N]`: plain numbers, with the same `T` and `N` for all trajectories of a file.
 //!
-//! Positions only: velocities are differences between frames, in a GNS as in what is read here.
+//! Positions only; velocities are differences between frames.
 
 use std::path::Path;
 
@@ -14,22 +13,22 @@ use npyz::{DType, Field};
 
 use super::{
     arrays::{Archive, ArchiveWriter},
-    data_set::{files, one_material},
+    data_set::{check_material, files},
     error::ExchangeError,
     metadata::{Scale, Statistics},
-    streams::{Streams, Track, Watch},
-    trajectory::{Found, Types},
+    streams::{Progress, Streams, Track},
+    trajectory::{RawTrajectory, Types},
 };
 
 /// The structured array.
 const DATA: &str = "gns_data";
 
-/// GNS's types (`render_rollout.py`): 5 water, 6 sand, 7 goop. Snow goes as sand, jelly as goop, rope
-/// as 8, which is free; 3 would be an obstacle that does not move.
+/// Particle types of GNS (`render_rollout.py`): 5 water, 6 sand, 7 goop. Snow is written as sand, jelly as goop,
+/// rope as 8, which is unused; 3 is a static obstacle.
 const TYPES: Types = Types([5, 6, 7, 8]);
 
-const RULE: &str = "without pickles, a GNS file holds trajectories of one shape; --frames N takes \
-                    the first N frames of each, --stream takes one alone";
+const RULE: &str = "without pickles, a GNS file has trajectories of one shape; --frames N selects \
+                    the first N frames of each, --stream a single stream";
 
 /// Writes one file of trajectories, frame by frame.
 pub(super) fn write(
@@ -37,19 +36,19 @@ pub(super) fn write(
     tracks: &[&Track],
     path: &Path,
     mut statistics: Option<&mut Statistics>,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     let first = tracks[0];
     for track in tracks {
-        track.keeps(&["particles", "sequence"], RULE)?;
-        one_material(track, RULE)?;
+        track.check_constant(&["particles", "sequence"], RULE)?;
+        check_material(track, RULE)?;
         for (field, found, expected) in [
             ("frames", track.frames, first.frames),
             ("particles", track.particles(), first.particles()),
         ] {
             if found != expected {
                 let expected = format!("{expected} as in stream {}", first.stream);
-                return Err(track.unfit(field, found.to_string(), expected, RULE));
+                return Err(track.unsuitable(field, found.to_string(), expected, RULE));
             }
         }
     }
@@ -59,7 +58,7 @@ pub(super) fn write(
         if let Some(statistics) = &mut statistics {
             statistics.begin_trajectory();
         }
-        streams.read(track, watch, |frame| {
+        streams.read(track, progress, |frame| {
             if let Some(statistics) = &mut statistics {
                 statistics.add(&frame);
             }
@@ -72,10 +71,10 @@ pub(super) fn write(
     archive.finish()
 }
 
-/// The type of one trajectory.
+/// Element type of the array: one trajectory.
 fn record(frames: usize, particles: usize) -> DType {
     let plain = |text: &str| {
-        let text = text.parse().expect("a type string of numpy's");
+        let text = text.parse().expect("a valid NumPy type string");
         Box::new(DType::Plain(text))
     };
     let extents = |extents: &[usize], plain: Box<DType>| {
@@ -89,16 +88,16 @@ fn record(frames: usize, particles: usize) -> DType {
     ])
 }
 
-/// Hands over the trajectories of a file, or of the files of a data set.
+/// Calls `each` for the trajectories of a file, or of the files of a data set.
 pub(super) fn read(
     path: &Path,
     scale: Option<&Scale>,
-    mut each: impl FnMut(Found, &Path) -> Result<(), ExchangeError>,
+    mut each: impl FnMut(RawTrajectory, &Path) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
     for file in files(path, "npz", "train.npz, valid.npz or test.npz")? {
         let mut archive = Archive::open(&file)?;
         if !archive.has(DATA) {
-            // The common form: its first array tells what it is.
+            // Fails with the reason if the file has the common form.
             for name in archive.names() {
                 archive.read::<f32>(&name)?;
             }
@@ -110,11 +109,11 @@ pub(super) fn read(
             });
         }
         archive.records(DATA, |position, types| {
-            let mut found = Found::new(&file, position)?;
-            found.material = Some((types, TYPES));
-            found.dt = scale.map(Scale::interval);
-            found.domain = scale.and_then(Scale::domain);
-            each(found, &file)
+            let mut trajectory = RawTrajectory::new(&file, position)?;
+            trajectory.material = Some((types, TYPES));
+            trajectory.dt = scale.map(Scale::interval);
+            trajectory.domain = scale.and_then(Scale::domain);
+            each(trajectory, &file)
         })?;
     }
     Ok(())

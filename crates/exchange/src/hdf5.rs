@@ -1,10 +1,9 @@
-//! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group a
-//! trajectory, `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside
+//! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group per trajectory, `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside
 //! `metadata.json` (tumaer/lagrangebench, `data_gen/lagrangebench_data/gen_dataset.py` and
-//! `lagrangebench/data/data.py`). The paper's own data have this form.
+//! `lagrangebench/data/data.py`).
 //!
-//! Positions only, as for [`super::gns`]. `T` is the same for all trajectories of a file, `N` need
-//! not be. One trajectory at a time is held in memory.
+//! Positions only, as in [`super::gns`]. All trajectories of a file have the same `T`; `N` may differ. One
+//! trajectory at a time is in memory.
 
 use std::path::Path;
 
@@ -12,22 +11,22 @@ use hdf5::{Dataset, File, Group};
 
 use super::{
     arrays::Array,
-    data_set::{files, one_material},
+    data_set::{check_material, files},
     error::ExchangeError,
     metadata::{Scale, Statistics},
-    streams::{Streams, Track, Watch},
-    trajectory::{Found, Types},
+    streams::{Progress, Streams, Track},
+    trajectory::{RawTrajectory, Types},
 };
 
-/// LagrangeBench's types (`lagrangebench/utils.py`): 0 is fluid; 1 to 3 are walls and rigid bodies,
-/// so the other materials get numbers that are free.
+/// Particle types of LagrangeBench (`lagrangebench/utils.py`): 0 is fluid, 1 to 3 are walls and rigid bodies; the
+/// other materials get unused numbers.
 const TYPES: Types = Types([0, 4, 5, 6]);
 
-/// Strength of the compression, h5py's default.
+/// Compression level, the default of h5py.
 const GZIP: u8 = 4;
 
-const RULE: &str = "LagrangeBench reads files whose trajectories have the same length and keep \
-                    their particles; --frames N takes the first N frames of each";
+const RULE: &str = "LagrangeBench needs trajectories of equal length with a constant number of \
+                    particles; --frames N selects the first N frames of each";
 
 /// Writes one file of trajectories, one after the other.
 pub(super) fn write(
@@ -35,25 +34,25 @@ pub(super) fn write(
     tracks: &[&Track],
     path: &Path,
     mut statistics: Option<&mut Statistics>,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     for track in tracks {
-        track.keeps(&["particles"], RULE)?;
-        one_material(track, RULE)?;
+        track.check_constant(&["particles"], RULE)?;
+        check_material(track, RULE)?;
         let (found, expected) = (track.frames, tracks[0].frames);
         if found != expected {
             let expected = format!("{expected} as in stream {}", tracks[0].stream);
-            return Err(track.unfit("frames", found.to_string(), expected, RULE));
+            return Err(track.unsuitable("frames", found.to_string(), expected, RULE));
         }
     }
-    let failed = |error| refused(path, error);
+    let failed = |error| hdf5_error(path, error);
     let file = File::create_excl(path).map_err(failed)?;
     for (number, track) in tracks.iter().enumerate() {
         if let Some(statistics) = &mut statistics {
             statistics.begin_trajectory();
         }
         let mut position = Vec::new();
-        streams.read(track, watch, |frame| {
+        streams.read(track, progress, |frame| {
             if let Some(statistics) = &mut statistics {
                 statistics.add(&frame);
             }
@@ -63,12 +62,12 @@ pub(super) fn write(
         let types: Vec<i64> =
             track.material.iter().map(|&material| TYPES.number(material).into()).collect();
         let group = file.create_group(&format!("{number:05}")).map_err(failed)?;
-        put(&group, &position, &types, track).map_err(failed)?;
+        write_group(&group, &position, &types, track).map_err(failed)?;
     }
     file.close().map_err(failed)
 }
 
-fn put(group: &Group, position: &[f32], types: &[i64], track: &Track) -> hdf5::Result<()> {
+fn write_group(group: &Group, position: &[f32], types: &[i64], track: &Track) -> hdf5::Result<()> {
     let shape = [track.frames, track.particles(), 2];
     let builder = group.new_dataset::<f32>().shape(shape);
     let dataset = if hdf5::filters::deflate_available() {
@@ -80,45 +79,45 @@ fn put(group: &Group, position: &[f32], types: &[i64], track: &Track) -> hdf5::R
     group.new_dataset::<i64>().shape(types.len()).create("particle_type")?.write_raw(types)
 }
 
-/// Hands over the trajectories of a file, or of the files of a data set.
+/// Calls `each` for the trajectories of a file, or of the files of a data set.
 pub(super) fn read(
     path: &Path,
     scale: Option<&Scale>,
-    mut each: impl FnMut(Found, &Path) -> Result<(), ExchangeError>,
+    mut each: impl FnMut(RawTrajectory, &Path) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
     for path in files(path, "h5", "train.h5, valid.h5 or test.h5")? {
-        let failed = |error| refused(&path, error);
+        let failed = |error| hdf5_error(&path, error);
         let file = File::open(&path).map_err(failed)?;
         let mut groups = file.groups().map_err(failed)?;
         groups.sort_by_key(|group| group.name());
         for group in groups {
             let position = array::<f32>(&group, "position").map_err(failed)?;
             let types = array::<i64>(&group, "particle_type").map_err(failed)?;
-            let mut found = Found::new(&path, position)?;
-            found.material = Some((types, TYPES));
-            found.dt = scale.map(Scale::interval);
-            found.domain = scale.and_then(Scale::domain);
-            each(found, &path)?;
+            let mut trajectory = RawTrajectory::new(&path, position)?;
+            trajectory.material = Some((types, TYPES));
+            trajectory.dt = scale.map(Scale::interval);
+            trajectory.domain = scale.and_then(Scale::domain);
+            each(trajectory, &path)?;
         }
     }
     Ok(())
 }
 
-/// How many times as many bytes deflate makes of its input at most.
+/// Largest expansion of deflate.
 const DEFLATE: usize = 1032;
 
 fn array<T: hdf5::H5Type>(group: &Group, name: &str) -> hdf5::Result<Array<T>> {
     let dataset: Dataset = group.dataset(name)?;
     let shape = dataset.shape();
-    // A header may declare anything: no more is read than could be stored in so many bytes.
+    // Checked because memory for the declared shape is allocated.
     let declared = shape.iter().try_fold(size_of::<T>(), |bytes, &n| bytes.checked_mul(n));
     let most = usize::try_from(dataset.storage_size()).unwrap_or(usize::MAX);
     if declared.is_none_or(|bytes| bytes > most.saturating_mul(DEFLATE)) {
-        return Err(format!("{name}: found {shape:?} values in {most} bytes").into());
+        return Err(format!("{name}: shape {shape:?} does not fit in {most} stored bytes").into());
     }
     Ok(Array { shape, values: dataset.read_raw()? })
 }
 
-fn refused(path: &Path, error: hdf5::Error) -> ExchangeError {
+fn hdf5_error(path: &Path, error: hdf5::Error) -> ExchangeError {
     ExchangeError::Hdf5 { path: path.into(), reason: error.to_string() }
 }

@@ -1,4 +1,4 @@
-//! Into bags.
+//! Imports trajectories into bags.
 
 use std::{
     collections::BTreeMap,
@@ -6,67 +6,62 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{error::ExchangeError, gns, metadata::Scale, npz, streams::Watch, trajectory::Found};
+use super::{
+    error::ExchangeError,
+    gns,
+    metadata::Scale,
+    npz,
+    streams::Progress,
+    trajectory::{ImportOverrides, RawTrajectory},
+};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::dataset::TRUTH_TOPIC;
-use eddy_frames::{Domain, Material};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_settings::atomic::Staged;
 
-/// What frames can be read from.
+/// Formats for import.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum ImportFormat {
-    /// numpy arrays, one .npz a stream: a file, or a directory of files.
+    /// NumPy arrays, one .npz per stream: a file, or a directory of files.
     Npz,
     /// A data set for graph network simulators: an .npz file, or a directory of them with its metadata.json.
     Gns,
-    /// A data set as LagrangeBench has it: an .h5 file, or a directory of them with its metadata.json.
+    /// A data set in the format of LagrangeBench: an .h5 file, or a directory of them with its metadata.json.
     #[cfg_attr(feature = "clap", value(alias = "lagrangebench"))]
     Hdf5,
 }
 
-/// What files may lack. What is given here goes before what they hold.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Supplement {
-    /// Time between two frames (s).
-    pub dt: Option<f32>,
-    /// The box that holds the particles; the unit square where nobody tells and all lie in it.
-    pub domain: Option<Domain>,
-    /// What all particles are made of.
-    pub material: Option<Material>,
-}
-
-/// What was imported.
+/// Result of an import.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Imported {
-    /// How many streams, one bag each.
+    /// Number of streams, each in a bag of its own.
     pub streams: usize,
-    /// How many frames they have together.
+    /// Total number of frames.
     pub frames: usize,
 }
 
-/// Reads trajectories and writes bags as `eddy simulate` does, one a stream, on [`TRUTH_TOPIC`]:
-/// `output/stream_0007` and so on. `output` is there whole or not at all. One trajectory at a time
-/// is held in memory.
+/// Reads trajectories and writes bags like those of `eddy simulate`, one per stream, with the frames on
+/// [`TRUTH_TOPIC`]: `output/stream_0007` and so on. `output` appears when it is complete. One trajectory at a time
+/// is in memory.
 ///
-/// Streams are numbered as the files say, or in their order. Velocities that a file lacks are
-/// backward differences of its positions (forward for the first frame).
+/// Stream ids come from the files, or count up. Missing velocities are backward differences of the positions
+/// (forward for the first frame).
 ///
 /// # Errors
-/// [`ExchangeError`] when something is missing, malformed, or an object array; when `output` exists;
-/// when a bag cannot be written.
+/// [`ExchangeError`] when data is missing, malformed, or an object array; when `output` exists; when a bag cannot be
+/// written.
 pub fn import(
     path: &Path,
     format: ImportFormat,
-    supplement: &Supplement,
+    overrides: &ImportOverrides,
     output: &Path,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<Imported, ExchangeError> {
     let staged = Staged::new(output).map_err(ExchangeError::output(output))?;
     let directory = staged.path();
     fs::create_dir(&directory).map_err(ExchangeError::io(&directory, "creating the directory"))?;
-    let mut bags = Bags { directory, supplement, sources: BTreeMap::new(), frames: 0, watch };
+    let mut bags = Bags { directory, overrides, sources: BTreeMap::new(), frames: 0, progress };
     match format {
         ImportFormat::Npz => {
             for file in npz_files(path)? {
@@ -74,13 +69,15 @@ pub fn import(
             }
         }
         ImportFormat::Gns => {
-            let scale = scale(path, supplement)?;
-            gns::read(path, scale.as_ref(), |found, file| bags.write(found, file))?;
+            let scale = scale(path, overrides)?;
+            gns::read(path, scale.as_ref(), |trajectory, file| bags.write(trajectory, file))?;
         }
         #[cfg(feature = "hdf5")]
         ImportFormat::Hdf5 => {
-            let scale = scale(path, supplement)?;
-            super::hdf5::read(path, scale.as_ref(), |found, file| bags.write(found, file))?;
+            let scale = scale(path, overrides)?;
+            super::hdf5::read(path, scale.as_ref(), |trajectory, file| {
+                bags.write(trajectory, file)
+            })?;
         }
         #[cfg(not(feature = "hdf5"))]
         ImportFormat::Hdf5 => return Err(ExchangeError::NoHdf5),
@@ -90,16 +87,16 @@ pub fn import(
     Ok(imported)
 }
 
-/// The `metadata.json` of a data set, where it is needed.
-fn scale(path: &Path, supplement: &Supplement) -> Result<Option<Scale>, ExchangeError> {
-    if supplement.dt.is_some() && supplement.domain.is_some() {
+/// `metadata.json` of a data set, unless the overrides replace it.
+fn scale(path: &Path, overrides: &ImportOverrides) -> Result<Option<Scale>, ExchangeError> {
+    if overrides.dt.is_some() && overrides.domain.is_some() {
         return Ok(None);
     }
     let directory = if path.is_dir() { Some(path) } else { path.parent() };
     directory.map_or(Ok(None), Scale::read)
 }
 
-/// The file, or the `.npz` files in a directory by their names.
+/// The file, or the `.npz` files of a directory, sorted by name.
 fn npz_files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     if !path.is_dir() {
         return Ok(vec![path.into()]);
@@ -126,27 +123,27 @@ fn npz_files(path: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
 /// The bags that are being written.
 struct Bags<'a, 'b> {
     directory: PathBuf,
-    supplement: &'a Supplement,
+    overrides: &'a ImportOverrides,
     /// The file of each stream.
     sources: BTreeMap<u64, PathBuf>,
     frames: usize,
-    watch: &'a mut Watch<'b>,
+    progress: &'a mut Progress<'b>,
 }
 
 impl Bags<'_, '_> {
-    fn write(&mut self, found: Found, file: &Path) -> Result<(), ExchangeError> {
+    fn write(&mut self, trajectory: RawTrajectory, file: &Path) -> Result<(), ExchangeError> {
         let next = self.sources.last_key_value().map_or(0, |(last, _)| last.saturating_add(1));
-        let stream = found.stream().unwrap_or(next);
+        let stream = trajectory.stream.unwrap_or(next);
         if let Some(first) = self.sources.insert(stream, file.into()) {
             return Err(ExchangeError::SameStream { stream, first, second: file.into() });
         }
-        self.frames += found.frames();
+        self.frames += trajectory.frames();
         let bag = self.directory.join(format!("stream_{stream:04}"));
         let mut writer = BagWriter::create(&bag, WriterOptions::default())?;
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
-        found.hand_over(stream, self.supplement, |frame| {
+        trajectory.frames_with(stream, self.overrides, |frame| {
             writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr())?;
-            if (self.watch)() { Ok(()) } else { Err(ExchangeError::Interrupted) }
+            if (self.progress)() { Ok(()) } else { Err(ExchangeError::Interrupted) }
         })?;
         writer.finish()?;
         Ok(())

@@ -1,16 +1,17 @@
-//! Frames to and from the files of other programs: numpy, ParaView, learned simulators.
+//! Converts frames between bags and the files of other programs: NumPy, ParaView, learned simulators.
 //!
-//! Out of bags:
-//! 1. `streams`: which streams the bags hold, what changes in them, and their frames.
-//! 2. `export`: the formats and what each writes:
-//!    `csv` one table; `ply` and `vtu` a file a frame; `npz` arrays; `gns` and `hdf5` data sets of
-//!    learned simulators (`data_set`), with `metadata` (`metadata.json` and the statistics in it).
+//! Imports run one way, from the end of this list to its start.
 //!
-//! Into bags:
-//! 3. `import`: what is missing in a file, and bags as `eddy simulate` writes them.
-//! 4. `trajectory`: arrays of one stream, checked and put together to frames.
+//! Export:
+//! 1. `streams`: the streams of bags, their properties and frames.
+//! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, `npz` has arrays,
+//!    `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a `metadata.json` (`metadata`).
 //!
-//! Both ways: `arrays`, numpy's arrays in a zip archive, without pickles.
+//! Import:
+//! 3. `trajectory`: checks the arrays of one stream and makes frames of them.
+//! 4. `import`: writes bags like those of `eddy simulate`.
+//!
+//! Both: `arrays`, NumPy arrays in a zip archive, without pickles.
 
 mod arrays;
 mod csv;
@@ -30,8 +31,9 @@ mod vtu;
 
 pub use error::ExchangeError;
 pub use export::{ExportFormat, export};
-pub use import::{ImportFormat, Imported, Supplement, import};
-pub use streams::{Choice, Streams, Track, Watch};
+pub use import::{ImportFormat, Imported, import};
+pub use streams::{FrameSelection, Progress, Streams, Track};
+pub use trajectory::ImportOverrides;
 
 /// The example of the README, which a test runs.
 #[cfg(doctest)]

@@ -1,6 +1,5 @@
-//! `metadata.json`, as learned simulators read it: GNS (`learning_to_simulate`, `gns`) and
-//! LagrangeBench (`data_gen/lagrangebench_data/gen_dataset.py`). Keys that one of them does not know
-//! it passes over.
+//! `metadata.json` of learned simulators: GNS (`learning_to_simulate`, `gns`) and LagrangeBench
+//! (`data_gen/lagrangebench_data/gen_dataset.py`). Each ignores the keys of the other.
 
 use std::{fs, path::Path};
 
@@ -9,20 +8,20 @@ use serde::{Deserialize, Serialize};
 use super::{error::ExchangeError, streams::Track};
 use eddy_frames::{Domain, Frame, decimal};
 
-/// Neighbours that a particle should have within the connectivity radius, as on a square grid with
-/// LagrangeBench's rule of 1.45 spacings.
+/// Neighbours within the connectivity radius: those on a square grid with LagrangeBench's radius of 1.45
+/// spacings.
 const NEIGHBOURS: usize = 8;
 
 /// LagrangeBench's connectivity radius (particle spacings).
 const RADIUS: f64 = 1.45;
 
-/// So many particles are asked how far their neighbours are.
+/// Particles whose neighbour distances are measured.
 const SAMPLES: usize = 256;
 
-/// Deviations below this are taken for 1, so that nobody divides by them (as LagrangeBench does).
+/// Smaller standard deviations are written as 1, so that division by them is safe (as in LagrangeBench).
 const SMALLEST_DEVIATION: f64 = 1e-7;
 
-/// Describes a data set. Velocities and accelerations are differences between frames, without dt.
+/// Contents for writing. Velocities and accelerations are differences between frames, without dt.
 #[derive(Debug, Serialize)]
 pub(super) struct Metadata {
     case: &'static str,
@@ -34,11 +33,11 @@ pub(super) struct Metadata {
     /// `[axis][lower, upper]`.
     bounds: [[f64; 2]; 2],
     periodic_boundary_conditions: [bool; 2],
-    /// Typical distance of neighbours in the first frame.
+    /// Typical distance between neighbours in the first frame.
     dx: f64,
     default_connectivity_radius: f64,
     num_particles_max: usize,
-    /// Frames that can be predicted: one less than there are, in the shortest trajectory.
+    /// Number of predictable frames in the shortest trajectory: one less than its frames.
     sequence_length: usize,
     sequence_length_train: usize,
     num_trajs_train: usize,
@@ -50,7 +49,7 @@ pub(super) struct Metadata {
     acc_std: [f64; 2],
 }
 
-/// What of it says how to read positions.
+/// Contents needed to read positions.
 #[derive(Debug, Deserialize)]
 pub(super) struct Scale {
     pub(super) dt: f32,
@@ -60,7 +59,7 @@ pub(super) struct Scale {
 }
 
 impl Metadata {
-    /// `train` and `test` are the streams of those parts, `all` those of every part (at least one).
+    /// Describes a data set of the streams `all` (at least one), with its parts `train` and `test`.
     pub(super) fn new(
         all: &[&Track],
         train: &[&Track],
@@ -99,19 +98,19 @@ impl Metadata {
         }
     }
 
-    /// Writes it into the directory.
+    /// Writes `metadata.json` into the directory.
     pub(super) fn write(&self, directory: &Path) -> Result<(), ExchangeError> {
         let path = directory.join(FILE);
-        let text = serde_json::to_string_pretty(self).expect("numbers and words are JSON");
+        let text = serde_json::to_string_pretty(self).expect("numbers and strings are JSON");
         fs::write(&path, text).map_err(ExchangeError::io(&path, "writing"))
     }
 }
 
-/// Its name.
+/// Name of the file.
 const FILE: &str = "metadata.json";
 
 impl Scale {
-    /// That of the data set in the directory, if it has one.
+    /// Reads `metadata.json` of a directory, if it exists.
     pub(super) fn read(directory: &Path) -> Result<Option<Self>, ExchangeError> {
         let path = directory.join(FILE);
         if !path.exists() {
@@ -131,7 +130,7 @@ impl Scale {
         self.dt * self.write_every.unwrap_or(1.0)
     }
 
-    /// The box, if it has two dimensions.
+    /// The domain, if it has two dimensions.
     pub(super) fn domain(&self) -> Option<Domain> {
         match self.bounds.as_slice() {
             &[x, y] => Some(Domain { lower: [x[0], y[0]], upper: [x[1], y[1]] }),
@@ -140,7 +139,7 @@ impl Scale {
     }
 }
 
-/// Differences between frames over a training part.
+/// Statistics of velocities and accelerations of the training part.
 #[derive(Debug, Default)]
 pub(super) struct Statistics {
     velocity: Moments,
@@ -153,17 +152,17 @@ pub(super) struct Statistics {
 #[derive(Debug)]
 struct Last {
     position: Vec<[f32; 2]>,
-    /// Differences from the frame before, if there was one.
+    /// Differences from the previous frame; `None` for the first frame.
     velocity: Option<Vec<[f32; 2]>>,
 }
 
 impl Statistics {
-    /// The next frame begins another trajectory.
+    /// Starts another trajectory.
     pub(super) fn begin_trajectory(&mut self) {
         self.last = None;
     }
 
-    /// Takes the next frame of the trajectory.
+    /// Adds the next frame of the trajectory.
     pub(super) fn add(&mut self, frame: &Frame) {
         if self.radius == 0.0 {
             self.radius = connectivity_radius(&frame.position);
@@ -214,7 +213,7 @@ impl Moments {
     }
 }
 
-/// The median distance to the eighth neighbour, rounded up to two digits.
+/// The median distance to the eighth neighbour, rounded up to two significant digits.
 fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
     let step = position.len().div_ceil(SAMPLES);
     let mut radii: Vec<f64> = position
@@ -223,7 +222,7 @@ fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
         .map(|a| {
             let squared = |b: &[f32; 2]| f64::from((b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2));
             let mut distances: Vec<f64> = position.iter().map(squared).collect();
-            // The particle itself is its nearest.
+            // Rank 0 is the particle itself.
             let rank = NEIGHBOURS.min(distances.len() - 1);
             distances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
         })
@@ -234,7 +233,7 @@ fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
         return 0.0;
     }
     let digit = 10f64.powf(median.log10().floor() - 1.0);
-    // A last rounding to decimal digits: 0.023, not 0.023000000000000003.
+    // To decimal digits: 0.023, not 0.023000000000000003.
     decimal(((median / digit).ceil() * digit) as f32)
 }
 

@@ -2,33 +2,33 @@
 //! where it changes), `stamp` `[T]` (ns), `sequence` `[T]`, `dt` `[]` (s), `lower` `[2]`,
 //! `upper` `[2]`, `stream` `[]`.
 //!
-//! One file a stream, which is held in memory: the arrays lie one after the other, frames do not.
+//! One file per stream, which is collected in memory because an array has the values of all frames.
 
 use std::path::Path;
 
 use super::{
     arrays::{Archive, ArchiveWriter},
     error::ExchangeError,
-    streams::{Streams, Track, Watch},
-    trajectory::{Found, Types},
+    streams::{Progress, Streams, Track},
+    trajectory::{RawTrajectory, Types},
 };
 
-/// What a stream needs to be an array.
-const RULE: &str = "an array has one shape, and one dt and domain stand beside it; \
-                    vtu, ply and csv can hold streams that change";
+/// Requirements for a stream.
+const RULE: &str = "an .npz file has arrays of one shape, one dt and one domain; \
+                    vtu, ply and csv can represent streams that change";
 
 /// Writes one stream.
 pub(super) fn write(
     streams: &Streams,
     track: &Track,
     path: &Path,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
-    track.keeps(&["particles", "dt", "domain"], RULE)?;
+    track.check_constant(&["particles", "dt", "domain"], RULE)?;
     let (frames, particles) = (track.frames, track.particles());
     let (mut position, mut velocity) = (Vec::new(), Vec::new());
     let (mut material, mut stamp, mut sequence) = (Vec::new(), Vec::new(), Vec::new());
-    streams.read(track, watch, |frame| {
+    streams.read(track, progress, |frame| {
         position.extend_from_slice(frame.position.as_flattened());
         velocity.extend_from_slice(frame.velocity.as_flattened());
         if track.material_varies || material.is_empty() {
@@ -38,12 +38,12 @@ pub(super) fn write(
         sequence.push(frame.sequence);
         Ok(())
     })?;
-    let of_materials =
+    let material_shape =
         if track.material_varies { vec![frames, particles] } else { vec![particles] };
     let mut archive = ArchiveWriter::create(path)?;
     archive.array("position", &[frames, particles, 2], position)?;
     archive.array("velocity", &[frames, particles, 2], velocity)?;
-    archive.array("material", &of_materials, material)?;
+    archive.array("material", &material_shape, material)?;
     archive.array("stamp", &[frames], stamp)?;
     archive.array("sequence", &[frames], sequence)?;
     archive.array("dt", &[], [track.dt])?;
@@ -53,8 +53,8 @@ pub(super) fn write(
     archive.finish()
 }
 
-/// Reads one file. Only `position` must be there.
-pub(super) fn read(path: &Path) -> Result<Found, ExchangeError> {
+/// Reads one file. Only `position` is required.
+pub(super) fn read(path: &Path) -> Result<RawTrajectory, ExchangeError> {
     let mut archive = Archive::open(path)?;
     let Some(position) = archive.read("position")? else {
         let names = archive.names();
@@ -66,14 +66,14 @@ pub(super) fn read(path: &Path) -> Result<Found, ExchangeError> {
             expected: "an array position [frames, particles, 2]".into(),
         });
     };
-    let mut found = Found::new(path, position)?;
-    found.velocity = archive.read("velocity")?;
-    found.material = archive.read("material")?.map(|types| (types, Types::EDDY));
-    found.stamp = archive.read("stamp")?;
-    found.sequence = archive.read("sequence")?;
-    found.dt = found.one("dt", archive.read::<f32>("dt")?)?;
-    found.stream = found.one("stream", archive.read("stream")?)?;
+    let mut trajectory = RawTrajectory::new(path, position)?;
+    trajectory.velocity = archive.read("velocity")?;
+    trajectory.material = archive.read("material")?.map(|types| (types, Types::EDDY));
+    trajectory.stamp = archive.read("stamp")?;
+    trajectory.sequence = archive.read("sequence")?;
+    trajectory.dt = trajectory.scalar("dt", archive.read::<f32>("dt")?)?;
+    trajectory.stream = trajectory.scalar("stream", archive.read("stream")?)?;
     let (lower, upper) = (archive.read("lower")?, archive.read("upper")?);
-    found.domain = found.corners(lower, upper)?;
-    Ok(found)
+    trajectory.domain = trajectory.domain_of_corners(lower, upper)?;
+    Ok(trajectory)
 }

@@ -1,4 +1,4 @@
-//! PLY, binary, one file a frame: vertices `x y z vx vy vz` (z = 0) and `material`.
+//! Binary PLY, one file per frame: vertices `x y z vx vy vz` (z = 0) and `material`.
 //!
 //! Format: G. Turk, "The PLY Polygon File Format" (1994).
 
@@ -10,7 +10,7 @@ use std::{
 
 use super::{
     error::ExchangeError,
-    streams::{Streams, Watch},
+    streams::{Progress, Streams},
 };
 use eddy_frames::Frame;
 
@@ -18,13 +18,13 @@ use eddy_frames::Frame;
 pub(super) fn write(
     streams: &Streams,
     directory: &Path,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     for track in streams.tracks() {
         let folder = directory.join(track.name());
         fs::create_dir(&folder).map_err(ExchangeError::io(&folder, "creating the directory"))?;
         let mut number = 0;
-        streams.read(track, watch, |frame| {
+        streams.read(track, progress, |frame| {
             let path = folder.join(format!("{number:06}.ply"));
             number += 1;
             let file = File::create_new(&path);

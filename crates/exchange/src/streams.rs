@@ -1,4 +1,4 @@
-//! The streams of some bags: what they are, found in one reading, and their frames in later ones.
+//! The streams of bags: their properties, found in a first pass, and their frames.
 
 use std::{
     collections::BTreeMap,
@@ -9,20 +9,19 @@ use super::error::ExchangeError;
 use eddy_bag::{BagReader, find_bags};
 use eddy_frames::{Domain, Frame, Material, Stamp, decimal};
 
-/// Called after each frame that was read; `false` ends the work with
-/// [`ExchangeError::Interrupted`].
-pub type Watch<'a> = dyn FnMut() -> bool + 'a;
+/// Called after each frame; `false` stops the operation with [`ExchangeError::Interrupted`].
+pub type Progress<'a> = dyn FnMut() -> bool + 'a;
 
-/// Which frames of which bags.
+/// Selects frames of bags.
 #[derive(Clone, Debug, Default)]
-pub struct Choice {
+pub struct FrameSelection {
     /// Bags, or directories of bags.
     pub bags: Vec<PathBuf>,
-    /// The topic with the frames.
+    /// The topic of the frames.
     pub topic: String,
-    /// Only this stream; all if `None`.
+    /// Only the stream with this id; all if `None`.
     pub stream: Option<u64>,
-    /// Only the first so many frames of each stream, which must have them; all if `None`.
+    /// The first frames of each stream, which must have as many; all if `None`.
     pub frames: Option<usize>,
 }
 
@@ -31,33 +30,31 @@ pub struct Choice {
 pub struct Track {
     /// The bag.
     pub bag: PathBuf,
-    /// The stream's number.
+    /// Id of the stream.
     pub stream: u64,
-    /// How many frames are taken.
+    /// Number of selected frames.
     pub frames: usize,
     /// Stamp of the first frame.
     pub first: Stamp,
     /// Stamp of the last frame.
     pub last: Stamp,
-    /// Time between two frames (s), by the first frame.
+    /// Time between two frames (s), from the first frame.
     pub dt: f32,
-    /// The box that holds the particles, by the first frame.
+    /// Domain of the first frame.
     pub domain: Domain,
     /// Materials of the first frame, `[N]`.
     pub material: Vec<Material>,
-    /// Whether a later frame has other materials.
+    /// Whether the materials differ between frames.
     pub material_varies: bool,
-    /// The highest speed that 99 % of the particles stay below in every frame (domain lengths per
-    /// second).
+    /// Maximum over all frames of the 99th percentile of the speed (domain lengths per second).
     pub top_speed: f32,
-    /// First differences from the first frame: by field, with what was found and expected.
+    /// For each field that changes, the value at the first change and the value of the first frame.
     changes: BTreeMap<&'static str, (String, String)>,
-    /// Sequence of the last frame.
+    /// Sequence number of the last frame.
     sequence: u64,
 }
 
-/// Share of the particles whose speed is at most a frame's top speed; the fastest few would
-/// otherwise set the scale for all.
+/// Percentile for the top speed of a frame: single fast particles do not determine the color scale.
 const TOP_SPEED_SHARE: f64 = 0.99;
 
 impl Track {
@@ -103,13 +100,14 @@ impl Track {
         self.frames += 1;
     }
 
-    /// Number of particles, by the first frame.
+    /// Number of particles in the first frame.
     pub fn particles(&self) -> usize {
         self.material.len()
     }
 
-    /// Refuses the stream when one of `fields` (`particles`, `dt`, `domain`, `sequence`) changes.
-    pub(super) fn keeps(
+    /// Checks that none of `fields` (`particles`, `dt`, `domain`, `sequence`) changes; `rule` is the requirement of
+    /// the format.
+    pub(super) fn check_constant(
         &self,
         fields: &[&'static str],
         rule: &'static str,
@@ -118,12 +116,12 @@ impl Track {
         match changed {
             None => Ok(()),
             Some((field, (found, expected))) => {
-                Err(self.unfit(field, found.clone(), expected.clone(), rule))
+                Err(self.unsuitable(field, found.clone(), expected.clone(), rule))
             }
         }
     }
 
-    pub(super) fn unfit(
+    pub(super) fn unsuitable(
         &self,
         field: &'static str,
         found: String,
@@ -131,10 +129,10 @@ impl Track {
         rule: &'static str,
     ) -> ExchangeError {
         let (bag, stream) = (self.bag.clone(), self.stream);
-        ExchangeError::Unfit { bag, stream, field, found, expected, rule }
+        ExchangeError::Unsuitable { bag, stream, field, found, expected, rule }
     }
 
-    /// Its name in file names: `stream_0007`.
+    /// Base of file names: `stream_0007`.
     pub fn name(&self) -> String {
         format!("stream_{:04}", self.stream)
     }
@@ -146,32 +144,34 @@ fn top_speed(frame: &Frame) -> f32 {
     *speeds.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
-/// Streams of some bags.
+/// The streams of bags.
 #[derive(Clone, Debug)]
 pub struct Streams {
     topic: String,
-    /// In the order of their numbers.
+    /// Sorted by id.
     tracks: Vec<Track>,
 }
 
 impl Streams {
-    /// Reads every frame of the choice once and describes its streams.
+    /// Reads every selected frame once.
     ///
     /// # Errors
-    /// [`ExchangeError::Bag`] when a bag cannot be read, holds no such topic, or a frame that cannot
-    /// be used; [`ExchangeError::NoStream`], [`ExchangeError::SameStream`],
+    /// [`ExchangeError::Bag`] when a bag cannot be read, does not have the topic, or has an invalid frame; [`ExchangeError::NoStream`], [`ExchangeError::SameStream`],
     /// [`ExchangeError::TooShort`], [`ExchangeError::Interrupted`].
-    pub fn find(choice: &Choice, watch: &mut Watch<'_>) -> Result<Self, ExchangeError> {
+    pub fn find(
+        selection: &FrameSelection,
+        progress: &mut Progress<'_>,
+    ) -> Result<Self, ExchangeError> {
         let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
         let mut present = BTreeMap::new();
-        for bag in find_bags(&choice.bags)? {
-            for frame in BagReader::open(&bag)?.frames(&choice.topic)? {
+        for bag in find_bags(&selection.bags)? {
+            for frame in BagReader::open(&bag)?.frames(&selection.topic)? {
                 let frame = frame?;
-                if !watch() {
+                if !progress() {
                     return Err(ExchangeError::Interrupted);
                 }
                 present.entry(frame.stream).or_insert(());
-                if choice.stream.is_some_and(|stream| stream != frame.stream) {
+                if selection.stream.is_some_and(|stream| stream != frame.stream) {
                     continue;
                 }
                 let Some(track) = tracks.get_mut(&frame.stream) else {
@@ -185,31 +185,31 @@ impl Streams {
                         second: bag,
                     });
                 }
-                if choice.frames.is_none_or(|frames| track.frames < frames) {
+                if selection.frames.is_none_or(|frames| track.frames < frames) {
                     track.follow(&frame);
                 }
             }
         }
-        if let Some(wanted) = choice.stream.filter(|_| tracks.is_empty()) {
+        if let Some(wanted) = selection.stream.filter(|_| tracks.is_empty()) {
             let found = present.keys().map(u64::to_string).collect::<Vec<_>>().join(", ");
             return Err(ExchangeError::NoStream { found, wanted });
         }
         let tracks: Vec<Track> = tracks.into_values().collect();
-        if let Some(wanted) = choice.frames
+        if let Some(wanted) = selection.frames
             && let Some(track) = tracks.iter().find(|track| track.frames < wanted)
         {
             let (bag, stream) = (track.bag.clone(), track.stream);
             return Err(ExchangeError::TooShort { bag, stream, found: track.frames, wanted });
         }
-        Ok(Self { topic: choice.topic.clone(), tracks })
+        Ok(Self { topic: selection.topic.clone(), tracks })
     }
 
-    /// The streams, in the order of their numbers.
+    /// The streams, sorted by id.
     pub fn tracks(&self) -> &[Track] {
         &self.tracks
     }
 
-    /// How many frames they have together.
+    /// Total number of frames.
     pub fn frames(&self) -> usize {
         self.tracks.iter().map(|track| track.frames).sum()
     }
@@ -217,7 +217,7 @@ impl Streams {
     /// The frames of one stream, in order.
     ///
     /// # Errors
-    /// [`ExchangeError::Bag`], also in between, when the bag cannot be read any more.
+    /// [`ExchangeError::Bag`], also from the iterator.
     pub fn frames_of(
         &self,
         track: &Track,
@@ -229,19 +229,19 @@ impl Streams {
         Ok(of_stream.take(frames).map(|frame| Ok(frame?)))
     }
 
-    /// Hands over every frame of one stream, in order.
+    /// Calls `each` for every frame of one stream, in order.
     ///
     /// # Errors
     /// Those of `each`, [`ExchangeError::Bag`] and [`ExchangeError::Interrupted`].
     pub(super) fn read(
         &self,
         track: &Track,
-        watch: &mut Watch<'_>,
+        progress: &mut Progress<'_>,
         mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
     ) -> Result<(), ExchangeError> {
         for frame in self.frames_of(track)? {
             each(frame?)?;
-            if !watch() {
+            if !progress() {
                 return Err(ExchangeError::Interrupted);
             }
         }

@@ -1,11 +1,22 @@
-//! Arrays of one stream, as files hold them, and the frames they make.
+//! The arrays of one stream as read from a file, and the frames made of them.
 
 use std::path::{Path, PathBuf};
 
-use super::{arrays::Array, error::ExchangeError, import::Supplement};
+use super::{arrays::Array, error::ExchangeError};
 use eddy_frames::{Domain, Frame, Material, Stamp};
 
-/// Which numbers stand for the materials, in the order of [`Material::ALL`].
+/// Values that replace those of a file, or that a file does not have.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImportOverrides {
+    /// Time between two frames (s).
+    pub dt: Option<f32>,
+    /// Domain of the particles; the unit square if the file has none and all particles are in it.
+    pub domain: Option<Domain>,
+    /// Material of all particles.
+    pub material: Option<Material>,
+}
+
+/// Numbers of the materials in a file format, in the order of [`Material::ALL`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Types(pub(super) [u8; Material::COUNT]);
 
@@ -21,16 +32,16 @@ impl Types {
         Material::ALL.into_iter().find(|&material| i64::from(self.number(material)) == number)
     }
 
-    fn words(self) -> String {
-        let words = Material::ALL
+    fn describe(self) -> String {
+        let names = Material::ALL
             .map(|material| format!("{} ({})", self.number(material), material.name()));
-        format!("{}, or --material to say what all particles are", words.join(", "))
+        format!("{}, or --material to say what all particles are", names.join(", "))
     }
 }
 
-/// What a file tells about one stream. `T` frames, `N` particles.
+/// The arrays of one stream: `T` frames of `N` particles.
 #[derive(Debug)]
-pub(super) struct Found {
+pub(super) struct RawTrajectory {
     path: PathBuf,
     frames: usize,
     particles: usize,
@@ -38,20 +49,20 @@ pub(super) struct Found {
     position: Vec<f32>,
     /// `[T, N, 2]`.
     pub(super) velocity: Option<Array<f32>>,
-    /// `[N]`, `[T, N]` or `[]`, with what its numbers mean.
+    /// `[N]`, `[T, N]` or `[]`, with the meaning of the numbers.
     pub(super) material: Option<(Array<i64>, Types)>,
     /// `[T]` (ns).
     pub(super) stamp: Option<Array<i64>>,
     /// `[T]`.
     pub(super) sequence: Option<Array<u64>>,
-    /// (s)
+    /// Time between two frames (s).
     pub(super) dt: Option<f32>,
     pub(super) domain: Option<Domain>,
     pub(super) stream: Option<u64>,
 }
 
-impl Found {
-    /// Only positions, `[T, N, 2]`.
+impl RawTrajectory {
+    /// A trajectory of positions, `[T, N, 2]`.
     pub(super) fn new(path: &Path, position: Array<f32>) -> Result<Self, ExchangeError> {
         let &[frames, particles, 2] = position.shape.as_slice() else {
             return Err(ExchangeError::Array {
@@ -89,8 +100,8 @@ impl Found {
         ExchangeError::Array { path: self.path.clone(), array: array.into(), found, expected }
     }
 
-    /// The number in an array of one.
-    pub(super) fn one<T: Copy>(
+    /// The number in an array of length 1.
+    pub(super) fn scalar<T: Copy>(
         &self,
         name: &str,
         array: Option<Array<T>>,
@@ -104,8 +115,8 @@ impl Found {
         }
     }
 
-    /// The domain, where both corners are there.
-    pub(super) fn corners(
+    /// The domain, if both corners are there.
+    pub(super) fn domain_of_corners(
         &self,
         lower: Option<Array<f32>>,
         upper: Option<Array<f32>>,
@@ -118,33 +129,28 @@ impl Found {
         Ok(Some(Domain { lower: corner("lower", lower)?, upper: corner("upper", upper)? }))
     }
 
-    /// Number of the stream, if the file tells.
-    pub(super) fn stream(&self) -> Option<u64> {
-        self.stream
-    }
-
     pub(super) fn frames(&self) -> usize {
         self.frames
     }
 
-    /// Puts the frames together. What `supplement` gives goes before what the file tells; velocities
-    /// that the file lacks are backward differences of the positions (forward for the first frame).
+    /// Calls `each` for every frame. `overrides` take precedence over the file; missing velocities are backward
+    /// differences of the positions (forward for the first frame).
     ///
     /// # Errors
-    /// [`ExchangeError::Array`] when something is missing or has the wrong shape,
-    /// [`ExchangeError::Frame`] when the parts make no frame, and those of `each`.
-    pub(super) fn hand_over(
+    /// [`ExchangeError::Array`] when an array is missing or has the wrong shape, [`ExchangeError::Frame`] when a
+    /// frame is invalid, and those of `each`.
+    pub(super) fn frames_with(
         self,
         stream: u64,
-        supplement: &Supplement,
+        overrides: &ImportOverrides,
         mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
     ) -> Result<(), ExchangeError> {
-        let dt = self.interval(supplement)?;
-        let domain = self.box_of_particles(supplement)?;
-        let whole = [self.frames, self.particles, 2];
-        self.shaped("velocity", self.velocity.as_ref(), &[&whole])?;
-        self.shaped("stamp", self.stamp.as_ref(), &[&[self.frames]])?;
-        self.shaped("sequence", self.sequence.as_ref(), &[&[self.frames]])?;
+        let dt = self.interval(overrides)?;
+        let domain = self.domain(overrides)?;
+        let all = [self.frames, self.particles, 2];
+        self.check_shape("velocity", self.velocity.as_ref(), &[&all])?;
+        self.check_shape("stamp", self.stamp.as_ref(), &[&[self.frames]])?;
+        self.check_shape("sequence", self.sequence.as_ref(), &[&[self.frames]])?;
         let position: &[[f32; 2]] = self.position.as_chunks().0;
         for (index, now) in position.chunks_exact(self.particles).enumerate() {
             let velocity = match &self.velocity {
@@ -159,7 +165,7 @@ impl Found {
                 Some(stamps) => Stamp(stamps.values[index]),
                 None => Stamp(0).advance(dt, index as u32),
             };
-            let material = self.materials(index, supplement)?;
+            let material = self.materials(index, overrides)?;
             let frame =
                 Frame::new(stream, sequence, stamp, dt, domain, now.to_vec(), velocity, material);
             each(frame.map_err(|reason| ExchangeError::Frame {
@@ -171,7 +177,7 @@ impl Found {
         Ok(())
     }
 
-    fn shaped<T>(
+    fn check_shape<T>(
         &self,
         name: &str,
         array: Option<&Array<T>>,
@@ -188,17 +194,17 @@ impl Found {
         }
     }
 
-    fn interval(&self, supplement: &Supplement) -> Result<f32, ExchangeError> {
+    fn interval(&self, overrides: &ImportOverrides) -> Result<f32, ExchangeError> {
         let by_stamps = || match self.stamp.as_ref()?.values.as_slice() {
             [first, second, ..] => Some(Stamp(second.checked_sub(*first)?).seconds() as f32),
             _ => None,
         };
-        let dt = supplement.dt.or(self.dt).or_else(by_stamps);
+        let dt = overrides.dt.or(self.dt).or_else(by_stamps);
         dt.ok_or_else(|| self.fault("dt", "none".into(), "one in the file, or --dt SECONDS"))
     }
 
-    fn box_of_particles(&self, supplement: &Supplement) -> Result<Domain, ExchangeError> {
-        if let Some(domain) = supplement.domain.or(self.domain) {
+    fn domain(&self, overrides: &ImportOverrides) -> Result<Domain, ExchangeError> {
+        if let Some(domain) = overrides.domain.or(self.domain) {
             return Ok(domain);
         }
         let inside = |x: &f32| (0.0..=1.0).contains(x);
@@ -227,9 +233,9 @@ impl Found {
     fn materials(
         &self,
         frame: usize,
-        supplement: &Supplement,
+        overrides: &ImportOverrides,
     ) -> Result<Vec<Material>, ExchangeError> {
-        if let Some(material) = supplement.material {
+        if let Some(material) = overrides.material {
             return Ok(vec![material; self.particles]);
         }
         let Some((array, types)) = &self.material else {
@@ -237,7 +243,7 @@ impl Found {
             return Err(self.fault("material", "none".into(), expected));
         };
         let (frames, particles) = (self.frames, self.particles);
-        self.shaped("material", Some(array), &[&[particles], &[frames, particles], &[]])?;
+        self.check_shape("material", Some(array), &[&[particles], &[frames, particles], &[]])?;
         let of_frame = match array.shape.len() {
             0 => return Ok(vec![self.material_of(array.values[0], *types)?; particles]),
             1 => &array.values[..],
@@ -248,6 +254,6 @@ impl Found {
 
     fn material_of(&self, number: i64, types: Types) -> Result<Material, ExchangeError> {
         let material = types.material(number);
-        material.ok_or_else(|| self.fault("material", number.to_string(), types.words()))
+        material.ok_or_else(|| self.fault("material", number.to_string(), types.describe()))
     }
 }

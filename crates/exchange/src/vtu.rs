@@ -1,5 +1,5 @@
-//! VTK unstructured grids, one `.vtu` a frame, with a `.pvd` collection a stream: open the `.pvd`
-//! in ParaView. Every particle is a vertex with `velocity` and `material`.
+//! VTK unstructured grids, one `.vtu` per frame, and a `.pvd` collection per stream to open in ParaView. Every
+//! particle is a vertex with `velocity` and `material`.
 //!
 //! Format: "VTK XML Formats" (docs.vtk.org), inline base64 with 64-bit headers.
 
@@ -9,18 +9,18 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{
     error::ExchangeError,
-    streams::{Streams, Watch},
+    streams::{Progress, Streams},
 };
 use eddy_frames::Frame;
 
-/// VTK's number for a vertex (`vtkCellType.h`).
+/// Cell type of a vertex (`vtkCellType.h`).
 const VERTEX: u8 = 1;
 
 /// Writes `stream_0007.pvd`, `stream_0007/000000.vtu` and so on into the directory.
 pub(super) fn write(
     streams: &Streams,
     directory: &Path,
-    watch: &mut Watch<'_>,
+    progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     for track in streams.tracks() {
         let name = track.name();
@@ -29,7 +29,7 @@ pub(super) fn write(
         let mut collection = header("Collection");
         collection.push_str("  <Collection>\n");
         let mut number = 0;
-        streams.read(track, watch, |frame| {
+        streams.read(track, progress, |frame| {
             let path = folder.join(format!("{number:06}.vtu"));
             let time = frame.stamp.seconds();
             line(
@@ -85,7 +85,7 @@ fn grid(frame: &Frame) -> String {
     text
 }
 
-/// Three numbers a particle.
+/// Attribute of arrays with three numbers per particle.
 const VECTOR: &str = "NumberOfComponents=\"3\"";
 
 fn header(kind: &str) -> String {
@@ -96,10 +96,10 @@ fn header(kind: &str) -> String {
 }
 
 fn line(text: &mut String, line: std::fmt::Arguments<'_>) {
-    writeln!(text, "{line}").expect("a String takes everything");
+    writeln!(text, "{line}").expect("writing to a String does not fail");
 }
 
-/// An array: its length in bytes, then its bytes, together in base64.
+/// Appends an array: its length in bytes and its bytes, in base64.
 fn array<const SIZE: usize>(
     text: &mut String,
     name: &str,

@@ -9,14 +9,14 @@ use crate::{
     cli::ExportArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy_exchange::{Choice, export};
+use eddy_exchange::{FrameSelection, export};
 
 /// Writes frames as files of other programs.
 pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     // Wrong usage without it.
     let format = args.format.context("--format: found none, expected one")?;
     let stem = stem(&args.bags);
-    let choice = Choice {
+    let choice = FrameSelection {
         bags: args.bags,
         topic: args.topic,
         stream: args.stream,

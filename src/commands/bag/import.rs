@@ -5,7 +5,7 @@ use crate::{
     cli::ImportArgs,
     commands::{Interrupt, progress_bar},
 };
-use eddy_exchange::{Supplement, import};
+use eddy_exchange::{ImportOverrides, import};
 use eddy_frames::Domain;
 
 /// Writes the trajectories of other programs' files as bags.
@@ -14,12 +14,12 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
         _ => None,
     });
-    let supplement = Supplement { dt: args.dt, domain, material: args.material };
+    let overrides = ImportOverrides { dt: args.dt, domain, material: args.material };
     // How many frames there are is known at the end.
     let bar = progress_bar(0, "frames", quiet);
     bar.unset_length();
     let imported =
-        import(&args.path, args.format, &supplement, &args.output, &mut watch(&bar, interrupt));
+        import(&args.path, args.format, &overrides, &args.output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     let imported = imported?;
     println!(

@@ -16,7 +16,7 @@ use indicatif::ProgressBar;
 use super::{Interrupt, progress_bar};
 use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
-use eddy_exchange::{Choice, ExchangeError, Streams};
+use eddy_exchange::{ExchangeError, FrameSelection, Streams};
 
 /// So many messages pass between two looks at the progress bar.
 const PROGRESS_STEP: u64 = 64;
@@ -75,7 +75,7 @@ fn survey(bag: &BagReader, quiet: bool) -> Survey {
 
 /// Reads bags once to know their streams.
 fn find_streams(
-    choice: &Choice,
+    choice: &FrameSelection,
     quiet: bool,
     interrupt: &Interrupt,
 ) -> Result<Streams, ExchangeError> {

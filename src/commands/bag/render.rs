@@ -13,7 +13,7 @@ use crate::{
     commands::{Interrupt, progress_bar},
 };
 use eddy_evaluation::picture::{Animation, Canvas, Coloring, Kind, Painter, write_png};
-use eddy_exchange::{Choice, ExchangeError, Streams, Track};
+use eddy_exchange::{ExchangeError, FrameSelection, Streams, Track};
 use eddy_frames::{Frame, Material};
 use eddy_settings::atomic::Staged;
 
@@ -49,7 +49,11 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     }
     let find = |topic: &String| {
         let (bags, topic) = (vec![args.bag.clone()], topic.clone());
-        find_streams(&Choice { bags, topic, stream: args.stream, frames: None }, quiet, interrupt)
+        find_streams(
+            &FrameSelection { bags, topic, stream: args.stream, frames: None },
+            quiet,
+            interrupt,
+        )
     };
     let sides = args.topic.iter().map(find).collect::<Result<Vec<_>, _>>()?;
     let Some((streams, track)) = first_track(&sides) else {

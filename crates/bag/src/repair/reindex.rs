@@ -100,9 +100,10 @@ fn summarize(file: &Path, progress: &mut Progress<'_>) -> Result<FileIndex, BagE
     let copy = staged.path();
     copy_file(file, &copy, progress)?;
     // From the records of the copy, regardless of the old summary section.
-    let index = finish_file(&copy, FileIndex::scan(&copy)?, OnFullDisk::Fail)?;
+    let mut index = finish_file(&copy, FileIndex::scan(&copy)?, OnFullDisk::Fail)?;
     staged.commit().map_err(BagError::io(file, "replacing the file"))?;
-    Ok(FileIndex { path: file.into(), ..index })
+    index.path = file.into();
+    Ok(index)
 }
 
 fn copy_file(file: &Path, copy: &Path, progress: &mut Progress<'_>) -> Result<(), BagError> {
