@@ -39,10 +39,11 @@ const MIDDLEWARE: [(&str, &str); 5] = [
 ];
 
 /// Dependencies that crates meant for use on their own must not pull in.
-const WITHOUT: [(&str, &[&str]); 3] = [
+const WITHOUT: [(&str, &[&str]); 4] = [
     ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),
+    ("eddy-threads", &["eddy-frames", "rayon", "tracing"]),
 ];
 
 /// Pages and pictures that guide through the source.

@@ -10,7 +10,6 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::{CoreLayer, activate},
-    crew::{Crew, Parts, Task},
     encoder::{BLOCK, Encoder},
     hidden_state::HiddenState,
     linear::{Linear, add_products, outputs},
@@ -20,6 +19,7 @@ use crate::{
     kernels::vectors::Lanes,
 };
 use eddy_frames::{Frame, FrameView};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 /// Partial sums of each product over a layer's inputs: enough to hide the latency of additions.
 const PARTIAL_SUMS: usize = 4;
@@ -165,7 +165,7 @@ impl FrameModel {
     /// Observes `frame` and writes the predicted positions and velocities to `next`.
     pub(super) fn step(
         &self,
-        crew: &mut Crew,
+        pool: &mut ThreadPool,
         alone: bool,
         scratch: &mut Scratch,
         hidden_state: &mut HiddenState,
@@ -178,17 +178,17 @@ impl FrameModel {
             model: self,
             hidden_state,
             features: &scratch.features,
-            pooled: Parts::new(&mut scratch.pooled),
-            encoded: Parts::new(&mut scratch.encoded),
-            hidden: Parts::new(&mut scratch.hidden),
-            cell: Parts::new(&mut scratch.cell),
-            mixed: Parts::new(&mut scratch.mixed),
-            change: Parts::new(&mut scratch.change),
-            points: Parts::new(&mut scratch.points),
-            maxima: Parts::new(&mut scratch.maxima),
+            pooled: DisjointSlice::new(&mut scratch.pooled),
+            encoded: DisjointSlice::new(&mut scratch.encoded),
+            hidden: DisjointSlice::new(&mut scratch.hidden),
+            cell: DisjointSlice::new(&mut scratch.cell),
+            mixed: DisjointSlice::new(&mut scratch.mixed),
+            change: DisjointSlice::new(&mut scratch.change),
+            points: DisjointSlice::new(&mut scratch.points),
+            maxima: DisjointSlice::new(&mut scratch.maxima),
         };
         let items = self.stages.iter().map(|&stage| self.items(stage));
-        crew.run(items, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
+        pool.run(items, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
         hidden_state.hidden.copy_from_slice(&scratch.hidden);
         hidden_state.cell.copy_from_slice(&scratch.cell);
 
@@ -226,14 +226,14 @@ struct StepContext<'a> {
     model: &'a FrameModel,
     hidden_state: &'a HiddenState,
     features: &'a [[f32; 4]],
-    pooled: Parts<'a, f32>,
-    encoded: Parts<'a, f32>,
-    hidden: Parts<'a, f32>,
-    cell: Parts<'a, f32>,
-    mixed: Parts<'a, f32>,
-    change: Parts<'a, f32>,
-    points: Parts<'a, f32>,
-    maxima: Parts<'a, f32>,
+    pooled: DisjointSlice<'a, f32>,
+    encoded: DisjointSlice<'a, f32>,
+    hidden: DisjointSlice<'a, f32>,
+    cell: DisjointSlice<'a, f32>,
+    mixed: DisjointSlice<'a, f32>,
+    change: DisjointSlice<'a, f32>,
+    points: DisjointSlice<'a, f32>,
+    maxima: DisjointSlice<'a, f32>,
 }
 
 /// An item of a stage.
@@ -278,9 +278,9 @@ impl StepContext<'_> {
         simd: S,
         linear: &Linear,
         panel: usize,
-        (input, range): (&Parts<'_, f32>, Range<usize>),
+        (input, range): (&DisjointSlice<'_, f32>, Range<usize>),
         activation: Option<Activation>,
-        output: &Parts<'_, f32>,
+        output: &DisjointSlice<'_, f32>,
     ) {
         // SAFETY: an earlier stage has written the input; only this item uses these outputs.
         let (row, units) = unsafe { (input.read(range), output.part(linear.outputs(panel))) };

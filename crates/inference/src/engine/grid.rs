@@ -9,7 +9,6 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Ballistic,
-    crew::Parts,
     linear::{Linear, load, store},
     products::{Gathered, Output, Rows, Sink, Source, apply},
     scales::{FULL_MASS, MIN_MASS},
@@ -24,6 +23,7 @@ use crate::{
     },
 };
 use eddy_frames::Domain;
+use eddy_threads::DisjointSlice;
 
 /// Nodes per block: a multiple of the rows that are computed at once.
 const BLOCK: usize = 24;
@@ -90,7 +90,7 @@ pub(super) struct Scratch {
 }
 
 /// The lists of [`Scratch`], shared between threads.
-pub(super) type Fields<'a> = [Parts<'a, f32>; FIELDS];
+pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; FIELDS];
 
 impl Grid {
     pub(super) fn pack(
@@ -248,7 +248,7 @@ impl Grid {
         layer: usize,
         nodes: Range<usize>,
         source: &impl Source,
-        field: &Parts<'_, f32>,
+        field: &DisjointSlice<'_, f32>,
     ) {
         let width = self.strides[LAYERS[layer].2];
         // SAFETY: only this item uses these nodes.
@@ -263,8 +263,8 @@ impl Grid {
 struct Children<'a> {
     children: &'a [[u32; 4]],
     child: usize,
-    skip: Parts<'a, f32>,
-    to: Parts<'a, f32>,
+    skip: DisjointSlice<'a, f32>,
+    to: DisjointSlice<'a, f32>,
     width: usize,
 }
 

@@ -2,19 +2,18 @@
 //!
 //! 1. [`scales`]: units of the particle model's inputs and outputs. [`Ballistic`]: the motion of a particle that touches
 //!    nothing.
-//! 2. `crew`: the thread pool that shares the items of a frame's stages.
-//! 3. `linear`: weights packed in the order in which they are read, and their products with rows of numbers;
+//! 2. `linear`: weights packed in the order in which they are read, and their products with rows of numbers;
 //!    `products`: a linear layer for a block of rows.
-//! 4. `core`: the layers of the five recurrent cores.
-//! 5. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
-//! 6. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
+//! 3. `core`: the layers of the five recurrent cores.
+//! 4. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
+//! 5. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
 //!    (Table 1).
-//! 7. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
+//! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes.
-//! 8. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
+//! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
-//! 9. [`Warning`]: inputs that a network can predict, but was not trained for.
-//! 10. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads and buffers that run it.
+//! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
+//! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it.
 //!
 //! SIMD instructions are selected at run time (crate `pulp`). After a stream's first frame nothing is allocated
 //! (`tests/allocation.rs` counts). The equations are those of the networks in burn (`eddy-learning`), which give the same
@@ -25,7 +24,6 @@
 
 mod ballistic;
 mod core;
-mod crew;
 mod encoder;
 mod error;
 mod frame_model;

@@ -4,8 +4,8 @@
 //! anywhere, and every access to a neighbour would miss the cache.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
-use super::crew::{Crew, Parts, Task};
 use eddy_frames::{Frame, Particles};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 /// The particles sorted by cells, row by row.
 pub(super) fn spatial_order(frame: &Frame, cell_width: f32) -> Vec<u32> {
@@ -25,7 +25,7 @@ const ITEM_ROWS: usize = 4096;
 /// Copies positions and velocities of a frame into `state`, particle `order[row]` into each row. This is the only pass over
 /// the observed frame.
 pub(super) fn reorder(
-    crew: &mut Crew,
+    pool: &mut ThreadPool,
     alone: bool,
     order: &[u32],
     particles: Particles<'_>,
@@ -34,9 +34,9 @@ pub(super) fn reorder(
     for list in &mut *state {
         list.resize(order.len(), [0.0; 2]);
     }
-    let [position, velocity] = state.each_mut().map(|list| Parts::new(list));
+    let [position, velocity] = state.each_mut().map(|list| DisjointSlice::new(list));
     let alone = alone || order.len() <= 2 * ITEM_ROWS;
-    crew.run([order.len().div_ceil(ITEM_ROWS)], alone, &|Task { item, .. }| {
+    pool.run([order.len().div_ceil(ITEM_ROWS)], alone, &|Task { item, .. }| {
         let rows = item * ITEM_ROWS..((item + 1) * ITEM_ROWS).min(order.len());
         // SAFETY: only this item uses these rows.
         let lists = unsafe { (position.part(rows.clone()), velocity.part(rows.clone())) };

@@ -12,7 +12,6 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
-    crew::{Crew, Parts, Task},
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::Linear,
@@ -30,6 +29,7 @@ use crate::{
     },
 };
 use eddy_frames::{Frame, FrameView};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 /// Particles per block: a multiple of the rows that are computed at once.
 pub(super) const BLOCK: usize = 48;
@@ -152,7 +152,7 @@ impl ParticleModel {
     /// Observes `frame` and writes the predicted positions and velocities to `next`.
     pub(super) fn step(
         &self,
-        crew: &mut Crew,
+        pool: &mut ThreadPool,
         alone: bool,
         scratch: &mut Scratch,
         hidden_state: &mut HiddenState,
@@ -163,7 +163,7 @@ impl ParticleModel {
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
         let particles = hidden_state.order.len();
         let window = Window { particles: 0..particles, lower, upper };
-        reorder(crew, alone, &hidden_state.order, frame.particles, &mut scratch.state);
+        reorder(pool, alone, &hidden_state.order, frame.particles, &mut scratch.state);
         scratch.grid.nodes.rebuild(&scratch.state[0], &[window], self.grid.cell_width);
         self.resize(scratch, particles);
 
@@ -190,8 +190,8 @@ impl ParticleModel {
             order: &hidden_state.order,
         };
         let predicted = Predicted {
-            position: Parts::new(&mut next.position),
-            velocity: Parts::new(&mut next.velocity),
+            position: DisjointSlice::new(&mut next.position),
+            velocity: DisjointSlice::new(&mut next.velocity),
             material: &next.material,
         };
         let context = StepContext {
@@ -209,19 +209,19 @@ impl ParticleModel {
             nodes,
             segments,
             begun: hidden_state.begun,
-            features: Parts::new(features),
-            sums: Parts::new(segment_sums),
-            ballistic_motion: Parts::new(ballistic_motion),
-            fields: fields.each_mut().map(|numbers| Parts::new(numbers)),
-            buffers: Parts::new(buffers),
-            hidden: Parts::new(&mut hidden_state.hidden),
-            cell: Parts::new(&mut hidden_state.cell),
-            expected_velocity: Parts::new(&mut hidden_state.expected_velocity),
+            features: DisjointSlice::new(features),
+            sums: DisjointSlice::new(segment_sums),
+            ballistic_motion: DisjointSlice::new(ballistic_motion),
+            fields: fields.each_mut().map(|numbers| DisjointSlice::new(numbers)),
+            buffers: DisjointSlice::new(buffers),
+            hidden: DisjointSlice::new(&mut hidden_state.hidden),
+            cell: DisjointSlice::new(&mut hidden_state.cell),
+            expected_velocity: DisjointSlice::new(&mut hidden_state.expected_velocity),
             predicted,
             correction: self.rules.begin(rules, observed, predicted),
         };
         let stages = self.stages.iter().map(|&stage| context.items(stage));
-        crew.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
+        pool.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
         hidden_state.begun = true;
     }
 
@@ -285,15 +285,15 @@ pub(super) struct StepContext<'a> {
     pub(super) nodes: &'a Nodes,
     pub(super) segments: &'a Segments,
     pub(super) begun: bool,
-    pub(super) features: Parts<'a, f32>,
+    pub(super) features: DisjointSlice<'a, f32>,
     /// The sums of each segment on the nodes.
-    pub(super) sums: Parts<'a, f32>,
-    pub(super) ballistic_motion: Parts<'a, Motion>,
+    pub(super) sums: DisjointSlice<'a, f32>,
+    pub(super) ballistic_motion: DisjointSlice<'a, Motion>,
     pub(super) fields: Fields<'a>,
-    pub(super) buffers: Parts<'a, LayerBuffers>,
-    pub(super) hidden: Parts<'a, f32>,
-    pub(super) cell: Parts<'a, f32>,
-    pub(super) expected_velocity: Parts<'a, [f32; 2]>,
+    pub(super) buffers: DisjointSlice<'a, LayerBuffers>,
+    pub(super) hidden: DisjointSlice<'a, f32>,
+    pub(super) cell: DisjointSlice<'a, f32>,
+    pub(super) expected_velocity: DisjointSlice<'a, [f32; 2]>,
     pub(super) predicted: Predicted<'a>,
     correction: Correction<'a>,
 }

@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 use super::{
     HiddenState,
-    crew::{Crew, Parts, Task},
     frame_model::{self, FrameModel},
     particle_model::{self, ParticleModel},
 };
 use eddy_frames::{Frame, FrameView, Material, Particles, Stamp};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 /// Multiplications per frame from which waking the other threads pays (some ten microseconds of work).
 const WORTH_WAKING: usize = 1 << 18;
@@ -54,7 +54,7 @@ pub struct Stepper {
     network: Arc<Network>,
     /// Time between two frames (ns).
     interval: i64,
-    pool: Crew,
+    pool: ThreadPool,
     scratch: Scratch,
     /// A single-threaded stepper for each thread; none if there is only one thread.
     single: Vec<Self>,
@@ -62,7 +62,11 @@ pub struct Stepper {
 
 impl Stepper {
     pub(super) fn new(network: &Arc<Network>, interval: i64, threads: usize) -> Self {
-        let pool = Crew::new(threads, network.stages());
+        let pool = ThreadPool::new("engine", threads, network.stages());
+        if let Some(error) = pool.spawn_error() {
+            let started = pool.threads();
+            tracing::warn!("the engine has {started} threads instead of {threads}: {error}");
+        }
         let threads = pool.threads();
         let single = if threads > 1 { threads } else { 0 };
         Self {
@@ -145,7 +149,8 @@ impl Stepper {
             items.iter_mut().for_each(|item| work(self, item));
             return;
         }
-        let (count, items, single) = (items.len(), Parts::new(items), Parts::new(&mut self.single));
+        let (count, items, single) =
+            (items.len(), DisjointSlice::new(items), DisjointSlice::new(&mut self.single));
         self.pool.run([count], false, &|Task { item, thread, .. }| {
             // SAFETY: each item runs once, and no two running items have the same thread number.
             let (item, stepper) = unsafe {

@@ -28,17 +28,20 @@ mod scatter;
 mod simd;
 mod sort;
 mod stencil;
-mod team;
 #[cfg(test)]
 mod tests;
 mod transfer;
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{
+    Arc, Mutex, MutexGuard, PoisonError,
+    atomic::{AtomicU32, Ordering},
+};
+
+use eddy_threads::{DisjointSlice, ThreadPool, share};
 
 use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
 use sort::Packs;
-use team::{Barrier, Shared, Team, share};
 use transfer::{Pass, Step};
 
 use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings};
@@ -54,7 +57,8 @@ const SORT_EVERY: u32 = 64;
 #[derive(Clone, Debug)]
 pub(super) struct Fast {
     level: Level,
-    team: Team,
+    /// Shared by the copies of a solver.
+    pool: Arc<Mutex<ThreadPool>>,
     field: Field,
     packs: Packs,
     chunks: Vec<Chunk>,
@@ -63,9 +67,14 @@ pub(super) struct Fast {
 impl Fast {
     /// The fast path on a grid, with so many threads.
     pub(super) fn new(shape: GridShape, threads: usize, level: Level) -> Self {
+        let pool = ThreadPool::new("solver", threads, 0);
+        if let Some(error) = pool.spawn_error() {
+            let started = pool.threads();
+            tracing::warn!("the solver has {started} threads instead of {threads}: {error}");
+        }
         Self {
             level,
-            team: Team::new(threads),
+            pool: Arc::new(Mutex::new(pool)),
             field: Field::new(shape),
             packs: Packs::default(),
             chunks: Vec::new(),
@@ -92,7 +101,7 @@ impl Fast {
             return Err(lost);
         }
         let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
-        self.packs.fill(particles, step, &self.field, &self.team);
+        self.packs.fill(particles, step, &self.field, &mut lock(&self.pool));
         self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;
         while done < substeps {
@@ -113,7 +122,7 @@ impl Fast {
 
     /// Sorts the particles anew and cuts them into other chunks.
     fn sort(&mut self, step: &Step) {
-        self.packs.sort(step, &self.field, &self.team);
+        self.packs.sort(step, &self.field, &mut lock(&self.pool));
         self.packs.cut(&mut self.chunks, step, &self.field);
     }
 
@@ -124,19 +133,20 @@ impl Fast {
         let (level, stride) = (self.level, self.field.stride);
         let rows = self.field.sides[0];
         let parts = self.chunks.len();
-        let packs = Shared::new(&mut self.packs.packs);
-        let chunks = Shared::new(&mut self.chunks);
-        let velocities = Shared::new(&mut self.field.velocity);
-        let masses = Shared::new(&mut self.field.mass);
-        let threads = self.team.threads().min(parts);
+        let packs = DisjointSlice::new(&mut self.packs.packs);
+        let chunks = DisjointSlice::new(&mut self.chunks);
+        let velocities = DisjointSlice::new(&mut self.field.velocity);
+        let masses = DisjointSlice::new(&mut self.field.mass);
+        let mut pool = lock(&self.pool);
+        let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
-        self.team.run(threads, |thread, barrier: &Barrier| {
+        pool.broadcast(threads, &|thread, barrier| {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
                 // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.
                 let (mine, velocity, mass) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
-                    (mine, velocities.whole(), masses.whole())
+                    (mine, velocities.read(0..velocities.len()), masses.read(0..masses.len()))
                 };
                 let field = Nodes { velocity, mass, stride };
                 for chunk in mine {
@@ -150,7 +160,7 @@ impl Fast {
                 }
                 barrier.wait();
                 // SAFETY: nobody writes chunks until the next meeting.
-                let all = unsafe { chunks.whole() };
+                let all = unsafe { chunks.read(0..parts) };
                 if all.iter().any(|chunk| chunk.lost) {
                     break;
                 }
@@ -205,4 +215,9 @@ impl Fast {
             }
         }
     }
+}
+
+/// The threads. A panic in a job leaves them usable.
+fn lock(pool: &Mutex<ThreadPool>) -> MutexGuard<'_, ThreadPool> {
+    pool.lock().unwrap_or_else(PoisonError::into_inner)
 }

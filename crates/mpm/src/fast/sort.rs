@@ -1,14 +1,17 @@
 //! Particles in the order of their cells, in packs, cut into chunks.
 
+use eddy_threads::{DisjointSlice, ThreadPool, share};
+
 use super::{
-    super::particle::Particle, chunk::Chunk, field::Field, pack::Pack, simd::LANES, team::Team,
-    transfer::Step,
+    super::particle::Particle, chunk::Chunk, field::Field, pack::Pack, simd::LANES, transfer::Step,
 };
 
 /// Most chunks; more threads than that have nothing to do.
 const CHUNKS: usize = 16;
 /// Particles of a chunk, at least: two overlapping patches cost more than a small chunk gains.
 const FEWEST: usize = 512;
+/// Packs above which all threads fill them.
+const WORTH_WAKING: usize = 1000;
 
 /// All particles, in packs.
 #[derive(Clone, Debug, Default)]
@@ -24,20 +27,26 @@ pub(super) struct Packs {
 
 impl Packs {
     /// Takes particles in, sorted.
-    pub(super) fn fill(&mut self, particles: &[Particle], step: &Step, field: &Field, team: &Team) {
+    pub(super) fn fill(
+        &mut self,
+        particles: &[Particle],
+        step: &Step,
+        field: &Field,
+        pool: &mut ThreadPool,
+    ) {
         self.particles = particles.len();
         self.order.find(particles.iter().map(|p| step.lowest(p.position)), field);
         let numbered = |place: u32| (particles[place as usize], place);
-        collect(&self.order.places, numbered, &mut self.packs, team);
+        collect(&self.order.places, numbered, &mut self.packs, pool);
     }
 
     /// Sorts the particles anew.
-    pub(super) fn sort(&mut self, step: &Step, field: &Field, team: &Team) {
+    pub(super) fn sort(&mut self, step: &Step, field: &Field, pool: &mut ThreadPool) {
         let packs = &self.packs;
         let lowest = (0..self.particles).map(|place| lowest(packs, place, step));
         self.order.find(lowest, field);
         let numbered = |place: u32| state(packs, place as usize);
-        collect(&self.order.places, numbered, &mut self.sorted, team);
+        collect(&self.order.places, numbered, &mut self.sorted, pool);
         std::mem::swap(&mut self.packs, &mut self.sorted);
     }
 
@@ -83,7 +92,7 @@ fn collect(
     places: &[u32],
     numbered: impl Fn(u32) -> (Particle, u32) + Sync,
     packs: &mut Vec<Pack>,
-    team: &Team,
+    pool: &mut ThreadPool,
 ) {
     let pack = |k: usize| {
         let places = &places[k * LANES..places.len().min((k + 1) * LANES)];
@@ -95,7 +104,21 @@ fn collect(
         }
         pack
     };
-    team.collect(places.len().div_ceil(LANES), pack, packs);
+    let length = places.len().div_ceil(LANES);
+    if length <= WORTH_WAKING {
+        packs.clear();
+        packs.extend((0..length).map(pack));
+        return;
+    }
+    packs.resize_with(length, || pack(0));
+    let (threads, packs) = (pool.threads(), DisjointSlice::new(packs));
+    pool.broadcast(threads, &|thread, _| {
+        let mine = share(length, thread, threads);
+        // SAFETY: shares are disjoint.
+        for (to, k) in unsafe { packs.part(mine.clone()) }.iter_mut().zip(mine) {
+            *to = pack(k);
+        }
+    });
 }
 
 /// Orders particles by the lowest nodes of their stencils, row by row. Those of one cell keep their

@@ -4,11 +4,12 @@
 use std::{fmt::Debug, ops::Range};
 
 use super::{
-    super::{Ballistic, crew::Parts, particle_features::Motion},
+    super::{Ballistic, particle_features::Motion},
     Observed, Predicted,
     bodies::Bodies,
 };
 use crate::kernels::nodes::Nodes;
+use eddy_threads::DisjointSlice;
 
 /// Cells per item.
 const CELLS: usize = 64;
@@ -106,8 +107,8 @@ struct Body<R: BodyRule> {
 /// A rule in one frame.
 pub(super) struct BodyCorrection<'a, R: BodyRule> {
     rule: R,
-    bodies: Parts<'a, Vec<Body<R>>>,
-    cells: Parts<'a, R::CellSums>,
+    bodies: DisjointSlice<'a, Vec<Body<R>>>,
+    cells: DisjointSlice<'a, R::CellSums>,
 }
 
 impl<'a, R: BodyRule> BodyCorrection<'a, R> {
@@ -125,7 +126,11 @@ impl<'a, R: BodyRule> BodyCorrection<'a, R> {
         // At most one cell per particle.
         cells.reserve(particles);
         cells.resize(nodes.cells().len(), R::CellSums::default());
-        Self { rule, bodies: Parts::new(std::slice::from_mut(bodies)), cells: Parts::new(cells) }
+        Self {
+            rule,
+            bodies: DisjointSlice::new(std::slice::from_mut(bodies)),
+            cells: DisjointSlice::new(cells),
+        }
     }
 
     /// Selects the bodies that the rule applies to; `width` is the width of a cell (domain lengths). One item calls this

@@ -1,9 +1,6 @@
 //! The rules after any predictor.
 
-use super::{
-    super::{Ballistic, crew::Parts},
-    Observed, Predicted, RuleSet, Stage,
-};
+use super::{super::Ballistic, Observed, Predicted, RuleSet, Stage};
 use crate::{
     checkpoint::{Description, GridOptions},
     kernels::{
@@ -12,6 +9,7 @@ use crate::{
     },
 };
 use eddy_frames::{Domain, Frame};
+use eddy_threads::DisjointSlice;
 
 /// Applies the rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
 #[derive(Clone, Debug)]
@@ -65,8 +63,8 @@ impl Corrector {
             order: &order,
         };
         let predicted = Predicted {
-            position: Parts::new(&mut predicted.position),
-            velocity: Parts::new(&mut predicted.velocity),
+            position: DisjointSlice::new(&mut predicted.position),
+            velocity: DisjointSlice::new(&mut predicted.velocity),
             material: &predicted.material,
         };
         let mut scratch = self.rules.scratch();

@@ -23,13 +23,14 @@ mod flight;
 mod rest;
 mod shape;
 
-use super::{Ballistic, crew::Parts, particle_features::Motion};
+use super::{Ballistic, particle_features::Motion};
 use crate::{
     checkpoint::{self, Description, FlightRule, RestRule},
     kernels::{nodes::Nodes, rest_shape::RestShape},
 };
 pub use corrector::Corrector;
 use eddy_frames::{Domain, Material};
+use eddy_threads::DisjointSlice;
 
 use area::Pressure;
 use bodies::Bodies;
@@ -77,8 +78,8 @@ pub(super) struct Observed<'a> {
 /// A predicted frame, its particles in the frame's order.
 #[derive(Clone, Copy)]
 pub(super) struct Predicted<'a> {
-    pub(super) position: Parts<'a, [f32; 2]>,
-    pub(super) velocity: Parts<'a, [f32; 2]>,
+    pub(super) position: DisjointSlice<'a, [f32; 2]>,
+    pub(super) velocity: DisjointSlice<'a, [f32; 2]>,
     pub(super) material: &'a [Material],
 }
 
@@ -99,7 +100,7 @@ impl Predicted<'_> {
     /// # Safety
     /// No other item uses them at the same time.
     #[inline(always)]
-    #[expect(clippy::mut_from_ref, reason = "as in `Parts::part`")]
+    #[expect(clippy::mut_from_ref, reason = "as in `DisjointSlice::part`")]
     pub(super) unsafe fn one(&self, particle: usize) -> (&mut [f32; 2], &mut [f32; 2]) {
         let own = particle..particle + 1;
         // SAFETY: guaranteed by the caller.
@@ -121,9 +122,9 @@ pub(super) struct Scratch {
 pub(super) struct Correction<'a> {
     observed: Observed<'a>,
     predicted: Predicted<'a>,
-    pressure: Parts<'a, Option<Pressure>>,
+    pressure: DisjointSlice<'a, Option<Pressure>>,
     shape: Option<Shape<'a>>,
-    bodies: Parts<'a, Bodies>,
+    bodies: DisjointSlice<'a, Bodies>,
     flight: Option<BodyCorrection<'a, FlightRule>>,
     rest: Option<BodyCorrection<'a, RestRule>>,
 }
@@ -182,9 +183,9 @@ impl RuleSet {
         }
         let (at_rest, order) = (observed.rest, observed.order);
         Correction {
-            pressure: Parts::new(std::slice::from_mut(pressure)),
+            pressure: DisjointSlice::new(std::slice::from_mut(pressure)),
             shape: rules.shape.map(|rule| shape.shape(rule, at_rest, order)),
-            bodies: Parts::new(std::slice::from_mut(bodies)),
+            bodies: DisjointSlice::new(std::slice::from_mut(bodies)),
             flight: rules.flight.map(|rule| BodyCorrection::new(rule, flight, nodes, particles)),
             rest: rules.rest.map(|rule| BodyCorrection::new(rule, rest, nodes, particles)),
             observed,

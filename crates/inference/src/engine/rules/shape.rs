@@ -11,9 +11,10 @@
 //! 4. Relax, [`ShapeRule::sweeps`] times: each particle moves to its neighbours' mean plus that offset.
 //! 5. Scatter: writes the positions back and changes the velocities accordingly.
 
+use eddy_threads::DisjointSlice;
 use std::ops::Range;
 
-use super::super::{Ballistic, crew::Parts};
+use super::super::Ballistic;
 use crate::{
     checkpoint::ShapeRule,
     kernels::rest_shape::{RestShape, deformation},
@@ -57,9 +58,9 @@ pub(super) struct Shape<'a> {
     rest: &'a RestShape,
     /// The frame's particle in each row.
     order: &'a [u32],
-    place: [Parts<'a, [f32; 2]>; 2],
-    limited: Parts<'a, Gradient>,
-    offset: Parts<'a, [f32; 2]>,
+    place: [DisjointSlice<'a, [f32; 2]>; 2],
+    limited: DisjointSlice<'a, Gradient>,
+    offset: DisjointSlice<'a, [f32; 2]>,
 }
 
 impl Scratch {
@@ -75,8 +76,15 @@ impl Scratch {
         place.iter_mut().for_each(|list| list.resize(rows, [0.0; 2]));
         limited.resize(rows, Gradient::default());
         offset.resize(rows, [0.0; 2]);
-        let place = place.each_mut().map(|list| Parts::new(list));
-        Shape { rule, rest, order, place, limited: Parts::new(limited), offset: Parts::new(offset) }
+        let place = place.each_mut().map(|list| DisjointSlice::new(list));
+        Shape {
+            rule,
+            rest,
+            order,
+            place,
+            limited: DisjointSlice::new(limited),
+            offset: DisjointSlice::new(offset),
+        }
     }
 }
 
@@ -92,8 +100,8 @@ impl Shape<'_> {
         &self,
         step: Step,
         item: usize,
-        position: &Parts<'_, [f32; 2]>,
-        velocity: &Parts<'_, [f32; 2]>,
+        position: &DisjointSlice<'_, [f32; 2]>,
+        velocity: &DisjointSlice<'_, [f32; 2]>,
         walls: &Ballistic,
     ) {
         let rows = item * ROWS..((item + 1) * ROWS).min(self.order.len());
@@ -107,7 +115,7 @@ impl Shape<'_> {
     }
 
     #[inline(always)]
-    fn gather(&self, rows: Range<usize>, position: &Parts<'_, [f32; 2]>) {
+    fn gather(&self, rows: Range<usize>, position: &DisjointSlice<'_, [f32; 2]>) {
         // SAFETY: this step only reads the positions, and only this item uses these rows.
         let (position, [first, second]) = unsafe {
             let place = [self.place[0].part(rows.clone()), self.place[1].part(rows.clone())];
@@ -181,8 +189,8 @@ impl Shape<'_> {
     fn scatter(
         &self,
         rows: Range<usize>,
-        position: &Parts<'_, [f32; 2]>,
-        velocity: &Parts<'_, [f32; 2]>,
+        position: &DisjointSlice<'_, [f32; 2]>,
+        velocity: &DisjointSlice<'_, [f32; 2]>,
         walls: &Ballistic,
     ) {
         // SAFETY: this step only reads these lists.
@@ -257,7 +265,7 @@ mod tests {
             velocity = vec![[0.0; 2]; position.len()];
             let mut scratch = Scratch::default();
             let shape = scratch.shape(RULE, &rest, &order);
-            let (x, v) = (Parts::new(&mut position), Parts::new(&mut velocity));
+            let (x, v) = (DisjointSlice::new(&mut position), DisjointSlice::new(&mut velocity));
             for step in steps(RULE) {
                 (0..shape.items()).for_each(|item| shape.run(step, item, &x, &v, &WALLS));
             }
