@@ -225,7 +225,7 @@ fn without_a_manifest_there_are_no_rivals_and_that_is_said() {
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
     arguments.extend(["--horizon", "2", "--starts", "1", "--rivals", "mpm,chaos"]);
     let printed = succeed(arguments);
-    for words in ["no rivals", "scene_0000", "manifest.json"] {
+    for words in ["no reference solvers", "scene_0000", "manifest.json"] {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }
     assert_eq!(names(&report(&folder)).len(), 6);
@@ -283,7 +283,7 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
         arguments.map(str::to_owned).collect::<Vec<_>>()
     };
     let printed = succeed(judge(&data));
-    let words = "a checkpoint was trained on 1 of the 2 streams: they are left out";
+    let words = "a checkpoint was trained on 1 of the 2 streams: they are excluded";
     assert!(printed.contains(words), "{printed}");
     assert!(printed.contains("free rollouts over 1 streams"), "{printed}");
     // The same command judges again; another one does not replace what it finds.

@@ -97,7 +97,7 @@ fn scenes_of_more_particles_are_wider_and_the_same_command_goes_on_with_them() {
         simulate(output, &more)
     };
     succeed(asked("1", "6000"));
-    assert!(succeed(asked("2", "6000")).contains("1 of 2 scenes are in"));
+    assert!(succeed(asked("2", "6000")).contains("1 of 2 scenes are already in"));
     for bag in ["scene_0000", "scene_0001"] {
         let frame = &frames(&output.join(bag))[1];
         assert_eq!(frame.len(), 6000);
@@ -115,7 +115,7 @@ fn asking_for_2500_particles_is_asking_for_nothing() {
     let output = folder.path();
     succeed(simulate(output, &["--scenes", "1"]));
     let said = succeed(simulate(output, &["--scenes", "2", "--particles", "2500"]));
-    assert!(said.contains("1 of 2 scenes are in"), "{said}");
+    assert!(said.contains("1 of 2 scenes are already in"), "{said}");
     assert_eq!(manifest(output)["request"].get("particles"), None);
 }
 
@@ -155,11 +155,11 @@ fn a_full_disk_keeps_what_is_finished() {
     let said = String::from_utf8_lossy(&limited.stderr);
     assert_eq!(limited.status.code(), Some(1), "{said}");
     assert!(said.contains("2 of 4 scenes are finished and kept"), "{said}");
-    assert!(said.contains("no room is left: make some"), "{said}");
+    assert!(said.contains("the disk is full: free some space"), "{said}");
     assert_eq!(manifest(output), before);
     assert_eq!(fs::read_dir(output).unwrap().count(), 3, "two bags and the manifest");
 
-    assert!(succeed(arguments("4")).contains("2 of 4 scenes are in"));
+    assert!(succeed(arguments("4")).contains("2 of 4 scenes are already in"));
 }
 
 #[test]
@@ -225,7 +225,7 @@ fn scenes_that_are_there_are_kept_and_new_ones_added() {
     let bag = output.join("scene_0000/scene_0000_0.mcap");
     let made = fs::metadata(&bag).unwrap().modified().unwrap();
     let said = succeed(simulate(output, &["--scenes", "2"]));
-    assert!(said.contains("1 of 2 scenes are in"), "{said}");
+    assert!(said.contains("1 of 2 scenes are already in"), "{said}");
     assert_eq!(fs::metadata(&bag).unwrap().modified().unwrap(), made);
     assert_eq!(manifest(output)["scenes"].as_array().unwrap().len(), 2);
 }
@@ -282,7 +282,7 @@ fn an_interrupt_keeps_what_is_finished_and_the_same_command_goes_on() {
     assert!((1..30).contains(&finished), "{finished}");
     assert_eq!(fs::read_dir(output).unwrap().count(), finished + 1, "bags and the manifest");
     let said = succeed(arguments);
-    assert!(said.contains(&format!("{finished} of 30 scenes are in")), "{said}");
+    assert!(said.contains(&format!("{finished} of 30 scenes are already in")), "{said}");
 }
 
 #[test]

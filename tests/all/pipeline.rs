@@ -25,7 +25,7 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     let report = path("report");
     let judge = ["eval", "--checkpoint", &model, "--data", &data, "--output", &report];
     let printed = succeed(judge.iter().chain(&["--horizon", "20"]));
-    assert!(printed.contains("only its test part is judged"), "{printed}");
+    assert!(printed.contains("only its test part is evaluated"), "{printed}");
     assert!(printed.contains("ballistic with walls"), "{printed}");
     let json: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(path("report/report.json")).unwrap()).unwrap();

@@ -131,7 +131,7 @@ fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
             "domain = [700.0, 700.0]\n[[bodies]]\nmaterial = 'liquid'\nparticles = 10\n\
              shape.rectangle.size = [680.0, 680.0]\nposition = [350.0, 350.0]"
                 .to_owned(),
-            &["memory: found", "TiB", "that are free", "make the spacing larger"],
+            &["memory: ", "TiB needed", "available", "increase the spacing"],
         ),
     ];
     for (text, words) in cases {
@@ -156,10 +156,10 @@ fn a_scene_has_the_number_that_its_file_says() {
 fn a_scene_that_has_changed_does_not_take_the_place_of_the_old_one() {
     let written = Written::new(DISC);
     succeed(written.arguments());
-    assert!(succeed(written.arguments()).contains("1 of 1 scenes are in"));
+    assert!(succeed(written.arguments()).contains("1 of 1 scenes are already in"));
     fs::write(written.path("scene.toml"), DISC.replace("0.5]", "0.6]")).unwrap();
     let message = fail(1, written.arguments());
-    assert!(message.contains("scene_0000: found a directory that is not this scene"), "{message}");
+    assert!(message.contains("scene_0000: already exists and is not this scene"), "{message}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Predictors that learn nothing: what a model must beat.
+//! Trivial predictors that a model must beat.
 
 use crate::dataset::State;
 use eddy_inference::engine::Ballistic;
@@ -6,11 +6,11 @@ use eddy_inference::engine::Ballistic;
 /// A trivial predictor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Baseline {
-    /// The last state again.
+    /// Repeats the last state.
     Persistence,
     /// Every particle keeps its velocity.
     ConstantVelocity,
-    /// Every particle falls, and stops at the walls.
+    /// Every particle falls freely and stops at the walls.
     Ballistic,
 }
 
@@ -27,7 +27,7 @@ impl Baseline {
         }
     }
 
-    /// One frame on, in place. Interval, gravity and walls are those of `ballistic`.
+    /// Advances a state by one frame, with the interval, gravity and walls of `ballistic`.
     pub fn step(self, State { position, velocity }: &mut State, ballistic: &Ballistic) {
         match self {
             Self::Persistence => {}

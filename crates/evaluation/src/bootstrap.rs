@@ -1,32 +1,32 @@
-//! Intervals by bootstrap (B. Efron, "Bootstrap Methods: Another Look at the Jackknife", Annals of Statistics 7(1),
-//! 1979; percentiles): what comes out for samples drawn with replacement from the one there is.
+//! Percentile bootstrap intervals (B. Efron, "Bootstrap Methods: Another Look at the Jackknife", Annals of
+//! Statistics 7(1), 1979).
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::Interval;
 
-/// Samples that are drawn.
+/// Number of resamples.
 const RESAMPLES: usize = 1000;
-/// What draws them: the same sample gives the same intervals.
+/// Fixed, so that the same sample gives the same intervals.
 const SEED: u64 = 1;
-/// The intervals leave out so much on either side.
+/// Probability below and above an interval.
 const TAIL: f64 = 0.025;
 
-/// Fewest scenes that have an interval: what is drawn from fewer says little about others.
-pub const FEWEST: usize = 5;
+/// Minimum number of scenes for an interval.
+pub const MIN_SCENES: usize = 5;
 
-/// Draws samples.
+/// Draws resamples.
 pub struct Draw(ChaCha8Rng);
 
 impl Draw {
-    /// As many of `count` things as there are, with replacement.
+    /// `count` indices below `count`, drawn with replacement.
     pub fn of(&mut self, count: usize) -> Vec<usize> {
         (0..count).map(|_| self.0.random_range(0..count)).collect()
     }
 }
 
-/// The 95 % intervals of `statistics`, which draws a sample and computes some numbers of it, always as many.
+/// The 95 % intervals of `statistics`, which draws a resample and returns a fixed number of statistics of it.
 pub fn bootstrap(mut statistics: impl FnMut(&mut Draw) -> Vec<f64>) -> Vec<Interval> {
     let mut draw = Draw(ChaCha8Rng::seed_from_u64(SEED));
     let drawn: Vec<Vec<f64>> = (0..RESAMPLES).map(|_| statistics(&mut draw)).collect();
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_interval_of_a_mean_is_that_of_its_standard_error() {
+    fn the_interval_of_a_mean_matches_its_standard_error() {
         let sample: Vec<f64> = (0..400).map(|number| f64::from(number % 2)).collect();
         let mean = |draw: &mut Draw| {
             let chosen = draw.of(sample.len());

@@ -1,4 +1,4 @@
-//! How well anyone could predict: the truth itself, from positions that are slightly off.
+//! An upper bound on predictability: the true simulation continued from slightly displaced positions.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,12 +14,12 @@ pub const DISPLACEMENT: f32 = 1e-4;
 /// Its name in reports.
 pub const NAME: &str = "truth displaced by 1e-4";
 
-/// The whole scene is simulated again, hidden state included; at each of the frames `starts` every
-/// particle is displaced at random by up to [`DISPLACEMENT`] and followed for `reach` frames.
+/// Simulates the whole scene again, hidden state included. At each of the frames `starts`, displaces every particle
+/// at random by up to [`DISPLACEMENT`] and continues for `reach` frames.
 ///
 /// # Errors
-/// [`EvalError`] for a scene that cannot be simulated, or comes to another state at a start than was
-/// recorded. Every start has its rollout even so, from there on a lost one.
+/// [`EvalError`] when the scene cannot be simulated, or its state at a start differs from the recorded one. The
+/// remaining starts then get failed rollouts.
 pub fn roll_out(
     scene: &Scene,
     stream: &Stream,
@@ -27,32 +27,32 @@ pub fn roll_out(
     reach: usize,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> Result<(), EvalError> {
-    let mut followed = 0;
+    let mut completed = 0;
     let mut count = |number: usize, rollout: Rollout| {
-        followed = number + 1;
+        completed = number + 1;
         each(number, rollout);
     };
-    let done = follow(scene, stream, starts, reach, &mut count);
-    for (number, &start) in starts.iter().enumerate().skip(followed) {
+    let outcome = simulate(scene, stream, starts, reach, &mut count);
+    for (number, &start) in starts.iter().enumerate().skip(completed) {
         each(number, Rollout::lost(&stream.states[start], reach));
     }
-    done
+    outcome
 }
 
-fn follow(
+fn simulate(
     scene: &Scene,
     stream: &Stream,
     starts: &[usize],
     reach: usize,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> Result<(), EvalError> {
-    let of_rival = |reason| EvalError::Rival { stream: stream.id, reason };
-    let mut simulation = simulation(scene, stream, reach).map_err(of_rival)?;
+    let of_solver = |reason| EvalError::Solver { stream: stream.id, reason };
+    let mut simulation = simulation(scene, stream, reach).map_err(of_solver)?;
     let mut rng = ChaCha8Rng::seed_from_u64(stream.id);
     let mut done = 0;
     for (number, &start) in starts.iter().enumerate() {
         let wanted = stream.first_sequence + start as u64 + 1;
-        let frame = advance(&mut simulation, wanted - done).map_err(of_rival)?;
+        let frame = advance(&mut simulation, wanted - done).map_err(of_solver)?;
         done = wanted;
         let observed = &stream.states[start];
         if frame.map(into_state).as_ref() != Some(observed) {
@@ -61,17 +61,17 @@ fn follow(
         let mut other = simulation.clone();
         let range = -DISPLACEMENT..DISPLACEMENT;
         let displacement = || [rng.random_range(range.clone()), rng.random_range(range.clone())];
-        other.displace(displacement).map_err(of_rival)?;
+        other.displace(displacement).map_err(of_solver)?;
         let next = || other.next_frame().ok().flatten().map(into_state);
         each(number, Rollout::collect(observed, reach, next));
     }
     Ok(())
 }
 
-/// The scene's simulation at the frame `start` of a stream, for `reach` frames more.
+/// The scene's simulation at frame `start` of a stream, with room for `reach` more frames.
 ///
 /// # Errors
-/// [`MpmError`] for a scene that cannot be simulated.
+/// [`MpmError`] when the scene cannot be simulated.
 pub(super) fn at(
     scene: &Scene,
     stream: &Stream,
@@ -83,7 +83,7 @@ pub(super) fn at(
     Ok(simulation)
 }
 
-/// Takes so many frames, and gives the last of them.
+/// Advances by `frames` frames and returns the last of them.
 fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, MpmError> {
     let mut last = None;
     for _ in 0..frames {
@@ -92,10 +92,10 @@ fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, Mp
     Ok(last)
 }
 
-/// Whether `scene` is what the first frame of a stream came from.
+/// Whether simulating `scene` gives the first frame of the stream.
 ///
 /// # Errors
-/// [`MpmError`] for a scene that cannot be simulated.
+/// [`MpmError`] when the scene cannot be simulated.
 pub fn is_scene_of(scene: &Scene, stream: &Stream) -> Result<bool, MpmError> {
     let mut simulation = simulation(scene, stream, 0)?;
     advance(&mut simulation, stream.first_sequence)?;
@@ -104,7 +104,7 @@ pub fn is_scene_of(scene: &Scene, stream: &Stream) -> Result<bool, MpmError> {
     }))
 }
 
-/// The scene's simulation, long enough for `reach` frames after the stream.
+/// The scene's simulation, long enough for `reach` frames after the end of the stream.
 fn simulation(scene: &Scene, stream: &Stream, reach: usize) -> Result<Simulation, MpmError> {
     let frames = stream.first_sequence as usize + stream.states.len() + reach + 1;
     let duration = frames as f64 * decimal(scene.frames.interval);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_belongs_to_its_scene_and_to_no_other() {
+    fn a_stream_belongs_to_its_own_scene_only() {
         let scene = |id| Scene::generate(Preset::Kinds, 5, id);
         let stream = stream(&scene(2), 1);
         assert!(is_scene_of(&scene(2), &stream).unwrap());
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_displaced_truth_starts_at_most_a_displacement_beside_the_truth() {
+    fn a_displaced_simulation_starts_within_a_displacement_of_the_truth() {
         let scene = Scene::generate(Preset::Kinds, 5, 2);
         let (stream, start) = (stream(&scene, 5), 3);
         let mut rollouts = Vec::new();
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_that_is_not_what_its_scene_comes_to_is_followed_up_to_there() {
+    fn rollouts_fail_from_the_first_frame_that_the_scene_does_not_reproduce() {
         let scene = Scene::generate(Preset::Kinds, 5, 2);
         let mut stream = stream(&scene, 6);
         stream.states[3].position[7][0] += 1e-3;

@@ -1,20 +1,20 @@
-//! What a predicted frame costs.
+//! Time per predicted frame.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Arena, EvalError, Kind, Predictor, chaos};
+use super::{Context, EvalError, Kind, Predictor, chaos};
 use crate::dataset::Stream;
 use eddy_frames::clock::Clock;
 use eddy_inference::engine::Surrogate;
 use eddy_mpm::Scene;
 
-/// Frames before the clock starts, and timed frames, of each stream.
+/// Warm-up frames and timed frames of each stream.
 const FRAMES: [usize; 2] = [3, 40];
-/// Where in a stream the clock starts: things have met by then.
+/// Share of a stream before the timed frames: bodies are in contact by then.
 const START: f64 = 0.15;
 
-/// The time of a predicted frame on one thread. How many substeps a solver takes depends on the material:
-/// kinds of scenes are timed apart, and count the same.
+/// Time per predicted frame on one thread. The substeps of a solver depend on the material, so kinds of scenes are
+/// timed separately and weighted equally.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Mean of the kinds' medians (ms).
@@ -23,14 +23,14 @@ pub struct Cost {
     pub p99: f64,
     /// Frames timed.
     pub frames: usize,
-    /// By the kind of the scene.
+    /// By kind of scene.
     pub kinds: Vec<KindCost>,
 }
 
-/// The time of a predicted frame in scenes of one kind.
+/// Time per predicted frame in scenes of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCost {
-    /// The kind.
+    /// Kind of scene.
     pub kind: Kind,
     /// Median (ms).
     pub p50: f64,
@@ -41,7 +41,7 @@ pub struct KindCost {
 }
 
 impl Cost {
-    /// The cost in all of these kinds; `None` where there are none.
+    /// The cost over these kinds; `None` without any.
     fn of(kinds: Vec<KindCost>) -> Option<Self> {
         let mean = |f: fn(&KindCost) -> f64| kinds.iter().map(f).sum::<f64>() / kinds.len() as f64;
         let (p50, p99) = (mean(|kind| kind.p50), mean(|kind| kind.p99));
@@ -51,7 +51,7 @@ impl Cost {
 }
 
 impl KindCost {
-    /// The cost by times (s); `None` where there are none.
+    /// The cost from times (s); `None` without any.
     fn of(kind: Kind, mut times: Vec<f64>) -> Option<Self> {
         times.sort_by(f64::total_cmp);
         let at = |share: usize| {
@@ -62,14 +62,13 @@ impl KindCost {
     }
 }
 
-/// Times a predictor on some streams, one frame after the other: as many of each. Models must have
-/// been loaded for one thread. `None` for what takes no time, the truth and the mean; kinds of scenes in which a solver
-/// fails have no time.
+/// Times a predictor frame by frame, the same number of frames on each stream. Models must have been loaded for one
+/// thread. `None` for the truth and the mean, which compute nothing; kinds in which a solver fails are left out.
 ///
 /// # Errors
-/// As [`judge_scene`](super::judge_scene).
+/// As [`evaluate_scene`](super::evaluate_scene).
 pub fn time(
-    arena: &Arena,
+    context: &Context,
     predictor: Predictor<'_>,
     streams: &[(Stream, Option<Scene>)],
 ) -> Result<Option<Cost>, EvalError> {
@@ -77,7 +76,7 @@ pub fn time(
     for kind in Kind::ALL {
         let mut times = Vec::new();
         for (stream, scene) in streams.iter().filter(|(s, _)| Kind::of(&s.material) == kind) {
-            add_times(arena, predictor, stream, scene.as_ref(), &mut times)?;
+            add_times(context, predictor, stream, scene.as_ref(), &mut times)?;
         }
         kinds.extend(KindCost::of(kind, times));
     }
@@ -86,7 +85,7 @@ pub fn time(
 
 /// Times a predictor on one stream (s).
 fn add_times(
-    arena: &Arena,
+    context: &Context,
     predictor: Predictor<'_>,
     stream: &Stream,
     scene: Option<&Scene>,
@@ -102,7 +101,7 @@ fn add_times(
         Predictor::Baseline(baseline) => {
             let mut state = observed.clone();
             run(times, || {
-                baseline.step(&mut state, &arena.ballistic);
+                baseline.step(&mut state, &context.ballistic);
                 true
             });
         }
@@ -121,7 +120,7 @@ fn add_times(
     Ok(())
 }
 
-/// Times steps until they fail.
+/// Times steps until one fails.
 fn run(times: &mut Vec<f64>, mut step: impl FnMut() -> bool) {
     for number in 0..FRAMES[0] + FRAMES[1] {
         let clock = Clock::start();
@@ -142,9 +141,9 @@ fn time_model(
     start: usize,
     times: &mut Vec<f64>,
 ) -> Result<(), EvalError> {
-    let of_model = |reason| EvalError::Model { stream: stream.id, reason };
+    let model_error = |reason| EvalError::Model { stream: stream.id, reason };
     let mut frame = stream.frame(start);
-    let mut memory = surrogate.start(&frame).map_err(of_model)?;
+    let mut memory = surrogate.start(&frame).map_err(model_error)?;
     let mut stepper = surrogate.stepper();
     let mut next = frame.clone();
     run(times, || {
@@ -160,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kinds_count_the_same_however_many_frames_were_timed() {
+    fn kinds_are_weighted_equally_whatever_their_number_of_frames() {
         let slow = KindCost::of(Kind::Jelly, vec![0.006, 0.002, 0.004]).unwrap();
         assert_eq!((slow.p50, slow.p99, slow.frames), (4.0, 6.0, 3));
         let fast = KindCost::of(Kind::Liquid, vec![0.001; 40]).unwrap();

@@ -1,4 +1,4 @@
-//! Squared errors, summed over windows, for each material and frame ahead.
+//! Squared errors summed over windows, by material and frame ahead.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,17 +6,17 @@ use super::FEATURES;
 use crate::dataset::State;
 use eddy_frames::Material;
 
-/// What normalised errors of x, y, vx, vy are divided by: two ways of the first checkpoint's training.
+/// Divisors of normalised errors of x, y, vx, vy, from the first checkpoint's training data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Units {
-    /// Range of each feature in the training, for MinMax errors.
+    /// Range of each feature, for MinMax errors.
     pub ranges: [f64; FEATURES],
-    /// Standard deviation of each feature in the training, for z-score errors.
+    /// Standard deviation of each feature, for z-score errors.
     pub deviations: [f64; FEATURES],
 }
 
 impl Units {
-    /// Nothing is divided.
+    /// No normalisation.
     pub const ONE: Self = Self { ranges: [1.0; FEATURES], deviations: [1.0; FEATURES] };
 }
 
@@ -29,9 +29,9 @@ pub struct Errors {
     pub position: f64,
     /// Sum of |v - v'|^2 (domain lengths squared per second squared).
     pub velocity: f64,
-    /// Sum over the four features of squared errors in units of each feature's range.
+    /// Sum over the four features of squared errors in units of the feature's range.
     pub minmax: f64,
-    /// Sum over the four features of squared errors in units of each feature's standard deviation.
+    /// Sum over the four features of squared errors in units of the feature's standard deviation.
     pub zscore: f64,
 }
 
@@ -56,7 +56,7 @@ impl Errors {
         self.zscore / (FEATURES as f64 * self.count)
     }
 
-    /// Adds the sums of others.
+    /// Adds other sums.
     pub fn add(&mut self, other: &Self) {
         self.count += other.count;
         self.position += other.position;
@@ -74,13 +74,12 @@ pub struct ErrorSums {
 }
 
 impl ErrorSums {
-    /// No errors yet, for `horizon` frames ahead.
+    /// Zero sums for `horizon` frames ahead.
     pub fn new(horizon: usize, units: Units) -> Self {
         Self { units, sums: vec![Default::default(); horizon] }
     }
 
-    /// Adds one window: predicted and true states, one for each frame ahead. Frames without truth add
-    /// nothing.
+    /// Adds one window: predicted and true states, one per frame ahead. Frames without truth add nothing.
     pub fn add(&mut self, material: &[Material], predicted: &[State], truth: &[State]) {
         for ((sums, predicted), truth) in self.sums.iter_mut().zip(predicted).zip(truth) {
             for (particle, &kind) in material.iter().enumerate() {
@@ -108,12 +107,12 @@ impl ErrorSums {
         }
     }
 
-    /// Errors of one material, one entry a frame ahead.
+    /// Errors of one material, one entry per frame ahead.
     pub fn of(&self, material: Material) -> Vec<Errors> {
         self.sums.iter().map(|sums| sums[material as usize]).collect()
     }
 
-    /// Errors over all materials, one entry a frame ahead.
+    /// Errors over all materials, one entry per frame ahead.
     pub fn total(&self) -> Vec<Errors> {
         let add = |mut total: Errors, errors: &Errors| {
             total.add(errors);

@@ -1,13 +1,13 @@
-//! A whole evaluation: checkpoints beside trivial predictors and solvers, all on the same frames, then the time of
-//! a frame, then the report.
+//! A whole evaluation: checkpoints, trivial predictors and solvers on the same frames, their time per frame, and the
+//! report.
 
 use std::{collections::BTreeMap, num::NonZeroUsize, path::PathBuf};
 
 use rayon::{ThreadPoolBuildError, prelude::*};
 
 use super::{
-    Baseline, Contestant, Cost, EvalError, Judged, JudgedScene, Kind, Origin, Predictor, Report,
-    Role, Settings, Snapshot, chaos, cost, judge_scene,
+    Baseline, Cost, EvalError, EvaluationResults, Kind, Origin, Predictor, PredictorInfo, Report,
+    Role, SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
     references::{Reference, References},
     selection::Selection,
     snapshot::snapshot,
@@ -23,35 +23,35 @@ use eddy_inference::{
 };
 use eddy_mpm::Scene;
 
-/// The most models whose rollouts are shown as pictures.
+/// Maximum number of models whose rollouts are shown as pictures.
 const PICTURED_MODELS: usize = 4;
-/// The most threads.
-const MOST_THREADS: usize = 1024;
+/// Maximum number of threads.
+const MAX_THREADS: usize = 1024;
 
-/// What to evaluate, and on what.
+/// The checkpoints to evaluate, the data and the settings.
 #[derive(Clone, Debug)]
 pub struct EvaluationRequest {
-    /// Checkpoints, each with the path that names it.
+    /// Checkpoints with their paths.
     pub checkpoints: Vec<(String, Checkpoint)>,
-    /// Streams; those that a checkpoint has learned from are left out.
+    /// Streams; those that a checkpoint was trained on are excluded.
     pub streams: Vec<Trajectory>,
     /// Horizon, starts and measures.
     pub settings: Settings,
     /// Solvers that predict from the same frames.
     pub references: Vec<Reference>,
-    /// Whether each checkpoint is also evaluated on streams joined in the middle.
+    /// Whether each checkpoint is also evaluated on streams that it joins in the middle.
     pub join_late: bool,
-    /// Streams that are evaluated at a time; as many as there are cores if not given.
+    /// Streams evaluated in parallel; by default one per core.
     pub threads: Option<NonZeroUsize>,
 }
 
 /// Why checkpoints cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluationError {
-    /// The request cannot be met.
+    /// A number of the request is out of range.
     #[error("{field}: found {found}, expected {expected}")]
     Request {
-        /// The field of [`EvaluationRequest`].
+        /// Field of [`EvaluationRequest`].
         field: &'static str,
         /// Its value.
         found: usize,
@@ -61,7 +61,7 @@ pub enum EvaluationError {
     /// The threads cannot be started.
     #[error("threads: {0}")]
     Threads(#[from] ThreadPoolBuildError),
-    /// A checkpoint is no model that can predict.
+    /// A checkpoint cannot be loaded as a model.
     #[error("{checkpoint}: {reason}")]
     Checkpoint {
         /// Its path.
@@ -83,8 +83,8 @@ pub enum EvaluationError {
     },
     /// Every stream was used to train a checkpoint.
     #[error(
-        "data: found {found} streams that a checkpoint was trained on, all in its training or validation part, \
-         expected some that it has not seen"
+        "data: all {found} streams were used to train a checkpoint (training or validation part); \
+         evaluate on other data"
     )]
     Seen {
         /// How many streams there are.
@@ -101,13 +101,13 @@ pub enum EvaluationError {
         /// Why.
         reason: Box<Self>,
     },
-    /// A bag cannot be read again.
+    /// A bag cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     /// The manifest beside a bag cannot be read.
     #[error(transparent)]
     Manifest(#[from] SimulateError),
-    /// It was cancelled.
+    /// The evaluation was cancelled.
     #[error("interrupted")]
     Cancelled,
 }
@@ -119,14 +119,14 @@ impl EvaluationError {
 }
 
 impl EvaluationRequest {
-    /// Checks the numbers.
+    /// Checks the ranges of the numbers.
     fn check(&self) -> Result<(), EvaluationError> {
         let Settings { horizon, starts, .. } = self.settings;
         let threads = self.threads.map_or(1, NonZeroUsize::get);
         for (field, found, range, expected) in [
             ("horizon", horizon, 1..=usize::MAX, "at least 1 frame"),
-            ("starts", starts, 1..=usize::MAX, "at least 1 a stream"),
-            ("threads", threads, 1..=MOST_THREADS, "1 to 1024"),
+            ("starts", starts, 1..=usize::MAX, "at least 1 per stream"),
+            ("threads", threads, 1..=MAX_THREADS, "1 to 1024"),
         ] {
             if !range.contains(&found) {
                 return Err(EvaluationError::request(field, found, expected));
@@ -136,13 +136,13 @@ impl EvaluationRequest {
     }
 }
 
-/// An evaluation that can be run: everything is loaded and fits together.
+/// An evaluation that is ready to run: everything is loaded and compatible.
 pub struct Evaluation {
     selection: Selection,
     references: References,
-    /// Names of the checkpoints.
+    /// Paths of the checkpoints.
     names: Vec<String>,
-    /// The checkpoints' models, for one thread each: a set of them for every thread.
+    /// The models, `[thread][checkpoint]`, each loaded for a single thread.
     models: Vec<Vec<Surrogate>>,
     join_late: bool,
     remarks: Vec<String>,
@@ -150,12 +150,11 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Loads all models, and refuses streams that a checkpoint cannot predict before the first
-    /// prediction.
+    /// Loads all models and checks that they can predict all streams.
     ///
     /// # Errors
-    /// [`EvaluationError`] when a number is out of its range, a checkpoint cannot predict a stream, or no
-    /// stream is left that all checkpoints have not seen.
+    /// [`EvaluationError`] when a number is out of range, a checkpoint cannot predict a stream, or every stream was
+    /// used to train a checkpoint.
     pub fn new(
         request: EvaluationRequest,
         progress: &dyn Progress,
@@ -165,7 +164,7 @@ impl Evaluation {
             request;
         let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
         let selection = Selection::new(settings, &descriptions, streams)?;
-        // Zero stands for as many as there are cores.
+        // Zero means one per core.
         let threads = threads.map_or(0, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
@@ -203,53 +202,51 @@ impl Evaluation {
         Ok(Self { selection, references, names, models, join_late, remarks, pool })
     }
 
-    /// What has to be said before it runs, one sentence each: streams that are left out, models that were made
-    /// for something else.
+    /// Remarks for the user, one sentence each: excluded streams, models trained for a different setup.
     pub fn remarks(&self) -> &[String] {
         &self.remarks
     }
 
-    /// Evaluates and times all predictors. The report does not depend on the number of threads, but for times.
+    /// Evaluates and times all predictors. Apart from times, the report does not depend on the number of threads.
     ///
     /// # Errors
-    /// [`EvaluationError`] when a bag cannot be read again, a scene cannot be simulated again, or it was
-    /// cancelled.
+    /// [`EvaluationError`] when a bag cannot be read, a scene cannot be simulated, or the evaluation was cancelled.
     pub fn run(&self, progress: &dyn Progress) -> Result<Report, EvaluationError> {
-        let Selection { streams, arena, digest, .. } = &self.selection;
+        let Selection { streams, context, digest, .. } = &self.selection;
         progress.begin(streams.len() as u64, "scenes");
-        let judge = |(stream, scene): (&Trajectory, &Option<Scene>)| {
+        let evaluate = |(stream, scene): (&Trajectory, &Option<Scene>)| {
             if progress.cancelled() {
                 return Err(EvaluationError::Cancelled);
             }
             let models = &self.models[rayon::current_thread_index().unwrap_or(0)];
             let whole = stream.cut(0..stream.frames)?;
             let predictors = self.predictors(models);
-            let judged =
-                judge_scene(arena, &predictors, &whole, scene.as_ref()).map_err(|error| {
+            let result =
+                evaluate_scene(context, &predictors, &whole, scene.as_ref()).map_err(|error| {
                     let reason = Box::new(EvaluationError::from(error));
                     EvaluationError::Scene { bag: stream.source.clone(), reason }
                 })?;
             progress.advance(1);
-            Ok(judged)
+            Ok(result)
         };
         let pairs: Vec<_> = streams.iter().zip(&self.references.scenes).collect();
         let scenes: Result<Vec<_>, EvaluationError> =
-            self.pool.install(|| pairs.into_par_iter().map(judge).collect());
+            self.pool.install(|| pairs.into_par_iter().map(evaluate).collect());
         progress.finish();
         let scenes = scenes?;
         let samples = self.samples()?;
         let timed = self.predictors(&self.models[0]).into_iter();
-        let costs = timed.map(|predictor| cost::time(arena, predictor, &samples));
+        let costs = timed.map(|predictor| cost::time(context, predictor, &samples));
         let costs = costs.collect::<Result<_, _>>()?;
         let snapshots = self.snapshots(&samples)?;
         Ok(self.report(scenes, costs, snapshots, digest.clone()))
     }
 
-    /// One stream of each kind, to take the time on: the first that has a rollout.
+    /// One stream of each kind for timing and pictures: the first that has room for a rollout.
     fn samples(&self) -> Result<Vec<(Stream, Option<Scene>)>, EvaluationError> {
         let all = || self.selection.streams.iter().zip(&self.references.scenes);
         let has_rollouts =
-            |stream: &Trajectory| !self.selection.arena.starts(stream.frames).is_empty();
+            |stream: &Trajectory| !self.selection.context.starts(stream.frames).is_empty();
         let first = |kind: Kind| {
             all().find(|(stream, _)| Kind::of(&stream.material) == kind && has_rollouts(stream))
         };
@@ -259,7 +256,7 @@ impl Evaluation {
         Kind::ALL.into_iter().filter_map(first).map(cut).collect()
     }
 
-    /// Rollouts to look at: of a few models and the first solver.
+    /// Snapshots of a few models and the first solver, with the indices of these predictors.
     fn snapshots(
         &self,
         samples: &[(Stream, Option<Scene>)],
@@ -273,15 +270,15 @@ impl Evaluation {
         let chosen: Vec<usize> =
             models.chain(numbers(|p| matches!(p, Predictor::Restart(_)), 1)).collect();
         let predictors: Vec<_> = chosen.iter().map(|&number| all[number]).collect();
-        let arena = &self.selection.arena;
+        let context = &self.selection.context;
         let take = |(stream, scene): &(Stream, Option<Scene>)| {
-            snapshot(arena, &predictors, stream, scene.as_ref()).transpose()
+            snapshot(context, &predictors, stream, scene.as_ref()).transpose()
         };
         let snapshots = samples.iter().filter_map(take).collect::<Result<_, _>>()?;
         Ok((chosen, snapshots))
     }
 
-    /// All predictors, with the models of one thread.
+    /// All predictors, given the models of one thread.
     fn predictors<'a>(&self, models: &'a [Surrogate]) -> Vec<Predictor<'a>> {
         let late = models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
         let references = self.references.predictors.iter().copied();
@@ -292,7 +289,7 @@ impl Evaluation {
 
     fn report(
         &self,
-        scenes: Vec<JudgedScene>,
+        scenes: Vec<SceneResult>,
         costs: Vec<Option<Cost>>,
         snapshots: (Vec<usize>, Vec<Snapshot>),
         data_digest: String,
@@ -300,27 +297,28 @@ impl Evaluation {
         let short = short_names(&self.names);
         let mut models = 0;
         let predictors = self.predictors(&self.models[0]);
-        let contestants = predictors.iter().map(|predictor| {
-            // Models come in the order of the checkpoints, once or twice.
+        let infos = predictors.iter().map(|predictor| {
+            // Models follow the order of the checkpoints, once or twice.
             let number = models % self.names.len();
             if matches!(predictor, Predictor::Model(_) | Predictor::JoinedLate(_)) {
                 models += 1;
             }
-            contestant(predictor, &short[number], &self.names[number])
+            info(predictor, &short[number], &self.names[number])
         });
-        let contestants = contestants.collect();
+        let infos = infos.collect();
         let notes = self.references.notes.clone();
         let made = Provenance::here();
-        let judged = Judged { contestants, scenes, costs, data_digest, snapshots, notes, made };
-        Report::new(&self.selection.arena, judged)
+        let results =
+            EvaluationResults { infos, scenes, costs, data_digest, snapshots, notes, made };
+        Report::new(&self.selection.context, results)
     }
 }
 
-/// Evaluates a single model beside trivial predictors, on one stream after the other, with all the threads that it
-/// has. Nothing is timed.
+/// Evaluates a single model and the trivial predictors, stream by stream, with all threads of the model. Measures no
+/// times.
 ///
 /// # Errors
-/// [`EvaluationError`] when no stream is left that it has not seen, or a bag cannot be read again.
+/// [`EvaluationError`] when the model was trained on every stream, or a bag cannot be read.
 pub fn evaluate_model(
     surrogate: &Surrogate,
     name: &str,
@@ -328,28 +326,28 @@ pub fn evaluate_model(
     settings: Settings,
     progress: &dyn Progress,
 ) -> Result<Report, EvaluationError> {
-    let Selection { streams, arena, digest, remarks } =
+    let Selection { streams, context, digest, remarks } =
         Selection::new(settings, &[surrogate.description()], streams)?;
     remarks.iter().for_each(|remark| progress.message(remark));
     let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
     let predictors: Vec<_> =
         std::iter::once(Predictor::Model(surrogate)).chain(baselines).collect();
     progress.begin(streams.len() as u64, "scenes");
-    let judge = |stream: &Trajectory| -> Result<JudgedScene, EvaluationError> {
-        let judged = judge_scene(&arena, &predictors, &stream.cut(0..stream.frames)?, None)?;
+    let evaluate = |stream: &Trajectory| -> Result<SceneResult, EvaluationError> {
+        let result = evaluate_scene(&context, &predictors, &stream.cut(0..stream.frames)?, None)?;
         progress.advance(1);
-        Ok(judged)
+        Ok(result)
     };
-    let scenes: Result<Vec<_>, EvaluationError> = streams.iter().map(judge).collect();
+    let scenes: Result<Vec<_>, EvaluationError> = streams.iter().map(evaluate).collect();
     progress.finish();
-    let contestants: Vec<_> = predictors.iter().map(|p| contestant(p, name, name)).collect();
-    let costs = vec![None; contestants.len()];
+    let infos: Vec<_> = predictors.iter().map(|p| info(p, name, name)).collect();
+    let costs = vec![None; infos.len()];
     let snapshots = match streams.first() {
-        Some(stream) => snapshot(&arena, &predictors[..1], &stream.cut(0..stream.frames)?, None)?,
+        Some(stream) => snapshot(&context, &predictors[..1], &stream.cut(0..stream.frames)?, None)?,
         None => None,
     };
-    let judged = Judged {
-        contestants,
+    let results = EvaluationResults {
+        infos,
         scenes: scenes?,
         costs,
         data_digest: digest,
@@ -357,11 +355,11 @@ pub fn evaluate_model(
         notes: Vec::new(),
         made: Provenance::here(),
     };
-    Ok(Report::new(&arena, judged))
+    Ok(Report::new(&context, results))
 }
 
-/// The report entry of a predictor; a model has a short name and a path.
-fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant {
+/// Name and origin of a predictor; `short` and `path` name the checkpoint of a model.
+fn info(predictor: &Predictor<'_>, short: &str, path: &str) -> PredictorInfo {
     let origin = |surrogate: &Surrogate| Origin {
         checkpoint: path.to_owned(),
         digest: surrogate.digest().to_owned(),
@@ -374,14 +372,14 @@ fn contestant(predictor: &Predictor<'_>, short: &str, path: &str) -> Contestant 
         }
         Predictor::Baseline(baseline) => (baseline.name().to_owned(), Role::Baseline, None),
         Predictor::Mean => ("mean of the training".to_owned(), Role::Mean, None),
-        Predictor::Restart(restart) => (restart.name().to_owned(), Role::Rival, None),
+        Predictor::Restart(restart) => (restart.name().to_owned(), Role::Solver, None),
         Predictor::Chaos => (chaos::NAME.to_owned(), Role::Chaos, None),
         Predictor::Truth => ("truth".to_owned(), Role::Truth, None),
     };
-    Contestant { name, role, origin }
+    PredictorInfo { name, role, origin }
 }
 
-/// The last parts of paths, where they differ; else whole paths.
+/// The last components of paths if they are distinct, else the whole paths.
 pub fn short_names(paths: &[String]) -> Vec<String> {
     let last = |path: &String| {
         let name = std::path::Path::new(path).file_name();
@@ -443,7 +441,7 @@ mod tests {
         Evaluation::new(request, &Silent)?.run(&Silent)
     }
 
-    /// Everything but when and how fast it was made.
+    /// The report without date and times.
     fn content(mut report: Report) -> serde_json::Value {
         report.made = Provenance::default();
         let mut value = serde_json::to_value(report).unwrap();
@@ -466,7 +464,7 @@ mod tests {
         assert_eq!((&one["streams"], &one["windows"]), (&2.into(), &4.into()));
         assert_eq!(one["predictors"][0]["name"], "shipped");
         assert!(one == on(2));
-        // Nor do errors depend on the solvers that predict beside the model.
+        // Reference solvers do not change the model's errors.
         let references = vec![Reference::Restart, Reference::Chaos];
         let with = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
         let names: Vec<_> = with.predictors.iter().map(|entry| entry.name.clone()).collect();
@@ -475,13 +473,13 @@ mod tests {
     }
 
     #[test]
-    fn streams_that_a_checkpoint_has_learned_from_are_left_out_and_that_is_said() {
+    fn streams_that_a_checkpoint_was_trained_on_are_excluded_with_a_remark() {
         let (_folder, streams) = truth();
         let mut seen = request(&streams);
         let known = &mut seen.checkpoints[0].1.description.training.seen;
         known.push(streams[0].fingerprint().unwrap());
         let evaluation = Evaluation::new(seen.clone(), &Silent).unwrap();
-        let remark = "a checkpoint was trained on 1 of the 2 streams: they are left out";
+        let remark = "a checkpoint was trained on 1 of the 2 streams: they are excluded";
         assert!(evaluation.remarks().iter().any(|said| said == remark));
         assert_eq!(evaluation.run(&Silent).unwrap().streams, 1);
         seen.checkpoints[0].1.description.training.seen.push(streams[1].fingerprint().unwrap());
@@ -490,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_together_is_named() {
+    fn incompatible_requests_are_rejected_by_name() {
         let (_folder, streams) = truth();
         let usual = || request(&streams);
         let mut slower = usual();
@@ -502,7 +500,7 @@ mod tests {
             ),
             (
                 EvaluationRequest { settings: Settings::errors_only(1, 0), ..usual() },
-                "starts: found 0, expected at least 1 a stream",
+                "starts: found 0, expected at least 1 per stream",
             ),
             (
                 EvaluationRequest { threads: NonZeroUsize::new(1025), ..usual() },
@@ -529,8 +527,8 @@ mod tests {
         std::fs::remove_file(folder.path().join("manifest.json")).unwrap();
         let references = vec![Reference::Restart];
         let report = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
-        assert!(report.notes[0].starts_with("no rivals: "), "{:?}", report.notes);
-        assert!(report.predictors.iter().all(|entry| entry.role != Role::Rival));
+        assert!(report.notes[0].starts_with("no reference solvers: "), "{:?}", report.notes);
+        assert!(report.predictors.iter().all(|entry| entry.role != Role::Solver));
     }
 
     #[test]

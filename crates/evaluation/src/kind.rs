@@ -1,4 +1,4 @@
-//! What a scene is made of, the heading under which it is judged.
+//! Kinds of scenes by material: results are grouped by them.
 
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +37,7 @@ impl Kind {
         }
     }
 
-    /// The word in reports.
+    /// Its name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Liquid => "liquid",
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_is_of_its_one_material_or_mixed() {
+    fn a_scene_is_of_its_only_material_or_mixed() {
         for (material, kind) in Material::ALL.into_iter().zip(Kind::ALL) {
             assert_eq!(Kind::of(&[material; 3]), kind);
             assert_eq!(kind.name(), material.name());

@@ -1,32 +1,34 @@
-//! Judges predictions by free rollouts.
+//! Evaluation of predictors by free rollouts.
 //!
-//! 1. [`window`]: from which frames of a stream rollouts start.
-//! 2. [`predictor`]: whatever predicts: models ([`rollout`]: fed with their own output, they see
-//!    observed frames only), trivial [`baseline`]s, the solver [`restart`]ed from the same observation,
-//!    the truth from positions that are slightly off ([`chaos`]).
-//! 3. [`errors`]: squared errors summed over windows, for each material and frame ahead; [`steps`]: the
-//!    same for predictions of the next frame only.
-//! 4. [`measure`]: what physics asks for: mass, energy, momentum, area, stretch, no blow-up.
-//! 5. [`scene`]: one scene judged, every predictor from the same frames; [`kind`]: its heading.
-//! 6. [`skill`]: errors against the best baseline; [`bootstrap`]: intervals over scenes.
-//! 7. [`cost`]: time of a predicted frame.
-//! 8. [`snapshot`]: frames of a rollout beside the true ones, to look at.
-//! 9. [`report`]: all of it as JSON, CSV, tables and a page; several reports side by side.
-//! 10. [`evaluation`]: a request from its checkpoints and streams to the report; [`selection`]: the streams that no
-//!     checkpoint has seen; [`references`]: solvers that predict from the same frames.
+//! 1. [`context`]: settings, baselines' walls and error units, the same for all predictors; [`window`]: the frames
+//!    of a stream from which rollouts start.
+//! 2. [`predictor`]: everything that predicts: models ([`model_rollout`]: they see observed frames, then their
+//!    own output), trivial [`baseline`]s, the solver [`restart`]ed from the same observation, and the truth from
+//!    slightly displaced positions ([`chaos`]). [`task`] is what they predict, [`rollout`] the result.
+//! 3. [`errors`]: squared errors summed over windows, by material and frame ahead; [`steps`]: the
+//!    same for one-step predictions.
+//! 4. [`measure`]: physical consistency: mass, energy, momentum, area, stretch, blow-ups.
+//! 5. [`scene`]: all predictors on one scene, from the same frames; [`kind`]: the kind of a scene.
+//! 6. [`skill`]: errors relative to the best baseline; [`bootstrap`]: confidence intervals over scenes.
+//! 7. [`cost`]: time per predicted frame.
+//! 8. [`snapshot`]: frames of a rollout beside the true ones, for pictures.
+//! 9. [`report`]: results as JSON, CSV, tables and a page; comparison of several reports.
+//! 10. [`evaluation`]: from a request (checkpoints, streams) to the report; [`selection`]: the streams that no
+//!     checkpoint was trained on; [`references`]: solvers that predict from the same frames.
 //!
-//! Scenes are judged one at a time, so that no more than one is in memory for each thread.
+//! A thread evaluates one scene at a time, so at most one scene per thread is in memory.
 
-mod arena;
 mod baseline;
 pub mod bootstrap;
 pub mod chaos;
+mod context;
 mod cost;
 pub mod dataset;
 mod errors;
 mod evaluation;
 mod kind;
 mod measure;
+mod model_rollout;
 mod numbers;
 pub mod page;
 pub mod picture;
@@ -40,71 +42,71 @@ mod selection;
 mod skill;
 mod snapshot;
 mod steps;
+mod task;
 mod window;
 
-pub use arena::{Arena, Settings};
 pub use baseline::Baseline;
+pub use context::{Context, Settings};
 pub use cost::{Cost, KindCost, time};
 pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};
 pub use kind::Kind;
-pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN};
+pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN_FRAMES};
 pub use predictor::Predictor;
 pub use references::Reference;
 pub use report::{
-    Comparison, Contestant, Entry, Judged, KindCount, Origin, Report, ReportError, Role,
-    SCENE_FRAMES,
+    Comparison, Entry, EvaluationResults, KindCount, Origin, PredictorInfo, Report, ReportError,
+    Role, SCENE_FRAMES,
 };
 pub use restart::{Restart, Restarted};
 pub use rollout::Rollout;
-pub use scene::{JudgedScene, Tally, judge_scene};
+pub use scene::{Accumulator, SceneResult, evaluate_scene};
 pub use skill::{Interval, Skills};
 pub use snapshot::{Snapshot, snapshot};
-pub use steps::{OnTheWay, StepSums};
+pub use steps::{StepResults, StepSums};
 pub use window::starts;
 
 use eddy_inference::engine::ModelError;
 use eddy_mpm::MpmError;
 
-/// Features that normalised errors are taken of: x, y, vx, vy.
+/// Features of normalised errors: x, y, vx, vy.
 const FEATURES: usize = 4;
 
-/// Why streams cannot be judged.
+/// Why streams cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "each variant's message shows its fields")]
 pub enum EvalError {
-    /// The model cannot take the particles.
+    /// The model does not support the particles.
     #[error("stream {stream}: {reason}")]
     Model {
-        /// The stream.
+        /// Stream id.
         stream: u64,
-        /// What the model says.
         reason: ModelError,
     },
-    /// The solver cannot simulate the scene again.
-    #[error("stream {stream}: simulating it again: {reason}")]
-    Rival {
-        /// The stream.
+    /// The solver cannot reproduce the scene.
+    #[error("stream {stream}: cannot simulate the scene again: {reason}")]
+    Solver {
+        /// Stream id.
         stream: u64,
-        /// What the solver says.
         reason: MpmError,
     },
-    /// The scene of a stream does not come to what was recorded.
+    /// Simulating the scene of a stream again does not reproduce the recorded frames.
     #[error(
-        "stream {stream}: frame {frame}: found another state than the recorded one when simulating it again, expected the same"
+        "stream {stream}: frame {frame}: simulating the scene again gives a different state than the recorded one"
     )]
     OtherTruth {
-        /// The stream.
+        /// Stream id.
         stream: u64,
         /// The frame, counted from the first of the stream.
         frame: usize,
     },
-    /// It is not known what a stream was simulated from.
-    #[error("stream {stream}: found no scene, expected what it was simulated from")]
+    /// The scene that a stream was simulated from is unknown.
+    #[error("stream {stream}: no scene found to simulate it from")]
     NoScene {
-        /// The stream.
+        /// Stream id.
         stream: u64,
     },
-    /// No stream is long enough.
+    /// Every stream is too short.
     #[error(
         "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict"
     )]
@@ -120,7 +122,7 @@ pub enum EvalError {
     },
 }
 
-/// The example of the README, which a test runs.
+/// Compiles and runs the example of the README.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

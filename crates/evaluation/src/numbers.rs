@@ -1,4 +1,4 @@
-//! Numbers as `serde_json` writes them: what is no number is `null`.
+//! NaN and infinity in JSON: `serde_json` writes them as `null`, and they are read as NaN.
 
 use serde::{Deserialize, Deserializer};
 

@@ -1,5 +1,5 @@
-//! Solvers that predict beside models, and what they need: the scenes that streams were simulated from, by the
-//! manifests beside their bags.
+//! Reference solvers, and the scenes that they need: those the streams were simulated from, read from the manifests
+//! beside the bags.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -12,53 +12,54 @@ use super::{EvalError, EvaluationError, Predictor, Restart, chaos};
 use crate::dataset::{Trajectory, simulate::recorded_scenes};
 use eddy_mpm::Scene;
 
-/// A solver that predicts beside models and trivial predictors, from the same frames.
+/// A solver that predicts from the same frames as the models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     /// The solver restarted from positions and velocities, with each of [`Restart::ALL`].
     Restart,
-    /// The truth from positions that are slightly off: [`chaos`].
+    /// The true simulation from slightly displaced positions, see [`chaos`].
     Chaos,
 }
 
-/// The solvers that predict, of those asked for, with what they need.
+/// The requested solvers that can run, with their scenes.
 pub(super) struct References {
-    /// For each stream the scene it was simulated from; `None` where no solver needs it.
+    /// The scene of each stream; `None` when no solver needs it.
     pub(super) scenes: Vec<Option<Scene>>,
-    /// The solvers.
+    /// The solvers that can run.
     pub(super) predictors: Vec<Predictor<'static>>,
-    /// Why others do not predict.
+    /// Why the others cannot.
     pub(super) notes: Vec<String>,
 }
 
 impl References {
-    /// Finds the scene of every stream. If one has none, no solver predicts: all are evaluated on the
-    /// same frames. A restart that has no grid in one of the scenes is left out.
+    /// Finds the scene of every stream. If one is missing, no solver runs, since all predictors are evaluated on the
+    /// same frames. A restart without a grid in one of the scenes is excluded.
     pub(super) fn new(
-        asked: &[Reference],
+        requested: &[Reference],
         streams: &[Trajectory],
     ) -> Result<Self, EvaluationError> {
         let none =
             |notes| Self { scenes: vec![None; streams.len()], predictors: Vec::new(), notes };
-        if asked.is_empty() {
+        if requested.is_empty() {
             return Ok(none(Vec::new()));
         }
         let scenes = match scenes(streams)? {
             Ok(scenes) => scenes,
-            Err(reason) => return Ok(none(vec![format!("no rivals: {reason}")])),
+            Err(reason) => return Ok(none(vec![format!("no reference solvers: {reason}")])),
         };
         let (mut predictors, mut notes) = (Vec::new(), Vec::new());
-        for restart in Restart::ALL.into_iter().filter(|_| asked.contains(&Reference::Restart)) {
-            let hindrance = |(stream, scene): (&Trajectory, &Scene)| {
+        for restart in Restart::ALL.into_iter().filter(|_| requested.contains(&Reference::Restart))
+        {
+            let obstacle = |(stream, scene): (&Trajectory, &Scene)| {
                 let reason = restart.grid(scene).err()?;
                 Some(format!("no {}: {}: {reason}", restart.name(), stream.source.display()))
             };
-            match streams.iter().zip(&scenes).find_map(hindrance) {
+            match streams.iter().zip(&scenes).find_map(obstacle) {
                 Some(note) => notes.push(note),
                 None => predictors.push(Predictor::Restart(restart)),
             }
         }
-        if asked.contains(&Reference::Chaos) {
+        if requested.contains(&Reference::Chaos) {
             predictors.push(Predictor::Chaos);
         }
         let scenes = scenes.into_iter().map(Some).collect();
@@ -80,21 +81,20 @@ fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, Evaluati
         let Some(scene) = scene else {
             let (id, bag) = (stream.id, stream.source.display());
             return Ok(Err(format!(
-                "{bag}: stream {id}: found no manifest.json beside the bag that has its scene, expected \
-                 that of `eddy simulate`"
+                "{bag}: stream {id}: no manifest.json of `eddy simulate` with its scene beside the bag"
             )));
         };
         if !(scene.emitters.is_empty() && scene.drains.is_empty()) {
             let bag = stream.source.display();
             return Ok(Err(format!(
-                "{bag}: found emitters or drains in its scene, expected particles that stay"
+                "{bag}: its scene has emitters or drains; reference solvers need a fixed set of particles"
             )));
         }
         scenes.push(scene.clone());
     }
     let differs = |(stream, scene): (&Trajectory, &Scene)| {
         let same = || -> Result<bool, EvaluationError> {
-            let invalid = |reason| EvalError::Rival { stream: stream.id, reason };
+            let invalid = |reason| EvalError::Solver { stream: stream.id, reason };
             Ok(chaos::is_scene_of(scene, &stream.cut(0..1)?).map_err(invalid)?)
         };
         match same() {
@@ -108,7 +108,7 @@ fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, Evaluati
         None => Ok(Ok(scenes)),
         Some(Err(error)) => Err(error),
         Some(Ok(bag)) => Ok(Err(format!(
-            "{bag}: found another first frame than its scene in manifest.json gives, expected the same"
+            "{bag}: the first frame differs from the one that its scene in manifest.json gives"
         ))),
     }
 }

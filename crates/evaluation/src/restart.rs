@@ -1,4 +1,4 @@
-//! The rival that knows the law: the solver of the truth, restarted from what a model observes.
+//! Reference solver: the solver that produced the truth, restarted from the frame that a model observes.
 
 use super::{
     Rollout,
@@ -12,7 +12,7 @@ use eddy_mpm::{GridShape, MpmError, Particle, Scene, Solver, SolverSettings, min
 /// without affine velocity (C = 0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restart {
-    /// The substeps and the grid of the truth.
+    /// Substeps and grid of the truth.
     Full,
     /// Half as many substeps, which may be too few to be stable.
     HalfStep,
@@ -24,12 +24,12 @@ pub enum Restart {
 pub struct Restarted {
     solver: Solver,
     substeps: u32,
-    /// What coordinates are larger by in the solver than in frames (domain lengths).
+    /// Offset from coordinates of frames to those of the solver (domain lengths).
     shift: f32,
 }
 
 impl Restart {
-    /// Every one.
+    /// All variants.
     pub const ALL: [Self; 3] = [Self::Full, Self::HalfStep, Self::HalfGrid];
 
     /// Its name in reports.
@@ -41,10 +41,10 @@ impl Restart {
         }
     }
 
-    /// Its grid in `scene`, and what coordinates are larger by in it than in frames (domain lengths).
+    /// Its grid in `scene`, and the offset from coordinates of frames to those of the grid (domain lengths).
     ///
     /// # Errors
-    /// [`MpmError`] for a scene that has no grid, or none that can be halved.
+    /// [`MpmError`] when the scene has no grid, or one that cannot be halved.
     pub fn grid(self, scene: &Scene) -> Result<(GridShape, f32), MpmError> {
         let fine = scene.grid()?;
         match self {
@@ -52,7 +52,7 @@ impl Restart {
             Self::HalfGrid => fine.coarsened().ok_or_else(|| MpmError::Field {
                 field: "domain".into(),
                 found: format!("{:?} cells", fine.cells),
-                expected: "even numbers of cells, for a grid of half as many".into(),
+                expected: "even numbers of cells, to halve the grid".into(),
             }),
         }
     }
@@ -60,7 +60,7 @@ impl Restart {
     /// The solver at a state of `scene`, on one thread.
     ///
     /// # Errors
-    /// As [`Restart::grid`]; [`MpmError::Diverged`] for a particle outside.
+    /// As [`Restart::grid`]; [`MpmError::Diverged`] when a particle lies outside the grid.
     pub fn begin(
         self,
         scene: &Scene,
@@ -99,11 +99,10 @@ impl Restart {
         Ok(Restarted { solver, substeps, shift })
     }
 
-    /// `reach` frames from each of the frames `starts` of a stream.
+    /// Predicts `reach` frames from each of the frames `starts` of a stream.
     ///
     /// # Errors
-    /// The first of [`Restart::begin`]. Every start has its rollout even so, those without a solver a lost
-    /// one.
+    /// The first error of [`Restart::begin`]. Starts without a solver get failed rollouts.
     pub fn roll_out(
         self,
         scene: &Scene,
@@ -112,22 +111,22 @@ impl Restart {
         reach: usize,
         each: &mut dyn FnMut(usize, Rollout),
     ) -> Result<(), MpmError> {
-        let mut done = Ok(());
+        let mut outcome = Ok(());
         for (number, &start) in starts.iter().enumerate() {
             let observed = &stream.states[start];
             let rollout = match self.begin(scene, stream, observed) {
                 Ok(mut restarted) => Rollout::collect(observed, reach, || restarted.next_state()),
                 Err(reason) => {
-                    done = done.and(Err(reason));
+                    outcome = outcome.and(Err(reason));
                     Rollout::lost(observed, reach)
                 }
             };
             each(number, rollout);
         }
-        done
+        outcome
     }
 
-    /// What a frame of it does to bodies in free flight. Where it fails, that is no number.
+    /// Errors of one-step predictions of bodies in free flight; NaN where the solver fails.
     pub(super) fn fly(self, scene: &Scene, stream: &Stream, flights: &Flights) -> FlightSums {
         let mut sums = FlightSums::default();
         let lost = || vec![[f32::NAN; 2]; stream.material.len()];
@@ -142,7 +141,7 @@ impl Restart {
 }
 
 impl Restarted {
-    /// The state one frame on; `None` when a particle got lost.
+    /// The state one frame later; `None` when a particle left the grid.
     pub fn next_state(&mut self) -> Option<State> {
         self.solver.run(self.substeps).ok()?;
         let particles = self.solver.particles();
@@ -160,7 +159,7 @@ mod tests {
     use eddy_frames::{Domain, Stamp};
     use eddy_mpm::Preset;
 
-    /// A scene's particles where they begin.
+    /// A scene's initial particles.
     fn at_rest(scene: &Scene) -> State {
         let position: Vec<_> = scene.particles().unwrap().iter().map(|p| p.position).collect();
         State { velocity: vec![[0.0; 2]; position.len()], position }
@@ -180,8 +179,8 @@ mod tests {
     }
 
     #[test]
-    fn every_restart_falls_as_it_should_from_where_it_was_seen() {
-        // Bodies of jelly at their starts, which touch nothing yet.
+    fn every_restart_falls_freely_from_the_observed_state() {
+        // Bodies of jelly that are not in contact yet.
         let scene = Scene::generate(Preset::Kinds, 1, 2);
         let stream = stream(&scene, vec![at_rest(&scene)]);
         let dt = scene.frames.interval;
@@ -199,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn where_it_cannot_begin_it_has_lost_its_rollout_and_goes_on() {
+    fn a_start_without_a_solver_has_a_failed_rollout_and_the_next_one_is_computed() {
         let scene = Scene::generate(Preset::Kinds, 1, 2);
         let whole = at_rest(&scene);
         let mut torn = whole.clone();

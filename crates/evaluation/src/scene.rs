@@ -1,54 +1,59 @@
-//! One scene judged: every predictor from the same frames.
+//! Evaluation of one scene: every predictor from the same frames.
 
 use super::{
-    Arena, ErrorSums, EvalError, Kind, Predictor, Rollout,
-    measure::{BlowUps, Bulk, FlightSums, Flights, Physics, Rest, SHOWN, Window, most_energy},
-    predictor::{Predicting, RolledOut},
-    steps::{OnTheWay, StepSums},
+    Context, ErrorSums, EvalError, Kind, Predictor, Rollout,
+    measure::{
+        BlowUps, Bulk, FlightSums, Flights, Physics, RestGeometry, SHOWN_FRAMES, TruthWindow,
+        energy_limit,
+    },
+    predictor::RolloutOutcome,
+    steps::{StepResults, StepSums},
+    task::RolloutTask,
 };
 use crate::dataset::Stream;
 use eddy_frames::Material;
 use eddy_mpm::Scene;
 
-/// What one predictor came to in one scene, or in several.
+/// Accumulated errors and measures of one predictor, over one or several scenes.
 #[derive(Clone, Debug)]
-pub struct Tally {
+pub struct Accumulator {
     /// Errors of free rollouts.
     pub errors: ErrorSums,
-    /// Errors of next frames, where they were predicted.
+    /// Errors of one-step predictions, for predictors that make them.
     pub steps: Option<StepSums>,
-    /// What predictions of next frames did to bodies in free flight.
+    /// Errors of one-step predictions of bodies in free flight.
     pub flight: FlightSums,
-    /// Physical measures at each of [`SHOWN`] within the horizon; none where they were not asked for.
+    /// Physical measures at each of [`SHOWN_FRAMES`] within the horizon; empty if not requested.
     pub physics: Vec<Physics>,
-    /// What all particles have together at each frame ahead; none where measures were not asked for.
+    /// Bulk quantities at each frame ahead; empty if not requested.
     pub bulk: Vec<Bulk>,
-    /// Rollouts.
+    /// Number of rollouts.
     pub windows: usize,
     /// Rollouts that blew up.
     pub blow_ups: BlowUps,
-    /// Why rollouts were lost, the first reason: they are among those that diverged.
+    /// The first reason why rollouts failed; these count as diverged.
     pub failure: Option<String>,
 }
 
-impl Tally {
-    /// Nothing was predicted yet.
-    pub fn new(arena: &Arena) -> Self {
-        let shown = SHOWN.into_iter().filter(|&ahead| ahead <= arena.settings.horizon).count();
-        let measured = |frames: usize| if arena.settings.measures { frames } else { 0 };
+impl Accumulator {
+    /// Empty sums.
+    pub fn new(context: &Context) -> Self {
+        let shown =
+            SHOWN_FRAMES.into_iter().filter(|&ahead| ahead <= context.settings.horizon).count();
+        let measured = |frames: usize| if context.settings.measures { frames } else { 0 };
         Self {
-            errors: ErrorSums::new(arena.settings.horizon, arena.units),
+            errors: ErrorSums::new(context.settings.horizon, context.units),
             steps: None,
             flight: FlightSums::default(),
             physics: vec![Physics::default(); measured(shown)],
-            bulk: vec![Bulk::default(); measured(arena.settings.horizon)],
+            bulk: vec![Bulk::default(); measured(context.settings.horizon)],
             windows: 0,
             blow_ups: BlowUps::default(),
             failure: None,
         }
     }
 
-    /// Adds what the same predictor came to elsewhere.
+    /// Adds the sums of the same predictor over other scenes.
     pub fn merge(&mut self, other: &Self) {
         self.errors.merge(&other.errors);
         match (&mut self.steps, &other.steps) {
@@ -67,91 +72,92 @@ impl Tally {
     }
 }
 
-/// A judged scene.
+/// Results of one scene.
 #[derive(Clone, Debug)]
-pub struct JudgedScene {
+pub struct SceneResult {
     /// The stream's number.
     pub id: u64,
-    /// The bag that it was read from.
+    /// Name of its bag.
     pub name: String,
     /// The materials that occur.
     pub materials: Vec<Material>,
     /// The frames of the stream that rollouts start from, from 0.
     pub starts: Vec<usize>,
-    /// What it is made of.
+    /// The kind of the scene.
     pub kind: Kind,
-    /// Rollouts of each predictor that have a true frame to be compared with, at each of [`SHOWN`] within
-    /// the horizon.
+    /// Rollouts of each predictor with a true frame at each of [`SHOWN_FRAMES`] within the horizon.
     pub compared: Vec<usize>,
-    /// What each predictor came to, in their order.
-    pub tallies: Vec<Tally>,
+    /// One per predictor.
+    pub accumulators: Vec<Accumulator>,
 }
 
-impl JudgedScene {
+impl SceneResult {
     /// Rollouts of each predictor.
     pub fn windows(&self) -> usize {
-        self.tallies.first().map_or(0, |tally| tally.windows)
+        self.accumulators.first().map_or(0, |accumulator| accumulator.windows)
     }
 }
 
-/// Lets every predictor roll out from the same frames of a stream. `scene` is what it was simulated
-/// from, for rivals that need it. Without room for a window there is nothing but empty tallies.
+/// Lets every predictor roll out from the same frames of a stream. `scene` is the scene that it was simulated from,
+/// which reference solvers need. For a stream without room for a rollout, the accumulators are empty.
 ///
 /// # Errors
-/// [`EvalError`] when a model cannot take the particles. The rollouts of a solver that fails have diverged.
-pub fn judge_scene(
-    arena: &Arena,
+/// [`EvalError`] when a model does not support the particles. Rollouts of a solver that fails count as diverged.
+pub fn evaluate_scene(
+    context: &Context,
     predictors: &[Predictor<'_>],
     stream: &Stream,
     scene: Option<&Scene>,
-) -> Result<JudgedScene, EvalError> {
-    let (horizon, reach) = (arena.settings.horizon, arena.settings.reach);
-    let starts = arena.starts(stream.states.len());
+) -> Result<SceneResult, EvalError> {
+    let (horizon, reach) = (context.settings.horizon, context.settings.reach);
+    let starts = context.starts(stream.states.len());
     let compared = |ahead: usize| {
         let last = stream.states.len().saturating_sub(1);
         starts.iter().filter(|&&start| start + ahead <= last).count()
     };
     let kind = Kind::of(&stream.material);
-    let shown = SHOWN.into_iter().filter(|&ahead| ahead <= horizon);
+    let shown = SHOWN_FRAMES.into_iter().filter(|&ahead| ahead <= horizon);
     let compared: Vec<usize> = shown.map(compared).collect();
-    let judged = |starts: Vec<usize>, tallies: Vec<Tally>| {
+    let result = |starts: Vec<usize>, accumulators: Vec<Accumulator>| {
         let (id, name, materials) = (stream.id, stream.name(), stream.materials());
-        JudgedScene { id, name, materials, starts, kind, compared, tallies }
+        SceneResult { id, name, materials, starts, kind, compared, accumulators }
     };
     if starts.is_empty() {
-        return Ok(judged(starts, vec![Tally::new(arena); predictors.len()]));
+        return Ok(result(starts, vec![Accumulator::new(context); predictors.len()]));
     }
-    let rest = arena.settings.measures.then(|| Rest::new(arena, stream));
-    let most_energy = most_energy(arena, stream);
-    let window = |&start: &usize| Window::new(arena, stream, start, rest.as_ref(), most_energy);
-    let windows: Vec<Window> = starts.iter().map(window).collect();
+    let rest = context.settings.measures.then(|| RestGeometry::new(context, stream));
+    let energy_limit = energy_limit(context, stream);
+    let window =
+        |&start: &usize| TruthWindow::new(context, stream, start, rest.as_ref(), energy_limit);
+    let windows: Vec<TruthWindow> = starts.iter().map(window).collect();
     let flights = match rest {
-        Some(_) => Flights::of(stream, &arena.ballistic, arena.spacing),
+        Some(_) => Flights::of(stream, &context.ballistic, context.spacing),
         None => Flights::default(),
     };
-    let what = Predicting { stream, scene, starts: &starts, flights: &flights, horizon, reach };
-    let judge = |predictor: &Predictor<'_>| {
-        let mut tally = Tally::new(arena);
+    let task = RolloutTask { stream, scene, starts: &starts, flights: &flights, horizon, reach };
+    let evaluate = |predictor: &Predictor<'_>| {
+        let mut accumulator = Accumulator::new(context);
         let mut add = |number: usize, rollout: Rollout| {
-            let window: &Window = &windows[number];
-            tally.errors.add(&stream.material, &rollout.states, window.truth);
+            let window: &TruthWindow = &windows[number];
+            accumulator.errors.add(&stream.material, &rollout.states, window.truth);
             if let Some(rest) = &rest {
-                let sums = &mut tally.physics;
-                window.measure(arena, &stream.material, rest, &rollout.states, sums);
-                window.measure_bulk(arena, &rollout.states, &mut tally.bulk);
+                let sums = &mut accumulator.physics;
+                window.measure(context, &stream.material, rest, &rollout.states, sums);
+                window.measure_bulk(context, &rollout.states, &mut accumulator.bulk);
             }
-            tally.windows += 1;
-            window.count_blow_ups(&rollout, &mut tally.blow_ups);
+            accumulator.windows += 1;
+            window.count_blow_ups(&rollout, &mut accumulator.blow_ups);
         };
-        let RolledOut { on_the_way, failure } = predictor.roll_out(arena, &what, &mut add)?;
-        tally.failure = failure;
-        if let Some(OnTheWay { steps, flight }) = on_the_way {
-            (tally.steps, tally.flight) = (steps, flight);
+        let RolloutOutcome { step_results, failure } =
+            predictor.roll_out(context, &task, &mut add)?;
+        accumulator.failure = failure;
+        if let Some(StepResults { steps, flight }) = step_results {
+            (accumulator.steps, accumulator.flight) = (steps, flight);
         }
-        Ok(tally)
+        Ok(accumulator)
     };
-    let tallies = predictors.iter().map(judge).collect::<Result<_, EvalError>>()?;
-    Ok(judged(starts, tallies))
+    let accumulators = predictors.iter().map(evaluate).collect::<Result<_, EvalError>>()?;
+    Ok(result(starts, accumulators))
 }
 
 #[cfg(test)]
@@ -186,35 +192,35 @@ mod tests {
         }
     }
 
-    fn arena(stream: &Stream, settings: Settings) -> Arena {
+    fn context(stream: &Stream, settings: Settings) -> Context {
         let description = Checkpoint::shipped().unwrap().description;
         let mut walls = Bounds::default();
         for x in stream.states.iter().flat_map(|state| &state.position) {
             walls.join(&Bounds { lower: *x, upper: *x });
         }
         let spacing = spacing(&stream.states[0].position);
-        Arena::new(settings, &description, 1, stream.domain, walls, spacing)
+        Context::new(settings, &description, 1, stream.domain, walls, spacing)
     }
 
     #[test]
-    fn a_stream_of_one_frame_has_nothing_to_judge() {
+    fn a_stream_of_one_frame_has_no_rollouts() {
         let stream = liquid(1);
-        let arena = arena(&stream, Settings::full(5, 3));
+        let context = context(&stream, Settings::full(5, 3));
         let predictors = [Predictor::Baseline(Baseline::Ballistic), Predictor::Truth];
-        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
-        assert_eq!((judged.windows(), judged.tallies.len()), (0, 2));
-        assert_eq!(judged.compared, [0, 0]);
+        let result = evaluate_scene(&context, &predictors, &stream, None).unwrap();
+        assert_eq!((result.windows(), result.accumulators.len()), (0, 2));
+        assert_eq!(result.compared, [0, 0]);
     }
 
     #[test]
-    fn measures_find_nothing_wrong_with_the_truth_and_see_what_falls_through_the_floor() {
+    fn measures_are_perfect_for_the_truth_and_detect_a_fall_through_the_floor() {
         let stream = liquid(120);
-        let arena = arena(&stream, Settings::full(100, 4));
+        let context = context(&stream, Settings::full(100, 4));
         let predictors = [Predictor::Truth, Predictor::Baseline(Baseline::ConstantVelocity)];
-        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
-        assert_eq!(judged.windows(), 4);
-        assert_eq!(judged.compared, [4, 4, 4, 4, 3, 1], "{:?}", arena.starts(120));
-        let [truth, straight] = &judged.tallies[..] else { panic!() };
+        let result = evaluate_scene(&context, &predictors, &stream, None).unwrap();
+        assert_eq!(result.windows(), 4);
+        assert_eq!(result.compared, [4, 4, 4, 4, 3, 1], "{:?}", context.starts(120));
+        let [truth, straight] = &result.accumulators[..] else { panic!() };
 
         assert_eq!(truth.blow_ups, BlowUps::default());
         for physics in &truth.physics {
@@ -230,22 +236,22 @@ mod tests {
         assert_eq!(straight.blow_ups.diverged, 0);
         let last = straight.physics.last().unwrap();
         assert!(last.misplaced.value() > 0.5 && last.outside.value() > 0.5, "{last:?}");
-        // What keeps its velocity misses a whole g dt a frame.
+        // A constant velocity misses g dt per frame.
         assert!((straight.flight.gain.value() - 1.0).abs() < 1e-3, "{:?}", straight.flight);
     }
 
     #[test]
-    fn what_has_settled_is_found_and_the_way_of_who_leaves_it() {
+    fn settled_windows_are_found_with_the_displacement_of_a_predictor() {
         let mut stream = liquid(1);
         stream.states[0].velocity.fill([0.0, 0.1]);
         stream.states = vec![stream.states[0].clone(); 30];
-        let arena = arena(&stream, Settings::full(20, 2));
+        let context = context(&stream, Settings::full(20, 2));
         let predictors = [Predictor::Truth, Predictor::Baseline(Baseline::ConstantVelocity)];
-        let judged = judge_scene(&arena, &predictors, &stream, None).unwrap();
-        let at_ten = [0, 1].map(|number: usize| judged.tallies[number].physics[2].settled);
-        assert_eq!(at_ten[0].weight, judged.compared[2] as f64);
+        let result = evaluate_scene(&context, &predictors, &stream, None).unwrap();
+        let at_ten = [0, 1].map(|number: usize| result.accumulators[number].physics[2].settled);
+        assert_eq!(at_ten[0].weight, result.compared[2] as f64);
         assert_eq!(at_ten[0].value(), 0.0);
-        let way = f64::from(10.0 * 0.1 * arena.ballistic.dt);
-        assert!((at_ten[1].value().sqrt() - way).abs() < 1e-5, "{at_ten:?}");
+        let displacement = f64::from(10.0 * 0.1 * context.ballistic.dt);
+        assert!((at_ten[1].value().sqrt() - displacement).abs() < 1e-5, "{at_ten:?}");
     }
 }

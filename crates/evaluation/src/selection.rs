@@ -1,25 +1,25 @@
-//! The streams that an evaluation is made on: those that no checkpoint has learned from.
+//! The streams of an evaluation: those that no checkpoint was trained on.
 
 use std::collections::HashSet;
 
-use super::{Arena, EvaluationError, Settings};
+use super::{Context, EvaluationError, Settings};
 use crate::dataset::{self, Bounds, Trajectory};
 use eddy_inference::{checkpoint::Description, kernels::spacing::spacing};
 
-/// The streams that are evaluated, and what they have in common.
+/// The streams to evaluate on, and their evaluation context.
 pub(super) struct Selection {
-    /// The streams.
+    /// The streams to evaluate on.
     pub(super) streams: Vec<Trajectory>,
-    /// What is the same for all predictors.
-    pub(super) arena: Arena,
+    /// Settings, walls and units.
+    pub(super) context: Context,
     /// Digest of the streams.
     pub(super) digest: String,
-    /// Which streams are left out, one sentence each.
+    /// Which streams are excluded, one sentence each.
     pub(super) remarks: Vec<String>,
 }
 
 impl Selection {
-    /// Looks through all streams, then leaves those out that a checkpoint has learned from.
+    /// Reads all streams and excludes those that a checkpoint was trained on.
     pub(super) fn new(
         settings: Settings,
         descriptions: &[&Description],
@@ -35,7 +35,8 @@ impl Selection {
         streams.iter().for_each(|stream| walls.join(&stream.bounds));
         if descriptions.iter().any(|description| description.data == digest) {
             streams = dataset::test_part(&streams);
-            let remark = "this is what a checkpoint was trained on: only its test part is judged";
+            let remark =
+                "a checkpoint was trained on this data set: only its test part is evaluated";
             remarks.push(remark.to_owned());
         }
         let of_this_set = streams.len();
@@ -44,9 +45,9 @@ impl Selection {
             return Err(EvaluationError::Seen { found: all });
         }
         if streams.len() < of_this_set {
-            let known = of_this_set - streams.len();
+            let excluded = of_this_set - streams.len();
             remarks.push(format!(
-                "a checkpoint was trained on {known} of the {of_this_set} streams: they are left out"
+                "a checkpoint was trained on {excluded} of the {of_this_set} streams: they are excluded"
             ));
         }
         if streams.len() < all {
@@ -57,15 +58,15 @@ impl Selection {
         let spacing = spacings.get(spacings.len() / 2).copied().unwrap_or(f32::INFINITY);
         let warm_up = descriptions.iter().map(|description| description.warm_up as usize).max();
         let warm_up = warm_up.unwrap_or(1);
-        // The same for all streams of a data set.
+        // All streams of a data set have the same domain.
         let domain = streams.first().map_or(first.domain, |stream| stream.domain);
-        let arena = Arena::new(settings, first, warm_up, domain, walls, spacing);
-        arena.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
-        Ok(Self { streams, arena, digest, remarks })
+        let context = Context::new(settings, first, warm_up, domain, walls, spacing);
+        context.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
+        Ok(Self { streams, context, digest, remarks })
     }
 }
 
-/// Those that no checkpoint was fitted to or chosen by, as far as these know.
+/// The streams that are in no checkpoint's training or validation part, as recorded in the checkpoints.
 fn unseen(
     streams: Vec<Trajectory>,
     descriptions: &[&Description],

@@ -1,28 +1,28 @@
-//! Skill: how much of the squared error of the best trivial predictor is gone.
+//! Skill: the share of the best trivial predictor's squared error that a predictor removes.
 
 use serde::{Deserialize, Serialize};
 
 use super::{
-    JudgedScene, Kind,
-    bootstrap::{FEWEST, bootstrap},
+    Kind, SceneResult,
+    bootstrap::{MIN_SCENES, bootstrap},
     numbers,
 };
 
-/// Squared position errors of the scenes of one kind, one row a scene.
+/// Squared position errors of the scenes of one kind.
 struct KindErrors {
     kind: Kind,
     /// `[scene][predictor][frame]`: sums over particles and windows (domain lengths^2).
     scenes: Vec<Vec<Vec<f64>>>,
 }
 
-/// Position errors of all scenes, ready to be weighed.
+/// Position errors of all scenes, for skills and their intervals.
 pub struct Skills {
     kinds: Vec<KindErrors>,
     baselines: std::ops::Range<usize>,
     horizon: usize,
 }
 
-/// Ends of a 95 % interval.
+/// A 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Lower end.
@@ -34,15 +34,17 @@ pub struct Interval {
 }
 
 impl Skills {
-    /// Gathers the errors of judged scenes; `baselines` are the numbers of the trivial predictors.
-    pub fn of(scenes: &[JudgedScene], baselines: std::ops::Range<usize>, horizon: usize) -> Self {
+    /// Collects the errors of evaluated scenes; `baselines` are the indices of the trivial predictors.
+    pub fn of(scenes: &[SceneResult], baselines: std::ops::Range<usize>, horizon: usize) -> Self {
         let of_kind = |kind: Kind| {
-            let of_scene = |scene: &JudgedScene| {
-                let tallies = scene.tallies.iter();
-                tallies.map(|t| t.errors.total().iter().map(|e| e.position).collect()).collect()
+            let of_scene = |scene: &SceneResult| {
+                let accumulators = scene.accumulators.iter();
+                accumulators
+                    .map(|t| t.errors.total().iter().map(|e| e.position).collect())
+                    .collect()
             };
-            let judged = scenes.iter().filter(|s| s.kind == kind && s.windows() > 0);
-            KindErrors { kind, scenes: judged.map(of_scene).collect() }
+            let evaluated = scenes.iter().filter(|s| s.kind == kind && s.windows() > 0);
+            KindErrors { kind, scenes: evaluated.map(of_scene).collect() }
         };
         let kinds = Kind::ALL.into_iter().map(of_kind).filter(|k| !k.scenes.is_empty()).collect();
         Self { kinds, baselines, horizon }
@@ -53,9 +55,8 @@ impl Skills {
         self.kinds.iter().map(|kind| kind.kind)
     }
 
-    /// Skill of a predictor for the scenes of one kind, one number a frame ahead: 1 - its squared
-    /// position error / that of the best baseline there, both summed over windows. NaN where there is
-    /// no truth.
+    /// Skill of a predictor in scenes of one kind, one number per frame ahead: 1 - its squared position error / the
+    /// squared position error of the best baseline at that frame, both summed over windows. NaN without truth.
     pub fn of_kind(&self, kind: Kind, predictor: usize) -> Vec<f64> {
         let found = self.kinds.iter().find(|errors| errors.kind == kind);
         let skill = |errors: &KindErrors| {
@@ -65,15 +66,15 @@ impl Skills {
         found.map(skill).unwrap_or_default()
     }
 
-    /// The mean of the skills of all kinds that occur, one number a frame ahead.
+    /// Mean skill over the kinds that occur, one number per frame ahead.
     pub fn mean(&self, predictor: usize) -> Vec<f64> {
         let all: Vec<Vec<f64>> = self.kinds().map(|kind| self.of_kind(kind, predictor)).collect();
         let mean = |k: usize| all.iter().map(|skill| skill[k]).sum::<f64>() / all.len() as f64;
         (0..self.horizon).map(mean).collect()
     }
 
-    /// 95 % intervals of the mean skill of `predictors` (their mean) at `frames` ahead (from 1), by
-    /// bootstrap over the scenes of each kind. Nothing when a kind has fewer than five scenes.
+    /// 95 % intervals of the skill averaged over kinds and `predictors`, at `frames` ahead (from 1), by bootstrap over
+    /// the scenes of each kind. `None` when a kind has fewer than five scenes.
     pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Option<Vec<Interval>> {
         intervals(self, &self.kinds, predictors, frames)
     }
@@ -89,7 +90,7 @@ impl Skills {
         intervals(self, &self.kinds[at..=at], predictors, frames)
     }
 
-    /// Skill over the chosen scenes of a kind at frame number `k`.
+    /// Skill over the chosen scenes of a kind at frame `k`, from 0.
     fn skill(&self, errors: &KindErrors, chosen: &[usize], predictor: usize, k: usize) -> f64 {
         let sum = |predictor: usize| -> f64 {
             chosen.iter().map(|&scene| errors.scenes[scene][predictor][k]).sum()
@@ -105,7 +106,7 @@ fn intervals(
     predictors: &[usize],
     frames: &[usize],
 ) -> Option<Vec<Interval>> {
-    if kinds.is_empty() || kinds.iter().any(|kind| kind.scenes.len() < FEWEST) {
+    if kinds.is_empty() || kinds.iter().any(|kind| kind.scenes.len() < MIN_SCENES) {
         return None;
     }
     let intervals = bootstrap(|draw| {
@@ -140,7 +141,7 @@ mod tests {
 
     #[test]
     fn errors_are_summed_over_scenes_before_they_are_divided() {
-        // The second scene is at rest: it has no denominator of its own.
+        // The second scene is at rest: alone it would divide by zero.
         let skills = skills(vec![[1.0, 2.0, 0.1], [0.0, 0.0, 0.1]], vec![[3.0, 2.0, 1.0]]);
         assert!((skills.of_kind(Kind::Liquid, 2)[0] - 0.8).abs() < 1e-12);
         assert_eq!(skills.of_kind(Kind::Rope, 2), [0.5], "the second baseline is the best");

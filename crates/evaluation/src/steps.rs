@@ -1,4 +1,4 @@
-//! Predictions of the next frame only, each from the truth before it, on the way along a stream.
+//! Errors of one-step predictions, each made from the true frame before it.
 
 use super::{
     errors::{difference, square},
@@ -6,22 +6,22 @@ use super::{
 };
 use crate::dataset::Stream;
 
-/// Squared position errors of predicted next frames over the windows of rollouts, for comparison with
-/// them: one entry a frame ahead.
+/// Squared position errors of one-step predictions over the windows of the rollouts, for comparison with these: one
+/// entry per frame ahead.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepSums {
     /// Particles summed over.
     pub count: Vec<f64>,
-    /// Sum of |r_k|^2, r_k being the error of the frame that is k ahead of the start, predicted from
-    /// the true one before (domain lengths squared).
+    /// Sum of |r_k|^2, where r_k is the error of the frame k ahead of the start, predicted from the true
+    /// frame before it (domain lengths squared).
     pub single: Vec<f64>,
-    /// Sum of |r_1 + ... + r_k|^2: where the predicted steps, put end to end, would have led (domain
-    /// lengths squared).
+    /// Sum of |r_1 + ... + r_k|^2: accumulated errors, as if the predicted steps were concatenated (domain lengths
+    /// squared).
     pub cumulated: Vec<f64>,
 }
 
 impl StepSums {
-    /// No errors yet, for `horizon` frames ahead.
+    /// Zero sums for `horizon` frames ahead.
     pub fn new(horizon: usize) -> Self {
         let zero = || vec![0.0; horizon];
         Self { count: zero(), single: zero(), cumulated: zero() }
@@ -38,12 +38,12 @@ impl StepSums {
         }
     }
 
-    /// Root mean square of |r_k| (domain lengths), one entry a frame ahead.
+    /// Root mean square of |r_k| (domain lengths), one entry per frame ahead.
     pub fn single_rmse(&self) -> Vec<f64> {
         self.rmse(&self.single)
     }
 
-    /// Root mean square of |r_1 + ... + r_k| (domain lengths), one entry a frame ahead.
+    /// Root mean square of |r_1 + ... + r_k| (domain lengths), one entry per frame ahead.
     pub fn cumulated_rmse(&self) -> Vec<f64> {
         self.rmse(&self.cumulated)
     }
@@ -53,18 +53,18 @@ impl StepSums {
     }
 }
 
-/// What predictions of next frames came to.
+/// Errors of one-step predictions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct OnTheWay {
-    /// Position errors; `None` for who predicts no next frame but those in flight.
+pub struct StepResults {
+    /// Position errors; `None` for predictors that only predict bodies in flight.
     pub steps: Option<StepSums>,
-    /// What happened to bodies in free flight.
+    /// Errors of bodies in free flight.
     pub flight: FlightSums,
 }
 
-/// Follows a stream, adds the errors of next frames to every window that is open, and watches bodies
-/// in free flight.
-pub(super) struct Follower<'a> {
+/// Accumulates the errors of one-step predictions along a stream, for every open window and for bodies in free
+/// flight.
+pub(super) struct StepObserver<'a> {
     stream: &'a Stream,
     starts: &'a [usize],
     flights: &'a Flights,
@@ -74,8 +74,8 @@ pub(super) struct Follower<'a> {
     flight: FlightSums,
 }
 
-impl<'a> Follower<'a> {
-    /// Nothing was followed yet; windows open after the frames `starts`.
+impl<'a> StepObserver<'a> {
+    /// Windows open after the frames `starts`.
     pub(super) fn new(
         stream: &'a Stream,
         starts: &'a [usize],
@@ -86,7 +86,7 @@ impl<'a> Follower<'a> {
         Self { stream, starts, flights, sums, steps, flight: FlightSums::default() }
     }
 
-    /// The last frame that belongs to a window or to a flight and has another one after it.
+    /// The last frame of any window or flight that has a successor.
     pub(super) fn end(&self) -> usize {
         let horizon = self.steps.count.len();
         let window = self.starts.last().map_or(0, |start| start + horizon - 1);
@@ -94,8 +94,8 @@ impl<'a> Follower<'a> {
         window.max(flight).min(self.stream.states.len().saturating_sub(2))
     }
 
-    /// After the true frame `index`, the next one was predicted like this, `[N, 2]` each. A position
-    /// that is no number counts as that of frame `index`.
+    /// Adds the prediction made from the true frame `index`, `[N, 2]` each. A position that is not finite counts as
+    /// the position in frame `index`.
     pub(super) fn add(&mut self, index: usize, position: &[[f32; 2]], velocity: &[[f32; 2]]) {
         self.flights.add(index, position, velocity, &mut self.flight);
         let (last, truth) = (&self.stream.states[index], &self.stream.states[index + 1]);
@@ -120,9 +120,9 @@ impl<'a> Follower<'a> {
         }
     }
 
-    /// What it came to.
-    pub(super) fn finish(self) -> OnTheWay {
-        OnTheWay { steps: Some(self.steps), flight: self.flight }
+    /// The accumulated errors.
+    pub(super) fn finish(self) -> StepResults {
+        StepResults { steps: Some(self.steps), flight: self.flight }
     }
 }
 
@@ -132,7 +132,7 @@ mod tests {
     use crate::dataset::State;
     use eddy_frames::{Domain, Material, Stamp};
 
-    /// A particle that is at these places, one a frame.
+    /// One particle with one position per frame.
     fn stream(places: &[f32]) -> Stream {
         let state = |&x: &f32| State { position: vec![[x, 0.0]], velocity: vec![[0.0; 2]] };
         Stream {
@@ -149,15 +149,15 @@ mod tests {
 
     fn steps(stream: &Stream, starts: &[usize], predicted: f32, horizon: usize) -> StepSums {
         let flights = Flights::default();
-        let mut follower = Follower::new(stream, starts, &flights, horizon);
-        for index in 0..=follower.end() {
-            follower.add(index, &[[predicted, 0.0]], &[[0.0; 2]]);
+        let mut observer = StepObserver::new(stream, starts, &flights, horizon);
+        for index in 0..=observer.end() {
+            observer.add(index, &[[predicted, 0.0]], &[[0.0; 2]]);
         }
-        follower.finish().steps.unwrap()
+        observer.finish().steps.unwrap()
     }
 
     #[test]
-    fn a_constant_error_stays_as_it_is_and_adds_up() {
+    fn a_constant_one_step_error_accumulates() {
         let sums = steps(&stream(&[0.25; 5]), &[0, 2], 0.5, 3);
         assert_eq!(sums.count, [2.0, 2.0, 1.0]);
         assert_eq!(sums.single_rmse(), [0.25; 3]);
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prediction_that_is_no_number_counts_as_no_movement() {
+    fn a_prediction_of_nan_counts_as_no_movement() {
         assert_eq!(steps(&stream(&[1.0, 0.5]), &[0], f32::NAN, 1).single_rmse(), [0.5]);
     }
 }

@@ -1,13 +1,13 @@
-//! From which frames of a stream rollouts start.
+//! The frames of a stream from which rollouts start.
 
 use super::Settings;
 
-/// Rollouts start in the first so much of a stream: later, little moves.
+/// Share of a stream within which rollouts start: later, little moves.
 const STARTS_WITHIN: f64 = 0.8;
 
-/// The last observed frame of each rollout: `settings.starts` of them, evenly over the first 80 % of
-/// `frames`, each with `warm_up` frames up to it. The first has `settings.horizon` frames after it, a
-/// stream without room for it has no rollouts; the truth of the last may end before the horizon.
+/// The last observed frame of each rollout: `settings.starts` frames spread evenly over the first 80 % of `frames`,
+/// each preceded by its warm-up. The first start has `settings.horizon` frames after it, and a stream too short for that
+/// has no rollouts; the truth of the last rollouts may end before the horizon.
 pub fn starts(frames: usize, warm_up: usize, settings: Settings) -> Vec<usize> {
     let earliest = warm_up.max(1) - 1;
     if frames < earliest + settings.horizon + 1 {

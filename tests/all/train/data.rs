@@ -36,7 +36,7 @@ fn what_is_on_disk_teaches_the_bits_of_what_is_in_memory() {
     let data = [folder.path().to_owned()];
     let memory = size(&streams) / 5;
     let (held, stored) = (load(&data, u64::MAX).unwrap(), load(&data, memory).unwrap());
-    assert!(held.shelf().is_none());
+    assert!(held.frame_store().is_none());
     assert_eq!(held.digest, stored.digest);
     assert_eq!(held.normalization, stored.normalization);
     let all = load_trajectories(&data, memory, &mut |_, _| ()).unwrap();
@@ -56,10 +56,10 @@ fn what_is_on_disk_teaches_the_bits_of_what_is_in_memory() {
         assert!(from_memory.1 == from_disk.1, "{architecture:?}: other weights");
     }
 
-    let residency = stored.shelf().unwrap().residency();
-    assert!(residency.reads > 30, "{residency:?}: nothing was read twice");
-    assert!(residency.most_bytes <= memory, "{residency:?}, at most {memory}");
-    assert!(residency.frames as u64 * (48 + 16 * 24) <= memory, "{residency:?}");
+    let usage = stored.frame_store().unwrap().cache_usage();
+    assert!(usage.reads > 30, "{usage:?}: nothing was read twice");
+    assert!(usage.most_bytes <= memory, "{usage:?}, at most {memory}");
+    assert!(usage.frames as u64 * (48 + 16 * 24) <= memory, "{usage:?}");
 }
 
 #[test]
@@ -73,8 +73,8 @@ fn a_limit_below_one_block_still_trains_with_one_block_in_memory() {
     config.windows.per_epoch = 16;
     let outcome = |dataset, name: &str| run(&config, dataset, &folder.path().join(name)).unwrap();
     assert_eq!(outcome(&held, "held").epochs, outcome(&stored, "stored").epochs);
-    let residency = stored.shelf().unwrap().residency();
-    assert!(residency.frames <= 64, "{residency:?}");
+    let usage = stored.frame_store().unwrap().cache_usage();
+    assert!(usage.frames <= 64, "{usage:?}");
 }
 
 #[test]

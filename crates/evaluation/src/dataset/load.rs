@@ -1,4 +1,4 @@
-//! Bags to trajectories: in memory while they fit, else only where each block of them is.
+//! Reads bags into trajectories: in memory if they fit, else as an index of blocks on disk.
 
 use std::{
     collections::BTreeMap,
@@ -14,61 +14,61 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::{
-    DatasetError, Shelf, State, Stream, TRUTH_TOPIC, Trajectory, alike,
-    shelf::{self, BLOCK, Block, Place},
+    DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
+    frame_store::{self, BLOCK, Block, StreamLocation},
     statistics::Bounds,
 };
 use eddy_bag::{BagReader, find_bags};
 use eddy_frames::{Frame, Stamp};
 
 /// A stream while its bag is read.
-struct Reading {
-    /// What is known of it; its states are there only as long as all fit into memory.
+struct PartialStream {
+    /// Its states are kept only as long as all bags fit into memory.
     stream: Stream,
     frames: usize,
     bounds: Bounds,
     rest: Vec<[f32; 2]>,
-    place: Place,
+    location: StreamLocation,
     checksum: Xxh3,
 }
 
-/// How much is in memory, and how much may be. All bags that are read at the same time share it.
+/// Memory used by frames, and its limit, shared by all bags that are read in parallel.
 struct Budget {
     bytes: AtomicU64,
     limit: u64,
 }
 
 impl Budget {
-    /// Whether everything has fitted so far.
+    /// Whether all frames have fitted so far.
     fn holds(&self) -> bool {
         self.bytes.load(Ordering::Relaxed) <= self.limit
     }
 }
 
-impl Reading {
+impl PartialStream {
     fn begin(bag: &BagReader, number: usize, frame: Frame, log: Stamp, before: usize) -> Self {
-        let place = Place { bag: number, id: frame.stream, blocks: Vec::new() };
+        let location = StreamLocation { bag: number, id: frame.stream, blocks: Vec::new() };
         let stream = Stream::begin(bag.path(), frame);
         let (bounds, checksum) = (Bounds::default(), Xxh3::new());
-        let mut reading = Self { stream, frames: 0, bounds, rest: Vec::new(), place, checksum };
-        let first = reading.stream.states.pop();
+        let mut partial = Self { stream, frames: 0, bounds, rest: Vec::new(), location, checksum };
+        let first = partial.stream.states.pop();
         if let Some(first) = first {
-            reading.rest.clone_from(&first.position);
-            reading.push(first, log, before, true);
+            partial.rest.clone_from(&first.position);
+            partial.push(first, log, before, true);
         }
-        reading
+        partial
     }
 
-    /// Adds the next state, logged at `log` after `before` others of the same id and log time.
+    /// Adds the next state, logged at `log` after `before` other frames with the same id and log time.
     fn push(&mut self, state: State, log: Stamp, before: usize, keep: bool) {
         self.bounds.widen(&state);
         if self.frames.is_multiple_of(BLOCK) {
             self.checksum.reset();
             let block = Block { from: log, until: log, before, frames: 0, checksum: 0 };
-            self.place.blocks.push(block);
+            self.location.blocks.push(block);
         }
-        shelf::add(&mut self.checksum, &state);
-        if let Some(block) = self.place.blocks.last_mut() {
+        frame_store::add(&mut self.checksum, &state);
+        if let Some(block) = self.location.blocks.last_mut() {
             block.until = log;
             block.frames += 1;
             block.checksum = self.checksum.digest();
@@ -80,10 +80,10 @@ impl Reading {
     }
 }
 
-/// Every stream of the topic `/particles` of the bags at `paths`, in the order of id and bag. Their
-/// frames are in memory if they take at most `memory` bytes there, else on disk.
+/// Every stream of the topic `/particles` of the bags at `paths`, ordered by id and bag. Their frames are in memory if
+/// they take at most `memory` bytes, else on disk.
 ///
-/// `progress` is called after every frame with how many were read and how many there are.
+/// `progress` is called after every frame with the numbers of frames read and in total.
 pub(super) fn load(
     paths: &[PathBuf],
     memory: u64,
@@ -95,57 +95,55 @@ pub(super) fn load(
     let all = topics.map(|topic| topic.message_count).sum();
     let progress = Mutex::new((0, progress));
     let frame_done = || {
-        // Who waits for a thread that panicked has nothing to show any more.
         let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
         let (done, show) = &mut *progress;
         *done += 1;
         show(*done, all);
     };
     let budget = Budget { bytes: AtomicU64::new(0), limit: memory };
-    let readings: Vec<Vec<Reading>> = bags
+    let partials: Vec<Vec<PartialStream>> = bags
         .par_iter()
         .enumerate()
         .map(|(number, bag)| read(bag, number, &budget, &frame_done))
         .collect::<Result<_, _>>()?;
-    let mut readings: Vec<Reading> = readings.into_iter().flatten().collect();
-    readings.sort_by(|Reading { stream: a, .. }, Reading { stream: b, .. }| {
+    let mut partials: Vec<PartialStream> = partials.into_iter().flatten().collect();
+    partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
-    if let Some(first) = readings.first() {
-        for reading in &readings {
-            alike(&first.stream, &reading.stream)?;
+    if let Some(first) = partials.first() {
+        for partial in &partials {
+            check_same_setup(&first.stream, &partial.stream)?;
         }
     }
     if budget.holds() {
-        return Ok(readings.into_iter().map(|reading| Trajectory::from(reading.stream)).collect());
+        return Ok(partials.into_iter().map(|partial| Trajectory::from(partial.stream)).collect());
     }
-    // A quarter is for the windows that are cut ahead.
+    // A quarter is left for windows that training cuts ahead.
     let limit = memory / 4 * 3;
-    let mut places = Vec::new();
-    let mut known = Vec::new();
-    for Reading { stream, frames, bounds, rest, place, .. } in readings {
-        places.push(place);
-        known.push((stream, frames, bounds, rest));
+    let (mut locations, mut streams) = (Vec::new(), Vec::new());
+    for PartialStream { stream, frames, bounds, rest, location, .. } in partials {
+        locations.push(location);
+        streams.push((stream, frames, bounds, rest));
     }
-    let shelf = Arc::new(Shelf::new(bags, places, limit));
-    let on_shelf = |(number, (stream, frames, bounds, rest))| {
-        Trajectory::on_shelf(stream, frames, bounds, rest, &shelf, number)
+    let store = Arc::new(FrameStore::new(bags, locations, limit));
+    let stored = |(number, (stream, frames, bounds, rest))| {
+        Trajectory::stored(stream, frames, bounds, rest, &store, number)
     };
-    Ok(known.into_iter().enumerate().map(on_shelf).collect())
+    Ok(streams.into_iter().enumerate().map(stored).collect())
 }
 
-/// The streams of one bag, cut in two wherever a frame is missing or the particles change. Their
-/// states are there only if all bags' have fitted into memory until the end of this one.
+/// The streams of one bag, split wherever a frame is missing or the particles change. Their states are kept only if
+/// all bags have fitted into memory until the end of this one.
 fn read(
     bag: &BagReader,
     number: usize,
     budget: &Budget,
     frame_done: &(dyn Fn() + Sync),
-) -> Result<Vec<Reading>, DatasetError> {
-    let mut ended: Vec<Reading> = Vec::new();
+) -> Result<Vec<PartialStream>, DatasetError> {
+    let mut ended: Vec<PartialStream> = Vec::new();
     let mut held = true;
-    let mut open: BTreeMap<u64, Reading> = BTreeMap::new();
-    // By id: the last log time, and how many frames were logged then.
+    let mut open: BTreeMap<u64, PartialStream> = BTreeMap::new();
+    // By id: the last log time, and the number of frames logged at that time.
     let mut last: BTreeMap<u64, (Stamp, usize)> = BTreeMap::new();
     let mut frames = bag.frames(TRUTH_TOPIC)?;
     while let Some(frame) = frames.next() {
@@ -155,25 +153,25 @@ fn read(
             (*time, *count) = (log, 0);
         }
         let before = std::mem::replace(count, *count + 1);
-        budget.bytes.fetch_add(shelf::frame_bytes(frame.len()), Ordering::Relaxed);
+        budget.bytes.fetch_add(frame_store::frame_bytes(frame.len()), Ordering::Relaxed);
         if held && !budget.holds() {
             held = false;
-            for reading in ended.iter_mut().chain(open.values_mut()) {
-                reading.stream.states = Vec::new();
+            for partial in ended.iter_mut().chain(open.values_mut()) {
+                partial.stream.states = Vec::new();
             }
         }
         match open.get_mut(&frame.stream) {
-            Some(reading) if reading.stream.is_continued_by(&frame, reading.frames) => {
+            Some(partial) if partial.stream.is_continued_by(&frame, partial.frames) => {
                 let Frame { position, velocity, .. } = frame;
-                reading.push(State { position, velocity }, log, before, held);
+                partial.push(State { position, velocity }, log, before, held);
             }
             _ => {
                 let id = frame.stream;
-                let mut reading = Reading::begin(bag, number, frame, log, before);
+                let mut partial = PartialStream::begin(bag, number, frame, log, before);
                 if !held {
-                    reading.stream.states = Vec::new();
+                    partial.stream.states = Vec::new();
                 }
-                ended.extend(open.insert(id, reading));
+                ended.extend(open.insert(id, partial));
             }
         }
         frame_done();

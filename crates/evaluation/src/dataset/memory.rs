@@ -1,6 +1,6 @@
-//! How much memory is free.
+//! Available memory.
 
-/// Memory that the machine, or the container, has left for this process (bytes).
+/// Memory that the machine or the container has available for this process (bytes).
 pub fn available_memory() -> u64 {
     let mut system = sysinfo::System::new();
     system.refresh_memory();

@@ -1,18 +1,18 @@
-//! From bags to what networks learn from.
+//! Data sets: trajectories from bags, split and described.
 //!
 //! 1. [`stream`]: the frames of one trajectory, in memory, cut where frames are missing.
 //! 2. [`load`]: the streams of all bags, in memory while they fit; [`trajectory`] is one of them.
-//! 3. [`shelf`]: streams that do not fit stay on disk and are read again block by block.
-//! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two.
-//! 5. [`statistics`]: range, mean and deviation of each feature, over the training part only.
-//! 6. [`simulate`]: simulated scenes as a data set: one bag each in a folder that can be resumed.
-//! 7. [`memory`]: how much memory is free.
+//! 3. [`frame_store`]: streams that do not fit stay on disk and are read block by block, with a cache.
+//! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two parts.
+//! 5. [`statistics`]: range, mean and standard deviation of each feature over the training part.
+//! 6. [`simulate`]: simulated scenes as a data set: one bag each, in a folder that can be resumed.
+//! 7. [`memory`]: available memory.
 //!
-//! Everything that is computed from a set is the same, bit for bit, wherever its frames are.
+//! Results computed from a data set are bit-identical whether its frames are in memory or on disk.
 
+mod frame_store;
 mod load;
 mod memory;
-mod shelf;
 pub mod simulate;
 mod split;
 mod statistics;
@@ -24,8 +24,8 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
+pub use frame_store::{CacheUsage, FrameStore};
 pub use memory::available_memory;
-pub use shelf::{Residency, Shelf};
 pub use split::Part;
 pub use statistics::Bounds;
 pub use stream::{State, Stream};
@@ -42,25 +42,25 @@ use statistics::Statistics;
 /// The topic that holds the truth.
 pub const TRUTH_TOPIC: &str = "/particles";
 
-/// Trajectories, split and described.
+/// Trajectories, split into parts and described by statistics.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// What weights are fitted to: the first 80 % of the stream ids.
+    /// Training part: the first 80 % of the stream ids.
     pub train: Vec<Trajectory>,
-    /// What the best epoch is chosen by: the next 10 %.
+    /// Validation part, which selects the best epoch: the next 10 %.
     pub validation: Vec<Trajectory>,
-    /// What nobody has seen: the rest.
+    /// Test part: the rest.
     pub test: Vec<Trajectory>,
     /// Statistics of the training part.
     pub normalization: Normalization,
-    /// Distance between neighbouring particles in the first frames of the training part: the median over
-    /// its streams of their medians (domain lengths). One stream alone may have been pressed together.
+    /// Distance between neighbouring particles in the first frames of the training part: the median over streams of
+    /// each stream's median (domain lengths), so that a compressed stream does not matter.
     pub spacing: f32,
     /// SHA-256 over every stream, hexadecimal.
     pub digest: String,
 }
 
-/// Why bags are no data set.
+/// Why bags cannot be used as a data set.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// A bag cannot be read.
@@ -68,31 +68,31 @@ pub enum DatasetError {
     Bag(#[from] BagError),
     /// There are too few trajectories to split.
     #[error(
-        "{}: found {found} streams, expected at least 2: one to learn from and one to validate on",
+        "{}: found {found} streams, expected at least 2: one for training and one for validation",
         list(paths)
     )]
     TooFew {
-        /// What was searched.
+        /// The searched paths.
         paths: Vec<PathBuf>,
-        /// How many streams it holds.
+        /// Number of streams.
         found: usize,
     },
-    /// Streams that do not belong together.
+    /// Streams with different setups.
     #[error("{}: stream {stream}: {field}: found {found}, expected {expected} as in the first stream", path.display())]
     Mixed {
         /// The bag.
         path: PathBuf,
         /// The stream.
         stream: u64,
-        /// What differs.
+        /// The field that differs.
         field: &'static str,
-        /// Its value there.
+        /// Its value in this stream.
         found: String,
         /// Its value in the first stream.
         expected: String,
     },
-    /// A stream on disk is not what it was when the set was loaded.
-    #[error("{}: stream {stream}: found other frames, expected those it had when it was read first", path.display())]
+    /// A stream on disk has changed since the data set was loaded.
+    #[error("{}: stream {stream}: its frames have changed since they were first read", path.display())]
     Changed {
         /// The bag.
         path: PathBuf,
@@ -106,11 +106,10 @@ fn list(paths: &[PathBuf]) -> String {
 }
 
 impl Dataset {
-    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them. Frames
-    /// that take more than `memory` bytes together stay on disk and are read again when they are
-    /// needed; at most that many bytes of them are in memory at a time.
+    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them. If the frames take more than
+    /// `memory` bytes in total, they stay on disk and are read on demand, with at most that many bytes in memory.
     ///
-    /// `progress` is called after every frame with how many were read and how many there are.
+    /// `progress` is called after every frame with the numbers of frames read and in total.
     ///
     /// # Errors
     /// [`DatasetError`] when a bag cannot be read, holds no frames, or streams differ in `dt` or domain.
@@ -142,12 +141,12 @@ impl Dataset {
                 Part::Test => test.push(stream),
             }
         }
-        let (normalization, digest) = (statistics.normalization(), in_words(hasher));
+        let (normalization, digest) = (statistics.normalization(), hex(hasher));
         let spacing = median(train.par_iter().map(|stream| spacing(&stream.rest)).collect());
         Ok(Self { train, validation, test, normalization, spacing, digest })
     }
 
-    /// Fingerprints of the streams that weights are fitted to and chosen by.
+    /// Fingerprints of the streams of the training and validation parts.
     ///
     /// # Errors
     /// As [`Trajectory::visit`].
@@ -155,19 +154,19 @@ impl Dataset {
         self.train.iter().chain(&self.validation).map(Trajectory::fingerprint).collect()
     }
 
-    /// Where the frames are, unless they are in memory.
-    pub fn shelf(&self) -> Option<&Shelf> {
-        self.train.first()?.shelf().map(AsRef::as_ref)
+    /// The store of frames on disk, unless they are in memory.
+    pub fn frame_store(&self) -> Option<&FrameStore> {
+        self.train.first()?.frame_store().map(AsRef::as_ref)
     }
 }
 
-/// Every stream of the topic `/particles` of the bags at `paths`, in the order of id and bag. Frames
-/// that take more than `memory` bytes together stay on disk, as in [`Dataset::load`].
+/// Every stream of the topic `/particles` of the bags at `paths`, ordered by id and bag. Frames stay on disk if they
+/// take more than `memory` bytes in total, as in [`Dataset::load`].
 ///
-/// `progress` is called after every frame with how many were read and how many there are.
+/// `progress` is called after every frame with the numbers of frames read and in total.
 ///
 /// # Errors
-/// As [`Dataset::load`]; a single stream is enough here.
+/// As [`Dataset::load`], but a single stream is sufficient.
 pub fn load_trajectories(
     paths: &[PathBuf],
     memory: u64,
@@ -176,7 +175,7 @@ pub fn load_trajectories(
     load::load(paths, memory, progress)
 }
 
-fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
+fn check_same_setup(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
     let mixed = |field, found: String, expected: String| {
         Err(DatasetError::Mixed {
             path: stream.source.clone(),
@@ -195,14 +194,13 @@ fn alike(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
     Ok(())
 }
 
-/// The streams among `streams` that a training on all of them sets aside.
+/// The streams that training on all of `streams` would put into the test part.
 pub fn test_part(streams: &[Trajectory]) -> Vec<Trajectory> {
     let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
     streams.iter().filter(|stream| Part::of(&ids, stream.id) == Part::Test).cloned().collect()
 }
 
-/// SHA-256 over ids, materials and states of all streams, hexadecimal. `look` sees every state on
-/// the way.
+/// SHA-256 over ids, materials and states of all streams, hexadecimal. `look` is called with every state.
 ///
 /// # Errors
 /// As [`Trajectory::visit`].
@@ -218,7 +216,7 @@ pub fn digest(
             look(state);
         })?;
     }
-    Ok(in_words(hasher))
+    Ok(hex(hasher))
 }
 
 fn begin_digest(hasher: &mut Sha256, id: u64, dt: f32, material: &[Material]) {
@@ -233,6 +231,6 @@ fn add_to_digest(hasher: &mut Sha256, state: &State) {
     }
 }
 
-fn in_words(hasher: Sha256) -> String {
+fn hex(hasher: Sha256) -> String {
     format!("{:x}", hasher.finalize())
 }

@@ -1,31 +1,31 @@
-//! Which stream teaches, which chooses, which judges.
+//! Training, validation and test streams.
 
 use std::collections::BTreeSet;
 
-/// Share of the ids that train (the paper's 80:10:10).
+/// Share of the ids in the training part (the paper's 80:10:10).
 const TRAIN_SHARE: f64 = 0.8;
-/// Share of the ids that train or validate.
+/// Share of the ids in the training and validation parts.
 const VALIDATION_END: f64 = 0.9;
 
 /// A part of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// What weights are fitted to.
+    /// Fits the weights.
     Train,
-    /// What the best epoch is chosen by.
+    /// Selects the best epoch.
     Validation,
-    /// What nobody has seen.
+    /// Unseen during training.
     Test,
 }
 
-/// The ids of all streams, ascending. Pieces of a trajectory that was cut share one id.
+/// The distinct ids of all streams, ascending. Pieces of a trajectory that was cut share one id.
 pub(super) fn distinct_ids(ids: impl Iterator<Item = u64>) -> Vec<u64> {
     ids.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 impl Part {
-    /// The part of the stream `id` among `ids`, which ascend. Of 60 ids, 0..47 train, 48..53
-    /// validate and 54..59 test, as in the paper; a lone stream trains.
+    /// The part of the stream `id` among the ascending `ids`. Of 60 ids, the first 48 are for training, the next 6 for
+    /// validation and the last 6 for the test, as in the paper; a single stream is for training.
     pub fn of(ids: &[u64], id: u64) -> Self {
         if ids.len() < 2 {
             return Self::Train;
@@ -42,8 +42,8 @@ impl Part {
     }
 }
 
-/// Where training and validation end among `count` ids: at least one id each, and one for the test
-/// where there are three.
+/// Ends of the training and validation parts among `count` ids: each has at least one id, and so does the test part
+/// if there are three or more.
 fn bounds(count: usize) -> (usize, usize) {
     let latest_validation_end = if count >= 3 { count - 1 } else { count };
     let end = |share: f64| (share * count as f64).floor() as usize;
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn every_part_has_a_stream_where_there_are_three() {
+    fn every_part_has_a_stream_if_there_are_at_least_three() {
         assert_eq!(bounds(2), (1, 2));
         assert_eq!(bounds(3), (1, 2));
         assert_eq!(bounds(12), (9, 10));

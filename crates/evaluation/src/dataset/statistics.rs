@@ -1,9 +1,9 @@
-//! Range, mean and deviation of the features x, y, vx, vy, and where particles have been.
+//! Range, mean and standard deviation of the features x, y, vx, vy, and bounding boxes of positions.
 
 use super::State;
 use eddy_inference::checkpoint::Normalization;
 
-/// The smallest box that holds all positions seen (domain lengths).
+/// Bounding box of all positions seen (domain lengths).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Smallest x and y.
@@ -13,21 +13,21 @@ pub struct Bounds {
 }
 
 impl Default for Bounds {
-    /// The bounds of nothing.
+    /// The empty box.
     fn default() -> Self {
         Self { lower: [f32::INFINITY; 2], upper: [f32::NEG_INFINITY; 2] }
     }
 }
 
 impl Bounds {
-    /// Makes room for the positions of a state.
+    /// Extends the box by the positions of a state.
     pub fn widen(&mut self, state: &State) {
         for position in &state.position {
             self.join(&Self { lower: *position, upper: *position });
         }
     }
 
-    /// Makes room for other bounds.
+    /// Extends the box by another one.
     pub fn join(&mut self, other: &Self) {
         for axis in 0..2 {
             self.lower[axis] = self.lower[axis].min(other.lower[axis]);
@@ -36,7 +36,7 @@ impl Bounds {
     }
 }
 
-/// Statistics over every particle of states, one state after the other, summed in f64.
+/// Statistics over all particles of all added states, accumulated in f64.
 #[derive(Clone, Debug)]
 pub(super) struct Statistics {
     minimum: [f32; 4],
@@ -57,7 +57,7 @@ impl Statistics {
         }
     }
 
-    /// Adds a state. The order of states counts in the last digits.
+    /// Adds a state. The order of states affects the last digits.
     pub(super) fn add(&mut self, state: &State) {
         for (&[x, y], &[vx, vy]) in state.position.iter().zip(&state.velocity) {
             self.count += 1.0;

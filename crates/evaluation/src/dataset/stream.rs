@@ -16,7 +16,7 @@ pub struct State {
 /// Consecutive frames of one simulated trajectory.
 #[derive(Clone, Debug)]
 pub struct Stream {
-    /// The stream's number in its bag: the scene id for simulated data.
+    /// Stream id in its bag: the scene id for simulated data.
     pub id: u64,
     /// The bag it was read from.
     pub source: PathBuf,
@@ -48,7 +48,7 @@ impl Stream {
         }
     }
 
-    /// Whether `frame` is the one that comes after the first `frames` frames.
+    /// Whether `frame` directly follows the first `frames` frames.
     pub(super) fn is_continued_by(&self, frame: &Frame, frames: usize) -> bool {
         frame.sequence == self.first_sequence + frames as u64
             && frame.dt == self.dt
@@ -56,7 +56,7 @@ impl Stream {
             && frame.material == self.material
     }
 
-    /// The name of the bag that it was read from.
+    /// Name of the bag it was read from.
     pub fn name(&self) -> String {
         let stem = self.source.file_stem().unwrap_or(self.source.as_os_str());
         stem.to_string_lossy().into_owned()
@@ -67,7 +67,7 @@ impl Stream {
         Material::ALL.into_iter().filter(|material| self.material.contains(material)).collect()
     }
 
-    /// State number `index` as a frame.
+    /// State `index` as a frame.
     pub fn frame(&self, index: usize) -> Frame {
         let state = &self.states[index];
         Frame {

@@ -1,18 +1,18 @@
-//! One trajectory of a data set: what is known of it, and a way to its frames, wherever they are.
+//! One trajectory of a data set: its description, and access to its frames in memory or on disk.
 
 use std::{ops::Range, path::PathBuf, sync::Arc};
 
 use sha2::{Digest, Sha256};
 
 use super::{
-    DatasetError, Shelf, State, Stream, add_to_digest, begin_digest, in_words, statistics::Bounds,
+    DatasetError, FrameStore, State, Stream, add_to_digest, begin_digest, hex, statistics::Bounds,
 };
 use eddy_frames::{Domain, Material, Stamp};
 
 /// Consecutive frames of one simulated trajectory, in memory or on disk.
 #[derive(Clone, Debug)]
 pub struct Trajectory {
-    /// The stream's number in its bag: the scene id for simulated data.
+    /// Stream id in its bag: the scene id for simulated data.
     pub id: u64,
     /// The bag it is from.
     pub source: PathBuf,
@@ -26,42 +26,42 @@ pub struct Trajectory {
     pub first_sequence: u64,
     /// Stamp of the first frame.
     pub first_stamp: Stamp,
-    /// How many frames it has.
+    /// Number of frames.
     pub frames: usize,
-    /// Where its particles have been (domain lengths).
+    /// Bounding box of its positions (domain lengths).
     pub bounds: Bounds,
-    /// Positions in the first frame, `[N]`: the shape that solids are taken to rest in.
+    /// Positions in the first frame, `[N]`: taken as the rest shape of solids.
     pub rest: Arc<Vec<[f32; 2]>>,
-    place: Place,
+    storage: Storage,
 }
 
-/// Where frames are.
+/// Where the frames are.
 #[derive(Clone, Debug)]
-enum Place {
+enum Storage {
     Memory(Arc<Vec<State>>),
-    /// On disk: number of the stream on the shelf.
-    Disk(Arc<Shelf>, usize),
+    /// On disk: index of the stream in the store.
+    Disk(Arc<FrameStore>, usize),
 }
 
 impl Trajectory {
-    /// A stream that is `number` on the shelf; of its states, none need be there.
-    pub(super) fn on_shelf(
+    /// The stream with index `number` in a store. The states of `stream` are ignored.
+    pub(super) fn stored(
         stream: Stream,
         frames: usize,
         bounds: Bounds,
         rest: Vec<[f32; 2]>,
-        shelf: &Arc<Shelf>,
+        store: &Arc<FrameStore>,
         number: usize,
     ) -> Self {
-        Self::placed(stream, frames, bounds, rest, Place::Disk(shelf.clone(), number))
+        Self::with_storage(stream, frames, bounds, rest, Storage::Disk(store.clone(), number))
     }
 
-    fn placed(
+    fn with_storage(
         stream: Stream,
         frames: usize,
         bounds: Bounds,
         rest: Vec<[f32; 2]>,
-        place: Place,
+        storage: Storage,
     ) -> Self {
         let Stream { id, source, dt, domain, material, first_sequence, first_stamp, .. } = stream;
         Self {
@@ -75,40 +75,40 @@ impl Trajectory {
             frames,
             bounds,
             rest: Arc::new(rest),
-            place,
+            storage,
         }
     }
 
-    /// The shelf its frames are on, unless they are in memory.
-    pub fn shelf(&self) -> Option<&Arc<Shelf>> {
-        match &self.place {
-            Place::Memory(_) => None,
-            Place::Disk(shelf, _) => Some(shelf),
+    /// The store of its frames, unless they are in memory.
+    pub fn frame_store(&self) -> Option<&Arc<FrameStore>> {
+        match &self.storage {
+            Storage::Memory(_) => None,
+            Storage::Disk(store, _) => Some(store),
         }
     }
 
-    /// Looks at some of its frames, one after the other.
+    /// Calls `look` with a range of its frames, in order.
     ///
     /// # Errors
     /// [`DatasetError::Bag`], [`DatasetError::Changed`] when frames on disk cannot be read again.
     ///
     /// # Panics
-    /// When the range goes beyond its frames.
+    /// When the range exceeds its frames.
     pub fn visit(
         &self,
         frames: Range<usize>,
         mut look: impl FnMut(&State),
     ) -> Result<(), DatasetError> {
-        match &self.place {
-            Place::Memory(states) => states[frames].iter().for_each(look),
-            Place::Disk(shelf, number) => shelf.visit(*number, frames, &mut look)?,
+        match &self.storage {
+            Storage::Memory(states) => states[frames].iter().for_each(look),
+            Storage::Disk(store, number) => store.visit(*number, frames, &mut look)?,
         }
         Ok(())
     }
 
-    /// What tells it from other streams, whatever its number and its bag: the beginning of the SHA-256 over its
-    /// interval, its materials and its first two frames, 16 hexadecimal digits. With one frame alone, a scene in water
-    /// and the same scene in honey would be one.
+    /// Identifies the stream independently of its id and bag: the first 16 hexadecimal digits of the SHA-256 over its
+    /// interval, materials and first two frames. The first frame alone would not distinguish a scene in water from the
+    /// same scene in honey.
     ///
     /// # Errors
     /// As [`Trajectory::visit`].
@@ -116,12 +116,12 @@ impl Trajectory {
         let mut hasher = Sha256::new();
         begin_digest(&mut hasher, 0, self.dt, &self.material);
         self.visit(0..self.frames.min(2), |state| add_to_digest(&mut hasher, state))?;
-        let mut digits = in_words(hasher);
+        let mut digits = hex(hasher);
         digits.truncate(16);
         Ok(digits)
     }
 
-    /// Some of its frames as a stream of their own.
+    /// A range of its frames as a stream.
     ///
     /// # Errors
     /// As [`Trajectory::visit`].
@@ -152,6 +152,6 @@ impl From<Stream> for Trajectory {
         let mut bounds = Bounds::default();
         states.iter().for_each(|state| bounds.widen(state));
         let rest = states.first().map(|state| state.position.clone()).unwrap_or_default();
-        Self::placed(stream, states.len(), bounds, rest, Place::Memory(Arc::new(states)))
+        Self::with_storage(stream, states.len(), bounds, rest, Storage::Memory(Arc::new(states)))
     }
 }

@@ -2,18 +2,18 @@
 
 use eddy_frames::Domain;
 
-/// Pixels a spacing; an area is a number of pixels.
+/// Pixels per spacing.
 const PIXELS: f32 = 2.0;
-/// The most pixels: above, they are wider.
-const MOST: f32 = (1 << 26) as f32;
-/// The most pixels along an axis.
-const MOST_ALONG: f32 = (1 << 22) as f32;
+/// Maximum number of pixels: for larger domains they are wider.
+const MAX_PIXELS: f32 = (1 << 26) as f32;
+/// Maximum number of pixels along an axis.
+const MAX_SIDE: f32 = (1 << 22) as f32;
 
-/// Area within one spacing of a particle (domain lengths^2), of the particles chosen. What is outside
-/// the domain does not count. Particles without a spacing occupy nothing.
+/// Area within one spacing of any of the particles (domain lengths^2), inside the domain. Zero without a valid
+/// spacing.
 ///
-/// At rest neighbours are a spacing apart, so that a body is filled even where its particles are in
-/// disorder, and its area follows its outline.
+/// Neighbours at rest are a spacing apart, so a body is filled even where its particles are in disorder, and its area
+/// follows its outline.
 pub(super) fn occupied<'a>(
     position: impl Iterator<Item = &'a [f32; 2]>,
     domain: Domain,
@@ -24,8 +24,9 @@ pub(super) fn occupied<'a>(
         return 0.0;
     }
     let sides = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
-    let widest = (sides[0].max(sides[1]) / MOST_ALONG).max((sides[0] * sides[1] / MOST).sqrt());
-    let pixel = (spacing / PIXELS).max(widest);
+    let min_pixel =
+        (sides[0].max(sides[1]) / MAX_SIDE).max((sides[0] * sides[1] / MAX_PIXELS).sqrt());
+    let pixel = (spacing / PIXELS).max(min_pixel);
     let extent = sides.map(|side| (side / pixel).ceil() as usize);
     let radius = spacing / pixel;
     let mut painted = vec![false; extent[0] * extent[1]];
@@ -83,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_spacing_of_almost_nothing_takes_no_more_than_the_most_pixels() {
+    fn a_tiny_spacing_does_not_exceed_the_maximum_number_of_pixels() {
         let one = [[0.5; 2]];
         for spacing in [0.0, f32::MIN_POSITIVE, f32::INFINITY, f32::NAN] {
             assert!(occupied(one.iter(), Domain::UNIT, spacing) < 1e-6, "{spacing}");

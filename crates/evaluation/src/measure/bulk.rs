@@ -1,21 +1,21 @@
-//! What all particles have together: kinetic energy, centre of mass.
+//! Bulk quantities: kinetic energy, centre of mass, share outside the walls.
 
 use super::Mean;
 use crate::{dataset::State, errors::square};
 
-/// What all particles have together at one frame ahead, added up over windows.
+/// Bulk quantities at one frame ahead, accumulated over windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bulk {
     /// Kinetic energy per mass (domain lengths^2 per s^2).
     pub kinetic_energy: Mean,
     /// Squared distance of the centre of mass from the true one (domain lengths^2).
     pub centre: Mean,
-    /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
+    /// Share of the particles beyond an effective wall by more than half a spacing (0 to 1).
     pub outside: Mean,
 }
 
 impl Bulk {
-    /// Adds a predicted state; `centre` is the true one.
+    /// Adds a predicted state; `centre` is the true centre of mass.
     pub(super) fn add(
         &mut self,
         state: &State,
@@ -53,7 +53,7 @@ pub(super) fn mean<'a>(vectors: impl Iterator<Item = &'a [f32; 2]>) -> [f64; 2] 
     sum.map(|component| component / count)
 }
 
-/// Share of positions that are beyond a wall by more than `margin` (domain lengths), 0 to 1.
+/// Share of positions beyond a wall by more than `margin` (domain lengths), 0 to 1.
 pub(super) fn share_outside(
     position: &[[f32; 2]],
     [lower, upper]: [[f32; 2]; 2],
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_a_wall_by_more_than_the_margin_is_outside() {
+    fn positions_beyond_a_wall_by_more_than_the_margin_are_outside() {
         let walls = [[0.25; 2], [0.75; 2]];
         let position = [[0.5, 0.5], [0.2, 0.5], [0.5, 0.9], [f32::NAN, 0.5]];
         assert_eq!(share_outside(&position, walls, 0.0), 0.75);

@@ -1,48 +1,49 @@
-//! Density maps: where the mass is, whichever particles carry it.
+//! Density maps: the distribution of mass, whichever particles carry it.
 
 use eddy_frames::Domain;
 
-/// Cells of a map are so many times as wide as the spacing of particles: one holds about sixteen.
+/// Width of a map's cells (spacings): a cell holds about sixteen particles.
 const CELL_SPACINGS: f32 = 4.0;
-/// The most cells of a map; above, they are wider.
-const MOST: f32 = (1 << 20) as f32;
-/// The most cells along an axis.
-const MOST_ALONG: f32 = (1 << 18) as f32;
+/// Maximum number of cells: for larger domains they are wider.
+const MAX_CELLS: f32 = (1 << 20) as f32;
+/// Maximum number of cells along an axis.
+const MAX_SIDE: f32 = (1 << 18) as f32;
 
 /// Lattice of a domain.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice {
     lower: [f32; 2],
-    /// Cells a domain length.
+    /// Cells per domain length.
     scale: f32,
     nodes: [usize; 2],
 }
 
 impl Lattice {
-    /// The lattice for particles so far apart (domain lengths) in a domain.
+    /// The lattice of a domain, for particles with this spacing (domain lengths).
     pub(super) fn new(domain: Domain, spacing: f32) -> Self {
         let sides = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
-        let widest = (sides[0].max(sides[1]) / MOST_ALONG).max((sides[0] * sides[1] / MOST).sqrt());
-        let cell = (CELL_SPACINGS * spacing).max(widest);
+        let min_cell =
+            (sides[0].max(sides[1]) / MAX_SIDE).max((sides[0] * sides[1] / MAX_CELLS).sqrt());
+        let cell = (CELL_SPACINGS * spacing).max(min_cell);
         let nodes = sides.map(|side| ((side / cell).ceil() as usize).max(1) + 1);
         Self { lower: domain.lower, scale: 1.0 / cell, nodes }
     }
 
-    /// Particles at each node: every one is spread bilinearly over the four around it, one outside the
-    /// domain goes to its edge.
+    /// Particles at each node: each particle is distributed bilinearly over the four nodes around it; particles outside
+    /// the domain count at its edge.
     pub(super) fn map(&self, position: &[[f32; 2]]) -> Vec<f32> {
         let mut map = vec![0.0; self.nodes[0] * self.nodes[1]];
         for position in position {
             let mut at = [0; 2];
-            let mut part = [0.0; 2];
+            let mut fraction = [0.0; 2];
             for axis in 0..2 {
                 let last = (self.nodes[axis] - 1) as f32;
                 let place = ((position[axis] - self.lower[axis]) * self.scale).clamp(0.0, last);
                 at[axis] = (place as usize).min(self.nodes[axis] - 2);
-                part[axis] = place - at[axis] as f32;
+                fraction[axis] = place - at[axis] as f32;
             }
-            for (dx, wx) in [1.0 - part[0], part[0]].into_iter().enumerate() {
-                for (dy, wy) in [1.0 - part[1], part[1]].into_iter().enumerate() {
+            for (dx, wx) in [1.0 - fraction[0], fraction[0]].into_iter().enumerate() {
+                for (dy, wy) in [1.0 - fraction[1], fraction[1]].into_iter().enumerate() {
                     map[(at[0] + dx) * self.nodes[1] + at[1] + dy] += wx * wy;
                 }
             }
@@ -51,7 +52,7 @@ impl Lattice {
     }
 }
 
-/// Share of the mass that one map has where the other has not, 0 to 1.
+/// Half the L1 distance of two maps relative to the total mass: the share of misplaced mass, 0 to 1.
 pub(super) fn misplaced(predicted: &[f32], truth: &[f32]) -> f64 {
     let all: f64 = truth.iter().map(|&mass| f64::from(mass)).sum();
     let apart: f64 =
@@ -64,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_particle_is_spread_whole_also_at_the_edge_and_outside() {
+    fn the_mass_of_every_particle_is_conserved_also_at_the_edge_and_outside() {
         let lattice = Lattice::new(Domain::UNIT, 1.0 / 128.0);
         for position in [[0.3, 0.4], [1.0, 1.0], [0.0, 0.999], [-3.0, 7.0]] {
             let mass: f32 = lattice.map(&[position; 3]).iter().sum();
@@ -73,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_spacing_of_nothing_takes_no_more_than_the_most_cells() {
+    fn a_zero_spacing_does_not_exceed_the_maximum_number_of_cells() {
         for domain in [[1.0, 1.0], [4096.0, 1.0], [1e6, 1e-6]] {
             let domain = Domain { lower: [0.0; 2], upper: domain };
             let nodes = Lattice::new(domain, 0.0).map(&[[0.5; 2]]).len();
@@ -82,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn half_of_the_mass_that_moved_away_is_misplaced_and_an_exchange_is_not() {
+    fn moved_mass_is_misplaced_and_exchanged_particles_are_not() {
         let lattice = Lattice::new(Domain::UNIT, 1.0 / 128.0);
         let map = |x: [[f32; 2]; 2]| lattice.map(&x);
         let truth = map([[0.2, 0.2], [0.8, 0.8]]);

@@ -1,4 +1,4 @@
-//! Bodies in free flight: what has nothing near it falls by g dt a frame and keeps its spin.
+//! Bodies in free flight: without contact a body gains g dt per frame and keeps its spin.
 
 use std::collections::HashMap;
 
@@ -9,46 +9,47 @@ use crate::{
 };
 use eddy_inference::engine::Ballistic;
 
-/// Bodies have an empty strip of at least so many spacings around them.
+/// Minimum width of the empty strip around a body (spacings).
 const GAP: f32 = 16.0;
-/// Distance to walls of a body in flight (spacings).
+/// Minimum distance of a body in flight from the walls (spacings).
 const WALL_GAP: f32 = 8.0;
-/// Fewest particles of a body; less is spray.
-const FEWEST: usize = 100;
-/// A body that is in free flight in the truth, from one frame to the next.
+/// Minimum number of particles of a body; fewer are spray.
+const MIN_PARTICLES: usize = 100;
+
+/// A body in free flight in the truth, from one frame to the next.
 #[derive(Clone, Debug)]
 struct Body {
     particles: Vec<u32>,
-    /// Momentum per mass at the first of them (domain lengths per second).
+    /// Momentum per mass in the first frame (domain lengths per second).
     momentum: [f64; 2],
-    /// Angular momentum per mass, about the centre (domain lengths^2 per second).
+    /// Angular momentum per mass about the centre of mass (domain lengths^2 per second).
     spin: f64,
-    /// Mean squared distance to the centre (domain lengths^2).
+    /// Mean squared distance from the centre of mass (domain lengths^2).
     inertia: f64,
 }
 
 /// All free flight in a stream.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Flights {
-    /// Frames with bodies in flight, and these.
+    /// Frames with bodies in flight, and the bodies.
     bodies: Vec<(usize, Vec<Body>)>,
     gravity: [f64; 2],
     dt: f64,
 }
 
-/// What predictions of the next frame did to bodies in free flight.
+/// Errors of one-step predictions of bodies in free flight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlightSums {
-    /// Momentum per mass gained in a frame beside that of gravity (g dt).
+    /// Momentum per mass gained per frame in excess of gravity (g dt).
     pub gain: Mean,
-    /// The largest of these.
+    /// Maximum of these gains.
     pub worst_gain: f64,
-    /// Squared change of the spin in a frame (rad^2 per s^2).
+    /// Squared change of the spin per frame (rad^2 per s^2).
     pub spin: Mean,
 }
 
 impl FlightSums {
-    /// Adds what was found elsewhere.
+    /// Adds other sums.
     pub fn merge(&mut self, other: &Self) {
         self.gain.merge(&other.gain);
         self.worst_gain = self.worst_gain.max(other.worst_gain);
@@ -57,7 +58,7 @@ impl FlightSums {
 }
 
 impl Flights {
-    /// Looks for bodies that nothing is near, in a frame and in the next one.
+    /// Finds bodies that are isolated in a frame and in the next one.
     pub(crate) fn of(stream: &Stream, ballistic: &Ballistic, spacing: f32) -> Self {
         let gap = GAP * spacing;
         let mut found = Vec::new();
@@ -66,8 +67,8 @@ impl Flights {
             let [state, after] = pair else { continue };
             let Some(now) = next.replace(sets(&after.position, gap)) else { continue };
             let then = next.as_deref().unwrap_or_default();
-            let flies = |particles: &Vec<u32>| {
-                particles.len() >= FEWEST
+            let in_flight = |particles: &Vec<u32>| {
+                particles.len() >= MIN_PARTICLES
                     && off_the_walls(particles, state, ballistic, spacing)
                     && off_the_walls(particles, after, ballistic, spacing)
                     && is_whole(particles, then, state.position.len())
@@ -77,7 +78,7 @@ impl Flights {
                     motion(&particles, &state.position, &state.velocity);
                 Body { particles, momentum, spin, inertia }
             };
-            let bodies: Vec<Body> = now.into_iter().filter(flies).map(body).collect();
+            let bodies: Vec<Body> = now.into_iter().filter(in_flight).map(body).collect();
             if !bodies.is_empty() {
                 found.push((index, bodies));
             }
@@ -91,9 +92,8 @@ impl Flights {
         self.bodies.iter().map(|(index, _)| *index)
     }
 
-    /// Adds what a prediction of the frame after frame `index` does to the bodies that are in flight
-    /// there. Without gravity there is no unit, and nothing is added. What is no number counts as
-    /// infinite.
+    /// Adds the errors of a prediction made from frame `index`, over the bodies in flight there. Without gravity there
+    /// is no unit and nothing is added. NaN counts as infinite.
     pub(crate) fn add(
         &self,
         index: usize,
@@ -108,9 +108,9 @@ impl Flights {
         }
         for body in &self.bodies[at].1 {
             let (momentum, spin, _) = motion(&body.particles, position, velocity);
-            let beside = [0, 1]
+            let excess = [0, 1]
                 .map(|axis| momentum[axis] - body.momentum[axis] - self.gravity[axis] * self.dt);
-            let gain = or_infinite(square(beside).sqrt() / unit);
+            let gain = or_infinite(square(excess).sqrt() / unit);
             sums.gain.add(gain, 1.0);
             sums.worst_gain = sums.worst_gain.max(gain);
             if body.inertia > 0.0 {
@@ -121,12 +121,12 @@ impl Flights {
     }
 }
 
-/// A maximum passes over what is no number.
+/// `f64::max` ignores NaN, which must not hide a failure.
 fn or_infinite(number: f64) -> f64 {
     if number.is_nan() { f64::INFINITY } else { number }
 }
 
-/// Momentum, angular momentum about the centre, and moment of inertia, all per mass.
+/// Momentum, angular momentum about the centre of mass, and moment of inertia, all per mass.
 fn motion(particles: &[u32], position: &[[f32; 2]], velocity: &[[f32; 2]]) -> ([f64; 2], f64, f64) {
     let of = |rows: &[[f32; 2]]| mean(particles.iter().map(|&k| &rows[k as usize]));
     let (centre, momentum) = (of(position), of(velocity));
@@ -142,8 +142,7 @@ fn motion(particles: &[u32], position: &[[f32; 2]], velocity: &[[f32; 2]]) -> ([
     (momentum, spin / count, inertia / count)
 }
 
-/// The particles in sets with an empty strip of at least `gap` (domain lengths) between any two: cells
-/// of that width are flooded from neighbour to neighbour.
+/// Partitions the particles into sets at least `gap` (domain lengths) apart, by flood fill over cells of that width.
 fn sets(position: &[[f32; 2]], gap: f32) -> Vec<Vec<u32>> {
     let mut cells: HashMap<[i32; 2], Vec<u32>> = HashMap::new();
     for (k, x) in position.iter().enumerate() {
@@ -169,7 +168,7 @@ fn sets(position: &[[f32; 2]], gap: f32) -> Vec<Vec<u32>> {
     sets
 }
 
-/// Whether no set holds some of these particles and others too.
+/// Whether no set contains both some of these particles and others.
 fn is_whole(particles: &[u32], sets: &[Vec<u32>], count: usize) -> bool {
     let mut belongs = vec![false; count];
     particles.iter().for_each(|&k| belongs[k as usize] = true);
@@ -195,7 +194,7 @@ mod tests {
     const BALLISTIC: Ballistic =
         Ballistic { gravity: [0.0, -10.0], dt: 0.01, lower: [0.0; 2], upper: [1.0; 2] };
 
-    /// A block of 12 x 12 particles around `centre` that turns and falls.
+    /// A rotating block of 12 x 12 particles around `centre`.
     fn block(centre: [f32; 2], velocity: [f32; 2], turn: f32) -> State {
         let offset = |n: usize| (n as f32 - 5.5) * SPACING;
         let places: Vec<[f32; 2]> = (0..144).map(|k| [offset(k % 12), offset(k / 12)]).collect();
@@ -215,7 +214,7 @@ mod tests {
         all
     }
 
-    /// One block falls from `[x, y]` for ten frames, the other lies on the floor.
+    /// Ten frames of a block that falls from `[x, y]` and another at rest on the floor.
     fn stream([x, y]: [f32; 2]) -> Stream {
         let states = (0..10u8).map(|n| {
             let t = 0.01 * f32::from(n);
@@ -239,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_falling_body_flies_and_one_on_the_floor_does_not() {
+    fn a_falling_body_is_in_flight_and_one_on_the_floor_is_not() {
         let found = flights(&stream([0.3, 0.5]));
         assert_eq!(found.frames().collect::<Vec<_>>(), (0..9).collect::<Vec<_>>());
         for (_, bodies) in found.bodies {
@@ -248,12 +247,12 @@ mod tests {
     }
 
     #[test]
-    fn a_body_near_one_on_the_floor_does_not_fly() {
+    fn a_body_near_another_is_not_in_flight() {
         assert_eq!(flights(&stream([0.7, 0.2])).frames().count(), 0);
     }
 
     #[test]
-    fn the_truth_gains_nothing_and_what_is_pushed_gains_what_it_was_pushed() {
+    fn the_truth_gains_nothing_and_a_push_is_measured() {
         let stream = stream([0.3, 0.5]);
         let flights = flights(&stream);
         let truth = &stream.states[6];
@@ -262,7 +261,7 @@ mod tests {
         assert_eq!(sums.gain.weight, 1.0);
         assert!(sums.worst_gain < 1e-5 && sums.spin.value() < 1e-8, "{sums:?}");
 
-        // 0.01 is a tenth of g dt; all that turned stands still.
+        // 0.01 is a tenth of g dt; the rotation is lost.
         let pushed: Vec<[f32; 2]> = vec![[0.01, -0.6]; 288];
         let mut sums = FlightSums::default();
         flights.add(5, &truth.position, &pushed, &mut sums);
@@ -275,7 +274,7 @@ mod tests {
         assert_eq!([infinite.gain.value(), infinite.spin.value()], [f64::INFINITY; 2]);
 
         flights.add(9, &truth.position, &pushed, &mut sums);
-        assert_eq!(sums.gain.weight, 1.0, "nobody has seen the end of that flight");
+        assert_eq!(sums.gain.weight, 1.0, "the flight has no next frame");
     }
 
     #[test]

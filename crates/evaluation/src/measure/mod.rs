@@ -1,11 +1,11 @@
 //! Physical measures of predicted states beside true ones.
 //!
 //! 1. `density`: where the mass is.
-//! 2. `bulk`: kinetic energy, centre of mass, what is outside the walls, at every frame ahead.
-//! 3. `flight`: momentum and spin of bodies that nothing touches.
+//! 2. `bulk`: kinetic energy, centre of mass, share outside the walls, at every frame ahead.
+//! 3. `flight`: momentum and spin of bodies in free flight.
 //! 4. `area`: the area that liquids occupy.
-//! 5. `stretch`: how far rope and jelly are stretched and distorted.
-//! 6. `blow_up`: rollouts that are worse than no model, or livelier than any truth.
+//! 5. `stretch`: stretch and distortion of rope and jelly.
+//! 6. `blow_up`: rollouts that diverge, gain energy or end far from the truth.
 
 mod area;
 mod blow_up;
@@ -15,38 +15,38 @@ mod flight;
 mod stretch;
 
 use super::{
-    Arena, Rollout,
+    Context, Rollout,
     errors::{mean_squared_distance, square},
 };
 use crate::dataset::{State, Stream};
 use eddy_frames::Material;
 
 pub use blow_up::BlowUps;
-pub(super) use blow_up::most_energy;
+pub(super) use blow_up::energy_limit;
 pub use bulk::Bulk;
 pub use flight::FlightSums;
 pub(super) use flight::Flights;
 
-/// The frames ahead at which measures are taken, and that tables show.
-pub const SHOWN: [usize; 6] = [1, 5, 10, 20, 50, 100];
+/// The frames ahead at which measures are computed and tables show values.
+pub const SHOWN_FRAMES: [usize; 6] = [1, 5, 10, 20, 50, 100];
 
-/// A mean, or a ratio of sums, while it is added up.
+/// Accumulator of a weighted mean or a ratio of sums.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mean {
-    /// What was added.
+    /// Sum of values.
     pub sum: f64,
-    /// What it is divided by.
+    /// Divisor.
     pub weight: f64,
 }
 
 impl Mean {
-    /// Adds a value that counts as much as `weight`.
+    /// Adds a value and its weight.
     pub fn add(&mut self, value: f64, weight: f64) {
         self.sum += value;
         self.weight += weight;
     }
 
-    /// The mean; NaN when nothing was added.
+    /// The mean; NaN if empty.
     pub fn value(&self) -> f64 {
         self.sum / self.weight
     }
@@ -56,30 +56,30 @@ impl Mean {
     }
 }
 
-/// Measures at one frame ahead, added up over windows.
+/// Measures at one frame ahead, accumulated over windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Physics {
-    /// Share of the mass that is in another place than in the truth, on a lattice of four spacings.
+    /// Share of the mass that is misplaced relative to the truth, on a lattice with cells of four spacings.
     pub misplaced: Mean,
-    /// |K - K'| over K', the kinetic energy of the truth.
+    /// |K - K'| / K', where K' is the kinetic energy of the truth.
     pub kinetic_energy: Mean,
     /// Squared distance of the centres of mass (domain lengths^2).
     pub centre: Mean,
-    /// Share of the particles that are beyond a wall in effect by more than half a spacing.
+    /// Share of the particles beyond an effective wall by more than half a spacing.
     pub outside: Mean,
-    /// Area that liquid occupies over that in the truth.
+    /// Ratio of the area that liquid occupies to the true area.
     pub liquid_area: Mean,
     /// Squared deviation of that ratio from 1, window by window.
     pub liquid_area_off: Mean,
-    /// Distance of rest neighbours within rope over that in the first frame.
+    /// Ratio of the distance of neighbouring rope particles to their rest distance (first frame).
     pub rope_stretch: Mean,
-    /// Squared deviation of that from 1.
+    /// Squared deviation of that ratio from 1.
     pub rope_distortion: Mean,
-    /// As `rope_stretch`, of jelly.
+    /// As `rope_stretch`, for jelly.
     pub jelly_stretch: Mean,
-    /// As `rope_distortion`, of jelly.
+    /// As `rope_distortion`, for jelly.
     pub jelly_distortion: Mean,
-    /// Mean squared way of the particles since the start (domain lengths^2), of settled windows.
+    /// Mean squared displacement of the particles since the start (domain lengths^2), in settled windows.
     pub settled: Mean,
 }
 
@@ -117,42 +117,44 @@ impl Physics {
     }
 }
 
-/// What is known of a scene before anything is measured in it.
-pub(super) struct Rest {
+/// Geometry of a scene at rest, which its measures refer to.
+pub(super) struct RestGeometry {
     lattice: density::Lattice,
-    rope: stretch::Solids,
-    jelly: stretch::Solids,
+    rope: stretch::NeighbourPairs,
+    jelly: stretch::NeighbourPairs,
 }
 
-impl Rest {
-    /// The scene of a stream, whose first frame is its rest shape.
-    pub(super) fn new(arena: &Arena, stream: &Stream) -> Self {
+impl RestGeometry {
+    /// Takes the first frame of a stream as its rest shape.
+    pub(super) fn new(context: &Context, stream: &Stream) -> Self {
         let position = &stream.states[0].position;
-        let solids = |solid| stretch::Solids::new(position, &stream.material, solid, arena.spacing);
+        let pairs = |solid| {
+            stretch::NeighbourPairs::new(position, &stream.material, solid, context.spacing)
+        };
         Self {
-            lattice: density::Lattice::new(arena.domain, arena.spacing),
-            rope: solids(Material::Rope),
-            jelly: solids(Material::Jelly),
+            lattice: density::Lattice::new(context.domain, context.spacing),
+            rope: pairs(Material::Rope),
+            jelly: pairs(Material::Jelly),
         }
     }
 }
 
-/// The true side of one window.
-pub(super) struct Window<'a> {
+/// The truth in one window, to compare rollouts with.
+pub(super) struct TruthWindow<'a> {
     /// The states after the start, up to the horizon or the end of the stream.
     pub(super) truth: &'a [State],
     observed: &'a State,
-    tolerance: blow_up::Tolerance,
-    /// Whether the truth moves less than a spacing (root mean square) from the start to any of the frames
-    /// shown.
+    limits: blow_up::Limits,
+    /// Whether the truth moves less than a spacing (root mean square) from the start to each of
+    /// [`SHOWN_FRAMES`].
     settled: bool,
-    shown: Vec<Shown>,
+    shown: Vec<ShownTruth>,
     /// Centre of mass of each of the true states (domain lengths).
     centres: Vec<[f64; 2]>,
 }
 
-/// The truth at one of [`SHOWN`].
-struct Shown {
+/// The truth at one of [`SHOWN_FRAMES`].
+struct ShownTruth {
     ahead: usize,
     map: Vec<f32>,
     kinetic_energy: f64,
@@ -160,88 +162,88 @@ struct Shown {
     liquid_area: f64,
 }
 
-impl<'a> Window<'a> {
-    /// The window after frame `start` of a stream, which has another frame after it. Nothing is measured
-    /// without `rest`; `most_energy` is that of the stream.
+impl<'a> TruthWindow<'a> {
+    /// The window after frame `start` of a stream, at least one frame long. Without `rest`, no measures are computed;
+    /// `energy_limit` is the limit of the stream.
     pub(super) fn new(
-        arena: &Arena,
+        context: &Context,
         stream: &'a Stream,
         start: usize,
-        rest: Option<&Rest>,
-        most_energy: f64,
+        rest: Option<&RestGeometry>,
+        energy_limit: f64,
     ) -> Self {
         let observed = &stream.states[start];
-        let end = stream.states.len().min(start + 1 + arena.settings.horizon);
+        let end = stream.states.len().min(start + 1 + context.settings.horizon);
         let truth = &stream.states[start + 1..end];
-        let tolerance = blow_up::Tolerance::new(arena, observed, truth, most_energy);
+        let limits = blow_up::Limits::new(context, observed, truth, energy_limit);
         let Some(rest) = rest else {
             let (shown, centres) = (Vec::new(), Vec::new());
-            return Self { truth, observed, tolerance, settled: false, shown, centres };
+            return Self { truth, observed, limits, settled: false, shown, centres };
         };
-        let shown = SHOWN.into_iter().filter(|&ahead| ahead <= truth.len());
-        let spacing = f64::from(arena.spacing);
+        let shown = SHOWN_FRAMES.into_iter().filter(|&ahead| ahead <= truth.len());
+        let spacing = f64::from(context.spacing);
         let settled = shown.clone().all(|ahead| {
-            let way = mean_squared_distance(&truth[ahead - 1].position, &observed.position);
-            way < spacing * spacing
+            let moved = mean_squared_distance(&truth[ahead - 1].position, &observed.position);
+            moved < spacing * spacing
         });
         let shown = shown.map(|ahead| {
             let state = &truth[ahead - 1];
-            Shown {
+            ShownTruth {
                 ahead,
                 map: rest.lattice.map(&state.position),
                 kinetic_energy: bulk::kinetic_energy(&state.velocity),
                 centre: bulk::mean(state.position.iter()),
-                liquid_area: liquid_area(arena, &stream.material, state),
+                liquid_area: liquid_area(context, &stream.material, state),
             }
         });
         let centres = truth.iter().map(|state| bulk::mean(state.position.iter())).collect();
-        Self { truth, observed, tolerance, settled, shown: shown.collect(), centres }
+        Self { truth, observed, limits, settled, shown: shown.collect(), centres }
     }
 
     /// Counts a rollout if it blew up.
     pub(super) fn count_blow_ups(&self, rollout: &Rollout, sums: &mut BlowUps) {
-        self.tolerance.count(rollout, self.truth, sums);
+        self.limits.count(rollout, self.truth, sums);
     }
 
-    /// Adds what predicted particles have together to the sums of each frame ahead.
-    pub(super) fn measure_bulk(&self, arena: &Arena, predicted: &[State], sums: &mut [Bulk]) {
-        let walls = [arena.ballistic.lower, arena.ballistic.upper];
+    /// Adds bulk quantities of predicted states to the sums of each frame ahead.
+    pub(super) fn measure_bulk(&self, context: &Context, predicted: &[State], sums: &mut [Bulk]) {
+        let walls = [context.ballistic.lower, context.ballistic.upper];
         for ((state, centre), sums) in predicted.iter().zip(&self.centres).zip(sums) {
-            sums.add(state, *centre, walls, 0.5 * arena.spacing);
+            sums.add(state, *centre, walls, 0.5 * context.spacing);
         }
     }
 
-    /// Adds the measures of predicted states to those at each of [`SHOWN`].
+    /// Adds the measures of predicted states to those at each of [`SHOWN_FRAMES`].
     pub(super) fn measure(
         &self,
-        arena: &Arena,
+        context: &Context,
         material: &[Material],
-        rest: &Rest,
+        rest: &RestGeometry,
         predicted: &[State],
         sums: &mut [Physics],
     ) {
-        let walls = [arena.ballistic.lower, arena.ballistic.upper];
+        let walls = [context.ballistic.lower, context.ballistic.upper];
         for (shown, sums) in self.shown.iter().zip(sums) {
             let state = &predicted[shown.ahead - 1];
             let map = rest.lattice.map(&state.position);
             sums.misplaced.add(density::misplaced(&map, &shown.map), 1.0);
             let energy = bulk::kinetic_energy(&state.velocity);
-            let apart = (energy - shown.kinetic_energy).abs();
-            sums.kinetic_energy.add(apart, shown.kinetic_energy);
+            let error = (energy - shown.kinetic_energy).abs();
+            sums.kinetic_energy.add(error, shown.kinetic_energy);
             let centre = bulk::mean(state.position.iter());
-            let apart = [centre[0] - shown.centre[0], centre[1] - shown.centre[1]];
-            sums.centre.add(square(apart), 1.0);
-            let outside = bulk::share_outside(&state.position, walls, 0.5 * arena.spacing);
+            let error = [centre[0] - shown.centre[0], centre[1] - shown.centre[1]];
+            sums.centre.add(square(error), 1.0);
+            let outside = bulk::share_outside(&state.position, walls, 0.5 * context.spacing);
             sums.outside.add(outside, 1.0);
-            let area = liquid_area(arena, material, state);
+            let area = liquid_area(context, material, state);
             sums.liquid_area.add(area, shown.liquid_area);
             if shown.liquid_area > 0.0 {
-                let off = area / shown.liquid_area - 1.0;
-                sums.liquid_area_off.add(off * off, 1.0);
+                let deviation = area / shown.liquid_area - 1.0;
+                sums.liquid_area_off.add(deviation * deviation, 1.0);
             }
             if self.settled {
-                let way = mean_squared_distance(&state.position, &self.observed.position);
-                sums.settled.add(way, 1.0);
+                let moved = mean_squared_distance(&state.position, &self.observed.position);
+                sums.settled.add(moved, 1.0);
             }
             rest.rope.add(&state.position, &mut sums.rope_stretch, &mut sums.rope_distortion);
             rest.jelly.add(&state.position, &mut sums.jelly_stretch, &mut sums.jelly_distortion);
@@ -249,8 +251,8 @@ impl<'a> Window<'a> {
     }
 }
 
-fn liquid_area(arena: &Arena, material: &[Material], state: &State) -> f64 {
+fn liquid_area(context: &Context, material: &[Material], state: &State) -> f64 {
     let all = state.position.iter().zip(material);
     let liquid = all.filter(|(_, material)| **material == Material::Liquid);
-    area::occupied(liquid.map(|(position, _)| position), arena.domain, arena.spacing)
+    area::occupied(liquid.map(|(position, _)| position), context.domain, context.spacing)
 }

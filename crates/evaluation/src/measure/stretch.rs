@@ -1,32 +1,32 @@
-//! Distances between neighbours of the rest shape: how far solids are stretched and distorted.
+//! Stretch and distortion of solids: distances between neighbours of the rest shape.
 
 use std::collections::HashMap;
 
 use super::Mean;
 use eddy_frames::Material;
 
-/// Neighbours at rest are at most so many spacings apart: the eight around a particle of a lattice.
+/// Maximum distance of neighbours at rest (spacings): the eight around a particle of a lattice.
 const REACH: f32 = 1.5;
-/// The most particles after one in the stream's order, in each of the nine cells around it, that are looked
-/// at: where they are pressed together, all pairs would be the square of their number.
-const MOST: usize = 64;
+/// Maximum number of candidates per particle and cell: where particles are pressed together, all pairs would be the
+/// square of their number.
+const MAX_CANDIDATES: usize = 64;
 
 /// Two particles that were neighbours in the first frame of a stream.
 #[derive(Clone, Copy, Debug)]
 struct Pair {
     particles: [u32; 2],
-    /// Their distance then (domain lengths).
+    /// Their distance in that frame (domain lengths).
     rest: f32,
 }
 
-/// The neighbours within the bodies of one material of a stream.
+/// Pairs of neighbours within one material of a stream.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Solids {
+pub(super) struct NeighbourPairs {
     pairs: Vec<Pair>,
 }
 
-impl Solids {
-    /// What is of the material `solid`, as it is in the first frame.
+impl NeighbourPairs {
+    /// The pairs of the material `solid`, given the positions of the first frame.
     pub(super) fn new(
         position: &[[f32; 2]],
         material: &[Material],
@@ -49,7 +49,7 @@ impl Solids {
             for [x, y] in around {
                 let place = [column.saturating_add(x), row.saturating_add(y)];
                 let Some(near) = cells.get(&place) else { continue };
-                for &b in near[near.partition_point(|&b| b <= a)..].iter().take(MOST) {
+                for &b in near[near.partition_point(|&b| b <= a)..].iter().take(MAX_CANDIDATES) {
                     let rest = distance(at(a), at(b));
                     if rest > 0.0 && rest <= reach {
                         pairs.push(Pair { particles: [a, b], rest });
@@ -60,8 +60,7 @@ impl Solids {
         Self { pairs }
     }
 
-    /// Adds, for each pair of neighbours, its distance over that at rest, and the square of what it
-    /// is away from 1.
+    /// Adds the ratio of each pair's distance to its rest distance, and the squared deviation of that ratio from 1.
     pub(super) fn add(&self, position: &[[f32; 2]], stretch: &mut Mean, distortion: &mut Mean) {
         for &Pair { particles: [a, b], rest } in &self.pairs {
             let ratio = f64::from(distance(position[a as usize], position[b as usize]) / rest);
@@ -87,9 +86,9 @@ mod tests {
     }
 
     fn stretched(material: Material, position: &[[f32; 2]]) -> (Mean, Mean) {
-        let solids = Solids::new(&strip(1.0), &[material; 30], Material::Rope, SPACING);
+        let pairs = NeighbourPairs::new(&strip(1.0), &[material; 30], Material::Rope, SPACING);
         let (mut stretch, mut distortion) = (Mean::default(), Mean::default());
-        solids.add(position, &mut stretch, &mut distortion);
+        pairs.add(position, &mut stretch, &mut distortion);
         (stretch, distortion)
     }
 
@@ -113,15 +112,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_pressed_together_has_no_more_pairs_than_are_looked_at() {
+    fn particles_pressed_together_have_a_bounded_number_of_pairs() {
         let pressed: Vec<[f32; 2]> =
             (0..50_000u16).map(|k| [0.5, 0.5 + f32::from(k) * 1e-7]).collect();
-        let solids = Solids::new(&pressed, &[Material::Rope; 50_000], Material::Rope, SPACING);
-        assert!((1..=9 * MOST * pressed.len()).contains(&solids.pairs.len()));
+        let pairs =
+            NeighbourPairs::new(&pressed, &[Material::Rope; 50_000], Material::Rope, SPACING);
+        assert!((1..=9 * MAX_CANDIDATES * pressed.len()).contains(&pairs.pairs.len()));
     }
 
     #[test]
-    fn what_is_of_another_material_does_not_count() {
+    fn other_materials_do_not_count() {
         assert_eq!(stretched(Material::Jelly, &strip(2.0)).0.weight, 0.0);
     }
 }

@@ -6,10 +6,10 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::{LinePlot, PictureGrid, Provenance, Table};
 
-/// How everything looks, on a screen and on paper.
+/// Style sheet for screen and print.
 const STYLE: &str = include_str!("page.css");
 
-/// A page: a title, what it is about, and sections.
+/// A page: title, introduction and sections.
 #[derive(Clone, Debug)]
 pub struct Page {
     title: String,
@@ -17,7 +17,7 @@ pub struct Page {
     sections: Vec<Section>,
 }
 
-/// A section of a page. Everything is shown in the order in which it was added.
+/// A section of a page, with its content in the order in which it was added.
 #[derive(Clone, Debug)]
 pub struct Section {
     title: String,
@@ -25,19 +25,19 @@ pub struct Section {
 }
 
 impl Page {
-    /// A page without sections. `lead` says in a sentence or two what it shows.
+    /// A page without sections. `lead` introduces it in a sentence or two.
     pub fn new(title: impl Into<String>, lead: impl Into<String>) -> Self {
         Self { title: title.into(), lead: lead.into(), sections: Vec::new() }
     }
 
-    /// Appends a section, which is to be filled.
+    /// Appends an empty section.
     pub fn section(&mut self, title: impl Into<String>) -> &mut Section {
         self.sections.push(Section::new(title.into()));
         let last = self.sections.len() - 1;
         &mut self.sections[last]
     }
 
-    /// The whole page.
+    /// The page as HTML.
     pub fn html(&self) -> String {
         let markup = html! {
             (DOCTYPE)
@@ -78,16 +78,16 @@ impl Page {
         markup.into_string()
     }
 
-    /// Writes the page as a file.
+    /// Writes the page to a file.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// I/O errors.
     pub fn save(&self, path: &Path) -> io::Result<()> {
         fs::write(path, self.html())
     }
 }
 
-/// What links to a section point at.
+/// The anchor of a section.
 fn identifier(number: usize) -> String {
     format!("section-{}", number + 1)
 }
@@ -107,12 +107,12 @@ impl Section {
         self.add(html! { p { (words) } })
     }
 
-    /// Something that a reader should not miss.
+    /// A highlighted paragraph.
     pub fn note(&mut self, words: &str) -> &mut Self {
         self.add(html! { p.note { (words) } })
     }
 
-    /// Lines as they are typed.
+    /// Preformatted lines.
     pub fn code(&mut self, lines: &str) -> &mut Self {
         self.add(html! { pre { code { (lines) } } })
     }
@@ -122,8 +122,8 @@ impl Section {
         self.add(table.markup())
     }
 
-    /// Plots, side by side where the page is wide enough. Those that show nothing are left out; what the
-    /// curves are is said once if it is the same for all.
+    /// Plots, side by side where the page is wide enough. Empty plots are omitted; a legend that is the same for all is
+    /// shown once.
     pub fn plots(&mut self, plots: &[LinePlot]) -> &mut Self {
         match LinePlot::figures(plots) {
             Some(figures) => self.add(figures),
@@ -136,7 +136,7 @@ impl Section {
         self.add(grid.markup())
     }
 
-    /// Names with what they stand for.
+    /// A description list.
     pub fn facts(&mut self, facts: &[(String, String)]) -> &mut Self {
         self.add(html! {
             dl {
@@ -147,12 +147,12 @@ impl Section {
         })
     }
 
-    /// How to make the page again: the command, and what ran it.
+    /// The command that made the page, version, machine and date.
     pub fn provenance(&mut self, made: &Provenance) -> &mut Self {
         self.code(&made.command).facts(&made.facts())
     }
 
-    /// A part that is folded away until a reader opens it; on paper it is open.
+    /// A part that is collapsed on screen and expanded in print.
     pub fn folded(&mut self, summary: &str, fill: impl FnOnce(&mut Self)) -> &mut Self {
         let mut inner = Self::new(String::new());
         fill(&mut inner);
@@ -171,11 +171,11 @@ impl Section {
 mod tests {
     use super::*;
 
-    /// Every character that HTML has a meaning for.
+    /// Every character with a meaning in HTML.
     const EVIL: &str = r#"<script>alert('x')</script> & "y""#;
 
     #[test]
-    fn whatever_is_written_stays_text() {
+    fn all_text_is_escaped() {
         let mut page = Page::new(EVIL, EVIL);
         let section = page.section(EVIL);
         section.heading(EVIL).paragraph(EVIL).note(EVIL).code(EVIL);
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_page_needs_nothing_but_itself() {
+    fn a_page_has_no_external_resources() {
         let mut page = Page::new("a", "b");
         page.section("c").paragraph("d");
         page.section("e").note("f");

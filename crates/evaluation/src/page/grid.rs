@@ -8,18 +8,18 @@ use maud::{Markup, html};
 pub struct Picture {
     /// The bytes of a PNG.
     pub png: Vec<u8>,
-    /// Its size (pixels); it is shown at half of it, for screens with fine pixels and for paper.
+    /// Its size (pixels); shown at half this size, for high-resolution screens and print.
     pub size: [usize; 2],
-    /// What it shows, for who cannot see it.
+    /// Alternative text.
     pub words: String,
 }
 
 /// Pictures in rows and columns, each with its name.
 #[derive(Clone, Debug)]
 pub struct PictureGrid {
-    /// Below all of them.
+    /// Caption.
     pub caption: String,
-    /// Above each column.
+    /// Titles of the columns.
     pub columns: Vec<String>,
     /// Rows with their names.
     pub rows: Vec<(String, Vec<Picture>)>,
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_is_part_of_the_page() {
+    fn a_picture_is_embedded_in_the_page() {
         let picture = Picture { png: vec![1, 2, 3], size: [40, 21], words: "a < b".into() };
         let html = picture.markup().into_string();
         let expected =

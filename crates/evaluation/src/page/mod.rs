@@ -1,14 +1,14 @@
-//! Self-contained HTML pages: what `eval`, `bench` and the paper's comparisons show to people.
+//! Self-contained HTML pages, for the reports of `eval`, `bench` and `study`.
 //!
 //! 1. `document`: a page of sections, each with paragraphs, tables, plots and pictures.
 //! 2. `table`: rows of numbers under a caption.
 //! 3. `plot`: named curves on linear or logarithmic axes, as SVG.
-//! 4. `scale`: where an axis begins and ends, and its ticks.
-//! 5. `style`: colours, dashes and marks that are told apart in print and by the colour-blind.
+//! 4. `scale`: ranges and ticks of axes.
+//! 5. `style`: colours, dashes and marks, distinguishable in print and by colour-blind readers.
 //! 6. `grid`: pictures in rows and columns.
-//! 7. `provenance`: how to make a page again.
+//! 7. `provenance`: command, version, machine and date.
 //!
-//! A page needs nothing but itself: no script, no font, no request. Whatever text goes in is escaped.
+//! A page has no scripts, fonts or external resources. All text is escaped.
 
 mod document;
 mod grid;

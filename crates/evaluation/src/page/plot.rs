@@ -1,4 +1,4 @@
-//! Named curves on two axes, as SVG.
+//! Plots of named curves as SVG.
 
 use std::error::Error;
 
@@ -14,52 +14,51 @@ use plotters::{
 
 use super::{
     Axis,
-    scale::Ruler,
+    scale::AxisRange,
     style::{AXIS, INK, PALE, Style},
 };
 
-/// Width and height of the drawing (its own units; two are about a pixel on a screen).
+/// Width and height of the drawing (drawing units, about half a pixel on a screen).
 const SIZE: (u32, u32) = (1120, 700);
-/// Height of letters.
+/// Font size.
 const LETTERS: u32 = 30;
-/// Room for labels: below, and left.
+/// Space for labels below and to the left.
 const LABELS: (u32, u32) = (84, 124);
-/// Half the size of a mark.
+/// Radius of a mark.
 const MARK: f64 = 9.0;
-/// Curves of more points have marks at some of them only, about so many.
+/// Approximate number of marks on a curve with more points.
 const MARKS: usize = 7;
 
 /// A named curve.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// What it is.
+    /// Its name in the legend.
     pub name: String,
-    /// Its points, in the units of the axes. Those that have no place (NaN, zero on a logarithmic axis) are
-    /// gaps.
+    /// Its points, in the units of the axes. Numbers that cannot be shown (NaN, zero on a logarithmic axis) are gaps.
     pub points: Vec<[f64; 2]>,
-    /// An interval around it: x, lower end, upper end.
+    /// An interval around the curve: x, lower end, upper end.
     pub band: Vec<[f64; 3]>,
-    /// Whether the points belong to no line.
+    /// Whether to draw points without a line.
     pub scattered: bool,
 }
 
 /// Curves on two axes.
 #[derive(Clone, Debug, Default)]
 pub struct LinePlot {
-    /// Above the picture.
+    /// Title.
     pub title: String,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
     pub y: Axis,
-    /// The curves. Their number gives them their style: the same place in two plots looks the same.
+    /// The curves. The index gives the style, so the same index looks the same in all plots.
     pub series: Vec<Series>,
 }
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Ruler, Ruler>>;
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<AxisRange, AxisRange>>;
 
 impl Series {
-    /// A curve over 1, 2, 3, ...: numbers for each frame ahead.
+    /// A curve over 1, 2, 3, ...: one number per frame ahead.
     pub fn ahead(name: impl Into<String>, numbers: &[f64]) -> Self {
         let point = |(index, &number): (usize, &f64)| [(index + 1) as f64, number];
         let points = numbers.iter().enumerate().map(point).collect();
@@ -68,8 +67,7 @@ impl Series {
 }
 
 impl LinePlot {
-    /// Plots side by side, each with its title. What the curves are is said once if all have the same;
-    /// nothing where no point has a place.
+    /// Plots side by side with titles, and one legend if it is the same for all. `None` if all plots are empty.
     pub(super) fn figures(plots: &[Self]) -> Option<Markup> {
         let drawn: Vec<(&Self, String)> =
             plots.iter().filter_map(|plot| Some((plot, plot.svg()?))).collect();
@@ -93,7 +91,6 @@ impl LinePlot {
         })
     }
 
-    /// What the curves are.
     fn legend(&self) -> Markup {
         html! {
             ul.legend {
@@ -106,18 +103,18 @@ impl LinePlot {
         }
     }
 
-    /// The picture alone; nothing where no point has a place.
+    /// The drawing; `None` if no point can be shown.
     fn svg(&self) -> Option<String> {
-        let points = || self.series.iter().flat_map(|series| self.places(&series.points));
+        let points = || self.series.iter().flat_map(|series| self.coordinates(&series.points));
         let ends_of_bands = || self.series.iter().flat_map(|series| self.band(&series.band));
         let x = self.x.ends(points().flatten().map(|[x, _]| x))?;
         let within = points().flatten().map(|[_, y]| y);
         let y =
             self.y.ends(within.chain(ends_of_bands().flat_map(|[_, low, high]| [low, high])))?;
         let mut svg = String::new();
-        // A backend that writes into memory does not fail.
+        // Drawing into memory does not fail.
         self.draw(&mut svg, x, y).ok()?;
-        // The page gives it its size; within a page it needs no namespace.
+        // The page sets the size; inline SVG needs no namespace.
         let (_, drawing) = svg.split_once('>')?;
         let (width, height) = SIZE;
         let words = format!("{}: {} over {}", self.title, self.y.title, self.x.title);
@@ -128,35 +125,34 @@ impl LinePlot {
     }
 
     fn shows(&self, series: &Series) -> bool {
-        self.places(&series.points).iter().flatten().next().is_some()
+        self.coordinates(&series.points).iter().flatten().next().is_some()
     }
 
-    /// The points along both axes; nothing where one has no place.
-    fn places(&self, points: &[[f64; 2]]) -> Vec<Option<[f64; 2]>> {
-        let place = |&[x, y]: &[f64; 2]| Some([self.x.place(x)?, self.y.place(y)?]);
-        points.iter().map(place).collect()
+    /// The points in coordinates of the axes; `None` if one cannot be shown.
+    fn coordinates(&self, points: &[[f64; 2]]) -> Vec<Option<[f64; 2]>> {
+        let point = |&[x, y]: &[f64; 2]| Some([self.x.coordinate(x)?, self.y.coordinate(y)?]);
+        points.iter().map(point).collect()
     }
 
     fn band(&self, band: &[[f64; 3]]) -> Vec<[f64; 3]> {
-        let place = |&[x, low, high]: &[f64; 3]| {
-            Some([self.x.place(x)?, self.y.place(low)?, self.y.place(high)?])
+        let interval = |&[x, low, high]: &[f64; 3]| {
+            Some([self.x.coordinate(x)?, self.y.coordinate(low)?, self.y.coordinate(high)?])
         };
-        band.iter().filter_map(place).collect()
+        band.iter().filter_map(interval).collect()
     }
 
     fn draw(&self, svg: &mut String, x: [f64; 2], y: [f64; 2]) -> Result<(), Box<dyn Error>> {
         let root: DrawingArea<SVGBackend, _> =
             SVGBackend::with_string(svg, SIZE).into_drawing_area();
         let (below, left) = LABELS;
-        let rulers = [self.x.ruler(x), self.y.ruler(y)];
-        let labels = rulers.each_ref().map(Ruler::labels);
-        let [along, up] = rulers;
+        let (x, y) = (self.x.range(x), self.y.range(y));
+        let labels = [&x, &y].map(AxisRange::labels);
         let mut chart = ChartBuilder::on(&root)
             .margin(8)
             .margin_right(24)
             .x_label_area_size(below)
             .y_label_area_size(left)
-            .build_cartesian_2d(along, up)?;
+            .build_cartesian_2d(x, y)?;
         let letters = ("sans-serif", LETTERS).into_font().color(&INK);
         chart
             .configure_mesh()
@@ -204,17 +200,17 @@ impl LinePlot {
         number: usize,
     ) -> Result<(), Box<dyn Error>> {
         let style = Style::of(number);
-        let places = self.places(&series.points);
+        let points = self.coordinates(&series.points);
         if !series.scattered {
-            for piece in places.split(Option::is_none).filter(|piece| piece.len() > 1) {
+            for piece in points.split(Option::is_none).filter(|piece| piece.len() > 1) {
                 let line = piece.iter().flatten().map(|&[x, y]| (x, y));
                 chart.draw_series(LineSeries::new(line, style.color.stroke_width(style.width)))?;
             }
         }
         let fill: ShapeStyle = style.color.filled();
-        // Marks of several curves through the same points are at different ones.
-        let every = if series.scattered { 1 } else { places.len().div_ceil(MARKS).max(1) };
-        let marked = places.iter().skip(number % every).step_by(every).flatten();
+        // Curves through the same points have their marks at different ones.
+        let every = if series.scattered { 1 } else { points.len().div_ceil(MARKS).max(1) };
+        let marked = points.iter().skip(number % every).step_by(every).flatten();
         for &[x, y] in marked {
             let (x, y) = chart.backend_coord(&(x, y));
             let corners = style.mark.outline([f64::from(x), f64::from(y)], MARK);
@@ -259,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_point_that_has_a_place_there_is_no_plot() {
+    fn without_points_to_show_there_is_no_plot() {
         for points in [vec![], vec![[1.0, f64::NAN]], vec![[f64::INFINITY, 1.0]]] {
             assert_eq!(figure(Axis::linear, points.clone()), None);
             assert_eq!(figure(Axis::logarithmic, points), None);
@@ -268,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_numbers_there_are_the_picture_holds_them() {
+    fn all_coordinates_lie_within_the_drawing() {
         for points in [
             vec![[1.0, 1.0]],
             vec![[1.0, 0.5], [2.0, f64::NAN], [3.0, 0.25], [4.0, f64::INFINITY]],
@@ -285,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_curves_are_is_said_once_if_it_is_the_same_for_all_plots() {
+    fn plots_with_the_same_legend_share_one() {
         let points = || vec![[1.0, 1.0], [2.0, 2.0]];
         let mut plots = [plot(Axis::linear, points()), plot(Axis::linear, points())];
         let legends = |plots: &[LinePlot]| {
@@ -298,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_splits_a_line_and_a_band_lies_behind_it() {
+    fn a_gap_splits_a_line_and_a_band_is_translucent() {
         let mut plot = plot(Axis::linear, (0..6).map(|x| [f64::from(x), 1.0]).collect());
         let lines = |plot: &LinePlot| {
             let svg = plot.svg().unwrap();

@@ -1,4 +1,4 @@
-//! How to make something again: what was typed, which program, where, when.
+//! Provenance of a result: command, program version, machine and date.
 
 use std::env;
 
@@ -6,39 +6,39 @@ use serde::{Deserialize, Serialize};
 
 use eddy_frames::clock;
 
-/// Seconds of a day.
+/// Seconds per day.
 const DAY: i64 = 86_400;
 
-/// How something was made. It differs between two makings of the same.
+/// Provenance of a result.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// The command as it was typed, quoted for a shell.
+    /// The command, quoted for a shell.
     pub command: String,
     /// Version of eddy.
     pub version: String,
-    /// When it was made (UTC, ISO 8601).
+    /// Date and time (UTC, ISO 8601).
     pub date: String,
-    /// What it was made on.
+    /// The machine.
     pub machine: Machine,
 }
 
 /// A machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Machine {
-    /// Name of the processor.
+    /// Processor name.
     pub processor: String,
-    /// Cores that this process may use.
+    /// Cores available to the process.
     pub cores: usize,
     /// Memory (bytes).
     pub memory: u64,
     /// Operating system.
     pub system: String,
-    /// Architecture of the processor that the program was built for.
+    /// Processor architecture of the build.
     pub architecture: String,
 }
 
 impl Provenance {
-    /// What is made by this process, now.
+    /// Provenance of results of this process.
     pub fn here() -> Self {
         let words: Vec<String> =
             env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
@@ -50,7 +50,7 @@ impl Provenance {
         }
     }
 
-    /// Everything but the command, with names.
+    /// Everything but the command, as a description list.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         let Machine { processor, cores, memory, system, architecture } = &self.machine;
         let memory = *memory as f64 / f64::from(1 << 30);
@@ -66,7 +66,7 @@ impl Provenance {
 }
 
 impl Machine {
-    /// This one.
+    /// This machine.
     pub fn here() -> Self {
         let mut system = sysinfo::System::new();
         system.refresh_memory();
@@ -83,12 +83,12 @@ impl Machine {
     }
 }
 
-/// Words as a POSIX shell reads them back.
+/// Arguments quoted for a POSIX shell.
 pub fn command_line(words: &[String]) -> String {
     words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
 }
 
-/// A word as a POSIX shell reads it back.
+/// An argument quoted for a POSIX shell.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -97,9 +97,8 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// A time of day (s since the Unix epoch) in the Gregorian calendar (UTC). The days are counted from 1
-/// March 0000, so that the leap day is the last of a year (H. Hinnant, "chrono-Compatible Low-Level Date
-/// Algorithms", `civil_from_days`).
+/// Seconds since the Unix epoch as UTC date and time. Days are counted from 1 March 0000, so that the leap day is the
+/// last of a year (H. Hinnant, "chrono-Compatible Low-Level Date Algorithms", `civil_from_days`).
 fn date(seconds: i64) -> String {
     let (days, second) = (seconds.div_euclid(DAY) + 719_468, seconds.rem_euclid(DAY));
     let era = days.div_euclid(146_097);
@@ -120,8 +119,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_date_is_that_of_the_calendar() {
-        // By `date -u -d @SECONDS +%FT%TZ`.
+    fn dates_match_the_gregorian_calendar() {
+        // From `date -u -d @SECONDS +%FT%TZ`.
         for (seconds, expected) in [
             (0, "1970-01-01T00:00:00Z"),
             (951_782_399, "2000-02-28T23:59:59Z"),
@@ -135,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_can_be_typed_again() {
+    fn arguments_are_quoted_for_a_shell() {
         for (word, expected) in [
             ("--data", "--data"),
             ("two words", "'two words'"),

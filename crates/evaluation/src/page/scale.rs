@@ -1,36 +1,36 @@
-//! Where an axis begins and ends, and its ticks.
+//! Ranges and ticks of axes.
 
 use std::ops::Range;
 
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
-/// How numbers are laid out along an axis.
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
     /// Equal differences have equal lengths.
     #[default]
     Linear,
-    /// Equal ratios have equal lengths. Only positive numbers have a place.
+    /// Equal ratios have equal lengths. Only positive numbers can be shown.
     Logarithmic,
 }
 
 /// An axis of a plot.
 #[derive(Clone, Debug, Default)]
 pub struct Axis {
-    /// What it shows, with its unit.
+    /// Title with unit.
     pub title: String,
-    /// How numbers are laid out.
+    /// Scale.
     pub scale: Scale,
 }
 
-/// Room beyond the data, as a share of its extent.
-const ROOM: f64 = 0.04;
-/// About so many ticks are wanted.
+/// Margin around the data, as a share of its extent.
+const MARGIN: f64 = 0.04;
+/// Approximate number of ticks.
 const TICKS: f64 = 6.0;
-/// The most decades whose ticks are also at 2 and 5.
+/// Maximum number of decades with ticks at 2 and 5.
 const FINE_DECADES: f64 = 1.6;
-/// The most decades of an axis: what is smaller falls off its lower end. A prediction that is exact up to
-/// rounding would squeeze everything else.
+/// Maximum number of decades of an axis; smaller values are cut off. A prediction exact up to rounding would compress
+/// everything else.
 const DECADES: f64 = 12.0;
 
 impl Axis {
@@ -44,22 +44,22 @@ impl Axis {
         Self { title: title.into(), scale: Scale::Logarithmic }
     }
 
-    /// Where a number is along the axis, in units of its own; nothing for what has no place.
-    pub(super) fn place(&self, number: f64) -> Option<f64> {
-        let place = match self.scale {
+    /// Coordinate of a number along the axis: the number or its logarithm. `None` if it cannot be shown.
+    pub(super) fn coordinate(&self, number: f64) -> Option<f64> {
+        let coordinate = match self.scale {
             Scale::Linear => number,
             Scale::Logarithmic if number > 0.0 => number.log10(),
             Scale::Logarithmic => f64::NAN,
         };
-        // What is further away than any measurement would leave nothing of the rest.
-        (place.is_finite() && place.abs() < 1e200).then_some(place)
+        // Absurd values would compress everything else.
+        (coordinate.is_finite() && coordinate.abs() < 1e200).then_some(coordinate)
     }
 
-    /// Ends of an axis that holds these places.
-    pub(super) fn ends(&self, places: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    /// Ends of an axis that contains these coordinates.
+    pub(super) fn ends(&self, coordinates: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
         let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-        for place in places {
-            (least, most) = (least.min(place), most.max(place));
+        for coordinate in coordinates {
+            (least, most) = (least.min(coordinate), most.max(coordinate));
         }
         if least > most {
             return None;
@@ -67,44 +67,44 @@ impl Axis {
         if self.scale == Scale::Logarithmic {
             least = least.max(most - DECADES);
         }
-        // A single number stands in the middle.
-        let lonely = match self.scale {
+        // A single number is centred.
+        let single = match self.scale {
             Scale::Linear => 0.5 * most.abs().max(f64::MIN_POSITIVE * 1e20),
             Scale::Logarithmic => 0.5,
         };
         let extent = most - least;
-        let room = if extent > 0.0 { ROOM * extent } else { lonely };
-        // An axis that nearly begins at zero does.
+        let room = if extent > 0.0 { MARGIN * extent } else { single };
+        // An axis that nearly starts at zero starts there.
         let from_zero = self.scale == Scale::Linear && least >= 0.0 && least < 0.35 * most;
         Some([if from_zero { 0.0 } else { least - room }, most + room])
     }
 
-    /// The axis between two ends.
-    pub(super) fn ruler(&self, ends: [f64; 2]) -> Ruler {
+    /// The range of the axis between two ends, with ticks.
+    pub(super) fn range(&self, ends: [f64; 2]) -> AxisRange {
         let ticks = match self.scale {
             Scale::Linear => linear(ends),
             Scale::Logarithmic => logarithmic(ends),
         };
-        Ruler { ends, ticks }
+        AxisRange { ends, ticks }
     }
 }
 
-/// An axis between two ends, as plotters asks for it: it has places, not numbers.
+/// The range of an axis in coordinates, in the form that plotters uses.
 #[derive(Clone, Debug)]
-pub(super) struct Ruler {
+pub(super) struct AxisRange {
     ends: [f64; 2],
-    /// Places with their labels.
+    /// Coordinates with their labels.
     ticks: Vec<(f64, String)>,
 }
 
-impl Ruler {
-    /// How many labels there are.
+impl AxisRange {
+    /// Number of labels.
     pub(super) fn labels(&self) -> usize {
         self.ticks.len()
     }
 }
 
-impl Ranged for Ruler {
+impl Ranged for AxisRange {
     type FormatOption = NoDefaultFormatting;
     type ValueType = f64;
 
@@ -122,7 +122,7 @@ impl Ranged for Ruler {
     }
 }
 
-impl ValueFormatter<f64> for Ruler {
+impl ValueFormatter<f64> for AxisRange {
     fn format_ext(&self, place: &f64) -> String {
         let label = self.ticks.iter().find(|(at, _)| at == place);
         label.map_or(String::new(), |(_, label)| label.clone())
@@ -142,7 +142,7 @@ fn linear([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     let tick = |number: usize| {
         let place = (first + number as f64) * step;
         let label = match digits {
-            // Neither a row of zeros before the digits nor one after them.
+            // Plain digits where they need no padding with zeros.
             ..=4.0 if place.abs() < 1e6 => format!("{:.1$}", place + 0.0, digits as usize),
             _ => format!("{:.0e}", place),
         };
@@ -151,7 +151,7 @@ fn linear([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     (0..=count.min(50)).map(tick).collect()
 }
 
-/// Powers of ten, and 2 and 5 times those where there are few.
+/// Powers of ten, and their multiples by 2 and 5 on short axes.
 fn logarithmic([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     let decades = most - least;
     let factors: &[f64] = if decades <= FINE_DECADES { &[1.0, 2.0, 5.0] } else { &[1.0] };
@@ -171,7 +171,7 @@ fn logarithmic([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     ticks
 }
 
-/// A factor times a power of ten, the shortest way.
+/// A factor times a power of ten, in its shortest form.
 fn power_of_ten(factor: f64, power: i32) -> String {
     match power {
         -2..=3 => {
@@ -202,32 +202,32 @@ mod tests {
     fn ticks_are_round_numbers() {
         let axis = Axis::linear("x");
         let words =
-            |ends| axis.ruler(ends).ticks.into_iter().map(|(_, label)| label).collect::<Vec<_>>();
+            |ends| axis.range(ends).ticks.into_iter().map(|(_, label)| label).collect::<Vec<_>>();
         assert_eq!(words([0.0, 20.8]), ["0", "5", "10", "15", "20"]);
         assert_eq!(words([-0.5, 1.05]), ["-0.5", "0.0", "0.5", "1.0"]);
         assert_eq!(words([0.0, 0.02]), ["0.000", "0.005", "0.010", "0.015", "0.020"]);
         let axis = Axis::logarithmic("y");
-        assert_eq!(labels(&axis.ruler([-4.2, -1.8]).ticks), ["10⁻⁴", "10⁻³", "0.01"]);
-        assert_eq!(labels(&axis.ruler([-0.4, 0.8]).ticks), ["0.5", "1", "2", "5"]);
+        assert_eq!(labels(&axis.range([-4.2, -1.8]).ticks), ["10⁻⁴", "10⁻³", "0.01"]);
+        assert_eq!(labels(&axis.range([-0.4, 0.8]).ticks), ["0.5", "1", "2", "5"]);
     }
 
     #[test]
-    fn what_has_no_place_is_left_out() {
+    fn numbers_that_cannot_be_shown_have_no_coordinate() {
         let log = Axis::logarithmic("y");
-        assert_eq!([0.0, -1.0, f64::NAN, f64::INFINITY].map(|x| log.place(x)), [None; 4]);
-        assert_eq!(log.place(100.0), Some(2.0));
-        assert_eq!(Axis::linear("y").place(f64::NEG_INFINITY), None);
+        assert_eq!([0.0, -1.0, f64::NAN, f64::INFINITY].map(|x| log.coordinate(x)), [None; 4]);
+        assert_eq!(log.coordinate(100.0), Some(2.0));
+        assert_eq!(Axis::linear("y").coordinate(f64::NEG_INFINITY), None);
         assert_eq!(log.ends(std::iter::empty()), None);
         assert_eq!(log.ends([-30.0, 2.0].into_iter()).map(|ends| ends[0] > -12.0), Some(true));
     }
 
     proptest! {
         #[test]
-        fn every_number_is_within_the_ends_and_few_ticks_are(
+        fn the_range_contains_every_number_and_has_few_ticks(
             numbers in prop::collection::vec(prop::num::f64::ANY, 1..5), logarithmic: bool,
         ) {
             let axis = if logarithmic { Axis::logarithmic("") } else { Axis::linear("") };
-            let places: Vec<f64> = numbers.iter().filter_map(|&x| axis.place(x)).collect();
+            let places: Vec<f64> = numbers.iter().filter_map(|&x| axis.coordinate(x)).collect();
             let Some(ends) = axis.ends(places.iter().copied()) else {
                 prop_assert!(places.is_empty());
                 return Ok(());
@@ -235,7 +235,7 @@ mod tests {
             prop_assert!(ends[0] < ends[1] && ends.iter().all(|end| end.is_finite()), "{ends:?}");
             let most = places.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             prop_assert!(most <= ends[1], "{places:?} {ends:?}");
-            let ticks = axis.ruler(ends).ticks;
+            let ticks = axis.range(ends).ticks;
             prop_assert!(ticks.len() <= 20, "{ends:?} {ticks:?}");
         }
     }

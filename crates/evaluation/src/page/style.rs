@@ -1,11 +1,10 @@
-//! What tells series apart: colour, dashes and marks, each alone enough.
+//! Styles of series: colour, dashes and mark, each sufficient to distinguish them.
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
 
-/// Colours of series, from the palette of Okabe and Ito ("Color Universal Design", 2008) without its
-/// yellow, which paper swallows. The first is that of text. `page.css` has the dashes of each, and what stands
-/// for it on a dark screen.
+/// Colours of series, from the palette of Okabe and Ito ("Color Universal Design", 2008) without its yellow, which is
+/// too light for print. `page.css` has the dashes of each and its replacement in dark mode.
 pub(super) const COLORS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -15,11 +14,11 @@ pub(super) const COLORS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     INK,
 ];
-/// Words.
+/// Text.
 pub(super) const INK: RGBColor = RGBColor(30, 30, 30);
 /// Axes.
 pub(super) const AXIS: RGBColor = RGBColor(90, 90, 90);
-/// Lines of a grid.
+/// Grid lines.
 pub(super) const PALE: RGBColor = RGBColor(222, 222, 222);
 
 /// The shape of a mark.
@@ -40,30 +39,30 @@ const MARKS: [Mark; 7] =
 /// How a series is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Style {
-    /// Its colour, which also stands for its dashes.
+    /// Its colour, which also selects the dashes.
     pub(super) color: RGBColor,
     /// The shape of its marks.
     pub(super) mark: Mark,
-    /// Width of its line (the drawing's units): the first seven are wider.
+    /// Line width (drawing units): wider for the first seven series.
     pub(super) width: u32,
 }
 
 impl Style {
-    /// The style of series `number`: seven colours, and as many marks, which are shifted by one every
-    /// seven series. 49 series differ.
+    /// The style of series `number`: seven colours and seven marks, shifted by one every seven series, so that 49 series
+    /// differ.
     pub(super) fn of(number: usize) -> Self {
         let (round, place) = (number / COLORS.len(), number % COLORS.len());
         let mark = MARKS[(place + round) % MARKS.len()];
         Self { color: COLORS[place], mark, width: if round == 0 { 4 } else { 2 } }
     }
 
-    /// As CSS has it.
+    /// The colour as in CSS.
     pub(super) fn hex(self) -> String {
         let RGBColor(red, green, blue) = self.color;
         format!("#{red:02X}{green:02X}{blue:02X}")
     }
 
-    /// A piece of the line with a mark on it, for a legend.
+    /// A line with a mark, for a legend.
     pub(super) fn sample(self, line: bool) -> Markup {
         let color = self.hex();
         let corners: Vec<String> =
@@ -80,10 +79,10 @@ impl Style {
 }
 
 impl Mark {
-    /// Corners of the mark around a place, in the units of `radius`.
+    /// Corners of the mark around a point, in the units of `radius`.
     pub(super) fn outline(self, [x, y]: [f64; 2], radius: f64) -> Vec<[f64; 2]> {
         let unit: Vec<[f64; 2]> = match self {
-            // Sixteen corners are round enough for a few pixels.
+            // Sixteen corners approximate a disc of a few pixels.
             Self::Disc => (0..16)
                 .map(|k| (f64::from(k) / 16.0 * std::f64::consts::TAU).sin_cos())
                 .map(|(sin, cos)| [0.9 * cos, 0.9 * sin])
@@ -100,7 +99,7 @@ impl Mark {
     }
 }
 
-/// A plus with thin arms, turned by `angle` (rad).
+/// A plus with thin arms, rotated by `angle` (rad).
 fn star(angle: f64) -> Vec<[f64; 2]> {
     const ARM: [[f64; 2]; 3] = [[0.3, -0.3], [1.2, -0.3], [1.2, 0.3]];
     let turned = |quarter: i32| {
@@ -115,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn forty_nine_series_differ_and_seven_do_so_in_colour_and_in_mark() {
+    fn forty_nine_series_differ_and_seven_differ_in_both_colour_and_mark() {
         let all: Vec<Style> = (0..49).map(Style::of).collect();
         for (number, style) in all.iter().enumerate() {
             assert!(!all[..number].contains(style), "{number}");
@@ -128,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn every_colour_has_its_dashes_and_its_stand_in_for_the_dark() {
+    fn every_colour_has_dashes_and_a_dark_mode_colour() {
         let sheet = include_str!("page.css");
         for number in 0..COLORS.len() {
             let hex = Style::of(number).hex();

@@ -1,8 +1,8 @@
-//! Rows of numbers under a caption.
+//! Tables with a caption.
 
 use maud::{Markup, html};
 
-/// A table. Its first column says what a row is about; the others are set to the right.
+/// A table. The first column names the rows; the others are right-aligned.
 #[derive(Clone, Debug)]
 pub struct Table {
     caption: String,
@@ -18,12 +18,12 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// A cell that stands out.
+    /// A bold cell.
     pub fn bold(text: impl Into<String>) -> Self {
         Self { text: text.into(), bold: true }
     }
 
-    /// A cell for each number, the lowest in bold; `-` for what is no number.
+    /// A cell for each number, the lowest in bold; `-` for NaN.
     pub fn lowest_bold(numbers: &[f64], format: impl Fn(f64) -> String) -> Vec<Self> {
         let lowest = numbers.iter().copied().fold(f64::INFINITY, f64::min);
         let cell = |&number: &f64| match number {
@@ -41,7 +41,7 @@ impl<T: Into<String>> From<T> for Cell {
 }
 
 impl Table {
-    /// A table without rows; `header` names every column, that of the rows' names included.
+    /// A table without rows; `header` names every column, including the first.
     pub fn new<T: Into<String>>(
         caption: impl Into<String>,
         header: impl IntoIterator<Item = T>,
@@ -65,17 +65,17 @@ impl Table {
         self.rows.is_empty()
     }
 
-    /// What it shows.
+    /// The caption.
     pub fn caption(&self) -> &str {
         &self.caption
     }
 
-    /// Titles of the columns, that of the rows' names first.
+    /// Titles of the columns, including the first.
     pub fn header(&self) -> &[String] {
         &self.header
     }
 
-    /// The table as Markdown, its caption above it.
+    /// The table as Markdown, below its caption.
     pub fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
         let escaped = |text: &str| text.replace('|', "\\|");
@@ -93,7 +93,7 @@ impl Table {
         text
     }
 
-    /// The words of each row, its name first: for a terminal.
+    /// The text of each row, including its name.
     pub fn rows(&self) -> impl Iterator<Item = Vec<&str>> {
         self.rows.iter().map(|(name, cells)| {
             std::iter::once(name).chain(cells).map(|cell| cell.text.as_str()).collect()
@@ -102,7 +102,7 @@ impl Table {
 
     pub(super) fn markup(&self) -> Markup {
         html! {
-            // Scrolls by itself where the page is too narrow.
+            // Scrolls horizontally where the page is too narrow.
             div.table tabindex="0" {
                 table {
                     caption { (self.caption) }
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_lowest_numbers_are_bold_and_what_is_no_number_is_a_dash() {
+    fn the_lowest_numbers_are_bold_and_nan_is_a_dash() {
         let cells = Cell::lowest_bold(&[2.0, f64::NAN, 1.0, 1.0], |x| format!("{x:.1}"));
         assert_eq!(cells, ["2.0".into(), "-".into(), Cell::bold("1.0"), Cell::bold("1.0")]);
         assert_eq!(Cell::lowest_bold(&[f64::NAN], |x| x.to_string()), ["-".into()]);

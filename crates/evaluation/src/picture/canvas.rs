@@ -1,4 +1,4 @@
-//! Pixels.
+//! Raster images.
 
 use embedded_graphics::{
     Drawable, Pixel,
@@ -13,10 +13,10 @@ use super::palette::{Rgb, WHITE, mix};
 
 const FONT: &MonoFont<'_> = &FONT_8X13;
 
-/// Height of a line of words (pixels).
+/// Height of a line of text (pixels).
 pub(super) const LINE: usize = 18;
 
-/// A picture: rows of pixels from the top.
+/// A raster image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Canvas {
     width: usize,
@@ -25,7 +25,7 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// A white picture of so many pixels.
+    /// A white image.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![WHITE; width * height] }
     }
@@ -45,8 +45,7 @@ impl Canvas {
         &self.pixels
     }
 
-    /// Puts another picture into this one, its upper left corner at `(left, top)`. What does not fit
-    /// is cut off.
+    /// Copies another image into this one, with its upper left corner at `(left, top)`, clipped.
     pub fn paste(&mut self, other: &Self, left: usize, top: usize) {
         let columns = other.width.min(self.width.saturating_sub(left));
         for row in 0..other.height.min(self.height.saturating_sub(top)) {
@@ -55,8 +54,7 @@ impl Canvas {
         }
     }
 
-    /// A disc around `(x, y)` (pixels, from the upper left corner); its edge is one pixel wide and
-    /// covers each pixel by its share.
+    /// Draws an antialiased disc around `(x, y)` (pixels from the upper left corner).
     pub(super) fn disc(&mut self, [x, y]: [f32; 2], radius: f32, color: Rgb) {
         let reach = radius + 0.5;
         let range = |center: f32, extent: usize| {
@@ -74,7 +72,7 @@ impl Canvas {
         }
     }
 
-    /// Fills a rectangle; what lies outside is cut off.
+    /// Fills a rectangle, clipped.
     pub(super) fn fill(
         &mut self,
         left: usize,
@@ -89,7 +87,7 @@ impl Canvas {
         }
     }
 
-    /// The outline of a rectangle, one pixel wide, within it.
+    /// Draws the outline of a rectangle, one pixel wide, inside it.
     pub(super) fn outline(
         &mut self,
         left: usize,
@@ -104,21 +102,21 @@ impl Canvas {
         self.fill(left + width - 1, top, 1, height, color);
     }
 
-    /// Words from `left` on, their upper edge at `top`.
-    pub(super) fn words(&mut self, words: &str, left: usize, top: usize, color: Rgb) {
+    /// Draws text with its upper left corner at `(left, top)`.
+    pub(super) fn text(&mut self, text: &str, left: usize, top: usize, color: Rgb) {
         let style = MonoTextStyle::new(FONT, Rgb888::new(color[0], color[1], color[2]));
         let place =
             TextStyleBuilder::new().alignment(Alignment::Left).baseline(Baseline::Top).build();
         let point = Point::new(left as i32, top as i32);
-        match Text::with_text_style(words, point, style, place).draw(self) {
+        match Text::with_text_style(text, point, style, place).draw(self) {
             Ok(_) => {}
             Err(never) => match never {},
         }
     }
 
-    /// Width of words (pixels).
-    pub(super) fn width_of(words: &str) -> usize {
-        words.len() * (FONT.character_size.width + FONT.character_spacing) as usize
+    /// Width of a text (pixels).
+    pub(super) fn width_of(text: &str) -> usize {
+        text.len() * (FONT.character_size.width + FONT.character_spacing) as usize
     }
 }
 
@@ -152,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_disc_covers_its_area_wherever_it_lies() {
+    fn a_disc_covers_its_area_at_any_position() {
         for center in [[10.0, 10.0], [10.3, 9.6], [10.5, 10.5]] {
             let mut canvas = Canvas::new(20, 20);
             canvas.disc(center, 3.0, [0; 3]);
@@ -163,11 +161,11 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_cut_off() {
+    fn drawings_are_clipped() {
         let mut canvas = Canvas::new(10, 8);
         canvas.disc([-40.0, 3.0], 3.0, [0; 3]);
         canvas.disc([f32::MAX, f32::MIN], 3.0, [0; 3]);
-        canvas.words("far to the right", 9, 20, [0; 3]);
+        canvas.text("far to the right", 9, 20, [0; 3]);
         assert_eq!(canvas, Canvas::new(10, 8));
         canvas.fill(8, 6, 100, 100, [0; 3]);
         canvas.disc([10.0, 0.0], 2.0, [0; 3]);

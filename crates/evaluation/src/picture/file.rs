@@ -1,4 +1,4 @@
-//! Pictures on disk.
+//! PNG files and animations.
 
 use std::{
     fs::File,
@@ -10,26 +10,25 @@ use super::{canvas::Canvas, quantize::Quantizer};
 
 /// Why a picture could not be written.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "each variant's message shows its fields")]
 pub enum PictureError {
-    /// The operating system refused.
+    /// An I/O error.
     #[error("{path}: {action}: {reason}", path = .path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// The failed operation.
         action: &'static str,
-        /// What the system said.
         reason: io::Error,
     },
-    /// The format cannot hold the picture.
+    /// The picture cannot be encoded.
     #[error("{path}: writing the picture: {reason}", path = .path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// Why.
         reason: String,
     },
-    /// A GIF is too large.
+    /// A picture is too large for GIF.
     #[error("{path}: size: found {width} x {height} pixels, expected at most 65535 each", path = .path.display())]
     Size {
         /// The file.
@@ -41,12 +40,12 @@ pub enum PictureError {
     },
 }
 
-/// How animations are stored.
+/// Format of an animation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// GIF: 256 colours, shown everywhere.
+    /// GIF: 256 colours, supported everywhere.
     Gif,
-    /// Animated PNG: all colours, shown by browsers.
+    /// Animated PNG: all colours, supported by browsers.
     Apng,
 }
 
@@ -62,7 +61,7 @@ pub fn write_png(path: &Path, canvas: &Canvas) -> Result<(), PictureError> {
     writer.finish().map_err(|error| of_png(path, error))
 }
 
-/// The bytes of a PNG, as small as they get.
+/// A PNG in memory, with maximum compression.
 ///
 /// # Errors
 /// A picture without pixels.
@@ -80,7 +79,7 @@ pub fn png_bytes(canvas: &Canvas) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// An animation that is being written. It repeats for ever.
+/// Writes an animation that repeats forever.
 pub struct Animation {
     path: PathBuf,
     writer: Writer,
@@ -92,8 +91,7 @@ enum Writer {
 }
 
 impl Animation {
-    /// Begins an animation of `frames` pictures, all of this size, each shown for `delay` hundredths
-    /// of a second.
+    /// Begins an animation of `frames` pictures of equal size, each shown for `delay` hundredths of a second.
     ///
     /// # Errors
     /// [`PictureError`].
@@ -153,7 +151,7 @@ impl Animation {
         }
     }
 
-    /// Ends the file.
+    /// Finishes the file.
     ///
     /// # Errors
     /// [`PictureError`].

@@ -1,10 +1,10 @@
-//! Pictures of frames and numbers: PNG, animated PNG, GIF.
+//! Pictures of frames and metrics: PNG, animated PNG, GIF.
 //!
 //! 1. `palette`: colours of materials and of speeds.
-//! 2. `canvas`: pixels: discs with smooth edges, lines, words.
-//! 3. `panel`: one frame: the domain, its particles, the time, and what the colours mean.
+//! 2. `canvas`: raster images: antialiased discs, rectangles, text.
+//! 3. `panel`: a frame with its time and a legend.
 //! 4. `scatter`: named points on logarithmic axes.
-//! 5. `file`: PNG and animations.
+//! 5. `file`: PNG files and animations.
 //! 6. `quantize`: the 256 colours of a GIF.
 
 mod canvas;

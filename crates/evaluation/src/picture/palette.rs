@@ -1,4 +1,4 @@
-//! Colours that also those tell apart who do not see all of them.
+//! Colour-blind-safe colours.
 
 use eddy_frames::Material;
 
@@ -6,13 +6,13 @@ use eddy_frames::Material;
 pub type Rgb = [u8; 3];
 
 pub(super) const WHITE: Rgb = [255; 3];
-/// The domain's outline.
+/// Outline of the domain.
 pub(super) const GREY: Rgb = [150; 3];
-/// Words.
+/// Text.
 pub(super) const BLACK: Rgb = [30; 3];
 
-/// Colour of a material, from the palette of Okabe and Ito ("Color Universal Design", 2008). The
-/// shades differ in lightness too.
+/// Colour of a material, from the palette of Okabe and Ito ("Color Universal Design", 2008). The colours also differ in
+/// lightness.
 pub fn of_material(material: Material) -> Rgb {
     match material {
         Material::Liquid => [0, 114, 178],
@@ -35,12 +35,12 @@ const VIRIDIS: [Rgb; 9] = [
     [253, 231, 37],
 ];
 
-/// The colours of a scale, in equal steps from its lower end to its upper.
+/// The colour scale, in equal steps from its lower to its upper end.
 pub fn scale() -> &'static [Rgb] {
     &VIRIDIS
 }
 
-/// Colour of a share of the top speed, 0 to 1: equal steps look equally large.
+/// Colour of a speed relative to the maximum, 0 to 1, on a perceptually uniform scale.
 pub(super) fn of_share(share: f32) -> Rgb {
     let last = VIRIDIS.len() - 1;
     let place = share.clamp(0.0, 1.0) * last as f32;
@@ -48,7 +48,7 @@ pub(super) fn of_share(share: f32) -> Rgb {
     mix(VIRIDIS[below], VIRIDIS[below + 1], place - below as f32)
 }
 
-/// `share` of `to`, the rest of `from`.
+/// Linear interpolation from `from` (0) to `to` (1).
 pub(super) fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
     let one = |from: u8, to: u8| {
         (f32::from(from) + (f32::from(to) - f32::from(from)) * share).round() as u8
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn materials_have_colours_of_their_own() {
+    fn materials_have_distinct_colours() {
         for a in Material::ALL {
             for b in Material::ALL.into_iter().filter(|&b| b > a) {
                 let (a, b) = (of_material(a), of_material(b));

@@ -1,4 +1,4 @@
-//! One frame as a picture.
+//! Pictures of frames.
 
 use super::{
     canvas::{Canvas, LINE},
@@ -6,32 +6,32 @@ use super::{
 };
 use eddy_frames::{Domain, Frame, Material};
 
-/// Space around the domain (pixels).
+/// Margin around the domain (pixels).
 const MARGIN: usize = 10;
 
-/// Share of a particle's part of the domain that its radius takes: discs of a filled region just
+/// Radius of a disc relative to the square root of its particle's share of the domain: discs of a filled region just
 /// overlap.
 const RADIUS: f32 = 0.35;
 
-/// Smallest and largest radius of a disc (pixels).
+/// Minimum and maximum radius of a disc (pixels).
 const RADII: (f32, f32) = (1.0, 4.0);
 
-/// Smallest width and height of the domain (pixels).
-const SMALLEST: usize = 16;
+/// Minimum width and height of the domain (pixels).
+const MIN_SIDE: usize = 16;
 
-/// Steps of the speeds' scale.
+/// Steps of the speed scale.
 const STEPS: usize = 96;
 
-/// What the colours mean.
+/// Meaning of the colours.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Coloring {
-    /// Each material has its colour; these occur.
+    /// By material; these occur.
     Material(Vec<Material>),
-    /// The speed; this one and all above get the lightest colour (domain lengths per second).
+    /// By speed, up to this maximum (domain lengths per second).
     Speed(f32),
 }
 
-/// Draws frames of one domain at one scale.
+/// Draws frames of one domain at a fixed scale.
 #[derive(Clone, Debug)]
 pub struct Painter {
     domain: Domain,
@@ -43,24 +43,23 @@ pub struct Painter {
 }
 
 impl Painter {
-    /// For frames of about so many `particles`; the longer side of the domain gets `size` pixels.
+    /// For frames of about `particles` particles; the longer side of the domain has `size` pixels.
     pub fn new(domain: Domain, particles: usize, size: usize, coloring: Coloring) -> Self {
         let [width, height] = [0, 1].map(|axis| domain.upper[axis] - domain.lower[axis]);
         let scale = size as f32 / width.max(height);
         let extent =
-            [width, height].map(|length| ((length * scale).round() as usize).max(SMALLEST));
+            [width, height].map(|length| ((length * scale).round() as usize).max(MIN_SIDE));
         let share = extent[0] as f32 * extent[1] as f32 / particles.max(1) as f32;
         let radius = (RADIUS * share.sqrt()).clamp(RADII.0, RADII.1);
         Self { domain, coloring, extent, radius }
     }
 
-    /// Draws a frame: the domain with its particles, below it the time.
+    /// Draws a frame with its time below it.
     pub fn panel(&self, frame: &Frame) -> Canvas {
         self.titled(Some(frame), &format!("t = {:.3} s", frame.stamp.seconds()))
     }
 
-    /// Draws frames of one instant side by side, below each its title and the time; where there is no
-    /// frame, the domain is empty.
+    /// Draws frames side by side, each with its title and time below it; a missing frame leaves its domain empty.
     pub fn beside<'a>(&self, frames: impl Iterator<Item = (&'a str, &'a Option<Frame>)>) -> Canvas {
         let panel = |(title, frame): (&str, &Option<Frame>)| {
             let time = frame.as_ref().map(|frame| format!("  t = {:.3} s", frame.stamp.seconds()));
@@ -69,19 +68,19 @@ impl Painter {
         row(&frames.map(panel).collect::<Vec<_>>())
     }
 
-    /// Draws a frame with words below it.
-    fn titled(&self, frame: Option<&Frame>, words: &str) -> Canvas {
+    /// Draws a frame with a line of text below it.
+    fn titled(&self, frame: Option<&Frame>, title: &str) -> Canvas {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width + 2 * MARGIN, height + 2 * MARGIN + LINE);
         canvas.outline(MARGIN - 1, MARGIN - 1, width + 2, height + 2, GREY);
         if let Some(frame) = frame {
             canvas.paste(&self.particles(frame), MARGIN, MARGIN);
         }
-        canvas.words(words, MARGIN, MARGIN + height + 6, BLACK);
+        canvas.text(title, MARGIN, MARGIN + height + 6, BLACK);
         canvas
     }
 
-    /// Draws the particles of a frame and nothing else.
+    /// Draws the particles of a frame only.
     pub fn particles(&self, frame: &Frame) -> Canvas {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width, height);
@@ -92,7 +91,7 @@ impl Painter {
         canvas
     }
 
-    /// What the colours mean, in one line.
+    /// The legend of the colours.
     fn legend(&self) -> Canvas {
         match &self.coloring {
             Coloring::Material(materials) => of_materials(materials),
@@ -110,7 +109,7 @@ impl Painter {
         below(&row(panels), &self.legend())
     }
 
-    /// Where a position is (pixels); the second axis points up.
+    /// Pixel coordinates of a position; the second axis points up.
     fn place(&self, position: [f32; 2]) -> [f32; 2] {
         let share = |axis: usize| {
             let (lower, upper) = (self.domain.lower[axis], self.domain.upper[axis]);
@@ -162,7 +161,7 @@ fn of_materials(materials: &[Material]) -> Canvas {
     let mut left = MARGIN;
     for material in materials {
         legend.disc([left as f32 + 5.0, 7.5], 5.0, palette::of_material(*material));
-        legend.words(material.name(), left + 16, 1, BLACK);
+        legend.text(material.name(), left + 16, 1, BLACK);
         left += width(material);
     }
     legend
@@ -173,12 +172,12 @@ fn of_speeds(top: f32) -> Canvas {
     let scale = MARGIN + Canvas::width_of(&low) + 8;
     let end = scale + STEPS + 8;
     let mut legend = Canvas::new(end + Canvas::width_of(&high) + MARGIN, LEGEND);
-    legend.words(&low, MARGIN, 1, BLACK);
+    legend.text(&low, MARGIN, 1, BLACK);
     for step in 0..STEPS {
         let color = palette::of_share(step as f32 / (STEPS - 1) as f32);
         legend.fill(scale + step, 2, 1, 11, color);
     }
-    legend.words(&high, end, 1, BLACK);
+    legend.text(&high, end, 1, BLACK);
     legend
 }
 
@@ -207,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_particle_stands_where_it_is_in_a_domain_of_any_shape() {
+    fn a_particle_is_drawn_at_its_position_in_a_domain_of_any_shape() {
         let domain = Domain { lower: [-1.0, 2.0], upper: [3.0, 4.0] };
         let painter = Painter::new(domain, 1, 200, Coloring::Material(vec![Material::Rope]));
         let panel = painter.panel(&frame(domain, [2.0, 3.5]));
@@ -219,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_stand_side_by_side_and_one_that_is_missing_leaves_its_place_empty() {
+    fn frames_are_drawn_side_by_side_and_a_missing_one_leaves_its_domain_empty() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
         let [there, missing] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
         let both = painter.beside([("/a", &missing), ("/b", &there)].into_iter());
@@ -231,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_particle_as_fast_as_the_top_speed_has_the_lightest_colour() {
+    fn a_particle_at_maximum_speed_has_the_lightest_colour() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
         let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]));
         assert!(find(&panel, palette::of_share(1.0)).is_some());

@@ -1,5 +1,4 @@
-//! Pictures with the 256 colours that a GIF can have. The colours are the same in every picture, so
-//! that nothing flickers.
+//! Quantisation to the 256 colours of a GIF. The palette is fixed, so that animations do not flicker.
 
 use super::{
     canvas::Canvas,
@@ -7,24 +6,24 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// Shares of a colour over white at the edge of a disc.
+/// Mixtures of a colour with white, for the edges of discs.
 const SHARES: usize = 4;
 
 /// Shades of speed.
 const SHADES: usize = 56;
 
-/// Bits a channel by which nearest colours are remembered.
+/// Bits per channel of the lookup table.
 const BITS: usize = 5;
 
-/// The colours of a GIF, and which of them is the nearest to any other.
+/// The palette of a GIF and a lookup table of nearest colours.
 pub(super) struct Quantizer {
     colors: Vec<Rgb>,
-    /// Index of the nearest colour, by the upper bits of red, green and blue.
+    /// Index of the nearest colour by the upper bits of red, green and blue.
     nearest: Vec<u8>,
 }
 
 impl Quantizer {
-    /// Grey, the materials and the shades of speed, each mixed with white as at the edge of a disc.
+    /// Greys, materials and speeds, each in several mixtures with white.
     pub(super) fn new() -> Self {
         let materials = Material::ALL.map(palette::of_material);
         let shades = (0..SHADES).map(|i| palette::of_share(i as f32 / (SHADES - 1) as f32));
@@ -38,12 +37,12 @@ impl Quantizer {
         Self { colors, nearest }
     }
 
-    /// Red, green, blue of each colour, one after the other.
+    /// The palette as red, green, blue of each colour.
     pub(super) fn palette(&self) -> Vec<u8> {
         self.colors.as_flattened().to_vec()
     }
 
-    /// The picture as indices of colours.
+    /// The picture as indices into the palette.
     pub(super) fn indices(&self, canvas: &Canvas) -> Vec<u8> {
         canvas.pixels().iter().map(|&pixel| self.nearest[cell(pixel)]).collect()
     }
@@ -54,7 +53,7 @@ fn cell([red, green, blue]: Rgb) -> usize {
     (upper(red) << (2 * BITS)) | (upper(green) << BITS) | upper(blue)
 }
 
-/// The middle of a cell; the outermost cells stand for pure black and white.
+/// The centre of a cell; the outermost cells represent pure black and white.
 fn center(cell: usize) -> Rgb {
     let mask = (1 << BITS) - 1;
     let channel = |shift: usize| (((cell >> shift) & mask) * 255 / mask) as u8;
@@ -74,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_that_occur_are_hardly_changed() {
+    fn colours_that_occur_are_nearly_preserved() {
         let quantizer = Quantizer::new();
         assert!(quantizer.colors.len() <= 256, "{}", quantizer.colors.len());
         let shades = (0..=20u8).map(|i| palette::of_share(f32::from(i) / 20.0));

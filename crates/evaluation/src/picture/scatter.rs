@@ -102,20 +102,20 @@ impl Scatter {
             canvas.fill(at, top, 1, height, PALE);
             let word = number(tick);
             let start = at.saturating_sub(Canvas::width_of(&word) / 2);
-            canvas.words(&word, start, top + height + 6, BLACK);
+            canvas.text(&word, start, top + height + 6, BLACK);
         }
         for tick in y.ticks() {
             let at = top + height - y.place(tick) as usize;
             canvas.fill(left, at, width, 1, PALE);
             let word = number(tick);
             let start = left.saturating_sub(Canvas::width_of(&word) + 8);
-            canvas.words(&word, start, at.saturating_sub(7), BLACK);
+            canvas.text(&word, start, at.saturating_sub(7), BLACK);
         }
         canvas.outline(left, top, width, height, GREY);
-        canvas.words(&self.title, left, 6, BLACK);
-        canvas.words(&self.y, left, 6 + LINE, BLACK);
+        canvas.text(&self.title, left, 6, BLACK);
+        canvas.text(&self.y, left, 6 + LINE, BLACK);
         let start = (left + width).saturating_sub(Canvas::width_of(&self.x));
-        canvas.words(&self.x, start, top + height + 6 + LINE, BLACK);
+        canvas.text(&self.x, start, top + height + 6 + LINE, BLACK);
         let mut taken: Vec<[usize; 3]> = Vec::new();
         for point in points {
             let at = [
@@ -124,7 +124,7 @@ impl Scatter {
             ];
             mark(&mut canvas, at, point.mark);
             let [start, line] = free_place(&mut taken, at, Canvas::width_of(&point.name));
-            canvas.words(&point.name, start, line, BLACK);
+            canvas.text(&point.name, start, line, BLACK);
         }
         Some(canvas)
     }

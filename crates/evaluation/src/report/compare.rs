@@ -1,50 +1,50 @@
-//! Several reports side by side.
+//! Comparison of several reports.
 
 use super::{
     Entry, Report, ReportError, Role,
     page::{at, error, milliseconds, skill},
     scenes::SceneEntry,
-    tables::of_page,
+    tables::terminal,
 };
 use crate::{
     Interval,
-    bootstrap::{FEWEST, bootstrap},
+    bootstrap::{MIN_SCENES, bootstrap},
     page::{Axis, Cell, LinePlot, Page, Provenance, Series, Table},
 };
 
-/// Frames ahead at which errors are divided: scenes are kept up to the paper's twentieth.
-const DIVIDED: [usize; 3] = [1, 10, 20];
+/// Frames ahead with error ratios: errors by scene end at the paper's twentieth frame.
+const RATIO_FRAMES: [usize; 3] = [1, 10, 20];
 
 /// Reports of the same data.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// The reports with their names.
+    /// The reports and their names.
     reports: Vec<(String, Report)>,
-    /// What has to be said before anything is compared.
+    /// Remarks on differences between the evaluations.
     notes: Vec<String>,
-    /// Frames ahead that all of them compared with the truth.
+    /// The shortest horizon.
     horizon: usize,
     /// Whether normalised errors have the same units.
     same_units: bool,
-    /// Whether they have the same rollouts in the same order.
+    /// Whether the rollouts are the same, in the same order.
     same_scenes: bool,
 }
 
-/// Who is compared.
+/// A predictor of one of the reports.
 struct Row<'a> {
     name: String,
     entry: &'a Entry,
     report: &'a Report,
-    /// Its place among the predictors of its report.
+    /// Its index among the predictors of its report.
     number: usize,
 }
 
 impl Comparison {
-    /// Puts reports side by side; each has a name of its own.
+    /// Compares reports with distinct names.
     ///
     /// # Errors
-    /// [`ReportError::Few`] for less than two, [`ReportError::Different`] for reports of other data: errors of
-    /// different scenes say nothing about who is better.
+    /// [`ReportError::Few`] for fewer than two, [`ReportError::Different`] for reports on different data, whose errors are
+    /// not comparable.
     pub fn new(reports: Vec<(String, Report)>) -> Result<Self, ReportError> {
         let [(first_name, first), others @ ..] = &reports[..] else {
             return Err(ReportError::Few { found: 0 });
@@ -82,22 +82,22 @@ impl Comparison {
             }
             differ
         };
-        differ("The horizons differ, the shortest is what is compared", &|report| {
+        differ("Horizons differ, comparing up to the shortest", &|report| {
             format!("{} frames", report.horizon)
         });
-        differ("Rollouts start from other frames, errors are means over others", &|report| {
+        differ("Start frames differ, so the means cover different rollouts", &|report| {
             format!("{} rollouts", report.windows)
         });
-        differ("The warm-ups differ, rollouts start from other frames", &|report| {
+        differ("Warm-ups differ, so the start frames differ", &|report| {
             let first = report.scenes.first().and_then(|scene| scene.starts.first());
             first.map_or("none".into(), |start| format!("the first from frame {start}"))
         });
         let other_units =
-            differ("Normalised errors have other units and are left out", &|report| {
+            differ("Normalised errors have different units and are omitted", &|report| {
                 format!("{:.4?}", report.units.ranges)
             });
-        differ("The programs differ", &|report| format!("eddy {}", report.made.version));
-        differ("Times of a frame are from other machines", &|report| {
+        differ("Program versions differ", &|report| format!("eddy {}", report.made.version));
+        differ("Times were measured on different machines", &|report| {
             report.made.machine.processor.clone()
         });
         let key =
@@ -105,12 +105,12 @@ impl Comparison {
         let keys = |report: &Report| report.scenes.iter().map(key).collect::<Vec<_>>();
         let same_scenes = others.iter().all(|(_, other)| keys(other) == keys(first));
         if !same_scenes {
-            notes.push("Scenes, or the frames that their rollouts start from, are not the same: errors are not divided".to_owned());
+            notes.push("Scenes or start frames differ: no error ratios shown".to_owned());
         }
         Ok(Self { reports, notes, horizon, same_units: !other_units, same_scenes })
     }
 
-    /// Everyone of every report; what learns nothing comes once, at the end.
+    /// The predictors of all reports, then the trivial ones, which are the same in all.
     fn rows(&self) -> Vec<Row<'_>> {
         let is_trivial = |role: Role| matches!(role, Role::Baseline | Role::Mean);
         let mut rows = Vec::new();
@@ -149,7 +149,7 @@ impl Comparison {
         table
     }
 
-    /// What there is to compare.
+    /// All tables.
     fn all_tables(&self) -> Vec<Table> {
         let curve = |caption: &str, of: fn(&Entry) -> &Vec<f64>| {
             self.over_frames(caption, |row, ahead| error(at(of(row.entry), ahead)).into())
@@ -160,7 +160,7 @@ impl Comparison {
                 _ => skill(at(&row.entry.skill, ahead)).into(),
             })];
         if self.rows().iter().any(|row| row.entry.skill_intervals.is_some()) {
-            tables.push(self.over_frames("95 % interval of it, over scenes", |row, ahead| {
+            tables.push(self.over_frames("Skill, 95 % interval over scenes", |row, ahead| {
                 let place = row.report.shown.iter().position(|&shown| shown == ahead);
                 let intervals = row.entry.skill_intervals.as_ref();
                 place.map_or("-".into(), |place| super::page::between(intervals, place)).into()
@@ -176,7 +176,7 @@ impl Comparison {
         }
         tables.extend(self.ratios());
         let mut cost = Table::new(
-            "Time of a frame and blow-ups",
+            "Time per frame and blow-ups",
             ["", "ms, median", "ms, 99 %", "blow-ups", "far off"],
         );
         for row in self.rows() {
@@ -189,14 +189,14 @@ impl Comparison {
         tables
     }
 
-    /// Position errors divided by those of the first model, with intervals over the scenes.
+    /// Ratios of position errors to those of the first model, with intervals over scenes.
     fn ratios(&self) -> Option<Table> {
         let rows = self.rows();
         let first = rows.first().filter(|_| self.same_scenes)?;
-        let frames: Vec<usize> = DIVIDED.into_iter().filter(|&f| f <= self.horizon).collect();
+        let frames: Vec<usize> = RATIO_FRAMES.into_iter().filter(|&f| f <= self.horizon).collect();
         let titles = frames.iter().flat_map(|ahead| [format!("frame {ahead}"), "95 %".to_owned()]);
         let mut table = Table::new(
-            format!("Position RMSE over that of {}; below 1 is better", first.name),
+            format!("Position RMSE relative to {}; below 1 is better", first.name),
             std::iter::once(String::new()).chain(titles),
         );
         for row in rows.iter().skip(1) {
@@ -213,33 +213,33 @@ impl Comparison {
         Some(table)
     }
 
-    /// The tables for a terminal, what has to be said first.
+    /// The remarks and tables for a terminal.
     pub fn tables(&self) -> String {
         let notes = self.notes.iter().map(|note| format!("{note}\n"));
         let tables = self.all_tables();
-        let tables = tables.iter().map(|table| format!("{}\n", of_page(table)));
+        let tables = tables.iter().map(|table| format!("{}\n", terminal(table)));
         notes.chain(tables).collect()
     }
 
-    /// The comparison as a page.
+    /// The comparison as an HTML page.
     pub fn page(&self, made: &Provenance) -> Page {
         let names: Vec<&str> = self.reports.iter().map(|(name, _)| name.as_str()).collect();
         let lead = format!(
-            "{} reports of the same streams, compared for {} frames: {}.",
+            "{} reports on the same streams, compared over {} frames: {}.",
             names.len(),
             self.horizon,
             names.join(", ")
         );
-        let mut page = Page::new("Reports compared", lead);
-        let section = page.section("Side by side");
+        let mut page = Page::new("Comparison of reports", lead);
+        let section = page.section("Comparison");
         self.notes.iter().for_each(|note| _ = section.note(note));
         section.plots(&self.plots());
         self.all_tables().iter().for_each(|table| _ = section.table(table));
         section.paragraph(
-            "Intervals hold 95 % of 1,000 draws of the scenes with replacement, both of a ratio from the same scenes; \
-             there is none for fewer than five scenes.",
+            "Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of the scenes, the same for both sides of a \
+             ratio. With fewer than five scenes there is none.",
         );
-        let section = page.section("How to make this again");
+        let section = page.section("Reproduce");
         section.provenance(made);
         for (name, report) in &self.reports {
             section.heading(name).provenance(&report.made);
@@ -281,7 +281,7 @@ impl Comparison {
     }
 }
 
-/// Squared position errors of each scene at a frame ahead, summed over its particles and rollouts.
+/// Squared position error of each scene at a frame ahead, summed over its particles and rollouts.
 fn squared(row: &Row<'_>, ahead: usize) -> Vec<f64> {
     let of_scene = |scene: &SceneEntry| {
         let errors = scene.errors.get(row.number)?;
@@ -290,8 +290,8 @@ fn squared(row: &Row<'_>, ahead: usize) -> Vec<f64> {
     row.report.scenes.iter().map(|scene| of_scene(scene).unwrap_or(f64::NAN)).collect()
 }
 
-/// Root of the ratio of sums over scenes, with its interval by bootstrap over the scenes; scenes without
-/// truth at that frame are left out.
+/// Square root of the ratio of sums over scenes, with its bootstrap interval over scenes; scenes without truth at that
+/// frame are excluded.
 fn ratio(mine: &[f64], first: &[f64]) -> (f64, Option<Interval>) {
     let pairs = mine.iter().zip(first).filter(|(a, b)| a.is_finite() && b.is_finite());
     let pairs: Vec<(f64, f64)> = pairs.map(|(&a, &b)| (a, b)).collect();
@@ -301,7 +301,7 @@ fn ratio(mine: &[f64], first: &[f64]) -> (f64, Option<Interval>) {
         (a / b).sqrt()
     };
     let all = of(&(0..pairs.len()).collect::<Vec<_>>());
-    if pairs.len() < FEWEST {
+    if pairs.len() < MIN_SCENES {
         return (all, None);
     }
     let interval = bootstrap(|draw| vec![of(&draw.of(pairs.len()))]).pop();
@@ -313,7 +313,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ratio_of_scenes_that_agree_has_no_spread_and_another_holds_it() {
+    fn a_ratio_of_equal_scenes_has_no_spread_and_others_lie_in_their_interval() {
         let first = [4.0, 1.0, 9.0, 2.0, 5.0];
         let (all, interval) = ratio(&first.map(|x| 4.0 * x), &first);
         assert_eq!((all, interval), (2.0, Some(Interval { lower: 2.0, upper: 2.0 })));
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn few_scenes_have_no_interval_and_those_without_truth_do_not_count() {
+    fn few_scenes_have_no_interval_and_scenes_without_truth_do_not_count() {
         assert_eq!(ratio(&[1.0, f64::NAN, 3.0], &[1.0, 5.0, 0.0]), (2.0, None));
         assert!(ratio(&[], &[]).0.is_nan());
     }

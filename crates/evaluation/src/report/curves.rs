@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Bulk, Errors, Mean, StepSums, numbers};
 
-/// Error curves of free rollouts; one number a frame ahead.
+/// Error curves of free rollouts; one number per frame ahead.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Curves {
     /// Root mean square of |x - x'| (domain lengths).
@@ -13,20 +13,20 @@ pub struct Curves {
     /// Root mean square of |v - v'| (domain lengths per second).
     #[serde(deserialize_with = "numbers::list")]
     pub velocity_rmse: Vec<f64>,
-    /// Mean squared error of the features x, y, vx, vy, each divided by its range in the training of
-    /// the first checkpoint.
+    /// Mean squared error of the features x, y, vx, vy, each divided by its range in the first checkpoint's training
+    /// data.
     #[serde(deserialize_with = "numbers::list")]
     pub minmax_mse: Vec<f64>,
-    /// As `minmax_mse`, divided by its standard deviation there.
+    /// As `minmax_mse`, divided by the standard deviation.
     #[serde(deserialize_with = "numbers::list")]
     pub zscore_mse: Vec<f64>,
 }
 
-/// Position errors of predicted next frames beside those of free rollouts; one number a frame ahead.
+/// Position errors of one-step predictions, for comparison with free rollouts; one number per frame ahead.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StepCurves {
-    /// Root mean square of |r_k| (domain lengths): the frame k ahead of the start, predicted from the
-    /// true one before.
+    /// Root mean square of |r_k| (domain lengths), the error of the frame k ahead of the start predicted from the true
+    /// frame before it.
     #[serde(deserialize_with = "numbers::list")]
     pub one_step_rmse: Vec<f64>,
     /// Root mean square of |r_1 + ... + r_k| (domain lengths).
@@ -34,7 +34,7 @@ pub struct StepCurves {
     pub cumulated_rmse: Vec<f64>,
 }
 
-/// What all particles have together, means over windows; one number a frame ahead.
+/// Bulk quantities, means over windows; one number per frame ahead.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BulkCurves {
     /// Kinetic energy per mass (domain lengths^2 per s^2).
@@ -43,13 +43,13 @@ pub struct BulkCurves {
     /// Root mean square distance of the centre of mass from the true one (domain lengths).
     #[serde(deserialize_with = "numbers::list")]
     pub centre_rmse: Vec<f64>,
-    /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
+    /// Share of the particles beyond an effective wall by more than half a spacing (0 to 1).
     #[serde(deserialize_with = "numbers::list")]
     pub outside: Vec<f64>,
 }
 
 impl BulkCurves {
-    /// The curves of sums; `None` where nothing was measured.
+    /// The curves from sums; `None` without sums.
     pub(super) fn new(sums: &[Bulk]) -> Option<Self> {
         let curve = |of: fn(&Bulk) -> &Mean| sums.iter().map(move |sums| of(sums).value());
         (!sums.is_empty()).then(|| Self {
@@ -61,7 +61,7 @@ impl BulkCurves {
 }
 
 impl Curves {
-    /// The curves of sums, one a frame ahead.
+    /// The curves from sums, one per frame ahead.
     pub(super) fn new(errors: &[Errors]) -> Self {
         let curve = |f: fn(&Errors) -> f64| errors.iter().map(f).collect();
         Self {
@@ -74,7 +74,7 @@ impl Curves {
 }
 
 impl StepCurves {
-    /// The curves of sums.
+    /// The curves from sums.
     pub(super) fn new(steps: &StepSums) -> Self {
         Self { one_step_rmse: steps.single_rmse(), cumulated_rmse: steps.cumulated_rmse() }
     }

@@ -1,4 +1,4 @@
-//! Everything about one contestant.
+//! All results of one predictor.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,61 +6,62 @@ use super::{
     curves::{BulkCurves, Curves, StepCurves},
     measures::{Flight, Measures},
 };
-use crate::{Arena, BlowUps, Cost, Interval, JudgedScene, Kind, Skills, Tally, numbers};
+use crate::{Accumulator, BlowUps, Context, Cost, Interval, Kind, SceneResult, Skills, numbers};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::Description;
 
-/// Who predicts.
+/// Name and origin of a predictor.
 #[derive(Clone, Debug)]
-pub struct Contestant {
+pub struct PredictorInfo {
     /// Its name in tables.
     pub name: String,
-    /// What it is.
+    /// Its role in the evaluation.
     pub role: Role,
-    /// Where a model is from; nothing else has that.
+    /// The checkpoint of a model; `None` for other predictors.
     pub origin: Option<Origin>,
 }
 
-/// What a contestant is.
+/// The role of a predictor in an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
     /// A checkpoint that observed each stream from its first frame on.
     Model,
-    /// A checkpoint that observed no more than its warm-up.
+    /// A checkpoint that observed its warm-up only.
     JoinedLate,
-    /// A predictor that learns nothing.
+    /// A trivial predictor.
     Baseline,
-    /// The training's mean, in every place: the unit of z-score errors. No skill is measured against it, it
-    /// knows nothing of the frames that were observed.
+    /// The mean of the training data: the reference of z-score errors. Not a baseline of skill, because it ignores the
+    /// observed frames.
     Mean,
-    /// A solver that knows the law and observes what a model observes.
-    Rival,
-    /// The truth from slightly displaced positions: nobody can do better for long.
+    /// A reference solver that observes what a model observes.
+    #[serde(rename = "rival")]
+    Solver,
+    /// The true simulation from slightly displaced positions: an upper bound on predictability.
     Chaos,
-    /// The truth, for comparison of measures.
+    /// The truth, for comparison of physical measures.
     Truth,
 }
 
-/// Where a model is from.
+/// The checkpoint of a model.
 #[derive(Clone, Debug)]
 pub struct Origin {
     /// The checkpoint's path.
     pub checkpoint: String,
     /// Its digest.
     pub digest: String,
-    /// What the network is.
+    /// Description of the network.
     pub description: Description,
 }
 
-/// Everything about one contestant; curves have one number a frame ahead.
+/// All results of one predictor; curves have one number per frame ahead.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Entry {
     /// Its name.
     pub name: String,
-    /// What it is.
+    /// Its role in the evaluation.
     pub role: Role,
-    /// The checkpoint of a model.
+    /// Path of a model's checkpoint.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub checkpoint: Option<String>,
     /// Digest of the checkpoint.
@@ -68,45 +69,45 @@ pub struct Entry {
     pub digest: Option<String>,
     /// Rollouts that blew up.
     pub blow_ups: BlowUps,
-    /// Mean of the skills of all kinds: 1 - squared position error / that of the best baseline at that
-    /// frame, both summed over the windows of a kind.
+    /// Mean over kinds of 1 - squared position error / squared position error of the best baseline at that frame, both
+    /// summed over the windows of a kind.
     #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
-    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
-    /// fewer than five scenes.
+    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; `None` when a kind has fewer than five
+    /// scenes.
     pub skill_intervals: Option<Vec<Interval>>,
     /// Errors over all scenes.
     #[serde(flatten)]
     pub curves: Curves,
-    /// Errors of next frames over all scenes; nothing for who cannot continue a stream.
+    /// Errors of one-step predictions over all scenes, if the predictor makes them.
     #[serde(flatten)]
     pub steps: Option<StepCurves>,
-    /// What all particles have together, over all scenes; nothing where no measures were taken.
+    /// Bulk quantities over all scenes, if measures were requested.
     #[serde(flatten)]
     pub bulk: Option<BulkCurves>,
     /// Physical measures over all scenes, at the frames shown.
     pub measures: Vec<Measures>,
-    /// What happens to bodies in free flight; nothing for who predicts no next frame of them.
+    /// Errors of bodies in free flight, if the predictor makes one-step predictions of them.
     pub flight: Option<Flight>,
-    /// By the kind of the scene.
+    /// By kind of scene.
     pub kinds: Vec<KindEntry>,
-    /// By the material of the particle, in whatever scene.
+    /// By material of the particle, over all scenes.
     pub materials: Vec<(Material, Curves)>,
-    /// Time of a predicted frame on one thread.
+    /// Time per predicted frame on one thread.
     pub cost: Option<Cost>,
 }
 
-/// A contestant in the scenes of one kind.
+/// Results of a predictor in scenes of one kind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct KindEntry {
-    /// The kind.
+    /// Kind of scene.
     pub kind: Kind,
     /// As in [`Entry`].
     pub blow_ups: BlowUps,
     /// Skill in the scenes of this kind.
     #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
-    /// As in [`Entry`], of this skill.
+    /// As in [`Entry`], for this skill.
     pub skill_intervals: Option<Vec<Interval>>,
     /// As in [`Entry`].
     #[serde(flatten)]
@@ -119,31 +120,31 @@ pub struct KindEntry {
 }
 
 impl Entry {
-    /// Everything about contestant `number` of the judged scenes.
+    /// Results of predictor `number` over the evaluated scenes.
     pub(super) fn new(
-        arena: &Arena,
-        contestant: Contestant,
+        context: &Context,
+        info: PredictorInfo,
         cost: Option<Cost>,
         number: usize,
-        scenes: &[JudgedScene],
+        scenes: &[SceneResult],
         skills: &Skills,
         shown: &[usize],
     ) -> Self {
-        let mut all = Tally::new(arena);
+        let mut all = Accumulator::new(context);
         let mut kinds = Vec::new();
         for kind in skills.kinds() {
-            let mut tally = Tally::new(arena);
+            let mut accumulator = Accumulator::new(context);
             let of_kind = scenes.iter().filter(|scene| scene.kind == kind);
-            of_kind.for_each(|scene| tally.merge(&scene.tallies[number]));
-            all.merge(&tally);
+            of_kind.for_each(|scene| accumulator.merge(&scene.accumulators[number]));
+            all.merge(&accumulator);
             kinds.push(KindEntry {
                 kind,
-                blow_ups: tally.blow_ups,
+                blow_ups: accumulator.blow_ups,
                 skill: skills.of_kind(kind, number),
                 skill_intervals: skills.intervals_of_kind(kind, &[number], shown),
-                curves: Curves::new(&tally.errors.total()),
-                steps: tally.steps.as_ref().map(StepCurves::new),
-                measures: measures(&tally, shown),
+                curves: Curves::new(&accumulator.errors.total()),
+                steps: accumulator.steps.as_ref().map(StepCurves::new),
+                measures: measures(&accumulator, shown),
             });
         }
         let materials = Material::ALL.into_iter().filter_map(|material| {
@@ -151,7 +152,7 @@ impl Entry {
             let present = errors.first().is_some_and(|first| first.count > 0.0);
             present.then(|| (material, Curves::new(&errors)))
         });
-        let Contestant { name, role, origin } = contestant;
+        let PredictorInfo { name, role, origin } = info;
         let (checkpoint, digest) = origin.map(|o| (o.checkpoint, o.digest)).unzip();
         Self {
             name,
@@ -173,6 +174,10 @@ impl Entry {
     }
 }
 
-fn measures(tally: &Tally, shown: &[usize]) -> Vec<Measures> {
-    shown.iter().zip(&tally.physics).map(|(&frame, sums)| Measures::new(frame, sums)).collect()
+fn measures(accumulator: &Accumulator, shown: &[usize]) -> Vec<Measures> {
+    shown
+        .iter()
+        .zip(&accumulator.physics)
+        .map(|(&frame, sums)| Measures::new(frame, sums))
+        .collect()
 }

@@ -5,24 +5,19 @@ use std::{fmt::Write as _, fs, io, path::Path};
 use super::{Entry, Report, curves::Curves, curves::StepCurves};
 use crate::picture::write_png;
 
-/// Everything.
 pub(super) const JSON: &str = "report.json";
-/// Every curve.
 const CSV: &str = "curves.csv";
-/// Everything, for people.
 pub(super) const HTML: &str = "report.html";
-/// What predictors cost and how wrong they are.
 const PLOT: &str = "cost_error.png";
 
-/// The columns of the curves.
 const COLUMNS: &str = "predictor,kind,frame,position_rmse,velocity_rmse,minmax_mse,zscore_mse,skill,one_step_rmse,cumulated_rmse";
 
 impl Report {
-    /// Writes `report.json`, `report.html`, `curves.csv` and, where costs were measured, `cost_error.png` into
-    /// `folder`, which is made if it is not there.
+    /// Writes `report.json`, `report.html`, `curves.csv` and, if times were measured, `cost_error.png` into `folder`, which
+    /// is created if needed.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// I/O errors.
     pub fn save(&self, folder: &Path) -> io::Result<()> {
         fs::create_dir_all(folder)?;
         let json = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
@@ -39,8 +34,7 @@ impl Report {
         }
     }
 
-    /// Every curve as CSV, one row for each predictor, kind (and all of them) and frame ahead. What
-    /// there is no number for is empty.
+    /// All curves as CSV, one row per predictor, kind (or `all`) and frame ahead. Missing numbers are empty.
     fn curves(&self) -> String {
         let mut csv = COLUMNS.to_owned() + "\n";
         for entry in &self.predictors {

@@ -1,4 +1,4 @@
-//! Networks that differ in nothing but their training: seeds of one model.
+//! Networks that differ only in their training: seeds of one model.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,34 +13,33 @@ pub struct Group {
     pub name: String,
     /// Names of its checkpoints.
     pub members: Vec<String>,
-    /// Rollouts of all seeds that blew up.
+    /// Blow-ups over the rollouts of all seeds.
     pub blow_ups: BlowUps,
-    /// Time of a frame on one thread, the mean over the seeds (ms); nothing where it was not taken.
+    /// Time per frame on one thread, mean over seeds (ms); `None` if not timed.
     pub ms: Option<f64>,
     /// Mean skill over kinds.
     #[serde(flatten)]
     pub skill: GroupSkill,
-    /// By the kind of the scene.
+    /// By kind of scene.
     pub kinds: Vec<(Kind, GroupSkill)>,
 }
 
 /// Skill of a group.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct GroupSkill {
-    /// Mean over the seeds; one number a frame ahead.
+    /// Mean over seeds; one number per frame ahead.
     #[serde(deserialize_with = "numbers::list")]
     pub skill: Vec<f64>,
-    /// Standard deviation of it between the seeds (of the sample); 0 for a single one.
+    /// Sample standard deviation over seeds; 0 for a single seed.
     #[serde(deserialize_with = "numbers::list")]
     pub spread: Vec<f64>,
-    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; nothing when a kind has
-    /// fewer than five scenes.
+    /// 95 % intervals of `skill` by bootstrap over scenes, at the frames shown; `None` when a kind has fewer than five
+    /// scenes.
     pub skill_intervals: Option<Vec<Interval>>,
 }
 
 impl Group {
-    /// All groups among the models, in the order of their first members. `networks` are the descriptions
-    /// of those that have one.
+    /// All groups of models, in the order of their first members. `networks` has the description of each model.
     pub(super) fn all(
         predictors: &[Entry],
         networks: &[Option<Description>],
@@ -88,7 +87,7 @@ impl GroupSkill {
     }
 }
 
-/// A description without what comes from training and its data.
+/// A description without the parts that come from training and its data.
 fn untrained(description: &Description) -> Description {
     let zero = [0.0; 4];
     let normalization =

@@ -1,4 +1,4 @@
-//! Physical measures as numbers with units.
+//! Physical measures with units.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,64 +9,63 @@ use crate::{FlightSums, Physics, numbers};
 pub struct Measures {
     /// The frame ahead.
     pub frame: usize,
-    /// Share of the mass that is in another place than in the truth (0 to 1), on a lattice of four
-    /// spacings.
+    /// Share of the mass that is misplaced relative to the truth (0 to 1), on a lattice with cells of four spacings.
     #[serde(deserialize_with = "numbers::one")]
     pub misplaced: f64,
-    /// Sum of |K - K'| over the sum of K', K' being the true kinetic energy.
+    /// Sum of |K - K'| / sum of K', where K' is the true kinetic energy.
     #[serde(deserialize_with = "numbers::one")]
     pub kinetic_energy_error: f64,
     /// Root mean square distance of the centres of mass (domain lengths).
     #[serde(deserialize_with = "numbers::one")]
     pub centre_rmse: f64,
-    /// Share of the particles beyond a wall in effect by more than half a spacing (0 to 1).
+    /// Share of the particles beyond an effective wall by more than half a spacing (0 to 1).
     #[serde(deserialize_with = "numbers::one")]
     pub outside: f64,
-    /// Sum of the areas that liquid occupies over the sum of those in the truth.
+    /// Sum of the areas that liquid occupies / sum of the true areas.
     #[serde(deserialize_with = "numbers::one")]
     pub liquid_area: f64,
-    /// Root mean square over windows of what that ratio is away from 1 in each.
+    /// Root mean square over windows of the deviation of that ratio from 1.
     #[serde(deserialize_with = "numbers::one")]
     pub liquid_area_off: f64,
-    /// Mean distance of rest neighbours within rope over that in the first frame of the stream.
+    /// Mean ratio of the distance of neighbouring rope particles to their distance in the first frame.
     #[serde(deserialize_with = "numbers::one")]
     pub rope_stretch: f64,
     /// Root mean square deviation of that ratio from 1.
     #[serde(deserialize_with = "numbers::one")]
     pub rope_distortion: f64,
-    /// As `rope_stretch`, of jelly.
+    /// As `rope_stretch`, for jelly.
     #[serde(deserialize_with = "numbers::one")]
     pub jelly_stretch: f64,
-    /// As `rope_distortion`, of jelly.
+    /// As `rope_distortion`, for jelly.
     #[serde(deserialize_with = "numbers::one")]
     pub jelly_distortion: f64,
-    /// Settled windows that are measured here: those in which the truth moves less than a spacing (root mean
-    /// square) from the start to any of the frames shown.
+    /// Number of settled windows: the truth moves less than a spacing (root mean square) from the start to each of the
+    /// frames shown.
     pub settled_windows: usize,
-    /// Root mean square way of the particles since the start in settled windows (domain lengths).
+    /// Root mean square displacement of the particles since the start, in settled windows (domain lengths).
     #[serde(deserialize_with = "numbers::one")]
     pub settled_way: f64,
 }
 
-/// What predictions of the next frame do to bodies that are in free flight in the truth, over all
-/// frames: bodies of a hundred particles or more with nothing within 16 spacings and no wall within 8.
+/// Errors of one-step predictions of bodies in free flight in the truth, over all frames: bodies of at least a hundred
+/// particles with no other particle within 16 spacings and no wall within 8.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Flight {
-    /// Momentum per mass gained in a frame beside that of gravity, the mean (g dt).
+    /// Mean momentum per mass gained per frame in excess of gravity (g dt).
     #[serde(deserialize_with = "numbers::one")]
     pub gain: f64,
-    /// The largest of all.
+    /// Maximum of that gain (g dt).
     #[serde(deserialize_with = "numbers::one")]
     pub worst_gain: f64,
-    /// Root mean square change of spin in a frame (rad/s).
+    /// Root mean square change of spin per frame (rad/s).
     #[serde(deserialize_with = "numbers::one")]
     pub spin: f64,
-    /// Bodies, one a frame.
+    /// Number of bodies, counted in every frame.
     pub bodies: usize,
 }
 
 impl Flight {
-    /// The measures of sums; `None` where nothing flew.
+    /// The measures from sums; `None` without bodies in flight.
     pub(super) fn new(sums: &FlightSums) -> Option<Self> {
         let FlightSums { gain, worst_gain, spin } = *sums;
         let bodies = gain.weight as usize;
@@ -80,7 +79,7 @@ impl Flight {
 }
 
 impl Measures {
-    /// The measures of sums.
+    /// The measures from sums.
     pub(super) fn new(frame: usize, sums: &Physics) -> Self {
         Self {
             frame,

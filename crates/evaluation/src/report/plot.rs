@@ -20,7 +20,7 @@ impl Report {
                 let mark = match entry.role {
                     Role::Model => Mark::Disc(0),
                     Role::JoinedLate => Mark::Disc(1),
-                    Role::Rival => Mark::Square(2),
+                    Role::Solver => Mark::Square(2),
                     _ => Mark::Square(3),
                 };
                 let place = [entry.cost.as_ref()?.p50, 1.0 - entry.skill[ahead - 1]];

@@ -1,4 +1,4 @@
-//! Reports that were written before.
+//! Reading of reports.
 
 use std::{fs, io, path::Path, path::PathBuf};
 
@@ -6,74 +6,73 @@ use serde::Deserialize;
 
 use super::{Report, files::JSON};
 
-/// The format of `report.json`: another number stands for other fields.
+/// Version of `report.json`.
 pub(super) const FORMAT: u32 = 2;
 
-/// Why a report cannot be read, or reports not compared.
+/// Why reports cannot be read or compared.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "each variant's message shows its fields")]
 pub enum ReportError {
     /// The file cannot be read.
     #[error("{}: {reason}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
         reason: io::Error,
     },
-    /// The file is no report.
+    /// The file is not a report.
     #[error("{}: {reason}, expected the report.json of `eddy eval`", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What was found where.
         reason: serde_json::Error,
     },
-    /// The file was written by another version.
-    #[error("{}: format: found {found}, expected {FORMAT}; judge again with this version", path.display())]
+    /// The file has another format version.
+    #[error("{}: format: found {found}, expected {FORMAT}; evaluate again with this version", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// The number it has; 1 had no number.
+        /// Its version; version 1 had no number.
         found: u32,
     },
-    /// Reports judge different things.
+    /// The reports are of different data.
     #[error(
         "{field}: found {second} in {second_name} and {first} in {first_name}, expected the same"
     )]
     Different {
-        /// What differs.
+        /// The field that differs.
         field: &'static str,
-        /// What the first report has.
+        /// Value in the first report.
         first: String,
         /// Name of the first report.
         first_name: String,
-        /// What the other one has.
+        /// Value in the other report.
         second: String,
-        /// Name of the other.
+        /// Name of the other report.
         second_name: String,
     },
-    /// There is nothing to compare with.
+    /// Fewer than two reports.
     #[error("reports: found {found}, expected two or more")]
     Few {
-        /// How many there are.
+        /// Number of reports.
         found: usize,
     },
 }
 
-/// What every format has.
+/// The part that all versions share.
 #[derive(Deserialize)]
 struct Header {
     #[serde(default = "first_format")]
     format: u32,
 }
 
-/// The first format did not say its number.
+/// Version 1 had no number.
 fn first_format() -> u32 {
     1
 }
 
 impl Report {
-    /// Reads a report: its `report.json`, or the folder that has it. Snapshots are not kept there.
+    /// Reads a report from `report.json` or its folder, without snapshots.
     ///
     /// # Errors
     /// [`ReportError::Io`], [`ReportError::Content`], [`ReportError::Format`].

@@ -1,52 +1,54 @@
-//! Errors scene by scene, as the paper's Tables 2 and 3 have them.
+//! Errors scene by scene, as in the paper's Tables 2 and 3.
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Errors, JudgedScene, Kind, numbers};
+use crate::{Errors, Kind, SceneResult, numbers};
 use eddy_frames::Material;
 
-/// Frames ahead for which errors are kept scene by scene: those of the paper's rollouts.
+/// Maximum number of frames ahead with errors by scene: the length of the paper's rollouts.
 pub const SCENE_FRAMES: usize = 20;
 
-/// A judged scene.
+/// Errors in one scene.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SceneEntry {
-    /// The stream's number.
+    /// Stream id.
     pub id: u64,
-    /// The bag that it was read from.
+    /// Name of its bag.
     pub name: String,
-    /// Its kind.
+    /// Kind of scene.
     pub kind: Kind,
     /// The materials that occur.
     pub materials: Vec<Material>,
     /// The frames of the stream that rollouts start from, from 0.
     pub starts: Vec<usize>,
-    /// Errors of every predictor, in their order.
+    /// Errors of every predictor.
     pub errors: Vec<SceneErrors>,
 }
 
-/// Errors of free rollouts in one scene: means over windows and particles, one number a frame ahead, up to
-/// frame 20.
+/// Errors of free rollouts in one scene: means over windows and particles, one number per frame ahead, up to frame 20.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SceneErrors {
-    /// Particles summed over, those of all windows.
+    /// Particles summed over, of all windows.
     #[serde(deserialize_with = "numbers::list")]
     pub count: Vec<f64>,
     /// Root mean square of |x - x'| (domain lengths).
     #[serde(deserialize_with = "numbers::list")]
     pub position_rmse: Vec<f64>,
-    /// Mean squared error of the features x, y, vx, vy, each divided by its range in the training of the first
-    /// checkpoint.
+    /// Mean squared error of the features x, y, vx, vy, each divided by its range in the first checkpoint's training
+    /// data.
     #[serde(deserialize_with = "numbers::list")]
     pub minmax_mse: Vec<f64>,
-    /// As `minmax_mse`, divided by its standard deviation there.
+    /// As `minmax_mse`, divided by the standard deviation.
     #[serde(deserialize_with = "numbers::list")]
     pub zscore_mse: Vec<f64>,
 }
 
 impl SceneEntry {
-    pub(super) fn new(scene: &JudgedScene) -> Self {
-        let errors = scene.tallies.iter().map(|tally| SceneErrors::new(&tally.errors.total()));
+    pub(super) fn new(scene: &SceneResult) -> Self {
+        let errors = scene
+            .accumulators
+            .iter()
+            .map(|accumulator| SceneErrors::new(&accumulator.errors.total()));
         Self {
             id: scene.id,
             name: scene.name.clone(),
@@ -57,14 +59,14 @@ impl SceneEntry {
         }
     }
 
-    /// What it is called in tables: its bag, and what it is made of, as the paper calls its scenes.
+    /// Its name in tables: bag and materials, as in the paper.
     pub fn title(&self) -> String {
-        format!("{} {}", self.name, words(&self.materials))
+        format!("{} {}", self.name, joined(&self.materials))
     }
 }
 
 /// Materials as the paper writes them: `liquid+snow`.
-pub(super) fn words(materials: &[Material]) -> String {
+pub(super) fn joined(materials: &[Material]) -> String {
     let names: Vec<&str> = materials.iter().map(|material| material.name()).collect();
     names.join("+")
 }
@@ -101,11 +103,11 @@ mod tests {
     fn frames_without_truth_do_not_count() {
         assert_eq!(mean(&[1.0, f64::NAN, 3.0]), 2.0);
         assert!(mean(&[]).is_nan() && last(&[]).is_nan());
-        assert_eq!(words(&[Material::Liquid, Material::Snow]), "liquid+snow");
+        assert_eq!(joined(&[Material::Liquid, Material::Snow]), "liquid+snow");
     }
 
     #[test]
-    fn a_scene_has_the_errors_of_twenty_frames_at_most() {
+    fn a_scene_has_errors_of_at_most_twenty_frames() {
         let errors = vec![Errors { count: 2.0, position: 8.0, ..Errors::default() }; 30];
         let scene = SceneErrors::new(&errors);
         assert_eq!(scene.position_rmse, [2.0; 20]);

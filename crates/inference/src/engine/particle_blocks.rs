@@ -172,7 +172,7 @@ impl StepContext<'_> {
             let units = layer.padded_units(panel);
             for begin in (0..count).step_by(R) {
                 let mut cells = [[].as_slice(); R];
-                if self.cell.len() > 0 {
+                if !self.cell.is_empty() {
                     for (r, cells) in cells.iter_mut().enumerate() {
                         let row = (first + particles[(begin + r).min(count - 1)] as usize) * width;
                         // SAFETY: a particle has one slot, which is in this block, and its cells are written

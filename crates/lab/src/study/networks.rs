@@ -3,7 +3,7 @@
 use super::{Comparison, Trained, Variant};
 use eddy_evaluation::{
     Entry, Interval, Report, Role,
-    bootstrap::{FEWEST, bootstrap},
+    bootstrap::{MIN_SCENES, bootstrap},
     page::{Axis, Cell, LinePlot, Series, Table},
 };
 
@@ -267,7 +267,7 @@ fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Option<Interval>) {
     let all = |count: usize| (0..count).collect::<Vec<_>>();
     let of = |a: &[usize], b: &[usize], c: &[usize]| over(mine, a, c) / over(other, b, c);
     let whole = of(&all(mine.len()), &all(other.len()), &all(scenes));
-    if scenes < FEWEST {
+    if scenes < MIN_SCENES {
         return (whole, None);
     }
     let interval = bootstrap(|draw| {

@@ -98,7 +98,7 @@ fn a_cancelled_study_goes_on_without_what_has_ended() {
     let before = changed(&folder.join("report.json"));
     let third = Lines::default();
     run(&request, &third).unwrap();
-    assert_eq!(third.count("3 of 3 scenes are in"), 1);
+    assert_eq!(third.count("3 of 3 scenes are already in"), 1);
     assert_eq!((third.count("epochs in"), third.count("eddy eval")), (0, 0));
     assert_eq!(changed(&folder.join("report.json")), before);
 }

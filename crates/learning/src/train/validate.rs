@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use super::{TrainError, ValidationConfig};
 use eddy_evaluation::{
-    Arena, Baseline, EvalError, Predictor, Settings, Skills,
+    Baseline, Context, EvalError, Predictor, Settings, Skills,
     dataset::{Bounds, Trajectory},
-    judge_scene, starts,
+    evaluate_scene, starts,
 };
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
@@ -36,15 +36,15 @@ pub(super) fn validate(
     let surrogate = || Surrogate::load(checkpoint, NonZeroUsize::new(1));
     surrogate()?;
     let surrogate = || surrogate().expect("the same checkpoint was loaded just now");
-    let arena = arena(config, &checkpoint.description, streams);
-    arena.check(longest(streams)).map_err(TrainError::Validation)?;
+    let context = context(config, &checkpoint.description, streams);
+    context.check(longest(streams)).map_err(TrainError::Validation)?;
     let baselines = Baseline::ALL.map(Predictor::Baseline);
     let predictors = 1 + baselines.len();
     let scenes = streams.par_iter().map_init(surrogate, |surrogate, stream| {
         let model = Predictor::Model(surrogate);
         let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
         let whole = stream.cut(0..stream.frames)?;
-        judge_scene(&arena, &predictors, &whole, None).map_err(TrainError::Validation)
+        evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
     });
     let scenes = scenes.collect::<Result<Vec<_>, TrainError>>()?;
     let skill = Skills::of(&scenes, 1..predictors, config.horizon).mean(0);
@@ -52,19 +52,23 @@ pub(super) fn validate(
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // The errors of a rollout that diverged are those of its last finite frame; it must lose against any
     // that did not.
-    let diverged = scenes.iter().any(|scene| scene.tallies[0].blow_ups.diverged > 0);
+    let diverged = scenes.iter().any(|scene| scene.accumulators[0].blow_ups.diverged > 0);
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;
     let loss = if mean.is_finite() && !diverged { 1.0 - mean } else { f64::INFINITY };
     Ok(Score { loss, first_skill, last_skill })
 }
 
 /// Where rollouts are compared: of the particles' spacing nothing is asked.
-fn arena(config: &ValidationConfig, description: &Description, streams: &[Trajectory]) -> Arena {
+fn context(
+    config: &ValidationConfig,
+    description: &Description,
+    streams: &[Trajectory],
+) -> Context {
     let settings = Settings::errors_only(config.horizon, config.starts);
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));
     let warm_up = description.warm_up as usize;
-    Arena::new(settings, description, warm_up, description.domain, walls, f32::INFINITY)
+    Context::new(settings, description, warm_up, description.domain, walls, f32::INFINITY)
 }
 
 /// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.

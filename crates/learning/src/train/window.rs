@@ -90,13 +90,13 @@ impl<'a> Sampler<'a> {
     }
 
     /// How many batches are drawn at once: one from memory; from disk as many as fit into a third of
-    /// what the shelf may hold.
+    /// what the store may hold.
     fn batches_ahead(&self, size: usize) -> usize {
-        let Some(shelf) = self.streams[0].shelf() else { return 1 };
+        let Some(store) = self.streams[0].frame_store() else { return 1 };
         let counts = self.streams.iter().map(|stream| stream.material.len());
         let particles = counts.max().unwrap_or(1);
         let window = self.frames * particles * size_of::<[f32; 4]>();
-        usize::try_from(shelf.limit() / 3).unwrap_or(usize::MAX) / (window * size).max(1)
+        usize::try_from(store.limit() / 3).unwrap_or(usize::MAX) / (window * size).max(1)
     }
 
     /// `count` windows, drawn with replacement.

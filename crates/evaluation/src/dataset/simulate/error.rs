@@ -11,23 +11,23 @@ use super::plan::bytes;
 use eddy_bag::BagError;
 use eddy_mpm::MpmError;
 
-/// Why scenes cannot be simulated, or not all of them.
+/// Why some or all scenes cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// The request cannot be met.
+    /// A number of the request is out of range.
     #[error("{field}: found {found}, expected {expected}")]
     Request {
-        /// The field of [`SimulationRequest`](super::SimulationRequest).
+        /// Field of [`SimulationRequest`](super::SimulationRequest).
         field: &'static str,
         /// Its value.
         found: String,
         /// What it should be.
         expected: &'static str,
     },
-    /// A scene of several cannot be simulated or written.
+    /// One scene cannot be simulated or written.
     #[error("{scene}: {reason}")]
     Scene {
-        /// The scene: its number or its file.
+        /// Number or file of the scene.
         scene: String,
         /// Why.
         reason: Box<Self>,
@@ -35,45 +35,45 @@ pub enum SimulateError {
     /// The scene is out of range, or its simulation has diverged.
     #[error(transparent)]
     Mpm(#[from] MpmError),
-    /// The scenes that are simulated at the same time do not fit into memory.
+    /// The scenes simulated in parallel do not fit into memory.
     #[error(
-        "memory: found {} needed ({particles:.1e} particles, {} x {} cells, {at_once} at once), expected at \
-         most the {} that are free; make the spacing larger, the domain smaller, or give fewer --particles or --threads",
+        "memory: {} needed ({particles:.1e} particles, {} x {} cells, {at_once} at once), {} available; \
+         increase the spacing, reduce the domain, --particles or --threads",
         bytes(*needed), cells[0], cells[1], bytes(*free)
     )]
     Memory {
-        /// For all scenes that are simulated at the same time (bytes).
+        /// For all scenes simulated in parallel (bytes).
         needed: u64,
         /// Particles of the scene, estimated.
         particles: f64,
         /// Cells of its grid along x and y.
         cells: [u32; 2],
-        /// Scenes that are simulated at the same time.
+        /// Scenes simulated in parallel.
         at_once: usize,
-        /// What is free (bytes).
+        /// Available memory (bytes).
         free: u64,
     },
-    /// A file or directory of the output cannot be read, made, moved or removed.
+    /// A file or directory of the output cannot be read, created, moved or removed.
     #[error("cannot {action} {}: {reason}", path.display())]
     Io {
-        /// What was tried.
+        /// The failed operation.
         action: &'static str,
         /// The file or directory.
         path: PathBuf,
         /// What the system said.
         reason: io::Error,
     },
-    /// The manifest is not one, or one of another version.
-    #[error("{}: found no manifest of this eddy: {reason}", file.display())]
+    /// The manifest is invalid or of another version.
+    #[error("{}: not a manifest of this version of eddy: {reason}", file.display())]
     NoManifest {
         /// The file.
         file: PathBuf,
         /// What is wrong in it.
         reason: serde_json::Error,
     },
-    /// The directory holds the scenes of another request.
+    /// The directory belongs to another request.
     #[error(
-        "{}: found {found}, expected {expected}, which differ in {}; choose another --output",
+        "{}: found {found}, expected {expected} (different: {}); choose another --output",
         file.display(), fields.join(", ")
     )]
     OtherRequest {
@@ -86,9 +86,9 @@ pub enum SimulateError {
         /// This request, as JSON.
         expected: String,
     },
-    /// A bag of that name is there, of which the manifest knows nothing.
+    /// A bag of that name exists but is not in the manifest.
     #[error(
-        "{}: found a directory that is not this scene by the manifest, expected none; \
+        "{}: already exists and is not this scene according to the manifest; \
          choose another --output",
         directory.display()
     )]
@@ -96,8 +96,8 @@ pub enum SimulateError {
         /// The directory of the bag.
         directory: PathBuf,
     },
-    /// Another process works in the output directory.
-    #[error("{}: another eddy simulate works in this directory: {reason}", lock.display())]
+    /// Another process uses the output directory.
+    #[error("{}: another `eddy simulate` is running in this directory: {reason}", lock.display())]
     Locked {
         /// The locked file.
         lock: PathBuf,
@@ -106,7 +106,7 @@ pub enum SimulateError {
     },
     /// Another process has finished scenes between the plan and the lock.
     #[error(
-        "{}: another eddy simulate has added scenes just now; run the command again",
+        "{}: another `eddy simulate` has just added scenes; run the command again",
         output.display()
     )]
     Changed {
@@ -119,35 +119,35 @@ pub enum SimulateError {
     /// The threads cannot be started.
     #[error("threads: {0}")]
     Threads(#[from] ThreadPoolBuildError),
-    /// It was cancelled before all scenes were finished.
+    /// The simulation was cancelled before all scenes were finished.
     #[error(
-        "interrupted: {finished} of {scenes} scenes are finished; the same command makes the others"
+        "interrupted: {finished} of {scenes} scenes are finished; run the same command again to resume"
     )]
     Cancelled {
-        /// Scenes that are finished, those from before included.
+        /// Finished scenes, including those of earlier runs.
         finished: usize,
-        /// Scenes asked for.
+        /// Requested scenes.
         scenes: u32,
     },
     /// Some scenes failed; the others are finished.
     #[error("{}", failed(failures, *finished, *scenes))]
     Failed {
-        /// What failed, each a [`SimulateError::Scene`].
+        /// One [`SimulateError::Scene`] each.
         failures: Vec<Self>,
-        /// Scenes that are finished, those from before included.
+        /// Finished scenes, including those of earlier runs.
         finished: usize,
-        /// Scenes asked for.
+        /// Requested scenes.
         scenes: u32,
     },
 }
 
 impl SimulateError {
-    /// Adds what was tried to an error of the system.
+    /// Adds the failed operation to an I/O error.
     pub(super) fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |reason| Self::Io { action, path: path.to_owned(), reason }
     }
 
-    /// Whether the scene itself is the reason: the others may be simulated even so.
+    /// Whether the scene itself is the cause, so that other scenes can still be simulated.
     pub(super) fn is_of_the_scene(&self) -> bool {
         match self {
             Self::Scene { reason, .. } => reason.is_of_the_scene(),
@@ -156,7 +156,7 @@ impl SimulateError {
         }
     }
 
-    /// Whether the disk, or what this user may have of it, is full.
+    /// Whether the disk or the user's quota is full.
     fn is_full_disk(&self) -> bool {
         match self {
             Self::Scene { reason, .. } => reason.is_full_disk(),
@@ -170,14 +170,14 @@ impl SimulateError {
     }
 }
 
-/// A line for each failure, then what is left and what to do.
+/// One line per failure, then the remaining work and the remedy.
 fn failed(failures: &[SimulateError], finished: usize, scenes: u32) -> String {
     let mut message: String = failures.iter().map(|failure| format!("{failure}\n")).collect();
     message += &format!("{finished} of {scenes} scenes are finished and kept");
     if failures.iter().any(SimulateError::is_full_disk) {
-        message += "; no room is left: make some, and the same command makes the others";
+        message += "; the disk is full: free some space, then run the same command again to resume";
     } else if !failures.iter().all(SimulateError::is_of_the_scene) {
-        message += "; the same command makes the others";
+        message += "; run the same command again to resume";
     }
     message
 }

@@ -1,4 +1,4 @@
-//! `manifest.json` beside the bags: what was asked for, and what came out.
+//! `manifest.json` beside the bags: the request and the finished scenes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,43 +14,42 @@ use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
 use eddy_settings::atomic;
 
-/// The file's name.
 const NAME: &str = "manifest.json";
-/// The most points of an energy curve.
+/// Maximum number of points of an energy curve.
 const CURVE_POINTS: usize = 33;
 
-/// What all scenes of a directory were asked to be: a directory is resumed by the same request only.
+/// The request of a directory: only the same request can resume it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RecordedRequest {
     /// Version of the program.
     pub(super) eddy: String,
-    /// The preset, or the name of the scene's file.
+    /// The preset, or the name of the scene file.
     pub(super) scene: String,
     /// The seed of random scenes.
     pub(super) seed: u64,
-    /// Particles of random scenes, where they are not 2,500.
+    /// Particles of random scenes, unless the default of 2,500.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) particles: Option<usize>,
-    /// What took the place of the scenes' own numbers.
+    /// Overrides of the scenes' own settings.
     pub(super) settings: Settings,
 }
 
-/// What a scene starts from.
+/// Initial conditions of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
     /// The scene's id.
     pub id: u64,
     /// The materials that occur.
     pub materials: Vec<Material>,
-    /// Substeps a frame.
+    /// Substeps per frame.
     pub substeps: u32,
-    /// The scene itself, as a file of a scene would have it.
+    /// The scene, as in a scene file.
     pub scene: Scene,
 }
 
 impl Start {
-    /// What this simulation starts from.
+    /// The initial conditions of a simulation.
     pub(super) fn of(simulation: &Simulation) -> Self {
         let scene = simulation.scene();
         Self {
@@ -62,17 +61,17 @@ impl Start {
     }
 }
 
-/// How much energy the particles had, at times spread evenly over a scene.
+/// Energy of the particles at times spread evenly over a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EnergyCurve {
-    /// When (s of simulated time).
+    /// Simulated time (s).
     time: Vec<f64>,
     /// Kinetic energy (density x domain lengths^4 per s^2, like the others).
     kinetic: Vec<f32>,
     /// Elastic energy.
     elastic: Vec<f32>,
-    /// Potential energy, that of height above the floor of the domain.
+    /// Potential energy relative to the floor of the domain.
     potential: Vec<f32>,
 }
 
@@ -85,7 +84,7 @@ impl EnergyCurve {
         self.potential.push(energy.potential as f32);
     }
 
-    /// The curve with at most [`CURVE_POINTS`] points, the first and the last among them.
+    /// The curve with at most [`CURVE_POINTS`] points, including the first and the last.
     pub(super) fn thinned(&self) -> Self {
         let last = self.time.len().saturating_sub(1);
         let points = self.time.len().min(CURVE_POINTS);
@@ -103,14 +102,14 @@ impl EnergyCurve {
 /// A finished scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
-    /// What it started from.
+    /// Its initial conditions.
     #[serde(flatten)]
     pub start: Start,
-    /// How many frames were recorded.
+    /// Number of recorded frames.
     pub frames: u64,
     /// The energy over time.
     pub energy: EnergyCurve,
-    /// SHA-256 of the CDR bytes of all frames, one after the other.
+    /// SHA-256 of the concatenated CDR bytes of all frames.
     pub sha256: String,
 }
 
@@ -126,8 +125,7 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    /// The manifest of a directory, or an empty one where there is none yet. Refuses one that was
-    /// made for another request.
+    /// The manifest of a directory, or an empty one if there is none yet. Rejects the manifest of another request.
     pub(super) fn open(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
         let Some(found) = read(output)? else {
             return Ok(Self {
@@ -167,7 +165,7 @@ impl Manifest {
         self.scenes.sort_by_key(|scene| scene.start.id);
     }
 
-    /// Writes the manifest in one step: whoever reads it sees the old one or the new one.
+    /// Replaces the manifest atomically.
     pub(super) fn save(&self) -> Result<(), SimulateError> {
         let path = path(&self.output);
         let text = self
@@ -176,7 +174,7 @@ impl Manifest {
         atomic::replace(&path, text.as_bytes()).map_err(SimulateError::io("write", &path))
     }
 
-    /// JSON with one line a scene, to be read by people too.
+    /// JSON with one line per scene, for readability.
     fn text(&self) -> serde_json::Result<String> {
         let scenes: Vec<String> =
             self.scenes.iter().map(serde_json::to_string).collect::<serde_json::Result<_>>()?;
@@ -188,7 +186,7 @@ impl Manifest {
     }
 }
 
-/// The scenes in the manifest of a directory, by id; `None` where there is none.
+/// The scenes in the manifest of a directory, by id; `None` without a manifest.
 ///
 /// # Errors
 /// [`SimulateError::Io`], [`SimulateError::NoManifest`].
@@ -198,7 +196,7 @@ pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>,
     Ok(Some(scenes.collect()))
 }
 
-/// The manifest of a directory; `None` where there is none.
+/// The manifest of a directory; `None` if it does not exist.
 fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
     let file = path(output);
     if !file.exists() {

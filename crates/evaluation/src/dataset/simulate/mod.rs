@@ -1,12 +1,12 @@
-//! A folder of simulated scenes, one bag each, that the same request resumes.
+//! A folder of simulated scenes, one bag each; repeating the request resumes it.
 //!
 //! 1. [`source`]: where scenes come from: a preset and a seed, or a file.
-//! 2. [`plan`]: every scene set up once, so that a request that cannot be met is refused before
-//!    anything is written; whether the machine has the memory for it.
-//! 3. [`write`]: scenes in parallel, each into a bag ([`recording`]).
+//! 2. [`plan`]: sets up every scene once, so that an invalid request, or one that exceeds the memory, is rejected before
+//!    anything is written.
+//! 3. [`write`]: simulates scenes in parallel, each into a bag ([`recording`]).
 //! 4. [`staging`] and [`manifest`]: a scene is written to `.incomplete/scene_0007`, entered in the
-//!    manifest, then moved to `scene_0007`: what has its final name is whole, and what has an entry
-//!    but no directory is made again.
+//!    manifest, then moved to `scene_0007`. So a bag with its final name is complete, and a scene with an entry but no
+//!    directory is simulated again.
 
 mod error;
 mod manifest;
@@ -30,50 +30,50 @@ pub use recording::{Recording, Store};
 pub use source::Source;
 pub use write::Summary;
 
-/// The most threads.
-const MOST_THREADS: usize = 1024;
+/// Maximum number of threads.
+const MAX_THREADS: usize = 1024;
 
 /// Which scenes to simulate.
 #[derive(Clone, Debug)]
 pub struct SimulationRequest {
-    /// Where scenes come from.
+    /// Source of the scenes.
     pub source: Source,
-    /// The name of the source in the manifest: a preset, or a scene file without its extension.
+    /// Name of the source in the manifest: a preset, or a scene file without its extension.
     pub name: String,
-    /// How errors name the scene, where there is only one; `scene N` if not given.
+    /// Name of a single scene in errors; `scene N` if not given.
     pub scene_name: Option<String>,
-    /// How many scenes.
+    /// Number of scenes.
     pub scenes: u32,
     /// Seed of random scenes.
     pub seed: u64,
-    /// What takes the place of the scenes' own numbers.
+    /// Overrides of the scenes' own settings.
     pub settings: Settings,
-    /// Threads: one a scene, and those left over share the work within the scenes. If not given, one a
-    /// scene and at most one a core.
+    /// Threads: one per scene; surplus threads share the work within scenes. By default one per scene, at most one per
+    /// core.
     pub threads: Option<NonZeroUsize>,
 }
 
 impl SimulationRequest {
-    /// Checks the numbers.
+    /// Checks the ranges of the numbers.
     fn check(&self) -> Result<(), SimulateError> {
-        let refused = |field, found: usize, expected| {
+        let rejected = |field, found: usize, expected| {
             Err(SimulateError::Request { field, found: found.to_string(), expected })
         };
         if self.scenes == 0 {
-            return refused("scenes", 0, "at least 1");
+            return rejected("scenes", 0, "at least 1");
         }
         if self.scenes > 1 && matches!(self.source, Source::Written(_)) {
-            let expected = "1: a scene that is written down is always the same";
-            return refused("scenes", self.scenes as usize, expected);
+            let expected = "1: a scene file always gives the same scene";
+            return rejected("scenes", self.scenes as usize, expected);
         }
         let threads = self.threads.map_or(0, NonZeroUsize::get);
-        if threads > MOST_THREADS {
-            return refused("threads", threads, "1 to 1024");
+        if threads > MAX_THREADS {
+            return rejected("threads", threads, "1 to 1024");
         }
         Ok(())
     }
 
-    /// What the manifest keeps of it.
+    /// The part that the manifest records.
     fn recorded(&self) -> RecordedRequest {
         RecordedRequest {
             eddy: env!("CARGO_PKG_VERSION").into(),
@@ -84,22 +84,22 @@ impl SimulationRequest {
         }
     }
 
-    /// Scene number `index`, as it will be simulated.
+    /// Scene `index` with the overrides applied.
     fn scene(&self, index: u64) -> Scene {
         self.settings.over(self.source.scene(self.seed, index))
     }
 
-    /// How errors name a scene.
+    /// Name of a scene in errors.
     fn scene_name(&self, id: u64) -> String {
         self.scene_name.clone().unwrap_or_else(|| format!("scene {id}"))
     }
 }
 
-/// Simulates the scenes that `output` does not hold yet, each into a bag. A summary says what was made;
-/// whether that is all says [`Summary::complete`].
+/// Simulates the scenes that are not in `output` yet, each into a bag. [`Summary::complete`] tells whether all scenes are
+/// there.
 ///
 /// # Errors
-/// [`SimulateError`] when the request cannot be met, or `output` is not its: nothing is written then.
+/// [`SimulateError`] when the request is invalid or `output` belongs to another request; nothing is written then.
 pub fn simulate(
     request: &SimulationRequest,
     output: &Path,
@@ -118,13 +118,13 @@ pub fn simulate(
     Ok(summary)
 }
 
-/// A request with what is left to do of it.
+/// A request and its remaining scenes.
 #[derive(Debug)]
 pub struct Job {
     request: SimulationRequest,
-    /// What the output directory held, where there is one.
+    /// The manifest of the output directory, if one is used.
     manifest: Option<Manifest>,
-    /// Scenes to be made.
+    /// Scenes to simulate.
     planned: Vec<Planned>,
     /// Threads that share the work of one scene.
     threads: usize,
@@ -132,52 +132,52 @@ pub struct Job {
 }
 
 impl Job {
-    /// Sets every scene up, and leaves out those that `output` holds already. `at_once` of them will be
-    /// simulated at a time, one for each thread if not given. Writes nothing.
+    /// Sets up every scene, except those already in `output`. `at_once` scenes will be simulated in parallel, by default
+    /// one per thread. Writes nothing.
     ///
     /// # Errors
-    /// [`SimulateError`] when the request cannot be met, or `output` is not its.
+    /// [`SimulateError`] when the request is invalid or `output` belongs to another request.
     pub fn plan(
         request: &SimulationRequest,
         output: Option<&Path>,
         at_once: Option<usize>,
     ) -> Result<Self, SimulateError> {
         request.check()?;
-        // Zero stands for as many as there are cores, or as RAYON_NUM_THREADS says.
+        // Zero means one per core, or RAYON_NUM_THREADS.
         let threads = request.threads.map_or(0, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let manifest =
             output.map(|output| Manifest::open(output, &request.recorded())).transpose()?;
         let at_once = at_once.unwrap_or(pool.current_num_threads());
         let planned = pool.install(|| plan::plan(request, manifest.as_ref(), at_once))?;
-        // What scenes leave over is shared within each, but only of what was asked for: threads that wait
-        // for each other lose more than they win on a machine that does something else as well.
+        // Surplus threads are used within scenes, but only if requested: on a busy machine, threads that wait for each
+        // other lose more than they gain.
         let threads = (threads / at_once.min(planned.len().max(1))).max(1);
         Ok(Self { request: request.clone(), manifest, planned, threads, pool })
     }
 
-    /// The scenes to be made.
+    /// The scenes to simulate.
     pub fn planned(&self) -> &[Planned] {
         &self.planned
     }
 
-    /// How many scenes the output directory holds already.
+    /// Number of scenes already in the output directory.
     pub fn present(&self) -> usize {
         self.request.scenes as usize - self.planned.len()
     }
 
-    /// A line about the scenes that the output directory holds already.
+    /// A message about the scenes already in the output directory.
     pub fn present_scenes(&self, output: &Path) -> String {
         let (present, scenes) = (self.present(), self.request.scenes);
-        format!("{present} of {scenes} scenes are in {} already", output.display())
+        format!("{present} of {scenes} scenes are already in {}", output.display())
     }
 
-    /// How messages name a scene.
+    /// Name of a scene in messages.
     pub fn scene_name(&self, id: u64) -> String {
         self.request.scene_name(id)
     }
 
-    /// A planned scene at its start.
+    /// The simulation of a planned scene, at its start.
     ///
     /// # Errors
     /// As [`Simulation::on_threads`].
@@ -189,8 +189,8 @@ impl Job {
     /// Locks the output directory that the plan was made for.
     ///
     /// # Errors
-    /// [`SimulateError::Locked`] when another process works in it, [`SimulateError::Changed`] when it is not
-    /// as the plan found it.
+    /// [`SimulateError::Locked`] when another process uses it, [`SimulateError::Changed`] when it has changed since it was
+    /// planned.
     pub fn open_store(&self, output: &Path) -> Result<Store, SimulateError> {
         Store::open(output, &self.request.recorded(), self.manifest.as_ref())
     }

@@ -1,4 +1,4 @@
-//! Every scene set up once before the first is simulated.
+//! Setup of every scene before the first is simulated.
 
 use std::fs;
 
@@ -11,17 +11,16 @@ use super::{
 use crate::dataset::available_memory;
 use eddy_mpm::{MpmError, Scene, Settings, Simulation};
 
-/// A scene that has to be made.
+/// A scene to simulate.
 #[derive(Clone, Debug)]
 pub struct Planned {
-    /// What it starts from.
+    /// Its initial conditions.
     pub start: Start,
-    /// The most frames that it can have.
+    /// Maximum number of frames.
     pub most_frames: u64,
 }
 
-/// The scenes to be made, without those that are there already. `at_once` of them will be
-/// simulated at a time.
+/// The scenes to simulate, without those already in the output. `at_once` scenes will be simulated in parallel.
 pub(super) fn plan(
     request: &SimulationRequest,
     manifest: Option<&Manifest>,
@@ -58,7 +57,7 @@ fn plan_scene(scene: Scene, at_once: usize, available: u64) -> Result<Planned, S
     Ok(Planned { start, most_frames: simulation.most_frames() })
 }
 
-/// Refuses a scene that does not fit, `at_once` of its size being simulated at a time.
+/// Checks that `at_once` scenes of this size fit into memory.
 fn check_memory(scene: &Scene, at_once: usize, available: u64) -> Result<(), SimulateError> {
     let needed = memory(scene)?.saturating_mul(at_once as u64);
     if needed <= available {
@@ -73,7 +72,7 @@ fn memory(scene: &Scene) -> Result<u64, MpmError> {
     scene.memory()
 }
 
-/// A number of bytes in the largest binary unit of which there is at least one.
+/// A size in the largest binary unit that gives at least 1.
 pub(super) fn bytes(count: u64) -> String {
     const UNITS: [&str; 6] = ["KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
     if count < 1024 {

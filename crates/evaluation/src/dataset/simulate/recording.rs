@@ -1,4 +1,4 @@
-//! A scene becomes a bag; an output directory holds the bags of all scenes.
+//! The bag of a scene, and the output directory with the bags of all scenes.
 
 use std::{
     path::Path,
@@ -18,7 +18,7 @@ use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::Energy;
 
-/// The output directory while this process, and no other, works in it.
+/// The output directory, locked by this process.
 #[derive(Debug)]
 pub struct Store {
     staging: Staging,
@@ -26,7 +26,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// Locks the directory, where the plan has found `manifest`.
+    /// Locks the directory, which must still have the manifest that was planned with.
     pub(super) fn open(
         output: &Path,
         request: &RecordedRequest,
@@ -56,12 +56,12 @@ impl Store {
         self.staging.deliver(&directory(finished.start.id))
     }
 
-    /// Removes what is unfinished of a scene.
+    /// Removes the unfinished bag of a scene.
     pub(super) fn discard(&self, id: u64) -> Result<(), SimulateError> {
         self.staging.discard(&directory(id))
     }
 
-    /// Removes everything that is unfinished and unlocks the directory.
+    /// Removes all unfinished bags and unlocks the directory.
     pub fn close(self) {
         self.staging.close();
     }
@@ -78,7 +78,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Begins the bag in the folder for what is unfinished.
+    /// Creates the bag in the folder of unfinished bags.
     ///
     /// # Errors
     /// [`SimulateError::Io`], [`SimulateError::Bag`].
@@ -90,7 +90,7 @@ impl Recording {
         Ok(Self { start: start.clone(), writer, topic, digest, frames: 0, energy })
     }
 
-    /// Adds the next frame, and the energy in it.
+    /// Adds the next frame and its energy.
     ///
     /// # Errors
     /// As [`BagWriter::write`].
@@ -102,7 +102,7 @@ impl Recording {
         self.writer.write(self.topic, frame.stamp, frame.stamp, &cdr)
     }
 
-    /// Ends the bag and brings it to the disk.
+    /// Finishes the bag and syncs it to disk.
     ///
     /// # Errors
     /// As [`BagWriter::finish`].

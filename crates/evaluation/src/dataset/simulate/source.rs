@@ -1,18 +1,18 @@
-//! Where scenes come from: drawn from a seed, or written in a file.
+//! Source of scenes: random from a seed, or a scene file.
 
 use eddy_mpm::{Extent, Scene};
 
-/// Where scenes come from.
+/// Source of scenes.
 #[derive(Clone, Debug)]
 pub enum Source {
-    /// Drawn from a seed.
+    /// Random scenes from a seed.
     Random(Extent),
-    /// Written down: always the same scene.
+    /// A fixed scene, from a file.
     Written(Box<Scene>),
 }
 
 impl Source {
-    /// The particles of random scenes, where they are not the usual number.
+    /// The number of particles of random scenes, unless it is the preset's default.
     pub(super) fn unusual_particles(&self) -> Option<usize> {
         match self {
             Self::Random(extent) if *extent != Extent::usual(extent.preset()) => {
@@ -22,7 +22,7 @@ impl Source {
         }
     }
 
-    /// Scene number `index` of those asked for; one that is written down has its own id.
+    /// Scene `index` of the request; a scene from a file keeps its own id.
     pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
         match self {
             Self::Random(extent) => Scene::generate_in(extent, seed, index),

@@ -1,4 +1,4 @@
-//! The folder for what is not finished, locked by the process that works in it.
+//! The folder of unfinished bags, locked by the process that writes them.
 
 use std::{
     fs::{self, File},
@@ -8,24 +8,24 @@ use std::{
 use super::SimulateError;
 use eddy_settings::atomic;
 
-/// Where scenes are written until they are finished.
+/// Folder of unfinished scenes.
 const INCOMPLETE: &str = ".incomplete";
 
-/// The folder for what is not finished, held by one process at a time.
+/// The folder of unfinished bags, used by one process at a time.
 #[derive(Debug)]
 pub(super) struct Staging {
     output: PathBuf,
-    /// Locked as long as it is open.
+    /// Holds the lock while open.
     _lock: File,
 }
 
 impl Staging {
-    /// Opens the folder in an output directory, which is made if need be.
+    /// Opens the folder in an output directory, creating both if needed.
     pub(super) fn open(output: &Path) -> Result<Self, SimulateError> {
         let directory = output.join(INCOMPLETE);
-        fs::create_dir_all(&directory).map_err(SimulateError::io("make", &directory))?;
+        fs::create_dir_all(&directory).map_err(SimulateError::io("create", &directory))?;
         let path = directory.join("lock");
-        let lock = File::create(&path).map_err(SimulateError::io("make", &path))?;
+        let lock = File::create(&path).map_err(SimulateError::io("create", &path))?;
         lock.try_lock().map_err(|reason| SimulateError::Locked { lock: path, reason })?;
         Ok(Self { output: output.into(), _lock: lock })
     }
@@ -35,14 +35,14 @@ impl Staging {
         &self.output
     }
 
-    /// An unused path for a bag. What an ended process left there is removed.
+    /// A path for a new bag. Removes what a killed process left there.
     pub(super) fn place(&self, name: &str) -> Result<PathBuf, SimulateError> {
         let place = self.output.join(INCOMPLETE).join(name);
         self.discard(name)?;
         Ok(place)
     }
 
-    /// Removes an unfinished bag, if there is one.
+    /// Removes an unfinished bag, if it exists.
     pub(super) fn discard(&self, name: &str) -> Result<(), SimulateError> {
         let place = self.output.join(INCOMPLETE).join(name);
         if place.exists() {
@@ -51,14 +51,14 @@ impl Staging {
         Ok(())
     }
 
-    /// Moves a finished bag to where it belongs.
+    /// Moves a finished bag to its final path.
     pub(super) fn deliver(&self, name: &str) -> Result<(), SimulateError> {
         let directory = self.output.join(name);
         atomic::rename(&self.output.join(INCOMPLETE).join(name), &directory)
             .map_err(SimulateError::io("move", &directory))
     }
 
-    /// Removes the folder with whatever is unfinished in it.
+    /// Removes the folder with all unfinished bags.
     pub(super) fn close(&self) {
         if let Err(error) = fs::remove_dir_all(self.output.join(INCOMPLETE)) {
             tracing::warn!("cannot remove {INCOMPLETE} in {}: {error}", self.output.display());

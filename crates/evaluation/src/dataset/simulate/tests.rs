@@ -12,7 +12,7 @@ use eddy_bag::BagReader;
 use eddy_frames::progress::Silent;
 use eddy_mpm::{Extent, Preset};
 
-/// Two frames of each of so many scenes, one after the other.
+/// Two frames of each scene, on one thread.
 fn request(scenes: u32) -> SimulationRequest {
     SimulationRequest {
         source: Source::Random(Extent::usual(Preset::Kinds)),
@@ -95,7 +95,7 @@ fn a_finished_request_and_a_longer_one_keep_what_is_there() {
 }
 
 #[test]
-fn a_folder_of_another_request_is_refused_with_the_fields_that_differ() {
+fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
     let (_folder, output) = output();
     simulate(&request(1), &output, &Silent).unwrap();
     let longer = Settings { duration: Some(0.048), ..request(1).settings };
@@ -116,7 +116,7 @@ fn a_folder_of_another_request_is_refused_with_the_fields_that_differ() {
 }
 
 #[test]
-fn an_output_is_worked_in_by_one_job_at_a_time() {
+fn an_output_directory_is_used_by_one_job_at_a_time() {
     let (_folder, output) = output();
     let plan = || Job::plan(&request(1), Some(&output), None).unwrap();
     let (first, second) = (plan(), plan());
@@ -125,13 +125,13 @@ fn an_output_is_worked_in_by_one_job_at_a_time() {
     assert!(matches!(error, SimulateError::Locked { .. }), "{error}");
     first.write(&store, &Silent).complete().unwrap();
     store.close();
-    // The scene that the second has planned is there now.
+    // The scene that the second has planned is finished now.
     let error = second.open_store(&output).unwrap_err();
     assert!(matches!(error, SimulateError::Changed { .. }), "{error}");
 }
 
 #[test]
-fn what_a_killed_process_left_is_made_again_with_the_same_frames() {
+fn the_leftovers_of_a_killed_process_are_simulated_again_with_the_same_frames() {
     let (_folder, output) = output();
     let before = simulate(&request(2), &output, &Silent).unwrap().finished;
     // Killed after the entry in the manifest and before the bag was moved.
@@ -153,7 +153,7 @@ fn a_bag_that_is_not_in_the_manifest_is_not_replaced() {
 }
 
 #[test]
-fn a_request_that_cannot_be_met_is_refused_before_anything_is_written() {
+fn an_invalid_request_is_rejected_before_anything_is_written() {
     let (_folder, output) = output();
     let scene = Box::new(Scene::generate(Preset::Kinds, 1, 0));
     let few = Settings { substeps: Some(1), ..Settings::default() };
@@ -161,7 +161,7 @@ fn a_request_that_cannot_be_met_is_refused_before_anything_is_written() {
         (request(0), "scenes: found 0, expected at least 1"),
         (
             SimulationRequest { source: Source::Written(scene), ..request(2) },
-            "scenes: found 2, expected 1: a scene that is written down",
+            "scenes: found 2, expected 1: a scene file",
         ),
         (
             SimulationRequest { threads: NonZeroUsize::new(1025), ..request(1) },
@@ -179,7 +179,7 @@ fn a_request_that_cannot_be_met_is_refused_before_anything_is_written() {
 }
 
 #[test]
-fn failures_are_listed_with_what_to_do_about_them() {
+fn failures_are_listed_with_their_remedy() {
     let failed = |reason| SimulateError::Failed {
         failures: vec![SimulateError::Scene { scene: "scene 3".into(), reason: Box::new(reason) }],
         finished: 2,
@@ -190,9 +190,9 @@ fn failures_are_listed_with_what_to_do_about_them() {
     for (reason, end) in [
         (
             io(io::ErrorKind::StorageFull),
-            "and kept; no room is left: make some, and the same command makes the others",
+            "and kept; the disk is full: free some space, then run the same command again to resume",
         ),
-        (io(io::ErrorKind::NotFound), "and kept; the same command makes the others"),
+        (io(io::ErrorKind::NotFound), "and kept; run the same command again to resume"),
         (diverged.into(), "2 of 3 scenes are finished and kept"),
     ] {
         let message = failed(reason).to_string();
@@ -201,7 +201,7 @@ fn failures_are_listed_with_what_to_do_about_them() {
 }
 
 #[test]
-fn bytes_are_told_in_the_largest_unit() {
+fn bytes_are_formatted_in_the_largest_unit() {
     let cases = [(0, "0 B"), (1023, "1023 B"), (1024, "1.00 KiB"), (3 << 29, "1.50 GiB")];
     for (count, expected) in cases {
         assert_eq!(plan::bytes(count), expected);

@@ -1,4 +1,4 @@
-//! Scenes in parallel, each into a bag of its own.
+//! Simulates scenes in parallel, each into its own bag.
 
 use std::{
     fmt,
@@ -16,34 +16,33 @@ use super::{
 };
 use eddy_frames::progress::Progress;
 
-/// What became of the scenes of a request.
+/// Outcome of a request.
 #[derive(Debug)]
 pub struct Summary {
-    /// The scenes that were simulated now.
+    /// Scenes simulated in this run.
     pub finished: Vec<Finished>,
-    /// Scenes that were there before.
+    /// Scenes of earlier runs.
     pub present: usize,
-    /// Scenes asked for.
+    /// Requested scenes.
     pub scenes: u32,
     /// The output directory.
     output: PathBuf,
     /// Scenes that failed.
     failures: Vec<SimulateError>,
-    /// Whether it was cancelled on the way.
+    /// Whether the run was cancelled.
     cancelled: bool,
 }
 
 impl Summary {
-    /// Frames that were written now.
+    /// Frames written in this run.
     pub fn frames(&self) -> u64 {
         self.finished.iter().map(|scene| scene.frames).sum()
     }
 
-    /// Whether all scenes are there now.
+    /// Checks that all scenes are finished.
     ///
     /// # Errors
-    /// [`SimulateError::Failed`] with the reason of each scene that failed, else
-    /// [`SimulateError::Cancelled`] when it was cancelled.
+    /// [`SimulateError::Failed`] with the reason of each failed scene, else [`SimulateError::Cancelled`].
     pub fn complete(self) -> Result<(), SimulateError> {
         let Self { finished, present, scenes, failures, cancelled, .. } = self;
         let finished = present + finished.len();
@@ -57,7 +56,7 @@ impl Summary {
     }
 }
 
-/// What was simulated now, and where it is.
+/// The scenes and frames written in this run, and their directory.
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let scenes = self.finished.len();
@@ -66,7 +65,7 @@ impl fmt::Display for Summary {
     }
 }
 
-/// Makes the planned scenes. One that fails stops the others only where they would fail too.
+/// Simulates the planned scenes. A failure stops the others only if they would fail for the same reason.
 pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summary {
     let (present, scenes) = (job.present(), job.request.scenes);
     let mut summary = Summary {
@@ -82,9 +81,9 @@ pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summar
     }
     let frames = job.planned.iter().map(|scene| scene.most_frames).sum();
     progress.begin(frames, "frames");
-    let work = Work { job, store, progress, hopeless: AtomicBool::new(false) };
+    let workers = Workers { job, store, progress, aborted: AtomicBool::new(false) };
     let outcomes: Vec<Result<Option<Finished>, SimulateError>> =
-        job.planned.par_iter().with_max_len(1).map(|scene| work.scene(scene)).collect();
+        job.planned.par_iter().with_max_len(1).map(|scene| workers.scene(scene)).collect();
     progress.finish();
     summary.cancelled = progress.cancelled();
     for outcome in outcomes {
@@ -96,24 +95,24 @@ pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summar
     summary
 }
 
-/// What the threads share.
-struct Work<'a> {
+/// Shared by the threads.
+struct Workers<'a> {
     job: &'a Job,
     store: &'a Store,
     progress: &'a dyn Progress,
-    /// Set when what failed was not the scene: the disk, most likely.
-    hopeless: AtomicBool,
+    /// Set when a failure was not due to its scene, but to the disk, for example.
+    aborted: AtomicBool,
 }
 
-impl Work<'_> {
-    /// Makes one scene; `None` when it was cancelled before its end, or when there is no hope for it.
+impl Workers<'_> {
+    /// Simulates one scene; `None` when it was cancelled or aborted.
     fn scene(&self, planned: &Planned) -> Result<Option<Finished>, SimulateError> {
         let outcome = self.simulate(planned);
         if let Err(error) = &outcome {
-            // Room for the others, and for the manifest.
+            // Frees space for the other scenes and the manifest.
             let _ = self.store.discard(planned.start.id);
             if !error.is_of_the_scene() {
-                self.hopeless.store(true, Ordering::Relaxed);
+                self.aborted.store(true, Ordering::Relaxed);
             }
         }
         outcome.map_err(|reason| SimulateError::Scene {
@@ -123,14 +122,14 @@ impl Work<'_> {
     }
 
     fn simulate(&self, planned: &Planned) -> Result<Option<Finished>, SimulateError> {
-        if self.ends() {
+        if self.stops() {
             return Ok(None);
         }
         let mut simulation = self.job.start(planned)?;
         let mut recording = Recording::begin(self.store, &planned.start)?;
         let mut frames = 0;
         while let Some(frame) = simulation.next_frame()? {
-            if self.ends() {
+            if self.stops() {
                 return Ok(None);
             }
             recording.add(&frame, simulation.energy())?;
@@ -143,7 +142,7 @@ impl Work<'_> {
         Ok(Some(finished))
     }
 
-    fn ends(&self) -> bool {
-        self.progress.cancelled() || self.hopeless.load(Ordering::Relaxed)
+    fn stops(&self) -> bool {
+        self.progress.cancelled() || self.aborted.load(Ordering::Relaxed)
     }
 }

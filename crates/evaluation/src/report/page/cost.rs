@@ -1,4 +1,4 @@
-//! Time of a frame.
+//! Time per frame.
 
 use super::{Report, Role, at, milliseconds};
 use crate::{
@@ -12,13 +12,18 @@ const AHEAD: usize = 20;
 impl Report {
     pub(super) fn cost(&self, section: &mut Section) {
         section.paragraph(
-            "Median time of a predicted frame on one thread, measured here, one scene of each kind; \
-             models, trivial predictors and solvers alike. A solver's row says what the surrogate is measured by.",
+            "Median time per predicted frame on one thread of this machine, on one scene of each kind. The rows of solvers \
+             are the reference for the surrogate.",
         );
+        section.table(&self.cost_table());
+        section.plots(&[self.cost_plot()]);
+    }
+
+    pub(in super::super) fn cost_table(&self) -> Table {
         let kinds = self.kinds.iter().map(|kind| kind.kind.name().to_owned());
         let titles = std::iter::once(String::new()).chain(kinds);
         let titles = titles.chain(["mean".to_owned(), "99th percentile".to_owned()]);
-        let mut table = Table::new("ms a frame", titles);
+        let mut table = Table::new("ms per frame", titles);
         for entry in &self.predictors {
             let Some(cost) = &entry.cost else { continue };
             let of = |kind| cost.kinds.iter().find(|cost| cost.kind == kind);
@@ -27,7 +32,11 @@ impl Report {
             let all = kinds.chain([cost.p50, cost.p99].map(milliseconds));
             table.row(entry.name.as_str(), all);
         }
-        section.table(&table);
+        table
+    }
+
+    /// 1 - skill at frame 20 (or at the horizon) over the time per frame.
+    pub(in super::super) fn cost_plot(&self) -> LinePlot {
         let ahead = AHEAD.min(self.horizon);
         let series = self.predictors.iter().map(|entry| {
             let shown = !matches!(entry.role, Role::Baseline | Role::Truth);
@@ -40,11 +49,11 @@ impl Report {
                 ..Series::default()
             }
         });
-        section.plots(&[LinePlot {
-            title: format!("Error at frame {ahead} over the time of a frame"),
-            x: Axis::logarithmic("ms a frame on one thread"),
+        LinePlot {
+            title: format!("Error at frame {ahead} over time per frame"),
+            x: Axis::logarithmic("ms per frame on one thread"),
             y: Axis::logarithmic("1 - skill"),
             series: series.collect(),
-        }]);
+        }
     }
 }

@@ -1,9 +1,9 @@
 //! Errors over the frames ahead.
 
-use super::{Entry, Report, Role, error, frames_ahead, of_errors};
+use super::{Entry, Report, Role, error, error_axis, frames_ahead};
 use crate::page::{LinePlot, Section, Series, Table};
 
-/// An error curve: its name with its unit, and which it is.
+/// An error curve: name with unit, and accessor.
 type Curve = (&'static str, fn(&Entry) -> &Vec<f64>);
 
 const CURVES: [Curve; 4] = [
@@ -16,56 +16,66 @@ const CURVES: [Curve; 4] = [
 impl Report {
     pub(super) fn error_curves(&self, section: &mut Section) {
         section.paragraph(
-            "Free rollouts over all scenes. Normalised errors are those of x, y, vx and vy, each divided by its range \
-             (MinMax) or by its standard deviation (z-score) in the training of the first checkpoint.",
+            "Free rollouts over all scenes. Normalised errors are errors of x, y, vx and vy, each divided by its range \
+             (MinMax) or standard deviation (z-score) in the first checkpoint's training data.",
         );
         let plots = CURVES.map(|(title, of)| {
             let series = self.fallible().map(|entry| Series::ahead(&entry.name, of(entry)));
             let title = title.to_owned();
-            LinePlot { y: of_errors(&title), title, x: frames_ahead(), series: series.collect() }
+            LinePlot { y: error_axis(&title), title, x: frames_ahead(), series: series.collect() }
         });
         section.plots(&plots);
-        for (title, of) in CURVES {
-            let mut table = self.frame_table(title, &[]);
-            for entry in self.fallible() {
-                table.row(entry.name.as_str(), self.words_at_shown(of(entry), error));
-            }
-            section.table(&table);
-        }
+        self.error_tables().iter().for_each(|table| _ = section.table(table));
     }
 
-    /// One step, steps added up and free rollouts side by side.
-    pub(super) fn ways(&self, section: &mut Section) {
-        section.paragraph(
-            "Position RMSE of three ways to predict the same frames. One step: from the true frame before. Steps \
-             added up: those errors put end to end, as a running sum of teacher-forced predictions would have them. \
-             Free: fed with its own output from the start on; this is what everything else here is about.",
-        );
-        let mut table = Table::new(
-            "Position RMSE (domain lengths) by way of prediction",
-            ["", "frame", "one step", "steps added up", "free rollout"],
-        );
-        let mut plots = Vec::new();
-        for entry in self.predictors.iter().filter(|entry| entry.role != Role::Truth) {
-            let Some(steps) = &entry.steps else { continue };
-            let ways = [&steps.one_step_rmse, &steps.cumulated_rmse, &entry.curves.position_rmse];
-            for (place, &ahead) in self.shown.iter().enumerate() {
-                let name = if place == 0 { entry.name.as_str() } else { "" };
-                let cells = ways.map(|curve| error(super::at(curve, ahead)));
-                table.row(name, std::iter::once(ahead.to_string()).chain(cells));
+    pub(in super::super) fn error_tables(&self) -> [Table; 4] {
+        CURVES.map(|(title, of)| {
+            let mut table = self.frame_table(title, &[]);
+            for entry in self.fallible() {
+                table.row(entry.name.as_str(), self.at_shown(of(entry), error));
             }
-            if entry.role == Role::Model {
-                let names = ["one step", "steps added up", "free rollout"];
-                let series =
-                    names.into_iter().zip(ways).map(|(name, curve)| Series::ahead(name, curve));
-                plots.push(LinePlot {
-                    title: entry.name.clone(),
-                    x: frames_ahead(),
-                    y: of_errors("position RMSE (domain lengths)"),
-                    series: series.collect(),
-                });
+            table
+        })
+    }
+
+    pub(super) fn step_errors(&self, section: &mut Section) {
+        section.paragraph(
+            "Position RMSE of three predictions of the same frames. One-step: from the true frame before. Accumulated: \
+             the sum of the one-step errors since the start, as if teacher-forced steps were concatenated. Free rollout: \
+             from the predictor's own output; all other sections use it.",
+        );
+        let models = self.predictors.iter().filter(|entry| entry.role == Role::Model);
+        let plots: Vec<LinePlot> = models
+            .filter(|entry| entry.steps.is_some())
+            .map(|entry| LinePlot {
+                title: entry.name.clone(),
+                x: frames_ahead(),
+                y: error_axis("position RMSE (domain lengths)"),
+                series: step_curves(entry)
+                    .map(|(name, curve)| Series::ahead(name, curve))
+                    .collect(),
+            })
+            .collect();
+        section.plots(&plots).table(&self.step_table());
+    }
+
+    /// One-step, accumulated and free-rollout errors of all predictors that make one-step predictions.
+    pub(in super::super) fn step_table(&self) -> Table {
+        let mut table =
+            self.frame_table("Position RMSE (domain lengths) by type of prediction", &[]);
+        for entry in self.fallible().filter(|entry| entry.steps.is_some()) {
+            for (name, curve) in step_curves(entry) {
+                table.row(format!("{}, {name}", entry.name), self.at_shown(curve, error));
             }
         }
-        section.plots(&plots).table(&table);
+        table
     }
+}
+
+/// The position RMSE curves of a predictor by type of prediction.
+fn step_curves(entry: &Entry) -> impl Iterator<Item = (&'static str, &Vec<f64>)> {
+    let steps = entry.steps.iter().flat_map(|steps| {
+        [("one-step", &steps.one_step_rmse), ("accumulated", &steps.cumulated_rmse)]
+    });
+    steps.chain([("free rollout", &entry.curves.position_rmse)])
 }

@@ -1,4 +1,4 @@
-//! By what scenes and particles are made of.
+//! Results by kind of scene and by material.
 
 use super::{Entry, Report, Role, at, between, error, skill};
 use crate::page::{Section, Table};
@@ -8,17 +8,16 @@ const BY_KIND: [usize; 3] = [1, 20, 100];
 
 impl Report {
     pub(super) fn by_kind(&self, section: &mut Section) {
-        for ahead in BY_KIND.into_iter().filter(|ahead| self.shown.contains(ahead)) {
-            section.table(&self.skill_by_kind(ahead));
-        }
+        self.skills_by_kind().iter().for_each(|table| _ = section.table(table));
         let last = BY_KIND.into_iter().rfind(|&ahead| ahead <= 20 && self.shown.contains(&ahead));
         if let Some(ahead) = last {
             section.table(&self.error_by_material(ahead));
         }
     }
 
-    fn judged(&self) -> impl Iterator<Item = &Entry> {
-        self.predictors.iter().filter(|entry| !matches!(entry.role, Role::Truth | Role::Mean))
+    pub(in super::super) fn skills_by_kind(&self) -> Vec<Table> {
+        let frames = BY_KIND.into_iter().filter(|ahead| self.shown.contains(ahead));
+        frames.map(|ahead| self.skill_by_kind(ahead)).collect()
     }
 
     fn skill_by_kind(&self, ahead: usize) -> Table {
@@ -28,7 +27,7 @@ impl Report {
         let place = self.shown.iter().position(|&shown| shown == ahead);
         let streams = self.kinds.iter().map(|kind| kind.streams).chain([self.streams]);
         table.row("streams", streams.map(|count| count.to_string()));
-        for entry in self.judged() {
+        for entry in self.skilled() {
             let skills = entry.kinds.iter().map(|kind| at(&kind.skill, ahead));
             let all = skills.chain([at(&entry.skill, ahead)]);
             table.row(entry.name.as_str(), all.map(skill));
@@ -49,7 +48,7 @@ impl Report {
         let caption =
             format!("Position RMSE (domain lengths) at frame {ahead} by material of the particle");
         let mut table = Table::new(caption, titles);
-        for entry in self.judged() {
+        for entry in self.skilled() {
             let of = |material| entry.materials.iter().find(|(found, _)| found == material);
             let rmse =
                 |(_, curves): &(_, super::super::curves::Curves)| at(&curves.position_rmse, ahead);

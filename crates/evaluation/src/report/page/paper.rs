@@ -5,24 +5,23 @@ use super::{
         Role,
         scenes::{SceneEntry, SceneErrors, last, mean},
     },
-    Report, error, frames_ahead, of_errors,
+    Report, error, error_axis, frames_ahead,
 };
 use crate::{
     Kind,
     page::{Cell, LinePlot, Section, Series, Table},
 };
 
-/// The most scenes of a table, and of a set of plots; `report.json` has all.
+/// Maximum number of scenes in a table and in a set of plots; `report.json` has all.
 const TABLE_SCENES: usize = 12;
 const PLOT_SCENES: usize = 6;
 
-/// An error of single scenes: its name, and which it is.
+/// An error of single scenes: name and accessor.
 type Error = (&'static str, fn(&SceneErrors) -> &Vec<f64>);
 
-/// What a table has of an error curve.
-type Take = fn(&[f64]) -> f64;
+/// Reduces an error curve to the number in a table.
+type Reduce = fn(&[f64]) -> f64;
 
-/// All of them.
 const ERRORS: [Error; 3] = [
     ("MinMax MSE", |errors| &errors.minmax_mse),
     ("z-score MSE", |errors| &errors.zscore_mse),
@@ -33,9 +32,9 @@ impl Report {
     pub(super) fn paper(&self, section: &mut Section) {
         let frames = self.paper_frames();
         section.paragraph(&format!(
-            "For each scene the mean error of frames 1 to {frames} of free rollouts, and the error at frame {frames}; \
-             means over all rollouts of the scene. The lowest error of each row is bold. The unit of the paper's MSE \
-             is not known: what can be compared with it is the order of the models, not the numbers."
+            "The mean error of frames 1 to {frames} of free rollouts and the error at frame {frames}, averaged over all \
+             rollouts of a scene. The lowest error of each row is bold. The unit of the paper's MSE is unknown, so only \
+             the order of the models can be compared with it."
         ));
         for (title, of_table) in self.paper_tables() {
             if of_table.is_empty() {
@@ -45,14 +44,14 @@ impl Report {
             let chosen = evenly(&of_table, TABLE_SCENES);
             if chosen.len() < of_table.len() {
                 section.paragraph(&format!(
-                    "{} of {} scenes, evenly chosen; averages are those of all. report.json has all.",
+                    "{} of {} scenes, evenly spaced; averages are over all scenes. report.json has all.",
                     chosen.len(),
                     of_table.len()
                 ));
             }
             let [first, others @ ..] = ERRORS;
             self.scene_tables(section, &of_table, &chosen, first);
-            section.folded("The same as z-score MSE and as position RMSE", |inner| {
+            section.folded("z-score MSE and position RMSE", |inner| {
                 for error in others {
                     self.scene_tables(inner, &of_table, &chosen, error);
                 }
@@ -78,16 +77,16 @@ impl Report {
         [("Fluid scenes (Table 2)", of(true)), ("Scenes of other materials (Table 3)", of(false))]
     }
 
-    /// Frames that the tables are about: the paper's twenty, if the horizon is not sooner.
+    /// Frames ahead in the tables: the paper's twenty, or the horizon if shorter.
     fn paper_frames(&self) -> usize {
         super::super::scenes::SCENE_FRAMES.min(self.horizon)
     }
 
-    /// Names of those in the tables, with their numbers.
+    /// Indices and names of the predictors in the tables.
     fn columns(&self) -> Vec<(usize, &str)> {
         let all = self.predictors.iter().enumerate();
         all.filter(|(_, entry)| {
-            matches!(entry.role, Role::Model | Role::Baseline | Role::Mean | Role::Rival)
+            matches!(entry.role, Role::Model | Role::Baseline | Role::Mean | Role::Solver)
         })
         .map(|(number, entry)| (number, entry.name.as_str()))
         .collect()
@@ -103,15 +102,15 @@ impl Report {
     ) {
         let frames = self.paper_frames();
         let columns = self.columns();
-        let blocks: [(String, Take); 2] = [
+        let blocks: [(String, Reduce); 2] = [
             (format!("{name}, mean of frames 1 to {frames}"), mean),
             (format!("{name} at frame {frames}"), last),
         ];
-        for (caption, take) in blocks {
+        for (caption, reduce) in blocks {
             let titles = std::iter::once("scene").chain(columns.iter().map(|(_, name)| *name));
             let mut table = Table::new(caption, titles);
             let numbers = |scene: &SceneEntry| -> Vec<f64> {
-                columns.iter().map(|&(number, _)| take(of(&scene.errors[number]))).collect()
+                columns.iter().map(|&(number, _)| reduce(of(&scene.errors[number]))).collect()
             };
             for scene in chosen {
                 table.row(scene.title(), Cell::lowest_bold(&numbers(scene), error));
@@ -133,15 +132,15 @@ impl Report {
         LinePlot {
             title: scene.title(),
             x: frames_ahead(),
-            y: of_errors("MinMax MSE"),
+            y: error_axis("MinMax MSE"),
             series: series.collect(),
         }
     }
 }
 
-/// At most so many of them, evenly spread.
-fn evenly<'a, T>(all: &[&'a T], most: usize) -> Vec<&'a T> {
-    let count = all.len().min(most);
+/// At most `count` of the items, evenly spaced.
+fn evenly<'a, T>(all: &[&'a T], count: usize) -> Vec<&'a T> {
+    let count = all.len().min(count);
     (0..count).map(|k| all[k * all.len() / count]).collect()
 }
 
@@ -150,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_of_many_are_spread_over_all() {
+    fn chosen_items_are_evenly_spaced() {
         let numbers: Vec<usize> = (0..10).collect();
         let all: Vec<&usize> = numbers.iter().collect();
         assert_eq!(evenly(&all, 4), [&0, &2, &5, &7]);

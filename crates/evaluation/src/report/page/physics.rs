@@ -1,41 +1,42 @@
-//! Density, kinetic energy, centre of mass, what is outside.
+//! Density, kinetic energy, centre of mass, share outside the walls.
 
 use super::{
     super::{curves::BulkCurves, measures::Measures},
-    Entry, Report, error, frames_ahead, of_errors, percent, shown,
+    Entry, Report, error, error_axis, frames_ahead, percent, shown,
 };
 use crate::page::{Axis, LinePlot, Section, Series, Table};
 
-/// How a measure is shown: its name with its unit, which it is, in what form.
+/// A measure: name with unit, accessor, format.
 type Column = (&'static str, fn(&Measures) -> f64, fn(f64) -> String);
 
-/// A curve of what all particles have together.
+/// A curve of a bulk quantity.
 type Curve = fn(&BulkCurves) -> &Vec<f64>;
 
-/// Measures of every scene.
+/// Measures of all scenes.
 const COMMON: [Column; 4] = [
-    ("mass in another place than in the truth", |m| m.misplaced, percent),
+    ("misplaced mass", |m| m.misplaced, percent),
     ("kinetic energy, |K - K'| / K'", |m| m.kinetic_energy_error, percent),
     ("centre of mass, RMSE (domain lengths)", |m| m.centre_rmse, error),
     ("particles outside the walls", |m| m.outside, percent),
 ];
 
-/// Measures of some materials.
-const OF_MATERIALS: [Column; 6] = [
-    ("area of liquid over the true one", |m| m.liquid_area, ratio),
-    ("area of liquid, RMS off 1", |m| m.liquid_area_off, percent),
-    ("rope: distance of rest neighbours over that at rest", |m| m.rope_stretch, ratio),
-    ("rope: RMS off 1", |m| m.rope_distortion, percent),
-    ("jelly: distance of rest neighbours over that at rest", |m| m.jelly_stretch, ratio),
-    ("jelly: RMS off 1", |m| m.jelly_distortion, percent),
+/// Measures of single materials and of settled rollouts.
+const SPECIAL: [Column; 7] = [
+    ("liquid: area / true area", |m| m.liquid_area, ratio),
+    ("liquid: RMS deviation of that ratio from 1", |m| m.liquid_area_off, percent),
+    ("rope: neighbour distance / rest distance", |m| m.rope_stretch, ratio),
+    ("rope: RMS deviation of that ratio from 1", |m| m.rope_distortion, percent),
+    ("jelly: neighbour distance / rest distance", |m| m.jelly_stretch, ratio),
+    ("jelly: RMS deviation of that ratio from 1", |m| m.jelly_distortion, percent),
+    ("settled rollouts: RMS displacement (domain lengths)", |m| m.settled_way, error),
 ];
 
 impl Report {
     pub(super) fn physics(&self, section: &mut Section) {
         section.paragraph(
-            "Density: the share of the mass that lies elsewhere than in the truth, on a lattice of four particle \
-             spacings. Outside: beyond a wall in effect by more than half a spacing. The truth is there for \
-             comparison; the energies are per mass.",
+            "Density: the share of the mass that is misplaced relative to the truth, on a lattice with cells of four \
+             particle spacings. Outside: beyond an effective wall by more than half a spacing. Energies are per mass; \
+             the truth is included for comparison.",
         );
         let measured = |entry: &Entry, of: fn(&Measures) -> f64| -> Vec<[f64; 2]> {
             entry.measures.iter().map(|m| [m.frame as f64, of(m)]).collect()
@@ -46,18 +47,18 @@ impl Report {
             ..Series::default()
         });
         let mut plots = vec![LinePlot {
-            title: "Density: mass in another place than in the truth".into(),
+            title: "Density: misplaced mass".into(),
             x: frames_ahead(),
             y: Axis::linear("share of the mass"),
             series: density.collect(),
         }];
         let curves: [(&str, Axis, Curve); 3] = [
             ("Kinetic energy per mass", Axis::linear("K (lengths²/s²)"), |b| &b.kinetic_energy),
-            ("Centre of mass", of_errors("RMSE (domain lengths)"), |b| &b.centre_rmse),
+            ("Centre of mass", error_axis("RMSE (domain lengths)"), |b| &b.centre_rmse),
             ("Outside the walls", Axis::linear("share of the particles"), |b| &b.outside),
         ];
         for (title, y, of) in curves {
-            // The truth comes last: everyone keeps the style of the other plots.
+            // The truth is last, so that predictors keep their styles.
             let series = self.predictors.iter().map(|entry| {
                 let curve = entry.bulk.as_ref().map_or(&[][..], |bulk| of(bulk));
                 Series::ahead(&entry.name, curve)
@@ -70,24 +71,30 @@ impl Report {
             });
         }
         section.plots(&plots);
-        for column in COMMON {
-            section.table(&self.measure(column));
-        }
-        section.folded("What liquid, rope and jelly keep; settled scenes; free flight", |inner| {
-            for column in OF_MATERIALS {
-                let of = column.1;
-                let is_there = |entry: &Entry| entry.measures.iter().any(|m| !of(m).is_nan());
-                if self.predictors.iter().any(is_there) {
-                    inner.table(&self.measure(column));
-                }
-            }
-            let settled: Column = (
-                "way of the particles in settled rollouts, RMS (domain lengths)",
-                |m| m.settled_way,
-                error,
-            );
-            inner.table(&self.measure(settled)).table(&self.flight_table());
+        let (common, special) = self.measure_tables_by_scope();
+        common.iter().for_each(|table| _ = section.table(table));
+        section.folded("Liquid, rope and jelly; settled rollouts; free flight", |inner| {
+            special.iter().for_each(|table| _ = inner.table(table));
+            inner.table(&self.flight_table());
         });
+    }
+
+    /// Tables of all measures that have values.
+    pub(in super::super) fn measure_tables(&self) -> Vec<Table> {
+        let (common, special) = self.measure_tables_by_scope();
+        [common, special].concat()
+    }
+
+    fn measure_tables_by_scope(&self) -> (Vec<Table>, Vec<Table>) {
+        let has_values = |&(_, of, _): &Column| {
+            let measures = self.predictors.iter().flat_map(|entry| &entry.measures);
+            measures.into_iter().any(|measures| !of(measures).is_nan())
+        };
+        let special = SPECIAL.into_iter().filter(has_values);
+        (
+            COMMON.map(|column| self.measure(column)).into(),
+            special.map(|c| self.measure(c)).collect(),
+        )
     }
 
     fn measure(&self, (name, of, format): Column) -> Table {
@@ -99,10 +106,10 @@ impl Report {
         table
     }
 
-    fn flight_table(&self) -> Table {
+    pub(in super::super) fn flight_table(&self) -> Table {
         let mut table = Table::new(
-            "Bodies in free flight: what a predicted frame does to them",
-            ["", "momentum gained (g dt)", "at most", "spin (rad/s)", "bodies"],
+            "Bodies in free flight: errors of one-step predictions",
+            ["", "momentum gained (g dt)", "maximum", "spin (rad/s)", "bodies"],
         );
         for entry in &self.predictors {
             let Some(flight) = entry.flight else { continue };

@@ -1,8 +1,8 @@
-//! Rollouts to look at (the paper's Fig. 7).
+//! Pictures of rollouts (the paper's Fig. 7).
 
 use std::io;
 
-use super::{super::scenes::words, Report};
+use super::{super::scenes::joined, Report};
 use crate::{
     Snapshot,
     page::{Picture, PictureGrid, Section},
@@ -10,14 +10,14 @@ use crate::{
 };
 use eddy_frames::Frame;
 
-/// Longer side of the domain (pixels); it is shown at half of that.
+/// Longer side of the domain (pixels); shown at half this size.
 const SIZE: usize = 260;
 
 impl Report {
     pub(super) fn pictures(&self, section: &mut Section) -> io::Result<()> {
         section.paragraph(
-            "One rollout of a scene of each kind: the truth above what is predicted from the same frame, fed with \
-             its own output. Colours are materials: liquid dark blue, snow light blue, jelly orange, rope red.",
+            "One free rollout in a scene of each kind: the truth above the predictions from the same frame. Colours are \
+             materials: liquid dark blue, snow light blue, jelly orange, rope red.",
         );
         let (names, snapshots) = &self.snapshots;
         for snapshot in snapshots {
@@ -48,7 +48,10 @@ fn grid(names: &[String], snapshot: &Snapshot) -> io::Result<PictureGrid> {
         rows.push(row(name, frames)?);
     }
     Ok(PictureGrid {
-        caption: format!("{scene} ({}), from frame {start} of the stream on.", words(materials)),
+        caption: format!(
+            "{scene} ({}), starting from frame {start} of the stream.",
+            joined(materials)
+        ),
         columns: ahead.iter().map(|ahead| format!("frame {ahead}")).collect(),
         rows,
     })

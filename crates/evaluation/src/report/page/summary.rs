@@ -1,4 +1,4 @@
-//! Who is how good, and what has to be said about it.
+//! Skill, seeds and remarks.
 
 use super::{super::group::GroupSkill, Report, Role, between, frames_ahead, milliseconds, skill};
 use crate::{
@@ -9,29 +9,29 @@ use crate::{
 impl Report {
     pub(super) fn summary(&self, section: &mut Section) {
         section.paragraph(
-            "Skill is 1 - squared position error / that of the best predictor that learns nothing, both summed over \
-             the rollouts of a kind of scenes; what is shown is the mean over kinds. 1 is the truth, 0 no better than \
-             persistence, constant velocity or ballistic flight, whichever is best at that frame.",
+            "Skill is 1 - squared position error / squared position error of the best baseline (persistence, constant \
+             velocity or ballistic flight), both summed over the rollouts of a kind of scenes, averaged over kinds. A \
+             skill of 1 is a perfect prediction, 0 is no better than the best baseline at that frame.",
         );
         for note in &self.notes {
             section.note(note);
         }
         section.table(&self.skill_table()).plots(&[self.skill_plot()]);
-        section.heading("Seeds and intervals").table(&self.seeds());
+        section.heading("Seeds and intervals").table(&self.seed_table());
         section.paragraph(
-            "Checkpoints that differ in nothing but their training are seeds of one model. Deviations are those of \
-             the sample, between seeds. Intervals hold 95 % of 1,000 draws of the scenes with replacement (bootstrap, \
-             percentiles), each seed on the same scenes; there is none when a kind has fewer than five scenes.",
+            "Checkpoints that differ only in their training are seeds of one model. Deviations are sample standard \
+             deviations over seeds. Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of the scenes, \
+             the same for all seeds. With fewer than five scenes of a kind there is none.",
         );
     }
 
-    fn skill_table(&self) -> Table {
+    pub(in super::super) fn skill_table(&self) -> Table {
         let caption = format!("Skill, mean of {} kinds of scenes", self.kinds.len());
-        let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms a frame"]);
+        let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms per frame"]);
         let compared = self.compared.iter().map(usize::to_string);
         table.row("rollouts with truth", compared);
         for entry in self.skilled() {
-            let mut cells = self.words_at_shown(&entry.skill, skill);
+            let mut cells = self.at_shown(&entry.skill, skill);
             cells.extend(counts(&entry.blow_ups, self.windows));
             cells.push(entry.cost.as_ref().map_or("-".into(), |cost| milliseconds(cost.p50)));
             table.row(entry.name.as_str(), cells);
@@ -44,42 +44,43 @@ impl Report {
             Role::Mean => Series::default(),
             _ => self.banded(&entry.name, &entry.skill, entry.skill_intervals.as_ref()),
         });
-        // Below -1 the difference between wrong and more wrong would hide all others. The training's mean
-        // keeps its place: styles are the same in every plot.
+        // Values below -1 would compress all others. The empty series of the training mean keeps styles the same in every
+        // plot.
         let series = series.map(|mut series| {
             series.points.iter_mut().filter(|[_, y]| *y < -1.0).for_each(|[_, y]| *y = f64::NAN);
             series.band.retain(|[_, low, _]| *low >= -1.0);
             series
         });
         LinePlot {
-            title: "Skill with 95 % intervals over scenes, from -1 on".into(),
+            title: "Skill with 95 % intervals over scenes (cut off at -1)".into(),
             x: frames_ahead(),
             y: Axis::linear("skill"),
             series: series.collect(),
         }
     }
 
-    fn seeds(&self) -> Table {
-        let mut table = self.frame_table("Models by seeds", &["seeds"]);
+    pub(in super::super) fn seed_table(&self) -> Table {
+        let mut table =
+            self.frame_table("Skill, mean over seeds", &["blow-ups", "far off", "ms per frame"]);
         for group in &self.groups {
             let GroupSkill { skill: mean, spread, skill_intervals } = &group.skill;
-            let mut cells = self.words_at_shown(mean, skill);
-            cells.push(group.members.len().to_string());
-            table.row(format!("{}: mean skill", group.name), cells);
-            if group.members.len() > 1 {
-                table.row(
-                    "deviation between seeds",
-                    self.words_at_shown(spread, |x| format!("{x:.3}")),
-                );
+            let mut cells = self.at_shown(mean, skill);
+            let seeds = group.members.len();
+            cells.extend(counts(&group.blow_ups, seeds * self.windows));
+            cells.push(group.ms.map_or("-".into(), milliseconds));
+            let plural = if seeds == 1 { "" } else { "s" };
+            table.row(format!("{}, mean of {seeds} seed{plural}", group.name), cells);
+            if seeds > 1 {
+                table.row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
             }
             let intervals = (0..self.shown.len()).map(|at| between(skill_intervals.as_ref(), at));
-            table.row("95 % over scenes", intervals);
+            table.row("95 % interval over scenes", intervals);
         }
         table
     }
 }
 
-/// How many of so many rollouts blew up, and how many ended far off.
+/// Numbers of rollouts that blew up and that ended far off.
 fn counts(blow_ups: &BlowUps, windows: usize) -> [String; 2] {
     [blow_ups.any, blow_ups.far_off].map(|count| format!("{count} of {windows}"))
 }

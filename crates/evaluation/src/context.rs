@@ -1,4 +1,4 @@
-//! What is the same for everyone who is judged.
+//! The evaluation context: settings, walls and units, the same for all predictors.
 
 use super::{EvalError, Units, window::starts};
 use crate::dataset::{Bounds, State};
@@ -8,58 +8,58 @@ use eddy_inference::{
     engine::Ballistic,
 };
 
-/// Rollouts of a full judgement go on to this frame at least, to see whether they blow up.
+/// Minimum length of the rollouts of a full evaluation (frames), to detect blow-ups.
 const BLOW_UP_REACH: usize = 200;
 
-/// How to judge.
+/// What to evaluate.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// Frames ahead that are compared with the truth.
     pub horizon: usize,
-    /// Length of a rollout (frames), at least the horizon; beyond it only blow-ups are looked for.
+    /// Length of a rollout (frames), at least the horizon; beyond the horizon only blow-ups are detected.
     pub reach: usize,
-    /// Rollouts a stream.
+    /// Rollouts per stream.
     pub starts: usize,
-    /// Whether physical measures are taken.
+    /// Whether physical measures are computed.
     pub measures: bool,
 }
 
 impl Settings {
-    /// Everything: rollouts go on to frame 200 at least.
+    /// Errors, physical measures, and rollouts of at least 200 frames.
     pub const fn full(horizon: usize, starts: usize) -> Self {
         let reach = if horizon > BLOW_UP_REACH { horizon } else { BLOW_UP_REACH };
         Self { horizon, reach, starts, measures: true }
     }
 
-    /// Errors only, which is cheap.
+    /// Errors only: cheap.
     pub const fn errors_only(horizon: usize, starts: usize) -> Self {
         Self { horizon, reach: horizon, starts, measures: false }
     }
 }
 
-/// What is the same for everyone who is judged.
+/// What all predictors of an evaluation have in common.
 #[derive(Clone, Debug)]
-pub struct Arena {
-    /// How to judge.
+pub struct Context {
+    /// What to evaluate.
     pub settings: Settings,
-    /// Frames that are observed before the first start.
+    /// Observed frames up to the first start.
     pub warm_up: usize,
-    /// The baselines' step: walls are where the particles of all streams were, the best that a baseline
-    /// can know.
+    /// Step of the baselines. Its walls are the bounding box of all true positions, the best that a baseline can
+    /// know.
     pub ballistic: Ballistic,
-    /// The box that holds the particles.
+    /// Domain of the streams.
     pub domain: Domain,
     /// Distance between neighbouring particles at rest (domain lengths).
     pub spacing: f32,
-    /// What normalised errors are divided by.
+    /// Divisors of normalised errors.
     pub units: Units,
-    /// Mean of x, y, vx, vy in the training of the first model (domain lengths, domain lengths per second).
+    /// Mean x, y, vx, vy of the first model's training data (domain lengths, domain lengths per second).
     pub mean: [f32; 4],
 }
 
-impl Arena {
-    /// The arena for models of which this is the first: interval, gravity and the units of normalised
-    /// errors are its own. `domain` is that of the streams: a particle model may have been trained in another.
+impl Context {
+    /// Takes interval, gravity and error units from the first model. `domain` is the streams' domain: a particle
+    /// model may have been trained in another one.
     pub fn new(
         settings: Settings,
         first: &Description,
@@ -81,18 +81,18 @@ impl Arena {
         }
     }
 
-    /// So many particles as they were on average in the training.
+    /// `particles` particles, all in the mean state of the training data.
     pub(super) fn mean_state(&self, particles: usize) -> State {
         let [x, y, vx, vy] = self.mean;
         State { position: vec![[x, y]; particles], velocity: vec![[vx, vy]; particles] }
     }
 
-    /// The frames of a stream of `frames` frames from which rollouts start.
+    /// The frames from which rollouts start, in a stream of `frames` frames.
     pub fn starts(&self, frames: usize) -> Vec<usize> {
         starts(frames, self.warm_up, self.settings)
     }
 
-    /// Refuses streams of which even the longest, of `found` frames, has no window.
+    /// Checks that the longest stream, of `found` frames, has room for a rollout.
     ///
     /// # Errors
     /// [`EvalError::TooShort`].

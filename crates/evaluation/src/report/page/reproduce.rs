@@ -1,10 +1,10 @@
-//! How to make it again.
+//! Command, data and settings of the evaluation.
 
 use super::{Report, rounded};
 use crate::page::Section;
 
 impl Report {
-    pub(super) fn making(&self, section: &mut Section) {
+    pub(super) fn reproduce(&self, section: &mut Section) {
         section.provenance(&self.made);
         let fact = |name: &str, value: String| (name.to_owned(), value);
         let mut facts =
@@ -19,27 +19,24 @@ impl Report {
         let starts = self.scenes.iter().map(|scene| scene.starts.len()).max().unwrap_or(0);
         let [lower, upper] = self.walls.map(|wall| wall.map(|x| rounded(x.into())));
         facts.extend([
-            fact("Rollouts", format!("up to {starts} a stream, {} in all", self.windows)),
+            fact("Rollouts", format!("up to {starts} per stream, {} in total", self.windows)),
             fact(
                 "Frames",
                 format!(
-                    "{} compared, {} watched for blow-ups, {} ms apart",
+                    "{} compared, {} checked for blow-ups, {} ms apart",
                     self.horizon,
                     self.reach,
                     rounded(1e3 * f64::from(self.dt))
                 ),
             ),
-            fact("Walls in effect", format!("{lower:?} to {upper:?} domain lengths")),
-            fact(
-                "Spacing of particles",
-                format!("{} domain lengths", rounded(self.spacing.into())),
-            ),
+            fact("Effective walls", format!("{lower:?} to {upper:?} domain lengths")),
+            fact("Particle spacing", format!("{} domain lengths", rounded(self.spacing.into()))),
             fact("Ranges of x, y, vx, vy", format!("{:.4?}", self.units.ranges)),
-            fact("Their deviations", format!("{:.4?}", self.units.deviations)),
+            fact("Their standard deviations", format!("{:.4?}", self.units.deviations)),
         ]);
         section.facts(&facts);
         section.paragraph(
-            "The date and the times of a frame differ from one making to the next; the rest comes out the same.",
+            "Repeating the command gives the same results except for the date and the measured times.",
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Frames that stay on disk, read again block by block, with a bounded number of blocks in memory.
+//! Frames that stay on disk, read block by block through a bounded least-recently-used cache.
 
 use std::{
     collections::HashMap,
@@ -13,73 +13,73 @@ use super::{DatasetError, State, TRUTH_TOPIC};
 use eddy_bag::BagReader;
 use eddy_frames::{Frame, Stamp};
 
-/// Frames of a block. A chunk of a bag holds about 25 frames of 2,500 particles: a block wastes little
-/// of the first and the last chunk that it is read from.
+/// Frames per block. A chunk of a bag holds about 25 frames of 2,500 particles, so a block wastes little of the first
+/// and the last chunk that it is read from.
 pub(super) const BLOCK: usize = 64;
 
-/// The bags of a data set, where each block of their streams is, and the blocks used last.
+/// The bags of a data set, an index of the blocks of their streams, and a cache of blocks.
 #[derive(Debug)]
-pub struct Shelf {
+pub struct FrameStore {
     bags: Vec<BagReader>,
-    streams: Vec<Place>,
+    streams: Vec<StreamLocation>,
     cache: Mutex<Cache>,
 }
 
-/// Where a stream is.
+/// Location of a stream.
 #[derive(Debug)]
-pub(super) struct Place {
-    /// Number of its bag.
+pub(super) struct StreamLocation {
+    /// Index of its bag.
     pub(super) bag: usize,
     /// The stream's id in the bag.
     pub(super) id: u64,
     pub(super) blocks: Vec<Block>,
 }
 
-/// Where [`BLOCK`] frames of a stream are, fewer in its last block.
+/// Location of [`BLOCK`] frames of a stream (fewer in its last block).
 #[derive(Clone, Debug)]
 pub(super) struct Block {
     /// Log time of its first frame.
     pub(super) from: Stamp,
     /// Log time of its last frame.
     pub(super) until: Stamp,
-    /// Frames of the same id that were logged at `from` before its first.
+    /// Frames with the same id and log time `from` that precede its first frame.
     pub(super) before: usize,
     pub(super) frames: usize,
-    /// XXH3 of its numbers.
+    /// XXH3 of its positions and velocities.
     pub(super) checksum: u64,
 }
 
-/// What is in memory of what is on disk.
+/// Memory use of the cache.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Residency {
-    /// Frames in memory.
+pub struct CacheUsage {
+    /// Cached frames.
     pub frames: usize,
     /// Their size (bytes).
     pub bytes: u64,
-    /// The largest size there was (bytes).
+    /// Maximum size so far (bytes).
     pub most_bytes: u64,
     /// Blocks read from disk so far.
     pub reads: u64,
 }
 
-/// The blocks used last; the one that was not used for longest goes first.
+/// Cached blocks; the least recently used one is evicted first.
 #[derive(Debug)]
 struct Cache {
-    /// Most bytes held, unless a single block is larger.
+    /// Maximum size (bytes), unless a single block is larger.
     limit: u64,
-    blocks: HashMap<(usize, usize), Held>,
-    /// Uses so far.
+    blocks: HashMap<(usize, usize), CachedBlock>,
+    /// Lookups so far.
     uses: u64,
-    residency: Residency,
+    usage: CacheUsage,
 }
 
 #[derive(Debug)]
-struct Held {
+struct CachedBlock {
     last_use: u64,
     states: Arc<Vec<State>>,
 }
 
-/// Size of a frame of so many particles in memory (bytes).
+/// Size of a frame in memory (bytes).
 pub(super) fn frame_bytes(particles: usize) -> u64 {
     (size_of::<State>() + particles * size_of::<[f32; 4]>()) as u64
 }
@@ -91,26 +91,25 @@ pub(super) fn add(checksum: &mut Xxh3, state: &State) {
     }
 }
 
-impl Shelf {
-    /// Streams that lie in `bags`, of which at most `limit` bytes are in memory at a time, but always
-    /// one block.
-    pub(super) fn new(bags: Vec<BagReader>, streams: Vec<Place>, limit: u64) -> Self {
-        let (blocks, residency) = (HashMap::new(), Residency::default());
-        let cache = Mutex::new(Cache { limit, blocks, uses: 0, residency });
+impl FrameStore {
+    /// A store of the streams in `bags` that caches at most `limit` bytes, but always one block.
+    pub(super) fn new(bags: Vec<BagReader>, streams: Vec<StreamLocation>, limit: u64) -> Self {
+        let (blocks, usage) = (HashMap::new(), CacheUsage::default());
+        let cache = Mutex::new(Cache { limit, blocks, uses: 0, usage });
         Self { bags, streams, cache }
     }
 
-    /// Most bytes of frames that it holds in memory, unless a single block is larger.
+    /// Maximum size of the cache (bytes), unless a single block is larger.
     pub fn limit(&self) -> u64 {
         self.cache.lock().unwrap_or_else(PoisonError::into_inner).limit
     }
 
-    /// What is in memory of it.
-    pub fn residency(&self) -> Residency {
-        self.cache.lock().unwrap_or_else(PoisonError::into_inner).residency
+    /// Memory use of the cache.
+    pub fn cache_usage(&self) -> CacheUsage {
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner).usage
     }
 
-    /// Looks at some frames of a stream, one after the other.
+    /// Calls `look` with a range of a stream's frames, in order.
     pub(super) fn visit(
         &self,
         stream: usize,
@@ -139,13 +138,13 @@ impl Shelf {
     }
 
     fn read(&self, stream: usize, number: usize) -> Result<Vec<State>, DatasetError> {
-        let place = &self.streams[stream];
-        let Block { from, until, before, frames, checksum } = place.blocks[number];
-        let bag = &self.bags[place.bag];
+        let location = &self.streams[stream];
+        let Block { from, until, before, frames, checksum } = location.blocks[number];
+        let bag = &self.bags[location.bag];
         let mut found = Xxh3::new();
         let mut states = Vec::with_capacity(frames);
-        // Damage of other parts of the bag was an error when the set was loaded.
-        let of_this = |frame: &Result<Frame, _>| !matches!(frame, Ok(f) if f.stream != place.id);
+        // Damage elsewhere in the bag was an error when the data set was loaded.
+        let of_this = |frame: &Result<Frame, _>| !matches!(frame, Ok(f) if f.stream != location.id);
         let all = bag.frames_between(TRUTH_TOPIC, from, until)?.filter(of_this);
         for frame in all.skip(before).take(frames) {
             let Frame { position, velocity, .. } = frame?;
@@ -155,7 +154,7 @@ impl Shelf {
         }
         if states.len() != frames || found.digest() != checksum {
             let path: PathBuf = bag.path().into();
-            return Err(DatasetError::Changed { path, stream: place.id });
+            return Err(DatasetError::Changed { path, stream: location.id });
         }
         Ok(states)
     }
@@ -171,19 +170,19 @@ impl Cache {
 
     fn put(&mut self, block: (usize, usize), states: Arc<Vec<State>>) {
         let bytes = bytes(&states);
-        while self.residency.bytes + bytes > self.limit {
+        while self.usage.bytes + bytes > self.limit {
             let oldest = self.blocks.iter().min_by_key(|(_, held)| held.last_use);
             let Some(oldest) = oldest.map(|(&block, _)| block) else { break };
-            if let Some(gone) = self.blocks.remove(&oldest) {
-                self.residency.bytes -= self::bytes(&gone.states);
-                self.residency.frames -= gone.states.len();
+            if let Some(evicted) = self.blocks.remove(&oldest) {
+                self.usage.bytes -= self::bytes(&evicted.states);
+                self.usage.frames -= evicted.states.len();
             }
         }
-        self.residency.reads += 1;
-        self.residency.frames += states.len();
-        self.residency.bytes += bytes;
-        self.residency.most_bytes = self.residency.most_bytes.max(self.residency.bytes);
-        self.blocks.insert(block, Held { last_use: self.uses, states });
+        self.usage.reads += 1;
+        self.usage.frames += states.len();
+        self.usage.bytes += bytes;
+        self.usage.most_bytes = self.usage.most_bytes.max(self.usage.bytes);
+        self.blocks.insert(block, CachedBlock { last_use: self.uses, states });
     }
 }
 
