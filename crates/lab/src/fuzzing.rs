@@ -1,5 +1,5 @@
-//! One function for each kind of bytes that others hand to this program: whatever they are, it neither
-//! panics nor asks for memory or time without bound. `tests/fuzz` calls them.
+//! Fuzz targets, one for each kind of external input: none may panic or use unbounded memory or time. Called by
+//! `tests/fuzz`.
 
 use std::{
     fs,
@@ -26,10 +26,10 @@ use eddy_node::{NodeSettings, launch::Plan};
 use eddy_settings::{self as config, Overrides};
 use eddy_transport::foreign;
 
-/// A kind of input: its name, which is that of its folder in `tests/fuzz/corpus`, and what reads it.
+/// A fuzz target: its name, also of its folder in `tests/fuzz/corpus`, and its function.
 pub type Target = (&'static str, fn(&[u8]));
 
-/// All kinds.
+/// All targets.
 pub const TARGETS: [Target; 9] = [
     ("cdr", messages),
     ("mcap", bag),
@@ -42,17 +42,17 @@ pub const TARGETS: [Target; 9] = [
     ("scene", scene),
 ];
 
-/// Reads an input of a kind.
+/// Runs a target on an input.
 ///
 /// # Panics
-/// When there is no such kind, and when the input shows a fault of this program.
+/// When there is no such target, or the input reveals a bug.
 pub fn read(kind: &str, bytes: &[u8]) {
     let known = TARGETS.iter().find(|(name, _)| *name == kind);
     let (_, read) = known.expect("one of TARGETS");
     read(bytes);
 }
 
-/// Reads CDR as each message and each part of a service that arrives from outside.
+/// Decodes CDR as each external message, request and response.
 fn messages(bytes: &[u8]) {
     reads::<ParticleFrame>(bytes);
     reads::<PredictionStatus>(bytes);
@@ -71,26 +71,26 @@ fn messages(bytes: &[u8]) {
     reads::<services::ListParametersResponse>(bytes);
     reads::<services::DescribeParametersResponse>(bytes);
     if let Ok(frame) = Frame::from_cdr(bytes) {
-        frame.check().expect("a frame that is handed on is whole");
+        frame.check().expect("decoded frames are valid");
         assert_eq!(Frame::from_cdr(&frame.to_cdr()).as_ref(), Ok(&frame));
     }
 }
 
-/// What can be read can be written, and read again as the same.
+/// Checks that decoded messages survive a round trip.
 fn reads<M: Serialize + DeserializeOwned>(bytes: &[u8]) {
     if let Ok(message) = cdr::decode::<M>(bytes) {
         let written = cdr::encode(&message);
-        let again: M = cdr::decode(&written).expect("what was written can be read");
+        let again: M = cdr::decode(&written).expect("encoded messages can be decoded");
         assert_eq!(cdr::encode(&again), written);
     }
 }
 
-/// A folder of this process, empty at the start and removed at the end.
+/// A temporary folder of this process.
 struct Folder(PathBuf);
 
 impl Folder {
     fn new() -> Self {
-        // Where there is one, in memory: thousands of files come and go.
+        // In memory if possible, for thousands of files.
         let shared = Path::new("/dev/shm");
         let parent = if shared.is_dir() { shared.to_owned() } else { std::env::temp_dir() };
         let folder = parent.join(format!("eddy_fuzz_{}", std::process::id()));
@@ -106,7 +106,7 @@ impl Drop for Folder {
     }
 }
 
-/// Reads an MCAP file in every way: as a bag, as a survey, to copy it, to recover it, to index it again.
+/// Reads an MCAP file in every way: as a bag, to check, copy, recover and reindex it.
 fn bag(bytes: &[u8]) {
     let folder = Folder::new();
     let at = |name: &str| folder.0.join(name);
@@ -131,19 +131,19 @@ fn bag(bytes: &[u8]) {
         let go_on: &mut dyn FnMut() -> bool = &mut || true;
         let options = CopyOptions { writer: WriterOptions::default(), go_on };
         if let Ok(saved) = recovery.save(&at("saved"), options) {
-            let bag = BagReader::open(&at("saved")).expect("what was saved is a bag");
-            assert!(bag.damage().is_none(), "what was saved is whole: {:?}", bag.damage());
+            let bag = BagReader::open(&at("saved")).expect("recovered bags can be opened");
+            assert!(bag.damage().is_none(), "recovered bags are undamaged: {:?}", bag.damage());
             assert_eq!(bag.messages().filter(Result::is_ok).count() as u64, saved.bag.messages);
         }
     }
     let reindexing = Reindexing::open(&file, &mut |_| true);
     if reindexing.and_then(|reindexing| reindexing.save(&mut |_| true)).is_ok() {
-        let bag = BagReader::open(&file).expect("what was indexed is a bag");
-        assert!(bag.damage().is_none(), "what was indexed is whole: {:?}", bag.damage());
+        let bag = BagReader::open(&file).expect("reindexed bags can be opened");
+        assert!(bag.damage().is_none(), "reindexed bags are undamaged: {:?}", bag.damage());
     }
 }
 
-/// Reads a `metadata.yaml`, beside a file that it may name.
+/// Reads a `metadata.yaml` beside a bag file.
 fn metadata(bytes: &[u8]) {
     let folder = Folder::new();
     fs::write(folder.0.join("metadata.yaml"), bytes).expect("the folder can be written to");
@@ -154,18 +154,18 @@ fn metadata(bytes: &[u8]) {
     let _ = Recovery::open(&folder.0, &mut |_| true);
 }
 
-/// Reads names as they come from other programs and from users.
+/// Parses names from other programs and users.
 fn names(bytes: &[u8]) {
     foreign::names(&String::from_utf8_lossy(bytes));
 }
 
-/// Reads a checkpoint: its description up to the first zero byte, its weights after it.
+/// Reads a checkpoint: the description up to the first zero byte, then the weights.
 fn checkpoint(bytes: &[u8]) {
     let (description, weights) = halves(bytes);
     let description = String::from_utf8_lossy(description);
     if let Ok(checkpoint) = Checkpoint::parse(Path::new("input"), &description, weights) {
         checkpoint.digest();
-        // A network that is too large for its memory, or of a kind that does not stream, is refused.
+        // Rejects networks that are too large or cannot stream.
         let _ = Surrogate::load(&checkpoint, Some(NonZeroUsize::MIN));
     }
 }
@@ -175,7 +175,7 @@ fn halves(bytes: &[u8]) -> (&[u8], &[u8]) {
     (&bytes[..middle], bytes.get(middle + 1..).unwrap_or_default())
 }
 
-/// Reads the files that users write, of every kind.
+/// Reads all kinds of settings files.
 fn settings(bytes: &[u8]) {
     let (file, text) = (Path::new("input.toml"), String::from_utf8_lossy(bytes));
     if let Ok(plan) = config::parse::<Plan>(file, &text) {
@@ -191,7 +191,7 @@ fn settings(bytes: &[u8]) {
     }
 }
 
-/// Reads a scene, and judges it before it is simulated.
+/// Reads and checks a scene file.
 fn scene(bytes: &[u8]) {
     let (file, text) = (Path::new("input.toml"), String::from_utf8_lossy(bytes));
     if let Ok(scene) = config::parse::<Scene>(file, &text)

@@ -10,7 +10,7 @@ pub mod commands;
 pub mod fuzzing;
 pub mod study;
 
-/// The example of the README, which a test runs.
+/// Compiles and runs the example of the README.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

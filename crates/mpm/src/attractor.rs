@@ -1,12 +1,11 @@
-//! A point that pulls on everything before the recording starts, so that scenes start from varied
-//! states.
+//! A point attractor that acts before the recording, so that scenes start from varied states.
 
 use serde::{Deserialize, Serialize};
 
 /// Distance below which the pull fades to zero at the centre (domain lengths).
 const CORE: f32 = 0.05;
 
-/// A point attractor: the same pull everywhere, towards one point.
+/// A point attractor: a pull of constant magnitude towards one point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Attractor {
@@ -14,10 +13,10 @@ pub struct Attractor {
     pub centre: [f32; 2],
     /// Acceleration far from the point (domain lengths per s^2).
     pub strength: f32,
-    /// How long it acts, in frame intervals.
+    /// Duration (frame intervals).
     pub frames: u32,
-    /// How far along x the point comes again (domain lengths), for wide domains: what pulls is the
-    /// nearest; one point by default.
+    /// Period along x at which the point repeats in wide domains (domain lengths): the nearest copy pulls; a single point
+    /// by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub period: Option<f32>,
 }
@@ -48,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_repeats_pulls_towards_the_nearest_of_its_centres() {
+    fn a_periodic_attractor_pulls_towards_the_nearest_copy() {
         let attractor =
             Attractor { centre: [0.5, 0.5], strength: 10.0, frames: 1, period: Some(2.0) };
         for centre in [0.5, 2.5, 8.5] {

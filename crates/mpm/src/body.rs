@@ -5,55 +5,55 @@ use serde::{Deserialize, Serialize};
 use super::shape::Shape;
 use eddy_frames::Material;
 
-/// What one body is, and where it starts.
+/// Shape, material and initial motion of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
     /// Its outline.
     pub shape: Shape,
-    /// Where its middle, or the origin of its points, is (domain lengths).
+    /// Its centre, or the origin of its points (domain lengths).
     pub position: [f32; 2],
-    /// How far it is turned counter-clockwise about its position (degrees); 0 by default.
+    /// Counter-clockwise rotation about its position (degrees); 0 by default.
     #[serde(default)]
     pub angle_degrees: f32,
     /// Its velocity (domain lengths per second); at rest by default.
     #[serde(default)]
     pub velocity: [f32; 2],
-    /// Exactly so many particles, the first of those that fill the shape; all of them by default.
+    /// Number of particles to keep of those that fill the shape; all by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub particles: Option<usize>,
 }
 
 impl Body {
-    /// Where the particles start, `spacing` apart (domain lengths).
+    /// Initial positions of the particles, `spacing` apart (domain lengths).
     pub fn positions(&self, spacing: f32) -> Vec<[f32; 2]> {
         self.placed(&self.lattice(spacing))
     }
 
-    /// The particles as seen from the body, not turned.
+    /// Positions of the particles in the frame of the body.
     pub(super) fn lattice(&self, spacing: f32) -> Vec<[f32; 2]> {
         let mut points = self.shape.lattice(spacing);
         points.truncate(self.particles.unwrap_or(usize::MAX));
         points
     }
 
-    /// Points as seen from the body, turned and moved to where the body is.
+    /// Transforms points from the frame of the body to the domain.
     pub(super) fn placed(&self, points: &[[f32; 2]]) -> Vec<[f32; 2]> {
         let (sin, cos) = self.angle_degrees.to_radians().sin_cos();
         let [x0, y0] = self.position;
         points.iter().map(|[x, y]| [x0 + cos * x - sin * y, y0 + sin * x + cos * y]).collect()
     }
 
-    /// Whether a position is in its outline.
+    /// Whether a position lies in its outline.
     pub(super) fn contains(&self, position: [f32; 2]) -> bool {
         let (sin, cos) = f64::from(self.angle_degrees).to_radians().sin_cos();
         let [x, y] = [0, 1].map(|k| f64::from(position[k]) - f64::from(self.position[k]));
         self.shape.contains([cos * x + sin * y, cos * y - sin * x])
     }
 
-    /// About how many points its shape has, of which it may keep fewer.
+    /// Approximate number of points in its shape, of which it may keep fewer.
     pub(super) fn estimate(&self, spacing: f32) -> f64 {
         self.shape.estimate(spacing)
     }
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_body_is_turned_about_its_position_and_cut_to_its_number_of_particles() {
+    fn a_body_is_rotated_about_its_position_and_truncated_to_its_number_of_particles() {
         let body = Body {
             material: Material::Jelly,
             shape: Shape::Rectangle { size: [0.3, 0.1] },

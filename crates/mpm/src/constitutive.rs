@@ -1,21 +1,19 @@
-//! From the local motion of a particle to its stress: elastic trial, plastic correction, Kirchhoff
-//! stress of the fixed-corotated law.
+//! The constitutive model: elastic trial, plastic correction and Kirchhoff stress of the fixed-corotated law.
 //!
-//! `F <- (I + dt C) F`, snow returns to its yield surface, liquid forgets its shape ([`water`] has its
-//! own law), and `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
+//! `F <- (I + dt C) F`; snow is projected onto its yield surface, liquids discard their shear deformation ([`water`] has
+//! its own law); then `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
 //! (Stomakhin et al. 2012, "Energetically Consistent Invertible Elasticity").
 
 use super::{
     material::{Lame, Law, Moduli, SNOW_STRETCH, hardening},
     matrix::Matrix2,
     particle::Particle,
-    polar::{self, Parts},
+    polar::{self, Decomposition},
     water,
 };
 use eddy_frames::Material;
 
-/// Moves the deformation of one particle `dt` seconds on and returns its Kirchhoff stress
-/// (density x velocity^2).
+/// Advances the deformation of a particle by `dt` seconds and returns its Kirchhoff stress (density x velocity^2).
 #[inline]
 pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matrix2 {
     let trial = (Matrix2::IDENTITY + particle.affine * dt) * particle.deformation;
@@ -30,7 +28,7 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
                 }
                 Law::Water => {
                     let area =
-                        water::moved(particle.deformation.determinant(), particle.affine, dt);
+                        water::advanced(particle.deformation.determinant(), particle.affine, dt);
                     (area, water::stress(area, particle.affine, moduli))
                 }
             };
@@ -38,7 +36,7 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
             stress
         }
         Material::Snow => {
-            let (elastic, flow) = yielded(trial);
+            let (elastic, flow) = project_to_yield_surface(trial);
             particle.deformation = elastic;
             particle.plastic *= flow;
             stress(elastic, lame)
@@ -50,12 +48,12 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
     }
 }
 
-/// Tells a particle, once it has moved for `dt` seconds, the density (mass per domain length^2) that
-/// the grid has seen around it. Only water heeds it.
+/// Relaxes the area of water towards the density of the grid around the particle (mass per domain length^2) over `dt`
+/// seconds; see [`water`].
 #[inline]
-pub(super) fn recall(particle: &mut Particle, density: f32, moduli: &Moduli, dt: f32) {
+pub(super) fn correct_density(particle: &mut Particle, density: f32, moduli: &Moduli, dt: f32) {
     if particle.material == Material::Liquid && moduli.law == Law::Water {
-        let area = water::recalled(particle.deformation.determinant(), density, dt);
+        let area = water::corrected(particle.deformation.determinant(), density, dt);
         particle.deformation = Matrix2::diagonal(area.sqrt());
     }
 }
@@ -72,11 +70,11 @@ fn pressure(lame: Lame, area: f32) -> f32 {
     lame.lambda * area * (area - 1.0)
 }
 
-/// The elastic part of a trial deformation of snow, whose singular values are clamped to
-/// [`SNOW_STRETCH`], and the factor on Jp that the clamp leaves over.
-fn yielded(trial: Matrix2) -> (Matrix2, f32) {
+/// The elastic part of a trial deformation of snow, with its singular values clamped to [`SNOW_STRETCH`], and the factor
+/// on Jp that compensates the clamp.
+fn project_to_yield_surface(trial: Matrix2) -> (Matrix2, f32) {
     let [lowest, highest] = SNOW_STRETCH;
-    let parts = Parts::of(trial);
+    let parts = Decomposition::of(trial);
     let [large, small] = parts.singular_values();
     if small >= lowest && large <= highest {
         return (trial, 1.0);
@@ -115,7 +113,7 @@ mod tests {
         }
 
         #[test]
-        fn stress_turns_with_the_observer(f in deformations(), angle in -3.1f32..3.1) {
+        fn stress_is_frame_indifferent(f in deformations(), angle in -3.1f32..3.1) {
             let q = rotated(angle);
             let seen = stress(q * f, LAME);
             let turned = q * stress(f, LAME) * q.transpose();
@@ -131,8 +129,8 @@ mod tests {
 
         #[test]
         fn snow_stays_on_or_inside_its_yield_surface_and_keeps_its_area(f in deformations()) {
-            let (elastic, flow) = yielded(f);
-            let [large, small] = Parts::of(elastic).singular_values();
+            let (elastic, flow) = project_to_yield_surface(f);
+            let [large, small] = Decomposition::of(elastic).singular_values();
             prop_assert!(small >= SNOW_STRETCH[0] - 1e-6 && large <= SNOW_STRETCH[1] + 1e-6);
             let area = elastic.determinant() * flow;
             prop_assert!((area - f.determinant()).abs() < 1e-5);

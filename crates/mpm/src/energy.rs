@@ -12,14 +12,14 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// What energy there is (density x domain lengths^4 per s^2).
+/// Energy of all particles (density x domain lengths^4 per s^2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Energy {
-    /// Of the motion of particles and of the affine motion around them (APIC).
+    /// Kinetic energy, including the affine motion around particles (APIC).
     pub kinetic: f64,
-    /// Stored in deformation.
+    /// Elastic energy of deformation.
     pub elastic: f64,
-    /// Of height above y = 0.
+    /// Potential energy relative to y = 0.
     pub potential: f64,
 }
 
@@ -39,7 +39,7 @@ fn tait([[xx, xy], [yx, yy]]: [[f64; 2]; 2], bulk_modulus: f64) -> f64 {
     bulk_modulus / 7.0 * (area.powi(-6) / 6.0 + area - 7.0 / 6.0)
 }
 
-/// Slope of [`tait`] over the area, by central differences.
+/// Derivative of [`tait`] by central differences.
 #[cfg(test)]
 pub(super) fn tait_slope(area: f64, bulk_modulus: f64) -> f64 {
     const STEP: f64 = 1e-6;
@@ -69,7 +69,7 @@ impl Energy {
         sum
     }
 
-    /// All of it.
+    /// Total energy.
     pub fn total(&self) -> f64 {
         self.kinetic + self.elastic + self.potential
     }

@@ -1,8 +1,7 @@
-//! How many particles a random scene has, and the domain that they get.
+//! Number of particles of a random scene, and the domain for them.
 //!
-//! As many particles to an area, and bodies as large, falls as high and as fast as in a scene of the
-//! usual size: a domain for more particles is wider, not higher, and side by side in it are several
-//! sets of bodies, each what a scene of the usual size would have.
+//! Density, body sizes, fall heights and speeds are independent of the number of particles: the domain for more particles
+//! is wider, not higher, and contains several sets of bodies side by side, each like a scene of the default size.
 
 use super::{
     error::MpmError,
@@ -10,14 +9,14 @@ use super::{
     preset::{PARTICLES, Preset},
 };
 
-/// The fewest particles of a random scene: the smaller part of two materials is a rope five
-/// particles thick and three times as long then.
-const FEWEST: usize = 250;
-/// Cells along x that a grid has at most.
-const MOST_COLUMNS: usize = 65_535;
+/// Minimum number of particles of a random scene: the smaller share of two materials is then a rope five particles thick
+/// and three times as long.
+const MIN_PARTICLES: usize = 250;
+/// Maximum number of cells along x.
+const MAX_COLUMNS: usize = 65_535;
 
-/// How many particles a random scene has, and the domain that they get: 1 high, and 1 wide for up
-/// to 2,500 particles, else as many times as wide, rounded up to whole cells.
+/// Number of particles of a random scene, and its domain: height 1, width 1 for up to 2,500 particles and proportional
+/// to their number above, rounded up to whole cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     preset: Preset,
@@ -25,33 +24,33 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The usual one: 2,500 particles in the unit square.
+    /// The default: 2,500 particles in the unit square.
     pub fn usual(preset: Preset) -> Self {
         Self { preset, particles: PARTICLES }
     }
 
-    /// That of so many particles.
+    /// The extent for a number of particles.
     ///
     /// # Errors
-    /// [`MpmError::Field`] for too few to make bodies of, and for more than a grid has columns for.
+    /// [`MpmError::Field`] for too few particles to form bodies, or more than a grid has columns for.
     pub fn of(preset: Preset, particles: usize) -> Result<Self, MpmError> {
-        let most = MOST_COLUMNS / preset.cells() as usize * PARTICLES;
-        if (FEWEST..=most).contains(&particles) {
+        let most = MAX_COLUMNS / preset.cells() as usize * PARTICLES;
+        if (MIN_PARTICLES..=most).contains(&particles) {
             return Ok(Self { preset, particles });
         }
         Err(MpmError::Field {
             field: "particles".into(),
             found: particles.to_string(),
-            expected: format!("{FEWEST} to {most} in a scene of {preset}"),
+            expected: format!("{MIN_PARTICLES} to {most} in a scene of {preset}"),
         })
     }
 
-    /// The kind of scenes.
+    /// The preset.
     pub fn preset(&self) -> Preset {
         self.preset
     }
 
-    /// How many particles.
+    /// Number of particles.
     pub fn particles(&self) -> usize {
         self.particles
     }
@@ -63,18 +62,18 @@ impl Extent {
         GridShape { cells: [columns.max(cells), cells], dx: self.preset.dx() }
     }
 
-    /// How many sets of bodies are side by side: as few as have at most 2,500 particles each.
+    /// Number of sets of bodies side by side, of at most 2,500 particles each.
     pub(super) fn sets(&self) -> usize {
         self.particles.div_ceil(PARTICLES)
     }
 
-    /// Particles of a set of bodies, the sets numbered from 0. They differ by one at most.
+    /// Number of particles of a set of bodies. Sets differ by at most one.
     pub(super) fn particles_of(&self, set: usize) -> usize {
         let (each, over) = (self.particles / self.sets(), self.particles % self.sets());
         each + usize::from(set < over)
     }
 
-    /// Width of the part of the domain that a set gets (domain lengths).
+    /// Width of the part of the domain for one set (domain lengths).
     pub(super) fn width_of_a_set(&self) -> f32 {
         self.grid().size()[0] / self.sets() as f32
     }
@@ -85,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_domain_is_as_wide_as_its_particles_are_many_and_no_narrower_than_1() {
+    fn the_width_of_a_domain_is_proportional_to_its_particles_and_at_least_1() {
         for (particles, width, sets) in [
             (250, 1.0, 1),
             (2500, 1.0, 1),
@@ -103,14 +102,14 @@ mod tests {
     }
 
     #[test]
-    fn too_few_particles_and_too_many_for_a_grid_are_refused() {
+    fn too_few_and_too_many_particles_are_rejected() {
         for (preset, particles) in
             [(Preset::Kinds, 0), (Preset::Kinds, 249), (Preset::Fluid, usize::MAX)]
         {
             let said = Extent::of(preset, particles).unwrap_err().to_string();
             assert!(said.starts_with(&format!("particles: found {particles}, expected 250 to ")));
         }
-        // The widest of all is one that a grid covers.
+        // The widest domain fits the largest grid.
         for (preset, most) in [(Preset::Kinds, 2_557_500), (Preset::Fluid, 1_277_500)] {
             let extent = Extent::of(preset, most).unwrap();
             assert!(extent.grid().cells[0] < 65_536);

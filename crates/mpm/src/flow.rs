@@ -1,39 +1,38 @@
-//! Where particles come in and go out while a scene runs.
+//! Emitters and drains: particles that enter and leave while a scene runs.
 //!
-//! The number of particles then changes from one frame of the stream to the next. That is a legal
-//! stream: a surrogate node starts anew where the number changes, and a data set cuts the stream
-//! there.
+//! The number of particles then changes between frames of the stream, which is valid: a surrogate node resets at such a
+//! change, and a data set splits the stream there.
 
 use serde::{Deserialize, Serialize};
 
 use super::{
     error::MpmError,
     particle::Particle,
-    placement::{inside, room},
+    placement::{inside, interior},
     scene::{Scene, finite, positive},
 };
 use eddy_frames::Material;
 
-/// A particle comes in only where nothing is nearer than this part of the spacing.
+/// Minimum distance of a new particle from all others (spacings).
 const CLEARANCE: f32 = 0.7;
 
-/// A slit that rows of particles leave at its velocity, one row a spacing.
+/// A slit that emits rows of particles at a velocity, one row per spacing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Emitter {
-    /// What comes in.
+    /// Material of the emitted particles.
     pub material: Material,
-    /// The middle of the slit (domain lengths).
+    /// Centre of the slit (domain lengths).
     pub position: [f32; 2],
     /// Length of the slit, across the velocity (domain lengths).
     pub width: f32,
-    /// Velocity of what comes in (domain lengths per second).
+    /// Velocity of the emitted particles (domain lengths per second).
     pub velocity: [f32; 2],
-    /// The most particles that come in, in all.
+    /// Maximum total number of emitted particles.
     pub particles: u32,
 }
 
-/// A box that takes away what enters it.
+/// A box that removes the particles that enter it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drain {
@@ -44,7 +43,7 @@ pub struct Drain {
 }
 
 impl Emitter {
-    /// Speed of what comes in (domain lengths per second).
+    /// Speed of the emitted particles (domain lengths per second).
     pub(super) fn speed(&self) -> f32 {
         self.velocity[0].hypot(self.velocity[1])
     }
@@ -54,7 +53,7 @@ impl Emitter {
         positive(&format!("{field}.width"), self.width.into(), f64::MAX)?;
         positive(&format!("{field}.velocity"), self.speed().into(), f64::MAX)?;
         positive(&format!("{field}.particles"), self.particles.into(), f64::MAX)?;
-        let room = room(scene.grid()?);
+        let room = interior(scene.grid()?);
         let reach = self.speed() * scene.frames.interval;
         let end = 0.5 * (self.width - scene.spacing()).max(0.0);
         let mut outside =
@@ -69,7 +68,7 @@ impl Emitter {
         Ok(())
     }
 
-    /// The row that has moved `along` from the slit (domain lengths).
+    /// Positions of a row at a distance `along` from the slit (domain lengths).
     fn row(&self, along: f32, spacing: f32) -> impl Iterator<Item = [f32; 2]> {
         // The cast saturates.
         let count = (self.width / spacing).round().max(1.0) as u64;
@@ -77,7 +76,7 @@ impl Emitter {
         (0..count).map(move |column| self.place(along, (column as f32 - middle) * spacing))
     }
 
-    /// The place so far from the middle of the slit, along the velocity and across it (domain lengths).
+    /// The position at these distances from the centre of the slit, along and across the velocity (domain lengths).
     fn place(&self, along: f32, across: f32) -> [f32; 2] {
         let [u, v] = self.velocity.map(|x| x / self.speed());
         [self.position[0] + along * u - across * v, self.position[1] + along * v + across * u]
@@ -101,7 +100,7 @@ impl Drain {
     }
 }
 
-/// What has come in so far.
+/// State of the emitters and drains of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Flow {
     emitters: Vec<(Emitter, u32)>,
@@ -111,7 +110,7 @@ pub(super) struct Flow {
 }
 
 impl Flow {
-    /// Nothing has come in yet.
+    /// Nothing emitted yet.
     pub(super) fn new(scene: &Scene) -> Self {
         Self {
             emitters: scene.emitters.iter().map(|&emitter| (emitter, 0)).collect(),
@@ -121,16 +120,15 @@ impl Flow {
         }
     }
 
-    /// Takes out what is in a drain, and puts in the rows that left their slits since the frame
-    /// before frame number `frame`, where they are by now. Gives the new particles if that changes
-    /// anything; their number has changed too then, so that whoever follows the stream can tell.
+    /// Removes particles in drains and adds the rows emitted since the frame before `frame`, at their current positions.
+    /// `None` if nothing changes; otherwise the number of particles changes too, so that consumers of the stream notice.
     pub(super) fn apply(&mut self, frame: u64, particles: &[Particle]) -> Option<Vec<Particle>> {
         let drained = |p: &Particle| {
             self.drains.iter().any(|drain| inside([drain.lower, drain.upper], p.position))
         };
         let mut after: Vec<Particle> = particles.iter().filter(|p| !drained(p)).copied().collect();
         let kept = after.len();
-        let left = particles.len() - kept;
+        let removed = particles.len() - kept;
         let (interval, spacing) = (self.interval, self.spacing);
         let mut last = None;
         for (emitter, emitted) in &mut self.emitters {
@@ -152,19 +150,19 @@ impl Flow {
                 last = Some(emitted);
             }
         }
-        let came = after.len() - kept;
-        if came == left && came > 0 {
-            // One stays out: other particles in the same number could not be told from the same ones.
+        let added = after.len() - kept;
+        if added == removed && added > 0 {
+            // Keep one back: an unchanged number would hide that the particles have changed.
             after.pop();
             if let Some(emitted) = last {
                 *emitted -= 1;
             }
         }
-        (came > 0 || left > 0).then_some(after)
+        (added > 0 || removed > 0).then_some(after)
     }
 }
 
-/// How far the rows have moved that left the slit since the frame before this one (domain lengths).
+/// Distances from the slit of the rows emitted since the previous frame (domain lengths).
 fn arrivals(
     emitter: &Emitter,
     frame: u64,
@@ -198,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_leave_the_slit_a_spacing_apart_whatever_the_frames_are() {
+    fn rows_leave_the_slit_a_spacing_apart_at_any_frame_interval() {
         let mut flow = flow(vec![emitter(1000)], Vec::new());
         let mut particles: Vec<Particle> = Vec::new();
         for frame in 0..20 {
@@ -231,32 +229,32 @@ mod tests {
     }
 
     #[test]
-    fn a_slit_that_reaches_into_a_wall_is_refused_whatever_its_numbers() {
-        let refused = |emitter: Emitter, spacing: f32| {
+    fn a_slit_that_reaches_into_a_wall_is_rejected() {
+        let check = |emitter: Emitter, spacing: f32| {
             let scene = Scene { spacing: Some(spacing), ..Scene::default() };
             emitter.check("emitters[0]", &scene).map_err(|error| error.to_string())
         };
-        assert_eq!(refused(emitter(1), SPACING), Ok(()));
+        assert_eq!(check(emitter(1), SPACING), Ok(()));
         let wide = Emitter { width: 1e9, ..emitter(1) };
         for spacing in [SPACING, SPACING / 32.0] {
-            let message = refused(wide, spacing).unwrap_err();
+            let message = check(wide, spacing).unwrap_err();
             assert!(message.starts_with("emitters[0].position: found a particle at"), "{message}");
         }
         let still = Emitter { velocity: [0.0; 2], ..emitter(1) };
         assert_eq!(
-            refused(still, SPACING).unwrap_err(),
+            check(still, SPACING).unwrap_err(),
             "emitters[0].velocity: found 0, expected a positive number"
         );
     }
 
     #[test]
-    fn what_enters_a_drain_is_gone_and_a_change_always_shows_in_the_number() {
+    fn drains_remove_particles_and_every_change_alters_the_number() {
         let drain = Drain { lower: [0.0; 2], upper: [1.0, 0.1] };
         let mut flow = flow(vec![emitter(1000)], vec![drain]);
         let at = |y| Particle::at_rest([0.5, y], Material::Liquid);
         let before: Vec<Particle> = [0.05, 0.05, 0.05, 0.05, 0.2].map(at).to_vec();
         let after = flow.apply(0, &before).unwrap();
-        assert_eq!(after.len(), 4, "four went, three of four came");
+        assert_eq!(after.len(), 4, "four removed, three of four added");
         assert!(after.iter().all(|p| p.position[1] > 0.1));
     }
 }

@@ -1,14 +1,14 @@
-//! Grid to particles: velocity and its gradient come back (APIC), positions move.
+//! Grid to particles: gathers velocities and their gradients (APIC) and advances positions.
 
 use super::{
     constitutive, grid::Grid, material::Moduli, matrix::Matrix2, particle::Particle,
     spline::Stencil,
 };
 
-/// Gathers the velocities of the grid and moves every particle `dt` seconds on.
+/// Gathers the velocities of the grid and advances every particle by `dt` seconds.
 ///
 /// # Errors
-/// The index of the first particle that leaves the grid or has a position that is no number.
+/// The index of the first particle that leaves the grid or has a position that is not finite.
 pub(super) fn gather(
     particles: &mut [Particle],
     grid: &Grid,
@@ -32,7 +32,7 @@ pub(super) fn gather(
         particle.velocity = velocity;
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
-        constitutive::recall(particle, mass * inverse_dx * inverse_dx, moduli, dt);
+        constitutive::correct_density(particle, mass * inverse_dx * inverse_dx, moduli, dt);
         if !grid.shape().contains(particle.position) {
             return Err(index);
         }

@@ -1,4 +1,4 @@
-//! Random scenes: which bodies, how large, where and how fast, all from a seed and a scene id.
+//! Random scenes: bodies with random sizes, positions and velocities, from a seed and a scene id.
 
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
@@ -11,11 +11,9 @@ use eddy_frames::Material;
 
 use Material::{Jelly, Liquid, Rope, Snow};
 
-/// The bodies of a multi-material scene, by `id % 6`. A pair occurs where two bodies of a scene
-/// have its materials: all ten pairs of the four materials, a material with itself among them, are
-/// in these six scenes. So they are in any six neighbours: in the test part of 60 scenes (54..59),
-/// in its validation part, and many times in its training part. Any three neighbours hold every
-/// material.
+/// Materials of the bodies of a multi-material scene, by `id % 6`. These six scenes contain all ten pairs of the four
+/// materials, including each material with itself. So do any six consecutive scenes: the test part (54..59) and the
+/// validation part of 60 scenes, and the training part many times. Any three consecutive scenes contain every material.
 const MIXES: [&[Material]; 6] = [
     &[Liquid, Liquid, Snow],
     &[Jelly, Jelly, Rope],
@@ -25,32 +23,32 @@ const MIXES: [&[Material]; 6] = [
     &[Snow, Rope],
 ];
 
-/// The bodies of a scene of one material, by `id / 5 % 3`, and how many kinds of scenes come in turn:
-/// each material alone, then a mix.
+/// Numbers of bodies of a scene of one material, by `id / 5 % 3`, and number of kinds of scenes: each material alone,
+/// then a mix.
 const ALONE: [usize; 3] = [2, 3, 1];
 const KINDS: usize = Material::COUNT + 1;
 
-/// Part of the particles that the first of two materials gets, smallest and largest.
+/// Range of the first material's share of the particles.
 const SHARE: [f32; 2] = [0.3, 0.7];
-/// Bodies of one material are split no more unevenly than this.
+/// Range of the share of one of two bodies of the same material.
 const SPLIT: [f32; 2] = [0.35, 0.65];
-/// Long side of a rectangle by its short side, smallest and largest.
+/// Range of the aspect ratio of rectangles.
 const ASPECT: [f32; 2] = [1.0, 3.0];
-/// Particles across a rope: four are two cells.
+/// Range of particles across a rope: four are two cells.
 const ROPE_ROWS: [usize; 2] = [5, 8];
-/// A rope is so many times as long as thick, at least.
+/// Minimum aspect ratio of a rope.
 const ROPE_ASPECT: usize = 3;
-/// Particles of the shortest rope, and of bodies of which there are fewer rather than smaller ones.
-const FEWEST_OF_A_BODY: usize = ROPE_ROWS[0] * ROPE_ROWS[0] * ROPE_ASPECT;
-/// Particles of the longest rope that still finds a place: more are cut into several ropes.
+/// Minimum number of particles of a body: that of the shortest rope. Below it there are fewer bodies.
+const MIN_BODY_PARTICLES: usize = ROPE_ROWS[0] * ROPE_ROWS[0] * ROPE_ASPECT;
+/// Maximum number of particles of a rope that still fits: longer ropes are cut.
 const ROPE_PARTICLES: usize = 640;
-/// Largest velocity of a body along x and y (domain lengths per second).
+/// Maximum velocity of a body along x and y (domain lengths per second).
 const SPEED: f32 = 1.5;
-/// Pull of an attractor, smallest and largest (domain lengths per s^2).
+/// Range of an attractor's strength (domain lengths per s^2).
 const PULL: [f32; 2] = [5.0, 20.0];
-/// How long an attractor acts, shortest and longest, in frame intervals.
+/// Range of an attractor's duration (frame intervals).
 const PULL_FRAMES: [u32; 2] = [3, 12];
-/// Tries to find a place for a body before all bodies are drawn anew.
+/// Attempts to place a body before all bodies are redrawn.
 const TRIES: usize = 200;
 
 impl Scene {
@@ -60,15 +58,15 @@ impl Scene {
         Self::generate_in(&Extent::usual(preset), seed, id)
     }
 
-    /// As [`Scene::generate`], with as many particles as asked for.
+    /// As [`Scene::generate`], with the number of particles of `extent`.
     pub fn generate_in(extent: &Extent, seed: u64, id: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(id);
         let mut placement = Placement::new(extent.grid());
         let bodies = (0..extent.sets())
             .flat_map(|set| {
-                // Bodies fill at most a fifth of the room between the walls, so this ends: of the
-                // first thousand scenes none needs more than a few draws.
+                // Bodies fill at most a fifth of the region between the walls, so this terminates: none of the
+                // first thousand scenes needs more than a few draws.
                 loop {
                     if let Some(found) = arrange(extent, set, id, &mut placement, &mut rng) {
                         break found;
@@ -88,8 +86,8 @@ impl Scene {
     }
 }
 
-/// Draws the bodies of a set and places for them, their middles in the set's part of the domain;
-/// `None`, and no place is taken, if they found no place.
+/// Draws the bodies of a set and places them, with their centres in the set's part of the domain. If they do not fit,
+/// returns `None` and leaves `placement` unchanged.
 fn arrange(
     extent: &Extent,
     set: usize,
@@ -116,8 +114,7 @@ fn arrange(
     Some(bodies)
 }
 
-/// The bodies of a set, not yet placed. In a wide scene the sets are those of the scenes of the same
-/// kind that come next.
+/// The bodies of a set, not yet placed. The sets of a wide scene correspond to the next scenes of the same kind.
 fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
     let (preset, particles) = (extent.preset(), extent.particles_of(set));
     let (id, spacing) = (id as usize, preset.spacing());
@@ -141,7 +138,7 @@ fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> 
     }
 }
 
-/// The bodies of one or two materials (more where ropes are cut), in any order.
+/// The bodies of one or two materials (more if ropes are cut), in random order.
 fn mixed_bodies(
     mix: &[Material],
     particles: usize,
@@ -157,8 +154,8 @@ fn mixed_bodies(
     all
 }
 
-/// `parts` bodies of one material with `particles` in all, not yet placed: fewer where they would be
-/// too small, and more ropes where they would be too long.
+/// `parts` bodies of one material with `particles` in total, not yet placed: fewer bodies if they would be too small, and
+/// more ropes if they would be too long.
 fn bodies_of(
     material: Material,
     particles: usize,
@@ -166,7 +163,7 @@ fn bodies_of(
     spacing: f32,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Body> {
-    let parts = parts.min(particles / FEWEST_OF_A_BODY).max(1);
+    let parts = parts.min(particles / MIN_BODY_PARTICLES).max(1);
     let parts =
         if material == Rope { parts.max(particles.div_ceil(ROPE_PARTICLES)) } else { parts };
     let mut left = particles;
@@ -191,13 +188,13 @@ fn bodies_of(
         .collect()
 }
 
-/// A shape with room for so many particles, and hardly more.
+/// A shape for slightly more than this number of particles.
 fn shape_of(material: Material, particles: usize, spacing: f32, rng: &mut ChaCha8Rng) -> Shape {
     let rows = if material == Rope {
         let thickest = ROPE_ROWS[1].min((particles / ROPE_ASPECT).isqrt());
         rng.random_range(ROPE_ROWS[0]..=thickest.max(ROPE_ROWS[0]))
     } else if rng.random_bool(0.5) {
-        // One spacing more than the area asks for, so that no lattice has too few points.
+        // One spacing more than the area requires, so that no lattice has too few points.
         let radius = (particles as f32 / std::f32::consts::PI).sqrt() + 1.0;
         return Shape::Disc { radius: radius * spacing };
     } else {
@@ -207,7 +204,7 @@ fn shape_of(material: Material, particles: usize, spacing: f32, rng: &mut ChaCha
     Shape::Rectangle { size: [columns as f32 * spacing, rows as f32 * spacing] }
 }
 
-/// A random part of `whole`.
+/// A random share of `whole`.
 fn part_of(whole: usize, [smallest, largest]: [f32; 2], rng: &mut ChaCha8Rng) -> usize {
     (whole as f32 * rng.random_range(smallest..largest)) as usize
 }
@@ -233,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scenes_of_2500_particles_are_the_ones_that_they_were() {
+    fn the_scenes_of_2500_particles_have_not_changed() {
         // Digests of bodies and attractors in the manifests of `eddy simulate --preset .. --scenes 10`
         // (seed 1) before scenes could have other numbers of particles.
         let multi_material = "179655deff5684195fb375394a2e3dc34f5a999e23f230a2092878de657d0238";
@@ -254,12 +251,12 @@ mod tests {
         }
     }
 
-    /// Fails if a scene does not have so many particles, a spacing apart and inside the walls of a
-    /// domain of this width, or if bodies overlap.
+    /// Checks the number of particles, their distances, the walls of a domain of this width, and that bodies do not
+    /// overlap.
     fn assert_sound(scene: &Scene, particles: usize, width: f32) {
         let (id, dx, domain) = (scene.id, scene.cell_width, scene.domain);
         assert_eq!(domain, [width, 1.0], "{particles}: {id}");
-        // Refuses what overlaps.
+        // Rejects overlapping bodies.
         let found = scene.particles().unwrap();
         assert_eq!(found.len(), particles, "{id}");
         let positions: Vec<[f32; 2]> = found.iter().map(|p| p.position).collect();
@@ -277,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_of_other_sizes_have_their_particles_a_spacing_apart_in_a_domain_that_grows() {
+    fn scenes_of_other_sizes_have_their_particles_a_spacing_apart_in_a_wider_domain() {
         for (particles, width, scenes) in
             [(250, 1.0, 40), (1000, 1.0, 40), (10_000, 4.0, 10), (100_000, 40.0, 5)]
         {
@@ -293,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn bodies_of_wide_scenes_are_as_large_as_usual_and_everywhere() {
+    fn bodies_of_wide_scenes_have_the_usual_sizes_and_fill_the_width() {
         let of = |particles| Extent::of(Preset::Kinds, particles).unwrap();
         let largest = |scenes: &[Scene]| {
             scenes.iter().flat_map(|scene| &scene.bodies).filter_map(|body| body.particles).max()
@@ -325,7 +322,7 @@ mod tests {
         nearest
     }
 
-    /// The pairs of materials that are neighbours in a scene, a material with itself included.
+    /// The pairs of materials in a scene, including a material with itself.
     fn pairs(scene: &Scene) -> BTreeSet<[Material; 2]> {
         let materials: Vec<Material> = scene.bodies.iter().map(|body| body.material).collect();
         let mut pairs = BTreeSet::new();
@@ -365,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn stiff_scenes_are_the_multi_material_ones_of_another_stiffness() {
+    fn stiff_scenes_are_the_multi_material_ones_with_another_stiffness() {
         let [soft, stiff] =
             [Preset::MultiMaterial, Preset::Stiff].map(|preset| Scene::generate(preset, 1, 7));
         assert_eq!(stiff.bodies, soft.bodies);
@@ -389,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn some_scenes_are_pulled_and_some_are_not() {
+    fn about_half_of_the_scenes_have_an_attractor() {
         let pulled = (0..100)
             .filter(|&id| Scene::generate(Preset::Fluid, 1, id).attractor.is_some())
             .count();

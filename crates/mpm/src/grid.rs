@@ -1,4 +1,4 @@
-//! The background grid: momentum becomes velocity, gravity and walls act.
+//! The background grid: converts momentum to velocity and applies gravity and walls.
 
 use super::{attractor::Attractor, spline::Stencil};
 
@@ -14,7 +14,7 @@ pub(super) struct Node {
 /// Thickness of the walls on each side (cells).
 pub(super) const WALL_CELLS: usize = 3;
 
-/// How many cells a grid has, and how wide they are.
+/// Number and width of a grid's cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridShape {
     /// Cells along x and y.
@@ -24,16 +24,15 @@ pub struct GridShape {
 }
 
 impl GridShape {
-    /// The unit square with so many cells on a side.
+    /// The unit square with this number of cells on a side.
     pub fn unit(cells: u32) -> Self {
         Self { cells: [cells; 2], dx: 1.0 / cells as f32 }
     }
 
-    /// A grid of cells twice as wide over the same room, whose walls begin at the same places, and how
-    /// far its origin lies below this one's on both axes (domain lengths): a position has coordinates
-    /// so much larger there. `None` for an odd number of cells.
+    /// A grid with cells twice as wide and the same inner surfaces of the walls, and the offset that its coordinates add on
+    /// both axes (domain lengths). `None` for an odd number of cells.
     ///
-    /// Walls are as many cells thick on every grid, so that the coarser one needs more room for them.
+    /// Walls have the same number of cells on every grid, so those of the coarser grid are thicker.
     pub fn coarsened(&self) -> Option<(Self, f32)> {
         let walls = 2 * (WALL_CELLS as u32 - 1);
         let half = |cells: u32| {
@@ -77,7 +76,7 @@ impl Grid {
         Self { nodes, shape, sides, inverse_dx: 1.0 / shape.dx }
     }
 
-    /// How many cells it has, and how wide they are.
+    /// Number and width of its cells.
     pub(super) fn shape(&self) -> GridShape {
         self.shape
     }
@@ -92,22 +91,22 @@ impl Grid {
         self.inverse_dx
     }
 
-    /// The number of the node (i, j) of a stencil, each 0..3.
+    /// Index of the node (i, j) of a stencil, each 0..3.
     pub(super) fn number(&self, stencil: &Stencil, [i, j]: [usize; 2]) -> usize {
         (stencil.base[0] + i) * self.sides[1] + stencil.base[1] + j
     }
 
-    /// A node by its number.
+    /// A node by its index.
     pub(super) fn node(&self, number: usize) -> &Node {
         &self.nodes[number]
     }
 
-    /// As [`Grid::node`], to write.
+    /// As [`Grid::node`], mutable.
     pub(super) fn node_mut(&mut self, number: usize) -> &mut Node {
         &mut self.nodes[number]
     }
 
-    /// Takes all mass and momentum off.
+    /// Sets mass and momentum to zero.
     pub(super) fn clear(&mut self) {
         self.nodes.fill(Node::default());
     }
@@ -118,14 +117,14 @@ impl Grid {
         &self.nodes
     }
 
-    /// Turns momentum into velocity and moves it `dt` seconds on: gravity in -y (domain lengths per
-    /// s^2), the attractor if there is one, then the walls.
+    /// Converts momentum to velocity and advances it by `dt` seconds: gravity in -y (domain lengths per s^2), the
+    /// attractor if any, then the walls.
     pub(super) fn update(&mut self, dt: f32, gravity: f32, attractor: Option<&Attractor>) {
         let (sides, dx) = (self.sides, self.shape.dx);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node.mass > 0.0) {
-                // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
-                // mass, and the same rounding of its inverse everywhere would let momentum drift.
+                // A division instead of a multiplication by the inverse: inside a body all nodes have nearly the same
+                // mass, and the same rounding of its inverse everywhere would make momentum drift.
                 let mut velocity = node.motion.map(|momentum| momentum / node.mass);
                 velocity[1] -= dt * gravity;
                 if let Some(attractor) = attractor {
@@ -138,8 +137,8 @@ impl Grid {
     }
 }
 
-/// One component of the velocity at a node that is `index`th on its axis: what points into the wall
-/// is lost, what points away or along stays (a separating slip wall).
+/// One velocity component at node `index` of an axis: components into the wall are removed, components away from it or
+/// along it are kept (a separating slip wall).
 #[inline]
 fn walled(velocity: f32, index: usize, side: usize) -> f32 {
     if index < WALL_CELLS {
@@ -156,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn walls_stop_what_comes_and_let_go_what_leaves() {
+    fn walls_stop_motion_into_them_and_allow_separation() {
         let side = 65;
         assert_eq!(walled(-1.0, 2, side), 0.0);
         assert_eq!(walled(1.0, 2, side), 1.0);
@@ -167,11 +166,11 @@ mod tests {
     }
 
     #[test]
-    fn walls_of_a_coarser_grid_begin_where_they_did() {
+    fn a_coarser_grid_has_the_same_inner_walls() {
         let fine = GridShape { cells: [64, 96], dx: 1.0 / 64.0 };
         let (coarse, shift) = fine.coarsened().unwrap();
         assert_eq!((coarse.cells, coarse.dx), ([34, 50], 1.0 / 32.0));
-        // The innermost nodes that walls hold, on either side.
+        // The innermost nodes of the walls on either side.
         let places = |grid: GridShape| {
             let inner = (WALL_CELLS - 1) as f32;
             grid.cells.map(|cells| [inner * grid.dx, (cells as f32 - inner) * grid.dx])

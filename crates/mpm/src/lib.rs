@@ -1,26 +1,25 @@
-//! Ground truth: the Moving Least Squares Material Point Method in two dimensions.
+//! The Moving Least Squares Material Point Method (MLS-MPM) in two dimensions.
 //!
-//! From a seed, or a file, to frames:
+//! From a seed or a file to frames:
 //!
-//! 1. [`scene`]: everything that a simulation starts from: bodies ([`body`], [`shape`]), what comes
-//!    in and goes out ([`flow`]), checked so that nothing overlaps ([`placement`]).
-//! 2. [`generate`]: random scenes from a seed and an id, of the kinds in [`preset`] and as wide as
-//!    their particles are many ([`extent`]).
-//! 3. [`simulation`]: a scene made stable ([`stability`]), substeps run, frames handed out;
-//!    [`attractor`] pulls before the first of them.
+//! 1. [`scene`]: initial conditions and settings: bodies ([`body`], [`shape`]), emitters and drains ([`flow`]), checked for
+//!    overlaps ([`placement`]).
+//! 2. [`generate`]: random scenes from a seed and an id, of a [`preset`] and an [`extent`] (number of particles).
+//! 3. [`simulation`]: chooses stable substeps ([`stability`]), runs them and yields frames; an [`attractor`] acts before
+//!    the first frame.
 //!
-//! One substep ([`solver`]), in the order of the method:
+//! One substep ([`solver`]):
 //!
-//! 1. [`grid`] is cleared.
-//! 2. [`p2g`]: each [`particle`] deforms and is stressed ([`constitutive`] and [`water`], with
-//!    [`polar`] and [`matrix`], numbers from [`material`]); its mass and momentum go to 3x3 nodes ([`spline`]).
-//! 3. [`grid`]: momentum becomes velocity; gravity and walls act.
-//! 4. [`g2p`]: velocity and its gradient return to the particles, which move.
+//! 1. Clear the [`grid`].
+//! 2. [`p2g`]: update deformation and stress of each [`particle`] ([`constitutive`] and [`water`], with [`polar`] and
+//!    [`matrix`], parameters from [`material`]); scatter mass and momentum to 3x3 nodes ([`spline`]).
+//! 3. [`grid`]: convert momentum to velocity; apply gravity and walls.
+//! 4. [`g2p`]: gather velocities and their gradients; advance positions.
 //!
-//! [`energy`] adds up what there is.
+//! [`fast`] does the same vectorised and on several threads; [`energy`] computes the total energy.
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
-//! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the law and its numbers as in Taichi's
+//! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the constitutive law and its parameters as in Taichi's
 //! `mpm99` and `mpm128`. Lengths are domain lengths (the side of the presets' unit square), density is 1.
 
 mod attractor;
@@ -73,7 +72,7 @@ pub const FRAME_INTERVAL: f32 = 0.016;
 /// Acceleration in -y (domain lengths per s^2).
 pub const GRAVITY: f32 = 9.8;
 
-/// The example of the README, which a test runs.
+/// Compiles and runs the example of the README.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

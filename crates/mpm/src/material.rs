@@ -1,6 +1,6 @@
-//! What the materials are made of: density, stiffness, hardening, speed of sound.
+//! Material parameters: density, stiffness, hardening, speed of sound.
 //!
-//! Numbers of Taichi's `mpm99` and `mpm128` examples, which follow Hu et al., "A Moving Least
+//! Values of Taichi's `mpm99` and `mpm128` examples, which follow Hu et al., "A Moving Least
 //! Squares Material Point Method", ACM TOG 37(4), 2018, and, for snow, Stomakhin et al., "A Material
 //! Point Method for Snow Simulation", ACM TOG 32(4), 2013.
 
@@ -13,11 +13,11 @@ pub(super) const DENSITY: f32 = 1.0;
 /// Poisson's ratio of every material.
 pub(super) const POISSON_RATIO: f32 = 0.2;
 
-/// Stiffness of jelly, as a part of E.
+/// Stiffness of jelly relative to E.
 pub(super) const JELLY_STIFFNESS: f32 = 0.3;
-/// Stiffness of rope, as a multiple of E: barely stretches, bends under its own weight.
+/// Stiffness of rope relative to E: it barely stretches and bends under its own weight.
 pub(super) const ROPE_STIFFNESS: f32 = 2.0;
-/// How fast snow hardens with its plastic compression: h = exp(10 (1 - Jp)).
+/// Hardening of snow with plastic compression: h = exp(10 (1 - Jp)).
 pub(super) const SNOW_HARDENING: f32 = 10.0;
 /// Bounds of the hardening of snow.
 pub(super) const SNOW_HARDENING_RANGE: [f32; 2] = [0.1, 5.0];
@@ -27,28 +27,28 @@ pub(super) const SNOW_HARDENING_EXPONENTS: [f32; 2] = [-2.31, 1.62];
 pub(super) const SNOW_HARDENING_SERIES: [f32; 7] =
     [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
 
-/// Elastic stretches that snow bears before it yields, smallest and largest.
+/// Minimum and maximum elastic stretch of snow before it yields.
 pub(super) const SNOW_STRETCH: [f32; 2] = [1.0 - 2.5e-2, 1.0 + 4.5e-3];
 
-/// How liquids resist.
+/// The constitutive law of liquids.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Law {
-    /// Weakly compressible water: Tait's pressure, none in tension, and viscosity.
+    /// Weakly compressible water: Tait's pressure without tension, and viscosity.
     #[default]
     Water,
-    /// That of Taichi's `mpm128`: the volumetric part of the solids' law, which also pulls.
+    /// The law of Taichi's `mpm128`: the volumetric part of the solids' law, including tension.
     Taichi,
 }
 
-/// What can be chosen about the materials of a simulation.
+/// Material settings of a simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Materials {
     /// Young's modulus E of every material (density x velocity^2); 1000 by default.
     pub stiffness: f32,
-    /// How liquids resist.
+    /// The constitutive law of liquids.
     pub law: Law,
     /// Kinematic viscosity of liquids (domain lengths^2 per s); 0 by default.
     pub viscosity: f32,
@@ -79,8 +79,7 @@ impl Lame {
         }
     }
 
-    /// The largest speed of sound in a material (domain lengths per second): that of a pressure
-    /// wave, in snow packed as hard as it gets.
+    /// Maximum speed of sound in a material (domain lengths per second): of pressure waves, for snow at maximum hardening.
     pub(super) fn sound_speed(self, material: Material) -> f32 {
         let modulus = match material {
             Material::Liquid => self.lambda,
@@ -92,12 +91,12 @@ impl Lame {
     }
 }
 
-/// [`Materials`] as the constitutive law takes them.
+/// Parameters of the constitutive law, from [`Materials`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Moduli {
     /// The parameters before hardening.
     pub(super) lame: Lame,
-    /// How liquids resist.
+    /// The constitutive law of liquids.
     pub(super) law: Law,
     /// Dynamic viscosity of liquids (density x domain lengths^2 per s).
     pub(super) viscosity: f32,
@@ -111,8 +110,7 @@ impl Moduli {
     }
 }
 
-/// The factor on both Lame parameters. `plastic` is Jp, the area that plastic flow has taken off
-/// snow: below 1 where it is packed.
+/// The factor on both Lame parameters. `plastic` is Jp, the plastic area ratio of snow: below 1 where it is compressed.
 pub(super) fn hardening(material: Material, plastic: f32) -> f32 {
     match material {
         Material::Liquid => 1.0,
@@ -122,9 +120,9 @@ pub(super) fn hardening(material: Material, plastic: f32) -> f32 {
     }
 }
 
-/// `exp(10 (1 - Jp))`, between its bounds. Of sums and products only, so that it gives the same bits
-/// on every machine and in every vector instruction: the series for an eighth of the exponent, to
-/// the eighth power; the relative error is below 1e-6.
+/// `exp(10 (1 - Jp))`, clamped. Uses sums and products only, so that it gives the same bits on every machine and with all
+/// vector instructions: the Taylor series of an eighth of the exponent, raised to the eighth power. The relative error is
+/// below 1e-6.
 pub(super) fn snow_hardening(plastic: f32) -> f32 {
     let [softest, hardest] = SNOW_HARDENING_RANGE;
     let [least, most] = SNOW_HARDENING_EXPONENTS;

@@ -1,4 +1,4 @@
-//! 2x2 matrices, the little algebra that the constitutive law needs.
+//! 2x2 matrices for the constitutive law.
 
 use std::ops::{Add, Mul};
 

@@ -1,4 +1,4 @@
-//! Particles to grid: mass, momentum and the impulse of stress are spread over 3x3 nodes.
+//! Particles to grid: scatters mass, momentum and the impulse of stress to 3x3 nodes.
 
 use super::{
     constitutive,
@@ -11,7 +11,7 @@ use super::{
 /// Advances the deformation of every particle by `dt` seconds and adds its mass and momentum to the
 /// grid. `volume` is the area of an undeformed particle (domain lengths^2).
 ///
-/// Node (i, j) gets `w (m v + (m C - dt vol 4/dx^2 tau) (x_ij - x))`, equation 29 of Hu et al. 2018.
+/// Node (i, j) receives `w (m v + (m C - dt vol 4/dx^2 tau) (x_ij - x))`, equation 29 of Hu et al. 2018.
 pub(super) fn scatter(
     particles: &mut [Particle],
     grid: &mut Grid,

@@ -3,7 +3,7 @@
 use super::matrix::Matrix2;
 use eddy_frames::Material;
 
-/// One particle: an area of one material that moves and deforms.
+/// A material point: an area of one material that moves and deforms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Particle {
     /// Position (domain lengths).
@@ -16,12 +16,12 @@ pub struct Particle {
     pub deformation: Matrix2,
     /// Plastic area ratio Jp of snow; 1 for the other materials.
     pub plastic: f32,
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
 }
 
 impl Particle {
-    /// An undeformed particle that does not move.
+    /// An undeformed particle at rest.
     pub const fn at_rest(position: [f32; 2], material: Material) -> Self {
         Self {
             position,

@@ -1,4 +1,4 @@
-//! Which places are free: bodies start inside the walls and not in each other.
+//! Placement of bodies inside the walls and without overlaps.
 
 use super::{
     body::Body,
@@ -7,25 +7,25 @@ use super::{
     particle::Particle,
 };
 
-/// Cells that stay free between two random bodies, and between a body and a wall.
+/// Free cells between two random bodies, and between a body and a wall.
 const GAP_CELLS: usize = 1;
 
-/// No place inside a body is further from its nearest particle: half the diagonal of a spacing.
+/// Maximum distance of a point in a body from the nearest particle (spacings): half the diagonal of a lattice cell.
 const REACH: f32 = 0.71;
 
-/// The corners of the room between the walls of a grid, lower first (domain lengths).
-pub(super) fn room(grid: GridShape) -> [[f32; 2]; 2] {
+/// Corners of the region between the walls of a grid, lower first (domain lengths).
+pub(super) fn interior(grid: GridShape) -> [[f32; 2]; 2] {
     let wall = WALL_CELLS as f32 * grid.dx;
     [[wall; 2], grid.size().map(|side| side - wall)]
 }
 
-/// Whether a position is in a room. False for NaN.
+/// Whether a position lies in a box. False for NaN.
 pub(super) fn inside([lower, upper]: [[f32; 2]; 2], position: [f32; 2]) -> bool {
     (0..2).all(|axis| position[axis] >= lower[axis] && position[axis] <= upper[axis])
 }
 
-/// Checks that all particles are between the walls, and that those of one body are in no other.
-/// `owners` says which body each particle is of, ascending.
+/// Checks that all particles are between the walls and that bodies do not overlap. `owners` has the index of each
+/// particle's body, ascending.
 ///
 /// # Errors
 /// [`MpmError::Outside`], [`MpmError::Overlap`].
@@ -36,7 +36,7 @@ pub(super) fn check(
     grid: GridShape,
     spacing: f32,
 ) -> Result<(), MpmError> {
-    let room = room(grid);
+    let room = interior(grid);
     if let Some(outside) = particles.iter().position(|p| !inside(room, p.position)) {
         let (body, position) = (owners[outside], particles[outside].position);
         return Err(MpmError::Outside { body, position, room });
@@ -51,14 +51,14 @@ pub(super) fn check(
     sorted.sort_unstable();
     for (&Particle { position, .. }, &owner) in particles.iter().zip(owners) {
         let [i, j] = cell(position);
-        // Particles are inside the walls: no cell is the first one.
+        // Particles are inside the walls, so no cell index is 0.
         for column in i - 1..=i + 1 {
             let from = sorted.partition_point(|(cell, _)| *cell < [column, j - 1]);
             let near = sorted[from..].iter().take_while(|(cell, _)| *cell <= [column, j + 1]);
             for other in near.map(|&(_, other)| other).filter(|&other| owners[other] > owner) {
                 let other_position = particles[other].position;
-                // Outlines that only touch may have particles close together along the seam, and a
-                // body need not fill its outline: both sides count.
+                // Particles of bodies that only touch may be close along the seam, and a body need not fill its
+                // outline: check both bodies.
                 let close = distance(position, other_position) < reach;
                 if close
                     && (bodies[owners[other]].contains(position)
@@ -76,7 +76,7 @@ fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// The cells of the grid that are taken.
+/// The occupied cells of the grid.
 #[derive(Clone, Debug)]
 pub(super) struct Placement {
     taken: Vec<bool>,
@@ -84,14 +84,14 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// A free domain.
+    /// An empty domain.
     pub(super) fn new(grid: GridShape) -> Self {
         let [columns, rows] = grid.cells.map(|cells| cells as usize);
         Self { taken: vec![false; columns * rows], grid }
     }
 
-    /// Takes the cells of a body with these positions (domain lengths) if all are free and inside
-    /// the walls. Otherwise takes nothing and says false.
+    /// Occupies the cells of a body with these positions (domain lengths) if all are free and inside the walls. Otherwise
+    /// changes nothing and returns false.
     pub(super) fn take(&mut self, positions: &[[f32; 2]]) -> bool {
         let rows = self.grid.cells[1] as usize;
         let mut body = Vec::with_capacity(positions.len());
@@ -102,7 +102,7 @@ impl Placement {
             }
         }
         for cell in body {
-            // A body is further from the edge than the gap is wide, so this stays in its row.
+            // A body is further from the edge than the width of the gap, so this stays in its row.
             for i in 0..=2 * GAP_CELLS {
                 let start = cell + i * rows - GAP_CELLS * (rows + 1);
                 self.taken[start..=start + 2 * GAP_CELLS].fill(true);
@@ -111,7 +111,7 @@ impl Placement {
         true
     }
 
-    /// The number of a position's cell; `None` too near to a wall.
+    /// Index of a position's cell; `None` if too close to a wall.
     fn cell(&self, position: [f32; 2]) -> Option<usize> {
         let border = (WALL_CELLS + GAP_CELLS) as f32;
         let [x, y] = position.map(|x| x / self.grid.dx);
@@ -127,17 +127,17 @@ mod tests {
     use eddy_frames::Material;
 
     #[test]
-    fn a_place_is_given_once_and_only_inside_the_walls() {
+    fn cells_are_occupied_once_and_only_inside_the_walls() {
         let mut placement = Placement::new(GridShape::unit(64));
         assert!(placement.take(&[[0.5, 0.5]]));
         assert!(!placement.take(&[[0.5, 0.5]]));
         assert!(!placement.take(&[[0.3, 0.3], [0.5 + 1.0 / 64.0, 0.5]]));
-        assert!(placement.take(&[[0.3, 0.3]]), "the place that was refused above is still free");
+        assert!(placement.take(&[[0.3, 0.3]]), "a rejected body occupies nothing");
         assert!(!placement.take(&[[0.5, 0.06]]));
         assert!(!placement.take(&[[0.94, 0.5]]));
     }
 
-    /// What is said of rectangles of so many spacings, at positions, turned by so many degrees.
+    /// Checks rectangles given by sides (spacings), position and angle (degrees).
     fn checked(rectangles: &[([f32; 2], [f32; 2], f32)]) -> Result<(), MpmError> {
         let (grid, spacing) = (GridShape::unit(64), 1.0 / 128.0);
         let body = |&(sides, position, angle_degrees): &([f32; 2], [f32; 2], f32)| Body {

@@ -7,12 +7,12 @@
 
 use super::matrix::Matrix2;
 
-/// Below this the rotation of a matrix is undefined, and the identity is taken.
-const SMALLEST_CONFORMAL: f32 = 1e-12;
+/// Below this the rotation of a matrix is undefined and taken as the identity.
+const MIN_CONFORMAL: f32 = 1e-12;
 
 /// A matrix split into its conformal and its anticonformal part.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Parts {
+pub(super) struct Decomposition {
     /// The conformal part.
     conformal: Matrix2,
     /// The anticonformal part.
@@ -28,7 +28,7 @@ pub(super) fn rotation(matrix: Matrix2) -> Matrix2 {
     let cos = matrix.xx + matrix.yy;
     let sin = matrix.yx - matrix.xy;
     let length = (cos * cos + sin * sin).sqrt();
-    if length < SMALLEST_CONFORMAL {
+    if length < MIN_CONFORMAL {
         return Matrix2::IDENTITY;
     }
     let inverse = 1.0 / length;
@@ -36,7 +36,7 @@ pub(super) fn rotation(matrix: Matrix2) -> Matrix2 {
     Matrix2::new(cos, -sin, sin, cos)
 }
 
-impl Parts {
+impl Decomposition {
     /// Splits a matrix.
     pub(super) fn of(matrix: Matrix2) -> Self {
         let a = 0.5 * (matrix.xx + matrix.yy);
@@ -65,10 +65,9 @@ impl Parts {
     }
 }
 
-/// `part` brought from length `from` to length `to`; `fallback` gives the direction where the part
-/// has none.
+/// `part` rescaled from length `from` to length `to`; `fallback` is its direction if its length is zero.
 fn rescaled(part: Matrix2, from: f32, to: f32, fallback: Matrix2) -> Matrix2 {
-    if from < SMALLEST_CONFORMAL { fallback * to } else { part * (to / from) }
+    if from < MIN_CONFORMAL { fallback * to } else { part * (to / from) }
 }
 
 #[cfg(test)]
@@ -98,12 +97,12 @@ mod tests {
         }
 
         #[test]
-        fn singular_values_are_found_and_can_be_put_back(
+        fn singular_values_reconstruct_the_matrix(
             u in -3.1f32..3.1, v in -3.1f32..3.1, large in 0.5f32..2.0, ratio in -1.0f32..1.0
         ) {
             let stretch = Matrix2::new(large, 0.0, 0.0, large * ratio);
             let matrix = rotated(u) * stretch * rotated(v).transpose();
-            let parts = Parts::of(matrix);
+            let parts = Decomposition::of(matrix);
             let [first, second] = parts.singular_values();
             prop_assert!((first - large).abs() < 1e-5);
             prop_assert!((second - large * ratio).abs() < 1e-5);
@@ -112,10 +111,10 @@ mod tests {
     }
 
     #[test]
-    fn the_zero_matrix_rotates_by_nothing() {
+    fn the_rotation_of_the_zero_matrix_is_the_identity() {
         assert_eq!(rotation(Matrix2::ZERO), Matrix2::IDENTITY);
         assert!(close(
-            Parts::of(Matrix2::ZERO).with_singular_values([1.0, 1.0]),
+            Decomposition::of(Matrix2::ZERO).with_singular_values([1.0, 1.0]),
             Matrix2::IDENTITY,
             0.0
         ));

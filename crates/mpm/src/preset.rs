@@ -1,4 +1,4 @@
-//! The kinds of random scenes, with the numbers that all scenes of a kind share.
+//! Presets of random scenes, with the settings that all scenes of a preset share.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use super::{
     scene::{Frames, Scene},
 };
 
-/// Particles of a random scene where nothing else is asked for.
+/// Default number of particles of a random scene.
 pub const PARTICLES: usize = 2500;
 
-/// A kind of random scenes.
+/// A preset of random scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -21,15 +21,15 @@ pub enum Preset {
     MultiMaterial,
     /// Bodies of liquid, 128 x 128 cells, 5 to 25 s: until little moves.
     Fluid,
-    /// The multi-material scenes a hundred times as stiff (E = 1e5).
+    /// The multi-material scenes with a hundred times the stiffness (E = 1e5).
     Stiff,
-    /// Liquid, snow, jelly, rope, and two materials together, in turn, 64 x 64 cells, 4.8 s: until
-    /// little moves, and a while longer. What the particle model learns from and is judged on.
+    /// Liquid, snow, jelly, rope and two materials together, in turn, 64 x 64 cells, 4.8 s: until
+    /// little moves, and a while longer. The particle model is trained and evaluated on it.
     Kinds,
 }
 
 impl Preset {
-    /// The preset's word, as on the command line and in files.
+    /// Its name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::MultiMaterial => "multi-material",
@@ -57,7 +57,7 @@ impl Preset {
         0.5 * self.dx()
     }
 
-    /// What all scenes of the preset share; no bodies yet.
+    /// A scene with the preset's settings, without bodies.
     pub(super) fn empty_scene(self) -> Scene {
         let frames = match self {
             Self::MultiMaterial | Self::Stiff => Frames::default(),

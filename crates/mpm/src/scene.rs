@@ -1,4 +1,4 @@
-//! A scene: everything that a simulation starts from, as people write it and programs draw it.
+//! Scenes: initial conditions and settings of a simulation, from a file or random.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,28 +15,28 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// The finest spacing of particles, as a part of a cell.
-const FINEST: f32 = 64.0;
-/// The most frame intervals that an attractor acts.
-const LONGEST_PULL: u32 = 1000;
-/// Cells that a domain has at least on each side: two walls and as much between them.
-const FEWEST_CELLS: f64 = 3.0 * WALL_CELLS as f64;
+/// Maximum number of particles per cell width.
+const MAX_PARTICLES_PER_CELL_WIDTH: f32 = 64.0;
+/// Maximum duration of an attractor (frame intervals).
+const MAX_ATTRACTOR_FRAMES: u32 = 1000;
+/// Minimum number of cells on each side of a domain: two walls and as much between them.
+const MIN_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
-/// Largest stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
-const STIFFEST: f64 = 1e9;
-/// Memory of a particle (bytes): its state in the scene, in the solver and in two sets of packs, then
-/// as a frame, its message and a part of the bag's chunk.
+/// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
+const MAX_STIFFNESS: f64 = 1e9;
+/// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
+/// and the bag's chunk.
 const PARTICLE_BYTES: f64 = 384.0;
-/// Memory of a node (bytes): of the grid of the plain path, the fields of the fast one and its chunks.
+/// Memory per node (bytes): the plain grid, and the fields and chunks of the fast path.
 const NODE_BYTES: f64 = 64.0;
-/// Longest simulated time (s).
-const LONGEST: f64 = 1e6;
+/// Maximum simulated time (s).
+const MAX_TIME: f64 = 1e6;
 
-/// Everything that a simulation starts from. What a file does not say has its default.
+/// Initial conditions and settings of a simulation. Missing keys have their defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scene {
-    /// Number of the scene: the stream of its frames; 0 by default.
+    /// Id of the scene and of the stream of its frames; 0 by default.
     pub id: u64,
     /// Width and height (domain lengths), whole cells; 1 x 1 by default. The outermost three cells
     /// are walls.
@@ -46,37 +46,37 @@ pub struct Scene {
     /// Distance between neighbouring particles (domain lengths); half a cell by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f32>,
-    /// How it is solved.
+    /// Solver settings.
     pub solver: SolverChoices,
-    /// When frames are taken.
+    /// Timing of frames.
     pub frames: Frames,
-    /// What the particles are made of.
+    /// Material settings.
     pub materials: Materials,
-    /// What pulls before the recording starts; nothing by default.
+    /// An attractor that acts before the recording; none by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub attractor: Option<Attractor>,
-    /// The bodies, in the order of their particles.
+    /// Bodies, in the order of their particles.
     pub bodies: Vec<Body>,
-    /// Where particles come in; nowhere by default.
+    /// Emitters of particles; none by default.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub emitters: Vec<Emitter>,
-    /// Where particles go out; nowhere by default.
+    /// Drains of particles; none by default.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub drains: Vec<Drain>,
 }
 
-/// How a scene is solved.
+/// Solver settings of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SolverChoices {
     /// Acceleration in -y (domain lengths per s^2); 9.8 by default.
     pub gravity: f32,
-    /// Substeps a frame; as many as stability needs by default.
+    /// Substeps per frame; the minimum for stability by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub substeps: Option<u32>,
 }
 
-/// When frames are taken.
+/// Timing of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Frames {
@@ -84,10 +84,10 @@ pub struct Frames {
     pub interval: f32,
     /// Simulated time after which the scene ends (s); 10 by default.
     pub duration: f64,
-    /// Simulated time after which it ends as soon as it rests (s); the duration by default.
+    /// Simulated time after which the scene ends as soon as it is at rest (s); the duration by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shortest: Option<f64>,
-    /// It rests when the mean kinetic energy per mass, `|v|^2 / 2`, is below this (domain
+    /// The scene is at rest when the mean kinetic energy per mass, `|v|^2 / 2`, is below this (domain
     /// lengths^2 per s^2); 0.001 by default.
     pub rest: f64,
 }
@@ -131,19 +131,19 @@ impl Scene {
     /// The grid that covers the domain.
     ///
     /// # Errors
-    /// [`MpmError::Field`] for a domain, cell width or spacing that no grid fits.
+    /// [`MpmError::Field`] for an invalid domain, cell width or spacing.
     pub fn grid(&self) -> Result<GridShape, MpmError> {
         let Self { domain, cell_width: dx, .. } = *self;
         positive("cell_width", dx.into(), f64::MAX)?;
         let cells = domain.map(|side| f64::from(side) / f64::from(dx));
         let whole = |cells: f64| (cells - cells.round()).abs() < 1e-3 && cells < 65_536.0;
-        if !cells.into_iter().all(|cells| whole(cells) && cells.round() >= FEWEST_CELLS) {
-            let next = cells.map(|cells| cells.round().max(FEWEST_CELLS) as f32 * dx);
+        if !cells.into_iter().all(|cells| whole(cells) && cells.round() >= MIN_CELLS) {
+            let next = cells.map(|cells| cells.round().max(MIN_CELLS) as f32 * dx);
             return Err(MpmError::Field {
                 field: "domain".into(),
                 found: format!("{domain:?}"),
                 expected: format!(
-                    "{FEWEST_CELLS} to 65535 whole cells of {dx} on each side, for example {next:?}"
+                    "{MIN_CELLS} to 65535 whole cells of {dx} on each side, for example {next:?}"
                 ),
             });
         }
@@ -155,40 +155,42 @@ impl Scene {
             });
         }
         let spacing = self.spacing();
-        if !(spacing >= dx / FINEST && spacing <= dx) {
+        if !(spacing >= dx / MAX_PARTICLES_PER_CELL_WIDTH && spacing <= dx) {
             return Err(MpmError::Field {
                 field: "spacing".into(),
                 found: spacing.to_string(),
-                expected: format!("between a {FINEST}th of a cell and a cell ({dx})"),
+                expected: format!(
+                    "between a {MAX_PARTICLES_PER_CELL_WIDTH}th of a cell and a cell ({dx})"
+                ),
             });
         }
         Ok(GridShape { cells: cells.map(|cells| cells.round() as u32), dx })
     }
 
-    /// Checks every number on its own. Whether bodies fit is found out by [`Scene::particles`].
+    /// Checks the range of every number. [`Scene::particles`] checks that bodies fit.
     ///
     /// # Errors
-    /// [`MpmError::Field`] with the first field that is out of its range.
+    /// [`MpmError::Field`] with the first field that is out of range.
     pub fn check(&self) -> Result<(), MpmError> {
         self.grid()?;
         finite("solver.gravity", self.solver.gravity.into())?;
         let Frames { interval, duration, shortest, rest } = self.frames;
-        positive("frames.interval", interval.into(), LONGEST)?;
-        positive("frames.duration", duration, LONGEST)?;
+        positive("frames.interval", interval.into(), MAX_TIME)?;
+        positive("frames.duration", duration, MAX_TIME)?;
         positive("frames.shortest", shortest.unwrap_or(duration), duration)?;
         finite("frames.rest", rest)?;
         let Materials { stiffness, viscosity, .. } = self.materials;
-        positive("materials.stiffness", stiffness.into(), STIFFEST)?;
+        positive("materials.stiffness", stiffness.into(), MAX_STIFFNESS)?;
         if viscosity != 0.0 {
-            positive("materials.viscosity", viscosity.into(), STIFFEST)?;
+            positive("materials.viscosity", viscosity.into(), MAX_STIFFNESS)?;
         }
         if let Some(Attractor { centre, strength, frames, period }) = self.attractor {
             positive("attractor.period", period.unwrap_or(1.0).into(), f64::MAX)?;
-            if frames > LONGEST_PULL {
+            if frames > MAX_ATTRACTOR_FRAMES {
                 return Err(MpmError::Field {
                     field: "attractor.frames".into(),
                     found: frames.to_string(),
-                    expected: format!("at most {LONGEST_PULL}"),
+                    expected: format!("at most {MAX_ATTRACTOR_FRAMES}"),
                 });
             }
             for (name, number) in
@@ -201,7 +203,7 @@ impl Scene {
             let [x, y] = body.position;
             let [u, v] = body.velocity;
             let field = |name: &str| format!("bodies[{index}].{name}");
-            if let Some((name, found, expected)) = body.shape.fault() {
+            if let Some((name, found, expected)) = body.shape.invalid() {
                 return Err(MpmError::Field {
                     field: field(name),
                     found,
@@ -234,11 +236,11 @@ impl Scene {
         Ok(())
     }
 
-    /// The particles of the bodies, at the start.
+    /// The initial particles of the bodies.
     ///
     /// # Errors
     /// As [`Scene::check`]; [`MpmError::Field`] for a body without particles,
-    /// [`MpmError::Outside`] and [`MpmError::Overlap`] for bodies in a wall or in each other.
+    /// [`MpmError::Outside`] and [`MpmError::Overlap`] for bodies that overlap a wall or each other.
     pub fn particles(&self) -> Result<Vec<Particle>, MpmError> {
         self.check()?;
         let mut particles = Vec::new();
@@ -250,9 +252,7 @@ impl Scene {
                 return Err(MpmError::Field {
                     field: format!("bodies[{index}].shape"),
                     found: format!("room for {} particles", positions.len()),
-                    expected: format!(
-                        "for at least {least}: make it larger, or the spacing smaller"
-                    ),
+                    expected: format!("for at least {least}: enlarge it, or reduce the spacing"),
                 });
             }
             owners.resize(particles.len() + positions.len(), index);
@@ -265,14 +265,14 @@ impl Scene {
         Ok(particles)
     }
 
-    /// The most particles that it will hold, about; none are made to find out.
+    /// Approximate maximum number of particles, without creating them.
     pub fn estimate(&self) -> f64 {
         let bodies: f64 = self.bodies.iter().map(|body| body.estimate(self.spacing())).sum();
         let emitted: f64 = self.emitters.iter().map(|emitter| f64::from(emitter.particles)).sum();
         bodies + emitted
     }
 
-    /// About how much memory a simulation of it takes (bytes).
+    /// Approximate memory of a simulation (bytes).
     ///
     /// # Errors
     /// As [`Scene::grid`].
@@ -291,9 +291,8 @@ impl Scene {
         Material::ALL.into_iter().filter(occurs).collect()
     }
 
-    /// A bound on the speed of bodies: the fastest start, the pull of the attractor, and a fall
-    /// through the whole domain added up (domain lengths per second). Jets of a splash were seen to
-    /// be 3.2 times as fast.
+    /// Estimated maximum speed of bodies: the sum of the highest initial speed, the attractor's pull and a fall through
+    /// the whole domain (domain lengths per second). Jets of splashes reached 3.2 times this speed.
     pub fn fastest(&self) -> f32 {
         let speed = |[u, v]: [f32; 2]| u.hypot(v);
         let bodies = self.bodies.iter().map(|body| speed(body.velocity));
@@ -306,7 +305,7 @@ impl Scene {
     }
 }
 
-/// Refuses what is not above zero, or above `most`.
+/// Checks that a number is positive and at most `most`.
 pub(super) fn positive(field: &str, found: f64, most: f64) -> Result<(), MpmError> {
     if found > 0.0 && found <= most {
         return Ok(());
@@ -319,7 +318,7 @@ pub(super) fn positive(field: &str, found: f64, most: f64) -> Result<(), MpmErro
     Err(MpmError::Field { field: field.into(), found: found.to_string(), expected })
 }
 
-/// Refuses NaN and the infinities.
+/// Checks that a number is finite.
 pub(super) fn finite(field: &str, found: f64) -> Result<(), MpmError> {
     if found.is_finite() {
         return Ok(());

@@ -1,8 +1,8 @@
-//! The outlines of bodies, and the particles that fill them.
+//! Outlines of bodies, and lattices of particles that fill them.
 
 use serde::{Deserialize, Serialize};
 
-/// The outline of a body, around the body's position.
+/// The outline of a body, relative to its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Shape {
@@ -11,19 +11,19 @@ pub enum Shape {
         /// Radius (domain lengths).
         radius: f32,
     },
-    /// A rectangle with its middle at the body's position.
+    /// A rectangle centred at the body's position.
     Rectangle {
         /// Width and height (domain lengths).
         size: [f32; 2],
     },
     /// A polygon without holes.
     Polygon {
-        /// Its corners in order, as seen from the body's position (domain lengths).
+        /// Corners in order, relative to the body's position (domain lengths).
         corners: Vec<[f32; 2]>,
     },
-    /// A band along a line of straight pieces, such as a rope.
+    /// A band along a polyline, such as a rope.
     Strip {
-        /// The points of the line in order, as seen from the body's position (domain lengths).
+        /// Points of the polyline in order, relative to the body's position (domain lengths).
         path: Vec<[f32; 2]>,
         /// Width of the band (domain lengths); its ends are round.
         thickness: f32,
@@ -31,8 +31,8 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// What is wrong with the numbers, as field, found and expected.
-    pub(super) fn fault(&self) -> Option<(&'static str, String, &'static str)> {
+    /// The first invalid number, as field, found and expected.
+    pub(super) fn invalid(&self) -> Option<(&'static str, String, &'static str)> {
         let length = |field, found: f32| {
             let fine = found > 0.0 && found.is_finite();
             (!fine).then(|| (field, found.to_string(), "a positive number"))
@@ -57,7 +57,7 @@ impl Shape {
         }
     }
 
-    /// The corners of the box around it (domain lengths), lower first.
+    /// Corners of the bounding box (domain lengths), lower first.
     fn bounds(&self) -> [[f64; 2]; 2] {
         let around = |points: &[[f32; 2]], margin: f64| {
             let axis = |k: usize| points.iter().map(move |point| f64::from(point[k]));
@@ -76,7 +76,7 @@ impl Shape {
         }
     }
 
-    /// Whether a point is in it.
+    /// Whether it contains a point.
     pub(super) fn contains(&self, point: [f64; 2]) -> bool {
         match self {
             Self::Disc { radius } => point[0].hypot(point[1]) <= f64::from(*radius),
@@ -97,7 +97,7 @@ impl Shape {
         }
     }
 
-    /// About how many particles fill it, `spacing` apart: none are made to find out.
+    /// Approximate number of particles that fill it, `spacing` apart, without creating them.
     pub(super) fn estimate(&self, spacing: f32) -> f64 {
         let [lower, upper] = self.bounds();
         let filled = match self {
@@ -108,8 +108,8 @@ impl Shape {
         filled * (0..2).map(|k| ((upper[k] - lower[k]) / spacing).round().max(1.0)).product::<f64>()
     }
 
-    /// The particles that fill it: the points of a square lattice, symmetric in the box around it.
-    /// A disc's come from its middle outwards, the others' column by column.
+    /// The particles that fill it: points of a square lattice centred in the bounding box, for a disc from the centre
+    /// outwards, otherwise column by column.
     pub(super) fn lattice(&self, spacing: f32) -> Vec<[f32; 2]> {
         let [lower, upper] = self.bounds();
         let spacing = f64::from(spacing);
@@ -128,7 +128,7 @@ impl Shape {
     }
 }
 
-/// The pieces between successive points.
+/// Segments between successive points.
 fn edges<'a>(
     points: impl Iterator<Item = &'a [f32; 2]> + Clone,
 ) -> impl Iterator<Item = [[f64; 2]; 2]> {
@@ -136,7 +136,7 @@ fn edges<'a>(
     points.clone().zip(points.skip(1)).map(move |(a, b)| [double(a), double(b)])
 }
 
-/// Distance of a point from a straight piece.
+/// Distance of a point from a segment.
 fn distance([x, y]: [f64; 2], [a, b]: [[f64; 2]; 2]) -> f64 {
     let [u, v] = [b[0] - a[0], b[1] - a[1]];
     let squared = u * u + v * v;
@@ -151,7 +151,7 @@ mod tests {
 
     const SPACING: f32 = 1.0 / 128.0;
 
-    /// Area of what the particles stand for (domain lengths^2).
+    /// Area represented by the particles (domain lengths^2).
     fn area(shape: &Shape) -> f32 {
         shape.lattice(SPACING).len() as f32 * SPACING * SPACING
     }
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_stand_for_the_area_of_their_shape() {
+    fn particles_represent_the_area_of_their_shape() {
         for (shape, expected) in shapes() {
             let found = area(&shape);
             assert!((found / expected - 1.0).abs() < 0.03, "{shape:?}: {found}, {expected}");
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn no_shape_has_many_more_particles_than_were_estimated() {
+    fn no_shape_has_many_more_particles_than_estimated() {
         for (shape, _) in shapes() {
             let (found, estimate) = (shape.lattice(SPACING).len(), shape.estimate(SPACING));
             assert!(found as f64 <= 1.02 * estimate, "{shape:?}: {found}, {estimate}");
@@ -196,21 +196,21 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_no_lengths_are_faults() {
-        let fault = |shape: Shape| shape.fault().map(|(field, found, _)| (field, found));
+    fn invalid_lengths_are_found() {
+        let invalid = |shape: Shape| shape.invalid().map(|(field, found, _)| (field, found));
         assert_eq!(
-            fault(Shape::Disc { radius: -1.0 }),
+            invalid(Shape::Disc { radius: -1.0 }),
             Some(("shape.disc.radius", "-1".to_owned()))
         );
         let size = [0.1, f32::NAN];
         assert_eq!(
-            fault(Shape::Rectangle { size }),
+            invalid(Shape::Rectangle { size }),
             Some(("shape.rectangle.size", "NaN".to_owned()))
         );
         let line = Shape::Polygon { corners: vec![[0.0, 0.0], [0.1, 0.0]] };
-        assert_eq!(fault(line).unwrap().0, "shape.polygon.corners");
+        assert_eq!(invalid(line).unwrap().0, "shape.polygon.corners");
         let (path, thickness) = (vec![[0.0; 2], [0.1; 2]], 0.0);
-        assert_eq!(fault(Shape::Strip { path, thickness }).unwrap().0, "shape.strip.thickness");
-        assert!(shapes().iter().all(|(shape, _)| shape.fault().is_none()));
+        assert_eq!(invalid(Shape::Strip { path, thickness }).unwrap().0, "shape.strip.thickness");
+        assert!(shapes().iter().all(|(shape, _)| shape.invalid().is_none()));
     }
 }

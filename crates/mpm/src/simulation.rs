@@ -1,4 +1,4 @@
-//! A scene, frame by frame.
+//! Simulation of a scene, frame by frame.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,27 +15,27 @@ use super::{
 };
 use eddy_frames::{Domain, Frame, Stamp, decimal};
 
-/// The most substeps a frame; the stiffest materials need a few hundred thousand.
-const MOST_SUBSTEPS: u32 = 1_000_000;
+/// Maximum number of substeps per frame; the stiffest materials need a few hundred thousand.
+const MAX_SUBSTEPS: u32 = 1_000_000;
 
-/// What takes the place of a scene's own numbers, where it is given.
+/// Overrides of a scene's own settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Young's modulus E of every material (density x velocity^2).
     pub stiffness: Option<f32>,
-    /// How liquids resist.
+    /// The constitutive law of liquids.
     pub law: Option<Law>,
     /// Kinematic viscosity of liquids (domain lengths^2 per s).
     pub viscosity: Option<f32>,
-    /// Substeps a frame.
+    /// Substeps per frame.
     pub substeps: Option<u32>,
-    /// Simulated time (s); the scene does not end before it then.
+    /// Simulated time (s); the scene then does not end earlier.
     pub duration: Option<f64>,
 }
 
 impl Settings {
-    /// The scene with these numbers in the places of its own.
+    /// The scene with these overrides.
     pub fn over(&self, mut scene: Scene) -> Scene {
         let Self { stiffness, law, viscosity, substeps, duration } = *self;
         let materials = &mut scene.materials;
@@ -55,31 +55,30 @@ impl Settings {
 pub struct Simulation {
     scene: Scene,
     solver: Solver,
-    /// What comes in and goes out, if anything does.
+    /// Emitters and drains, if any.
     flow: Option<Flow>,
-    /// Substeps a frame.
+    /// Substeps per frame.
     substeps: u32,
-    /// Frames that the scene has at least.
+    /// Minimum number of frames.
     fewest_frames: u64,
-    /// Frames after which it ends whatever moves.
+    /// Maximum number of frames.
     most_frames: u64,
-    /// Number of the next frame.
+    /// Sequence number of the next frame.
     sequence: u64,
-    /// Set when little moves, when nothing is left, or after an error.
+    /// Set when the scene is at rest or empty, or after an error.
     ended: bool,
 }
 
 impl Simulation {
-    /// Sets a scene up, with `settings` in the places of its own numbers.
+    /// Sets up a scene with overrides.
     ///
     /// # Errors
-    /// What [`Scene::particles`] refuses; [`MpmError::Unstable`] for too few substeps.
+    /// As [`Scene::particles`]; [`MpmError::Unstable`] for too few substeps.
     pub fn new(scene: Scene, settings: &Settings) -> Result<Self, MpmError> {
         Self::on_threads(scene, settings, 1)
     }
 
-    /// As [`Simulation::new`], with so many threads (at least 1) that share the work. Their number
-    /// changes no bit.
+    /// As [`Simulation::new`], on a number of threads (at least 1), which does not affect the results.
     ///
     /// # Errors
     /// As [`Simulation::new`].
@@ -108,12 +107,11 @@ impl Simulation {
         Ok(Self { scene, solver, flow, substeps, fewest_frames, most_frames, sequence, ended })
     }
 
-    /// The next frame, one interval after the last; `None` when the scene is over. The first one is
-    /// the state at the start of the recording, when the attractor has let go.
+    /// The next frame, one interval after the last; `None` when the scene has ended. The first frame is the state after the
+    /// attractor has acted.
     ///
     /// # Errors
-    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is no number any more. The
-    /// simulation is over then.
+    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is not finite; the simulation then ends.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, MpmError> {
         if self.ended || self.sequence == self.most_frames {
             return Ok(None);
@@ -132,7 +130,7 @@ impl Simulation {
         frame.map(Some)
     }
 
-    /// Moves to the instant of the next frame.
+    /// Advances to the time of the next frame.
     fn advance(&mut self) -> Result<(), MpmError> {
         if self.sequence > 0 {
             self.run(1)?;
@@ -145,7 +143,7 @@ impl Simulation {
         done
     }
 
-    /// Runs the substeps of so many frame intervals.
+    /// Runs the substeps of a number of frame intervals.
     fn run(&mut self, intervals: u32) -> Result<(), MpmError> {
         for interval in 0..intervals {
             self.solver.run(self.substeps).map_err(|particle| {
@@ -156,7 +154,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes out and puts in the particles that leave and come with the next frame.
+    /// Applies emitters and drains for the next frame.
     fn exchange(&mut self) -> Result<(), MpmError> {
         let Some(flow) = &mut self.flow else { return Ok(()) };
         if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
@@ -168,10 +166,10 @@ impl Simulation {
         Ok(())
     }
 
-    /// Moves every particle by what `by` gives (domain lengths), to see what a small difference grows to.
+    /// Displaces every particle by a vector from `by` (domain lengths), to study the growth of small differences.
     ///
     /// # Errors
-    /// [`MpmError::Diverged`] when a particle leaves the grid; none is moved then.
+    /// [`MpmError::Diverged`] when a particle leaves the grid; no particle is moved then.
     pub fn displace(&mut self, mut by: impl FnMut() -> [f32; 2]) -> Result<(), MpmError> {
         let mut particles = self.solver.particles().to_vec();
         for particle in &mut particles {
@@ -184,7 +182,7 @@ impl Simulation {
             .map_err(|particle| diverged(&particles, particle, time))
     }
 
-    /// The present state as a frame.
+    /// The current state as a frame.
     fn frame(&self) -> Result<Frame, MpmError> {
         let particles = self.solver.particles();
         let interval = self.scene.frames.interval;
@@ -202,22 +200,22 @@ impl Simulation {
         )?)
     }
 
-    /// The scene, with everything that was chosen for it.
+    /// The scene with its overrides.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// Substeps a frame.
+    /// Substeps per frame.
     pub fn substeps_per_frame(&self) -> u32 {
         self.substeps
     }
 
-    /// The most frames that can come.
+    /// Maximum number of frames.
     pub fn most_frames(&self) -> u64 {
         self.most_frames
     }
 
-    /// The energy now.
+    /// The current energy.
     pub fn energy(&self) -> Energy {
         self.solver.energy()
     }
@@ -227,7 +225,7 @@ impl Simulation {
         Domain { lower: [0.0; 2], upper: self.scene.domain }
     }
 
-    /// Begin of the interval before the next frame: simulated time since the scene was set up (s).
+    /// Start of the interval before the next frame: simulated time since the start of the scene (s).
     fn begun(&self) -> f64 {
         let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
         let intervals = if self.sequence > 0 { u64::from(before) + self.sequence - 1 } else { 0 };
@@ -240,20 +238,18 @@ impl Simulation {
     }
 }
 
-/// The substeps of a frame: what was asked for, if that is stable.
+/// Substeps per frame: the requested number if stable, or the minimum.
 fn substeps(scene: &Scene) -> Result<u32, MpmError> {
     let GridShape { cells, dx } = scene.grid()?;
     let materials = &scene.materials;
     let interval = decimal(scene.frames.interval);
     let (minimum, limit) =
         minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
-    if minimum > MOST_SUBSTEPS {
+    if minimum > MAX_SUBSTEPS {
         return Err(MpmError::Field {
             field: "frames.interval".into(),
             found: format!("{minimum} substeps needed in {interval} s because of {limit}"),
-            expected: format!(
-                "at most {MOST_SUBSTEPS}: make what is fast slower, what is stiff softer, or the interval shorter"
-            ),
+            expected: format!("at most {MAX_SUBSTEPS}: reduce speeds, stiffness or the interval"),
         });
     }
     match scene.solver.substeps {
@@ -356,23 +352,23 @@ mod tests {
     }
 
     #[test]
-    fn an_unstable_request_is_refused_with_its_limit() {
+    fn an_unstable_request_is_rejected_with_its_limit() {
         let scene = Scene::generate(Preset::MultiMaterial, 1, 0);
         let settings = Settings { substeps: Some(20), ..Settings::default() };
         let error = Simulation::new(scene.clone(), &settings).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "substeps: found 20, expected at least 153 a frame because of sound in snow \
-             (E = 1000, grid 64x64); ask for more, or leave them out"
+            "substeps: found 20, expected at least 153 per frame because of sound in snow \
+             (E = 1000, grid 64x64); request more, or omit the setting"
         );
         assert!(matches!(error, MpmError::Unstable { limit: Limit::Sound(_), .. }));
-        // What the message asks for is accepted.
+        // The number in the message is accepted.
         let settings = Settings { substeps: Some(153), ..settings };
         assert!(Simulation::new(scene, &settings).is_ok());
     }
 
     #[test]
-    fn a_scene_that_would_take_for_ever_is_refused() {
+    fn a_scene_with_too_many_substeps_is_rejected() {
         let mut scene = Scene::generate(Preset::Fluid, 1, 0);
         scene.bodies[0].velocity = [1e12, 0.0];
         let message = Simulation::new(scene, &Settings::default()).unwrap_err().to_string();
@@ -384,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn the_substeps_of_the_paper_carry_a_soft_jelly() {
+    fn the_substeps_of_the_paper_are_stable_for_a_soft_jelly() {
         let mut scene = Scene::generate(Preset::MultiMaterial, 1, 1);
         scene.attractor = None;
         for body in &mut scene.bodies {
@@ -395,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_take_the_place_of_the_scenes_own_numbers() {
+    fn settings_override_those_of_the_scene() {
         let scene = Scene::generate(Preset::Stiff, 1, 0);
         let same = Settings::default().over(scene.clone());
         assert_eq!(same, scene);
@@ -407,22 +403,22 @@ mod tests {
 
     #[test]
     fn settings_out_of_range_are_named() {
-        let refused = |settings: Settings| {
+        let rejected = |settings: Settings| {
             let scene = Scene::generate(Preset::Fluid, 1, 0);
             Simulation::new(scene, &settings).unwrap_err().to_string()
         };
         assert_eq!(
-            refused(Settings { stiffness: Some(-1.0), ..Settings::default() }),
+            rejected(Settings { stiffness: Some(-1.0), ..Settings::default() }),
             "materials.stiffness: found -1, expected a positive number, at most 1e9"
         );
         assert_eq!(
-            refused(settings(f64::NAN)),
+            rejected(settings(f64::NAN)),
             "frames.duration: found NaN, expected a positive number, at most 1e6"
         );
     }
 
     #[test]
-    fn particles_come_in_and_go_out_between_frames() {
+    fn emitters_and_drains_act_between_frames() {
         let spacing = 1.0 / 128.0;
         let emitter = Emitter {
             material: Material::Liquid,

@@ -1,4 +1,4 @@
-//! One explicit MLS-MPM substep after the other.
+//! The solver: explicit MLS-MPM substeps.
 
 use super::{
     attractor::Attractor,
@@ -11,16 +11,16 @@ use super::{
     particle::Particle,
 };
 
-/// What a [`Solver`] computes with.
+/// Settings of a [`Solver`].
 #[derive(Clone, Copy, Debug)]
 pub struct SolverSettings {
     /// The background grid.
     pub grid: GridShape,
     /// Distance between neighbouring particles of an undeformed body (domain lengths).
     pub spacing: f32,
-    /// What the particles are made of.
+    /// Material settings.
     pub materials: Materials,
-    /// Length of a substep (s). Nothing checks it here: see [`minimum_substeps`](super::minimum_substeps).
+    /// Length of a substep (s), not checked here: see [`minimum_substeps`](super::minimum_substeps).
     pub dt: f32,
     /// Acceleration in -y (domain lengths per s^2).
     pub gravity: f32,
@@ -41,15 +41,15 @@ pub struct Solver {
     particles: Vec<Particle>,
     settings: SolverSettings,
     fast: Fast,
-    /// Pulls while it is set.
+    /// Acts while it is set.
     pub attractor: Option<Attractor>,
 }
 
 impl Solver {
-    /// A solver at the state of these particles.
+    /// A solver starting from these particles.
     ///
     /// # Errors
-    /// The index of the first particle that is not inside the grid.
+    /// The index of the first particle outside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
         let fast = Fast::new(settings.grid, settings.threads, Level::widest());
         let mut solver = Self { particles: Vec::new(), settings, fast, attractor: None };
@@ -57,11 +57,10 @@ impl Solver {
         Ok(solver)
     }
 
-    /// Puts other particles in the place of those that are there: a state that was kept, or one with
-    /// particles added or taken away.
+    /// Replaces the particles: by a saved state, or with particles added or removed.
     ///
     /// # Errors
-    /// As [`Solver::new`]; the solver keeps what it had.
+    /// As [`Solver::new`]; the particles then stay unchanged.
     pub fn set_particles(&mut self, particles: Vec<Particle>) -> Result<(), usize> {
         match particles.iter().position(|p| !self.settings.grid.contains(p.position)) {
             Some(outside) => Err(outside),
@@ -72,20 +71,19 @@ impl Solver {
         }
     }
 
-    /// Moves everything so many substeps on. The bits depend on the particles and on the number of
-    /// substeps, not on threads or the processor.
+    /// Runs a number of substeps. The results are bit-identical for any number of threads and any processor.
     ///
     /// # Errors
-    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
-    /// position that is no number; the state is of no use then.
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a position that is not
+    /// finite; the state is then invalid.
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
         self.fast.run(&mut self.particles, substeps, &self.settings, self.attractor)
     }
 
-    /// As [`Solver::run`], one particle and one node after the other: the reference.
+    /// As [`Solver::run`], but particle by particle and node by node: the reference implementation.
     ///
     /// # Errors
-    /// As [`Solver::run`], but for particles that move further than a cell.
+    /// As [`Solver::run`], except that particles may move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
         let SolverSettings { dt, gravity, .. } = self.settings;
         let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
@@ -99,19 +97,19 @@ impl Solver {
         Ok(())
     }
 
-    /// Takes other vector instructions than the widest of this processor.
+    /// Selects vector instructions and threads.
     #[cfg(test)]
     pub(super) fn with_level(mut self, level: Level, threads: usize) -> Self {
         self.fast = Fast::new(self.settings.grid, threads, level);
         self
     }
 
-    /// The particles, in the order they were given.
+    /// The particles, in their original order.
     pub fn particles(&self) -> &[Particle] {
         &self.particles
     }
 
-    /// What it computes with.
+    /// The settings.
     pub fn settings(&self) -> &SolverSettings {
         &self.settings
     }
@@ -149,7 +147,7 @@ mod tests {
     /// Taichi's law conserves energy in tension too.
     const MATERIALS: Materials = Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0 };
 
-    /// A square of 20 x 20 particles around the middle of the domain.
+    /// A square of 20 x 20 particles at the centre of the domain.
     fn square(material: Material) -> Vec<Particle> {
         let spacing = 0.5 / CELLS as f32;
         (0..400)
@@ -175,8 +173,8 @@ mod tests {
         Solver::new(particles, settings(GridShape::unit(CELLS), dt, gravity)).unwrap()
     }
 
-    /// Linear momentum per mass, and angular momentum per mass about the origin with the part that
-    /// APIC keeps in C (`x x v + dx^2/4 (C_yx - C_xy)`).
+    /// Linear momentum per mass, and angular momentum per mass about the origin including the affine part of APIC
+    /// (`x x v + dx^2/4 (C_yx - C_xy)`).
     fn momenta(solver: &Solver) -> ([f64; 2], f64) {
         let inertia = f64::from(solver.settings.grid.dx).powi(2) / 4.0;
         let mut linear = [0.0; 2];
@@ -207,7 +205,7 @@ mod tests {
         for material in Material::ALL {
             let mut particles = square(material);
             for particle in &mut particles {
-                // A spin of 5 rad/s, and a flight that stays off the walls.
+                // A spin of 5 rad/s, away from the walls.
                 let [x, y] = particle.position;
                 particle.velocity = [1.0 - 5.0 * (y - 0.5), 0.5 + 5.0 * (x - 0.5)];
                 particle.affine = Matrix2::new(0.0, -5.0, 5.0, 0.0);
@@ -266,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_is_no_number_is_an_error() {
+    fn a_state_that_is_not_finite_is_an_error() {
         let mut particles = square(Material::Jelly);
         particles[17].deformation.xx = f32::NAN;
         let mut solver = solver(particles, 1e-4, GRAVITY);

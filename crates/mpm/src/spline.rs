@@ -13,11 +13,11 @@ pub(super) struct Stencil {
 
 impl Stencil {
     /// The stencil at a position (domain lengths) on a grid with `inverse_dx` cells per length.
-    /// Positions left of the lower node layer fall on base 0; the solver refuses them beforehand.
+    /// Positions below the lowest node layer map to base 0; the solver rejects them beforehand.
     #[inline]
     pub(super) fn at(position: [f32; 2], inverse_dx: f32) -> Self {
         let cell = position.map(|x| x * inverse_dx);
-        // `as` cuts towards zero, which is the floor of what is not negative.
+        // `as` truncates, which is the floor of non-negative numbers.
         let base = cell.map(|x| (x - 0.5) as usize);
         let offset = [cell[0] - base[0] as f32, cell[1] - base[1] as f32];
         Self { base, offset, weight: offset.map(weights) }
@@ -56,7 +56,7 @@ mod tests {
                 let [a, b, c] = stencil.weight[axis];
                 prop_assert!((a + b + c - 1.0).abs() <= 4.0 * f32::EPSILON);
                 let mean = stencil.base[axis] as f32 + b + 2.0 * c;
-                // The tolerance is that of the position itself, in cells.
+                // The tolerance is the rounding of the position itself, in cells.
                 prop_assert!((mean - position * cells).abs() <= 1e-6 + cells * f32::EPSILON);
                 prop_assert!((0.5..=1.5).contains(&stencil.offset[axis]));
             }

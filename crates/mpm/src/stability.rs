@@ -1,4 +1,4 @@
-//! How many substeps a frame needs.
+//! Minimum number of substeps per frame for stability.
 
 use super::{
     error::Limit,
@@ -6,22 +6,21 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// Largest Courant number of sound in solids: cells that a pressure wave crosses in a substep. They
-/// were measured to stay stable up to about 1.
+/// Maximum Courant number of sound in solids: cells that a pressure wave crosses in a substep. Measured to be stable up to
+/// about 1.
 const CFL: f64 = 0.5;
-/// The same for liquids, whose speed of sound grows when they are packed. With Taichi's law splashes of
-/// the presets blew up at 0.5 (four of six fluid scenes), still lost their area at 0.42, and were sound
-/// from 0.36 down; with that of water one of eight blew up at 0.4, and fourteen were sound at 0.32.
+/// The same for liquids, whose speed of sound increases with compression. With Taichi's law, splashes of the presets blew up
+/// at 0.5 (four of six fluid scenes), lost area at 0.42 and were stable at 0.36 and below; with the law of water, one of
+/// eight blew up at 0.4 and fourteen were stable at 0.32.
 const LIQUID_CFL: f64 = 0.25;
-/// Largest `nu dt / dx^2` of a viscous liquid: the bound of explicit diffusion in two dimensions.
-/// Splashes were sound up to 1.35 times as much.
+/// Maximum `nu dt / dx^2` of a viscous liquid: the limit of explicit diffusion in two dimensions. Splashes were stable up to
+/// 1.35 times this value.
 const DIFFUSION: f64 = 0.25;
-/// Cells that a particle may cross in a substep.
+/// Maximum number of cells that a particle crosses in a substep.
 const TRAVEL: f64 = 0.5;
 
-/// The fewest substeps in `interval` seconds that keep the materials that are present stable on a grid
-/// of cell width `dx` (domain lengths), with particles of up to `speed` (domain lengths per second),
-/// and what sets them.
+/// The minimum number of substeps in `interval` seconds for which the present materials are stable on a grid of cell width
+/// `dx` (domain lengths) with particles of up to `speed` (domain lengths per second), and the limit that determines it.
 pub fn minimum_substeps(
     present: &[Material],
     materials: &Materials,
@@ -44,7 +43,7 @@ pub fn minimum_substeps(
         .map(|&material| sound(material))
         .chain([(diffusion, Limit::Viscosity(viscosity))])
         .fold(travel, |most, next| if next.0 > most.0 { next } else { most });
-    // The cast saturates: more than 2^32 substeps are refused as a setting long before.
+    // The cast saturates; settings reject far fewer than 2^32 substeps.
     (substeps.ceil().max(1.0) as u32, limit)
 }
 
@@ -53,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn substeps_follow_the_fastest_sound_present() {
+    fn substeps_are_determined_by_the_fastest_sound() {
         let materials = Materials::default();
         let substeps =
             |present: &[Material]| minimum_substeps(present, &materials, 1.0 / 64.0, 1.0, 0.016).0;
@@ -65,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn a_viscous_liquid_is_bound_by_its_viscosity() {
+    fn a_viscous_liquid_is_limited_by_its_viscosity() {
         let viscous = Materials { viscosity: 0.5, ..Materials::default() };
         let substeps =
             |present: &[Material]| minimum_substeps(present, &viscous, 1.0 / 64.0, 1.0, 0.016);
@@ -75,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_soft_material_that_flies_fast_is_bound_by_its_speed() {
+    fn a_fast_soft_material_is_limited_by_its_speed() {
         let soft = Materials { stiffness: 1.0, ..Materials::default() };
         let (substeps, limit) =
             minimum_substeps(&[Material::Liquid], &soft, 1.0 / 64.0, 10.0, 0.016);

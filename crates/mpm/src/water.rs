@@ -1,10 +1,9 @@
 //! Water: weakly compressible, viscous, and without tension.
 //!
-//! Its pressure follows from the area J that each particle remembers. Remembered alone, J loses touch
-//! with the room that there is: after a splash a pool had lost a tenth of its area and packed its
-//! lowest rows by a half, with a cut-off tension as with Taichi's law, and J capped at 1 made other
-//! pools swell by a tenth. So J is drawn to what the density on the grid says, slowly against sound
-//! and fast against that drift.
+//! Its pressure follows from the area ratio J that each particle integrates. Integrated alone, J drifts from the actual
+//! density: after a splash a pool had lost a tenth of its area and compressed its lowest rows by half, both with a tension
+//! cut-off and with Taichi's law, and with J capped at 1 other pools swelled by a tenth. So J is relaxed towards the density
+//! of the grid, slowly compared with sound and fast compared with the drift.
 //!
 //! The bulk modulus is the first Lame parameter of E. At E = 1000 sound runs at 16.7 domain lengths per
 //! second, four times as fast as the flow; ten times the modulus moved the front of a broken dam by 1.6 %
@@ -15,35 +14,33 @@ use super::{
     matrix::Matrix2,
 };
 
-/// Largest J: water that has come apart claims no more room than this, so that it resists soon when
-/// it meets again. Settled pools had the same density with 1.02 as with 1.2, but a pool at rest began
-/// to slosh by itself from 1.05.
-pub(super) const LOOSEST: f32 = 1.02;
+/// Maximum J: limits the area of separated water, so that it resists soon after it merges again. Settled pools had the
+/// same density with 1.02 as with 1.2, but a pool at rest began to slosh spontaneously from 1.05.
+pub(super) const MAX_AREA: f32 = 1.02;
 
-/// Time in which J forgets (s): settled pools kept their density within 2.5 %. 0.3 s was too slow for
-/// viscous splashes.
-pub(super) const MEMORY: f32 = 0.1;
+/// Relaxation time of J (s): settled pools kept their density within 2.5 %. 0.3 s was too slow for viscous splashes.
+pub(super) const RELAXATION_TIME: f32 = 0.1;
 
-/// J, not above [`LOOSEST`]. Unlike `min`, it keeps what is no number.
-fn loosest(area: f32) -> f32 {
-    if area > LOOSEST { LOOSEST } else { area }
+/// J, at most [`MAX_AREA`]. Unlike `min`, it preserves NaN.
+fn limited(area: f32) -> f32 {
+    if area > MAX_AREA { MAX_AREA } else { area }
 }
 
-/// The area ratio J after the motion `gradient` (1/s) of `dt` seconds.
+/// The area ratio J after `dt` seconds with this velocity gradient (1/s).
 #[inline]
-pub(super) fn moved(area: f32, gradient: Matrix2, dt: f32) -> f32 {
-    loosest(area * (Matrix2::IDENTITY + gradient * dt).determinant())
+pub(super) fn advanced(area: f32, gradient: Matrix2, dt: f32) -> f32 {
+    limited(area * (Matrix2::IDENTITY + gradient * dt).determinant())
 }
 
-/// J, drawn for `dt` seconds to what the density on the grid (mass per domain length^2) says.
+/// J, relaxed for `dt` seconds towards the density of the grid (mass per domain length^2).
 ///
 /// A density correction as in Zhang, Zhang, Sze and Liu 2018, "Improved incompressible material point
 /// method based on particle density correction", as a relaxation of the state instead of a shift of
 /// the particles.
 #[inline]
-pub(super) fn recalled(area: f32, density: f32, dt: f32) -> f32 {
-    let room = loosest(DENSITY / density);
-    area + (room - area) * (dt / MEMORY).min(1.0)
+pub(super) fn corrected(area: f32, density: f32, dt: f32) -> f32 {
+    let target = limited(DENSITY / density);
+    area + (target - area) * (dt / RELAXATION_TIME).min(1.0)
 }
 
 /// Kirchhoff stress (density x velocity^2).
@@ -114,13 +111,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_remembered_of_the_area_returns_to_the_density() {
-        for (density, expected) in [(1.1, 1.0 / 1.1), (1.0, 1.0), (0.5, LOOSEST)] {
-            for start in [0.9, 1.0, LOOSEST] {
-                let after = (0..1000).fold(start, |area, _| recalled(area, density, 1e-3));
+    fn the_area_relaxes_to_the_density() {
+        for (density, expected) in [(1.1, 1.0 / 1.1), (1.0, 1.0), (0.5, MAX_AREA)] {
+            for start in [0.9, 1.0, MAX_AREA] {
+                let after = (0..1000).fold(start, |area, _| corrected(area, density, 1e-3));
                 assert!((after - expected).abs() < 1e-3, "{density} {start}: {after}");
             }
         }
-        assert_eq!(recalled(0.9, 1.0, 1e9), 1.0);
+        assert_eq!(corrected(0.9, 1.0, 1e9), 1.0);
     }
 }

@@ -1,4 +1,4 @@
-//! How fast bags are written and read: frames as fast as they go, and live at a rate.
+//! Write and read rates of bags at full speed, and message loss of live recording at a given rate.
 
 use std::{
     fs::{self, File},
@@ -19,25 +19,24 @@ use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{Cache, Recorder, Taken};
 use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
 
-/// Frames that are made before the clock starts, and come again and again.
-const DIFFERENT: u64 = 8;
-/// Memory for frames that wait to be written live (bytes), as `eddy record` has it.
+/// Number of distinct frames, prepared in advance and repeated.
+const DISTINCT_FRAMES: u64 = 8;
+/// Memory for frames waiting to be written live (bytes), as in `eddy record`.
 const CACHE: usize = 100 << 20;
-/// The topic.
 const TOPIC: &str = "/particles";
-/// How long a wait may last before the end is looked for.
-const PATIENCE: Duration = Duration::from_millis(100);
+/// Timeout of a wait, after which the end of the measurement is checked.
+const POLL_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// What is measured.
+/// Parameters of the benchmark.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Particles of a frame.
     pub particles: usize,
-    /// Frames a second, live.
+    /// Frame rate of the live recording (Hz).
     pub hertz: f64,
-    /// About how long each is measured (s).
+    /// Approximate duration of each measurement (s).
     pub seconds: f64,
-    /// An empty directory on the disk that is measured.
+    /// An empty directory on the measured disk.
     pub directory: PathBuf,
 }
 
@@ -47,37 +46,37 @@ pub enum BenchError {
     /// A bag could not be written or read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// Frames could not be carried.
+    /// A transport failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The disk could not be measured.
+    /// An I/O error on the measured disk.
     #[error("{path}: {reason}", path = .path.display())]
     Disk {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The cause.
         reason: io::Error,
     },
 }
 
-/// What one compression allows. Rates count the bytes of messages before compression.
+/// Rates of one compression, in bytes of uncompressed messages.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Timing {
     /// The compression.
     pub compression: &'static str,
-    /// Written as fast as it goes, to the disk (bytes/s).
+    /// Write rate, including the sync to disk (bytes/s).
     pub write: f64,
-    /// Read again from the system's cache (bytes/s).
+    /// Read rate from the page cache (bytes/s).
     pub read: f64,
-    /// File size by size of the messages.
+    /// File size relative to the size of the messages.
     pub size: f64,
     /// Frames published live at the plan's rate.
     pub published: u64,
-    /// Of them in the bag.
+    /// Frames in the bag.
     pub recorded: u64,
 }
 
-/// How fast a plain file of `bytes` is written and brought to the disk (bytes/s).
+/// Rate at which a plain file of `bytes` is written and synced to disk (bytes/s).
 ///
 /// # Errors
 /// [`BenchError::Disk`].
@@ -100,7 +99,7 @@ pub fn disk(directory: &Path, bytes: u64) -> Result<f64, BenchError> {
     write().map_err(|reason| BenchError::Disk { path: path.clone(), reason })
 }
 
-/// A mebibyte that no file system can make shorter.
+/// A mebibyte of incompressible data.
 fn block() -> Vec<u8> {
     let mut state = 1u64;
     let mut next = || {
@@ -115,7 +114,8 @@ fn block() -> Vec<u8> {
 /// # Errors
 /// [`BenchError`].
 pub fn time(plan: &Plan, compression: Compression) -> Result<Timing, BenchError> {
-    let frames: Vec<Frame> = (0..DIFFERENT).map(|number| frame(plan.particles, number)).collect();
+    let frames: Vec<Frame> =
+        (0..DISTINCT_FRAMES).map(|number| frame(plan.particles, number)).collect();
     let path = plan.directory.join("fast");
     let (write, messages, size) = write(plan, &frames, compression, &path)?;
     let clock = Clock::start();
@@ -134,7 +134,7 @@ pub fn time(plan: &Plan, compression: Compression) -> Result<Timing, BenchError>
     Ok(Timing { compression, write, read, size: size / messages, published, recorded })
 }
 
-/// Particles on their way, no two frames alike.
+/// Moving particles; all frames differ.
 fn frame(particles: usize, number: u64) -> Frame {
     let wave = |i: usize, speed: f32| 0.5 + 0.4 * (i as f32 * speed + number as f32 * 0.01).sin();
     Frame {
@@ -153,7 +153,7 @@ fn options(compression: Compression) -> WriterOptions {
     WriterOptions { compression, ..WriterOptions::default() }
 }
 
-/// Bytes a second, bytes of messages, bytes of the file.
+/// Write rate (bytes/s), size of the messages and size of the file (bytes).
 fn write(
     plan: &Plan,
     frames: &[Frame],
@@ -177,8 +177,8 @@ fn write(
     Ok((written as f64 / clock.now().as_secs_f64(), written as f64, size as f64))
 }
 
-/// Records what is published at the plan's rate, as `eddy record` does: one thread receives, one writes.
-/// Frames published and frames in the bag.
+/// Records frames published at the plan's rate, as `eddy record` does: one thread receives, one writes. Returns the
+/// numbers of published and recorded frames.
 fn live(
     plan: &Plan,
     frames: Vec<Frame>,
@@ -187,7 +187,7 @@ fn live(
     let transports = Transports::new(TransportOptions::new("eddy_bench"));
     let link = Link::memory(TOPIC);
     let mut subscriber = transports.subscriber(&link, ParticleFrame::TYPE)?;
-    // Who dropped would hide what the recorder cannot take: this one says how much that is.
+    // The publisher drops frames that the recorder cannot take, instead of slowing down.
     let mut publisher = transports.publisher(&link, ParticleFrame::TYPE, Reliability::Drop)?;
     let path = plan.directory.join("live");
     let mut recorder =
@@ -210,7 +210,7 @@ fn live(
         let receiving = scope.spawn(move || -> Result<(), TransportError> {
             loop {
                 let over = publishing.is_finished();
-                match subscriber.receive(PATIENCE)? {
+                match subscriber.receive(POLL_TIMEOUT)? {
                     Some(payload) => {
                         let size = payload.size();
                         producer.bring((payload, clock::wall()), size, Duration::ZERO);
@@ -238,7 +238,7 @@ fn write_live(
     cache: &Cache<(Payload, Stamp)>,
 ) -> Result<(), BagError> {
     loop {
-        match cache.take(PATIENCE) {
+        match cache.take(POLL_TIMEOUT) {
             Taken::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
             Taken::Nothing => {}
             Taken::Ended => return Ok(()),

@@ -1,4 +1,4 @@
-//! How long the prediction of a frame takes, one stream, one frame after the other.
+//! Time per predicted frame of one stream.
 
 use std::num::NonZeroUsize;
 
@@ -14,52 +14,52 @@ use eddy_inference::{
 };
 use eddy_learning::model::{DeviceKind, Reference};
 
-/// Frames before the clock starts.
+/// Untimed warm-up frames.
 const WARM_UP: usize = 5;
-/// Fewest frames that are timed, for the 99th percentile to be one.
-const FEWEST: usize = 100;
+/// Minimum number of timed frames, for the 99th percentile.
+const MIN_SAMPLES: usize = 100;
 
-/// A network with a frame to observe.
+/// A network and an observed frame.
 pub struct Case {
     /// The network.
     pub checkpoint: Checkpoint,
     frame: Frame,
 }
 
-/// What predicts.
+/// Implementation of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Engine {
-    /// [`engine`](eddy_inference::engine) on so many threads: what streams.
+    /// The streaming [`engine`](eddy_inference::engine) on a number of threads.
     Own(NonZeroUsize),
-    /// The network as it is trained, in burn.
+    /// The burn implementation used for training.
     Burn(DeviceKind),
 }
 
-/// The time of a frame.
+/// Time per frame.
 #[derive(Clone, Debug, Serialize)]
 pub struct Timing {
-    /// Which network: `frame` or `particle`.
+    /// Architecture: `frame` or `particle`.
     pub architecture: Architecture,
     /// Its core.
     pub core: Core,
     /// Particles of a frame.
     pub particles: usize,
-    /// Bytes of its weights.
+    /// Size of its weights (bytes).
     pub weights: usize,
-    /// What predicts: `engine`, or burn's device, `flex` or `ndarray`.
+    /// `engine`, or burn's device: `flex` or `ndarray`.
     pub engine: String,
-    /// Threads of the engine; burn takes what there is.
+    /// Threads of the engine; `None` for burn, which uses all.
     pub threads: Option<usize>,
-    /// Median time of a frame (ms).
+    /// Median time per frame (ms).
     pub p50: f64,
-    /// 99th percentile of it (ms).
+    /// 99th percentile (ms).
     pub p99: f64,
     /// Frames timed.
     pub frames: usize,
 }
 
 impl Case {
-    /// The paper's frame model for so many particles, with initial weights.
+    /// The paper's frame model with initial weights.
     pub fn frame(core: Core, particles: usize) -> Self {
         let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(particles) };
         let description = Description::untrained(Architecture::Frame, core, sizes);
@@ -70,7 +70,7 @@ impl Case {
         }
     }
 
-    /// The shipped particle model, on so many particles.
+    /// The shipped particle model.
     ///
     /// # Errors
     /// As [`Checkpoint::shipped`].
@@ -80,15 +80,15 @@ impl Case {
         Ok(Self { checkpoint, frame })
     }
 
-    /// Bytes of the weights; each is read once a frame.
+    /// Size of the weights (bytes), which are read once per frame.
     pub fn weights(&self) -> usize {
         self.checkpoint.parameters() * size_of::<f32>()
     }
 
-    /// Times frames for about so long (s), a hundred at least.
+    /// Times frames for about `seconds`, at least a hundred.
     ///
     /// # Errors
-    /// [`ModelError`] when the network cannot take the frame.
+    /// [`ModelError`] when the network does not support the frame.
     pub fn time(&self, engine: Engine, seconds: f64) -> Result<Timing, ModelError> {
         let times = match engine {
             Engine::Own(threads) => {
@@ -127,14 +127,14 @@ impl Case {
     }
 }
 
-/// The time of each step (s), the shortest first.
+/// Times of steps (s), ascending.
 fn time(seconds: f64, mut step: impl FnMut()) -> Vec<f64> {
     for _ in 0..WARM_UP {
         step();
     }
     let total = Clock::start();
     let mut times = Vec::new();
-    while times.len() < FEWEST || total.now().as_secs_f64() < seconds {
+    while times.len() < MIN_SAMPLES || total.now().as_secs_f64() < seconds {
         let clock = Clock::start();
         step();
         times.push(clock.now().as_secs_f64());
@@ -149,13 +149,13 @@ mod tests {
     use eddy_learning::train::step_benchmark::PARTICLES;
 
     #[test]
-    fn both_networks_are_timed_by_everything_that_predicts() {
+    fn both_networks_are_timed_with_all_implementations() {
         let cases = [Case::shipped(50).unwrap(), Case::frame(Core::MinGru, 10)];
         for case in cases {
             for engine in [Engine::Own(NonZeroUsize::MIN), Engine::Burn(DeviceKind::Flex)] {
                 let timing = case.time(engine, 0.0).unwrap();
                 assert!(0.0 < timing.p50 && timing.p50 <= timing.p99, "{timing:?}");
-                assert_eq!(timing.frames, FEWEST);
+                assert_eq!(timing.frames, MIN_SAMPLES);
             }
         }
     }

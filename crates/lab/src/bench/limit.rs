@@ -1,5 +1,5 @@
-//! An estimate of the fastest that the solver could be on this machine: the slower one of doing its
-//! arithmetic and of moving its data. And how fast memory is read, which limits streaming networks.
+//! Roofline estimate for the solver on this machine, from peak arithmetic rate and memory bandwidth, and the read rate of
+//! memory, which limits streaming networks.
 
 use std::{hint::black_box, thread};
 
@@ -9,36 +9,36 @@ use serde::Serialize;
 use eddy_frames::clock::Clock;
 use eddy_mpm as mpm;
 
-/// Additions and multiplications for one particle in a substep, counted in `mpm::fast` for an elastic
-/// particle: velocities gathered from nine nodes 128, deformation and stress 65, momentum scattered
-/// to nine nodes 130, stencils and positions 45. Quotients and square roots count as one.
+/// Operations per particle and substep, counted in `mpm::fast` for an elastic particle: gather from nine nodes 128,
+/// deformation and stress 65, scatter to nine nodes 130, stencils and positions 45. Divisions and square roots count as
+/// one.
 const OPERATIONS: f64 = 368.0;
 
-/// Bytes of one particle that are read and written in a substep: position, velocity, C, F, Jp.
+/// Bytes read and written per particle and substep: position, velocity, C, F, Jp.
 const BYTES: f64 = 2.0 * 52.0;
 
-/// Rounds of arithmetic that are timed: some 20 ms.
+/// Timed rounds of arithmetic, about 20 ms.
 const ROUNDS: u64 = 2_000_000;
-/// Numbers that each thread moves when memory is timed: far more than caches hold.
+/// Numbers per thread for the memory bandwidth: far more than caches hold.
 const NUMBERS: usize = 1 << 24;
-/// Bytes that each thread reads when reading is timed: some 50 ms.
+/// Bytes read per thread for the read rate, about 50 ms.
 const PASSED: usize = 1 << 29;
-/// Times that something is timed; the best one counts.
+/// Repetitions, of which the best counts.
 const TRIES: usize = 5;
 
-/// What this machine does at most.
+/// Peak rates of this machine.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Limit {
-    /// Threads that work at once.
+    /// Number of threads.
     pub threads: usize,
-    /// Additions and multiplications in the solver's vectors (1/s).
+    /// Additions and multiplications in vectors (1/s).
     pub operations: f64,
-    /// Bytes read and written in memory, outside of caches (1/s).
+    /// Memory bandwidth, reading and writing (bytes/s).
     pub bytes: f64,
 }
 
 impl Limit {
-    /// Measures the limit with so many threads. Takes some tenths of a second.
+    /// Measures the peak rates on a number of threads, in some tenths of a second.
     pub fn measure(threads: usize) -> Self {
         let operations = best(threads, || mpm::multiply_and_add(ROUNDS) as f64);
         let mut memory: Vec<Vec<f32>> = vec![vec![1.0; NUMBERS]; threads];
@@ -53,15 +53,14 @@ impl Limit {
         Self { threads, operations, bytes }
     }
 
-    /// The least time for one particle in a substep (s), where `in_memory` says whether the particles
-    /// are too many for the caches.
+    /// Minimum time per particle and substep (s). `in_memory`: the particles exceed the caches.
     pub fn per_particle(&self, in_memory: bool) -> f64 {
         let arithmetic = OPERATIONS / self.operations;
         if in_memory { arithmetic.max(BYTES / self.bytes) } else { arithmetic }
     }
 }
 
-/// How fast so many threads together read a list of so many bytes, again and again (bytes/s).
+/// Rate at which `threads` threads together read a list of `bytes` bytes repeatedly (bytes/s).
 pub fn read_rate(threads: usize, bytes: usize) -> f64 {
     let length = (bytes / size_of::<u32>() / threads).max(1);
     let mut lists: Vec<Vec<u32>> = (0..threads).map(|_| vec![1; length]).collect();
@@ -78,12 +77,12 @@ pub fn read_rate(threads: usize, bytes: usize) -> f64 {
     })
 }
 
-/// The best rate at which so many threads do `work` at once; `work` says how much it did.
+/// The best rate of `work` on `threads` threads; `work` returns the amount of work done.
 fn best(threads: usize, work: impl Fn() -> f64 + Sync) -> f64 {
     best_of(&mut vec![(); threads], |()| work())
 }
 
-/// The best rate at which all items are worked on at once, each on a thread of its own.
+/// The best rate of `work` on all items, each on its own thread.
 fn best_of<T: Send>(items: &mut [T], work: impl Fn(&mut T) -> f64 + Sync) -> f64 {
     (0..TRIES)
         .map(|_| {

@@ -1,14 +1,14 @@
-//! Tables of what this machine carries.
+//! Benchmarks of this machine.
 //!
-//! 1. [`solver`]: time of a substep by particles and threads.
-//! 2. [`training`]: time of a training step by core and length of the window.
-//! 3. [`inference`]: time of a predicted frame by core, on the engine and in burn.
-//! 4. [`bag`]: rates of bags that are written and read, losses of a live recording.
-//! 5. [`transport`]: how long a frame is on its way.
-//! 6. [`node`]: what a node adds to its model's time, how many streams it carries.
-//! 7. [`replay`]: how late a player's messages are.
-//! 8. [`view`]: what the live page costs who is looked at.
-//! 9. [`limit`]: what the processor and its memory would allow.
+//! 1. [`solver`]: time per substep, by particles and threads.
+//! 2. [`training`]: time per training step, by core and window length.
+//! 3. [`inference`]: time per predicted frame by core, in the engine and in burn.
+//! 4. [`bag`]: write and read rates of bags, message loss of a live recording.
+//! 5. [`transport`]: latency from publisher to subscriber.
+//! 6. [`node`]: overhead of a node over its model, and number of streams.
+//! 7. [`replay`]: delay of replayed messages.
+//! 8. [`view`]: overhead of the live page.
+//! 9. [`limit`]: peak rates of processor and memory.
 
 pub mod bag;
 pub mod inference;

@@ -1,5 +1,4 @@
-//! What a node adds to its model's own time, and how many streams it carries: the real node on shared
-//! memory.
+//! Overhead of a node over its model, and number of streams, with a real node on shared memory.
 
 use std::{
     num::NonZeroUsize,
@@ -23,64 +22,65 @@ use eddy_node::{
 };
 use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
 
-/// How long the last predictions may take.
-const PATIENCE: Duration = Duration::from_secs(3);
-/// How long a wait may last before the end is looked for.
-const LOOK: Duration = Duration::from_millis(50);
-/// Frames of the model alone that are not counted.
+/// Time allowed for the last predictions.
+const DRAIN_TIME: Duration = Duration::from_secs(3);
+/// Timeout of a wait, after which the end of the measurement is checked.
+const POLL_TIMEOUT: Duration = Duration::from_millis(50);
+/// Untimed warm-up frames of the model alone.
 const WARM_UP: usize = 20;
 
-/// What is measured.
+/// Parameters of the benchmark.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    /// Streams at once.
+    /// Number of streams.
     pub streams: u64,
-    /// Particles of each.
+    /// Particles per stream.
     pub particles: usize,
-    /// Frames a second of each.
+    /// Frame rate per stream (Hz).
     pub hertz: f64,
-    /// How long (s).
+    /// Duration (s).
     pub seconds: f64,
-    /// Whether all streams have their frame at the same instant, instead of one after the other.
+    /// Whether all streams publish at the same time, instead of evenly spaced.
     pub together: bool,
-    /// Threads of the engine; as many as there are cores if not given.
+    /// Threads of the engine; one per core by default.
     pub threads: Option<NonZeroUsize>,
 }
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// The network cannot take the frame.
+    /// The network does not support the frame.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// Frames could not be carried.
+    /// A transport failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The node cannot work so.
+    /// Invalid node settings.
     #[error(transparent)]
     Settings(#[from] InvalidSettings),
 }
 
-/// What the node did.
+/// Results of the benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub struct Timing {
     /// Threads of the engine.
     pub threads: usize,
-    /// The model's own time for a frame, alone, at the same pace.
+    /// Time per frame of the model alone, at the same rate.
     pub model: Spread,
-    /// From a frame's arrival at the node until its prediction is published: medians over the seconds.
+    /// From a frame's arrival at the node to the publication of its prediction: medians over the diagnostics of each
+    /// second.
     pub node: Spread,
-    /// From before a frame is published until its prediction is received.
+    /// From the publication of a frame to the reception of its prediction.
     pub way: Spread,
-    /// Frames that were published.
+    /// Published frames.
     pub frames: u64,
-    /// Predictions there should be: one for each frame from the warm-up's last one.
+    /// Expected predictions: one per frame from the last warm-up frame on.
     pub expected: u64,
-    /// Predictions that were received.
+    /// Received predictions.
     pub predictions: u64,
-    /// Frames that the node gave up because it was slow.
+    /// Frames dropped by the node.
     pub dropped: u64,
-    /// Frames that came to the node.
+    /// Frames received by the node.
     pub received: u64,
 }
 
@@ -115,7 +115,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     let mut source = here.publisher(&link("particles"), ParticleFrame::TYPE, Reliability::Drop)?;
 
     let clock = Clock::start();
-    // When each frame was published (ns).
+    // Publication time of each frame (ns).
     let sent: Vec<AtomicU64> = (0..plan.streams * each).map(|_| AtomicU64::new(0)).collect();
     let (mut ways, mut reports) = (Vec::with_capacity(sent.len()), Vec::new());
     let expected = plan.streams * (each + 1).saturating_sub(warm_up);
@@ -130,7 +130,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
             scope.spawn(move || drive(node, presence, input, outputs, queue, &control, stop));
         let watching = scope.spawn(|| -> Result<(), TransportError> {
             while !over.load(Ordering::Relaxed) && ways.len() < ways.capacity() {
-                let Some(mut payload) = predictions.receive(LOOK)? else { continue };
+                let Some(mut payload) = predictions.receive(POLL_TIMEOUT)? else { continue };
                 let arrived = clock.now();
                 if payload.decode().is_err() {
                     continue;
@@ -158,7 +158,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
                 reports.extend(latency(&bytes));
             }
         }
-        thread::sleep(PATIENCE);
+        thread::sleep(DRAIN_TIME);
         stop.store(true, Ordering::Relaxed);
         let join = |outcome: thread::Result<Result<(), TransportError>>| {
             outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
@@ -185,7 +185,8 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     })
 }
 
-/// The model's own time at the same pace (caches are as cold, and threads as asleep), and its number of threads.
+/// Time per frame of the model alone at the same rate, with equally cold caches and sleeping threads, and its number of
+/// threads.
 fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, usize), ModelError> {
     let mut stepper = surrogate.stepper();
     let mut memory = surrogate.start(frame)?;
@@ -205,7 +206,7 @@ fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, u
     Ok((Spread::of(times), stepper.threads()))
 }
 
-/// The latency in a report of the node, unless it had nothing to do.
+/// The latency in a diagnostics message of the node, unless it was idle.
 fn latency(report: &[u8]) -> Option<Spread> {
     let report: DiagnosticArray = cdr::decode(report).ok()?;
     let values = &report.status.first()?.values;

@@ -1,20 +1,20 @@
-//! Particles to measure with.
+//! Particles for benchmarks.
 
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::checkpoint::Description;
 
-/// Particles all over the unit square.
+/// Particles spread over the unit square.
 pub(super) fn frame(particles: usize) -> Frame {
-    all_over(Domain::UNIT, &Material::ALL, 0.016, particles)
+    spread(Domain::UNIT, &Material::ALL, 0.016, particles)
 }
 
-/// Particles all over the box, of the network's materials.
+/// Particles spread over the network's domain, of its materials.
 pub(super) fn frame_for(description: &Description, particles: usize) -> Frame {
     let Description { domain, materials, dt, .. } = description;
-    all_over(*domain, materials, *dt, particles)
+    spread(*domain, materials, *dt, particles)
 }
 
-fn all_over(domain: Domain, materials: &[Material], dt: f32, particles: usize) -> Frame {
+fn spread(domain: Domain, materials: &[Material], dt: f32, particles: usize) -> Frame {
     // Multiples of irrational numbers fill the box evenly.
     let place = |n: usize, axis: usize| {
         let part = (n as f64 * [0.618_033_988_7, 0.754_877_666_2][axis]).fract() as f32;

@@ -1,4 +1,4 @@
-//! How late a player's messages are, beside a loop that only sleeps until each is due.
+//! Delay of replayed messages, compared with a loop that only sleeps until each is due.
 
 use std::{path::Path, thread, time::Duration};
 
@@ -10,25 +10,25 @@ use eddy_frames::{Stamp, clock::Clock};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{Asked, Player, PlayerError, PlayerOptions, Stage, play};
 
-/// What is measured.
+/// Parameters of the benchmark.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// Particles of a frame.
     pub particles: usize,
-    /// Frames a second.
+    /// Frame rate (Hz).
     pub hertz: f64,
-    /// Frames of a turn.
+    /// Frames per turn.
     pub frames: u32,
-    /// How often both have their turn.
+    /// Number of turns of each.
     pub turns: usize,
 }
 
-/// How late messages were after they had been due.
+/// Delays of messages after they were due.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Timing {
-    /// Played.
+    /// Replay.
     pub replay: Spread,
-    /// With nothing to do but to sleep.
+    /// The sleeping loop.
     pub timer: Spread,
 }
 
@@ -38,12 +38,12 @@ pub enum BenchError {
     /// The bag could not be written or read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The bag cannot be played so.
+    /// The bag cannot be played.
     #[error(transparent)]
     Player(#[from] PlayerError),
 }
 
-/// Writes a bag to `path`, where nothing may be, and plays it, until `is_over`.
+/// Writes a bag to the unused `path` and plays it, until `is_over`.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -56,7 +56,7 @@ pub fn time(path: &Path, plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timi
     for due in &dues {
         let stamp = Stamp(due.as_nanos() as i64);
         bag.write(topic, stamp, stamp, &frame.to_cdr())?;
-        // No two are equal: they are not to be compressed into nothing.
+        // Distinct frames, so that they do not compress to nothing.
         frame.position.as_flattened_mut().iter_mut().for_each(|x| *x = (1.01 * *x).fract());
     }
     bag.finish()?;
@@ -70,21 +70,21 @@ pub fn time(path: &Path, plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timi
         let bag = BagReader::open(path)?;
         let mut player = Player::new(&bag, PlayerOptions::default())?;
         let clock = Clock::start();
-        let mut late = Lateness { dues: dues.iter(), clock, late: &mut played, is_over };
+        let mut late = DelayRecorder { dues: dues.iter(), clock, late: &mut played, is_over };
         play(&mut player, &clock, &mut late)?;
     }
     Ok(Timing { replay: Spread::of(played), timer: Spread::of(slept) })
 }
 
-/// Notes how late each message is.
-struct Lateness<'a> {
+/// Records the delay of each message.
+struct DelayRecorder<'a> {
     dues: std::slice::Iter<'a, Duration>,
     clock: Clock,
     late: &'a mut Vec<Duration>,
     is_over: &'a dyn Fn() -> bool,
 }
 
-impl Stage for Lateness<'_> {
+impl Stage for DelayRecorder<'_> {
     type Error = BagError;
 
     fn message(&mut self, _: BagMessage, _: Duration) -> Result<(), BagError> {

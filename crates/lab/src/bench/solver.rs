@@ -1,4 +1,4 @@
-//! How long a substep of the solver takes.
+//! Time per substep of the solver.
 
 use serde::Serialize;
 
@@ -9,35 +9,35 @@ use eddy_mpm::{
     minimum_substeps,
 };
 
-/// Particles, and cells on a side of their grid.
+/// Numbers of particles and of cells on a side of the grid.
 pub const CASES: [(usize, u32); 5] =
     [(1_000, 64), (2_500, 64), (10_000, 128), (100_000, 512), (1_000_000, 1024)];
 
-/// Substeps after which the states are kept for a comparison with other programs.
+/// Substeps after which states are saved for comparison with other programs.
 pub const COMPARED: [u32; 3] = [0, 20, 200];
 
-/// Bytes of the state of a particle; where all of them exceed a core's cache, memory is the limit.
+/// Size of a particle's state (bytes); if all states exceed the caches, memory is the limit.
 const STATE: usize = 60;
-/// A core's share of the caches (bytes).
+/// Cache per core (bytes).
 const CACHE: usize = 2 << 20;
-/// Rounds of which the fastest counts.
+/// Repetitions, of which the fastest counts.
 const ROUNDS: u32 = 5;
 
-/// How fast the blocks fall at first (domain lengths per s).
+/// Initial downward speed of the blocks (domain lengths per s).
 const FALL: f32 = 2.0;
-/// How fast they turn (rad/s).
+/// Initial rotation of the blocks (rad/s).
 const SPIN: f32 = 5.0;
 
 /// Three blocks of liquid, snow and jelly that are thrown onto the floor of the unit square.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The start.
+    /// Initial particles.
     pub particles: Vec<Particle>,
-    /// What the solver computes with.
+    /// Settings of the solver.
     pub settings: SolverSettings,
 }
 
-/// The time of a substep.
+/// Time per substep.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Timing {
     /// Particles.
@@ -48,16 +48,16 @@ pub struct Timing {
     pub threads: usize,
     /// Length of a substep (s).
     pub dt: f32,
-    /// Time of a substep (microseconds).
+    /// Time per substep (microseconds).
     pub microseconds: f64,
-    /// Time of a substep by particles (ns).
+    /// Time per substep and particle (ns).
     pub nanoseconds_per_particle: f64,
-    /// The estimated limit as a part of that time.
+    /// Estimated minimum time relative to the measured one.
     pub share_of_limit: f64,
 }
 
 impl Case {
-    /// So many particles, an equal number of each material, on a grid of so many cells a side.
+    /// Equal numbers of particles of each material, on a grid with `cells` cells on a side.
     pub fn new(particles: usize, cells: u32, law: Law, threads: usize) -> Self {
         let grid = GridShape::unit(cells);
         let spacing = 0.5 * grid.dx;
@@ -69,7 +69,7 @@ impl Case {
             (0..count).map(move |p| {
                 let place = [p % side, p / side].map(|n| (n as f32 + 0.5) * spacing);
                 let position = [left[0] + place[0], left[1] + place[1]];
-                // They slide apart, fall, and turn about their lower left corner.
+                // The blocks slide apart, fall, and rotate about their lower left corners.
                 let velocity = [1.0 - k as f32 - SPIN * place[1], SPIN * place[0] - FALL];
                 Particle { velocity, ..Particle::at_rest(position, material) }
             })
@@ -82,7 +82,7 @@ impl Case {
         Self { particles: start.collect(), settings }
     }
 
-    /// A solver at the start.
+    /// A solver at the initial state.
     ///
     /// # Errors
     /// The index of a particle outside the grid.
@@ -90,7 +90,7 @@ impl Case {
         Solver::new(self.particles.clone(), self.settings)
     }
 
-    /// Times substeps for about so long (s), after the blocks have hit the floor.
+    /// Times substeps for about `seconds`, after a warm-up.
     ///
     /// # Errors
     /// The index of a particle that left the grid.
@@ -124,7 +124,7 @@ impl Case {
     /// The states after [`COMPARED`] substeps, as frames of one stream.
     ///
     /// # Errors
-    /// A frame that is not whole: the blocks blew up.
+    /// An invalid frame: the blocks blew up.
     pub fn compared(&self) -> Result<Vec<Frame>, InvalidFrame> {
         let mut frames = Vec::new();
         let Ok(mut solver) = self.solver() else { return Ok(frames) };

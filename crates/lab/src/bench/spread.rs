@@ -1,4 +1,4 @@
-//! How times are spread.
+//! Percentiles of times.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of these times; no numbers of none.
+    /// Percentiles of times; NaN without any.
     pub(super) fn of(mut times: Vec<Duration>) -> Self {
         times.sort_unstable();
         let at = |percent: usize| {

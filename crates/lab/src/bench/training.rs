@@ -1,4 +1,4 @@
-//! How long a training step takes: the paper's Table 4, by length of the window.
+//! Time per training step by window length: the paper's Table 4.
 
 use std::{fmt, str::FromStr};
 
@@ -10,35 +10,35 @@ use eddy_learning::{
     train::step_benchmark::{Part, StepBenchmark},
 };
 
-/// Samples an epoch of the paper's Table 4.
+/// Samples per epoch in the paper's Table 4.
 pub const PAPER_SAMPLES: u32 = 23_856;
 
-/// Lengths of the window in the table (frames). The paper's is 2.
+/// Window lengths in the table (frames); the paper's is 2.
 pub const FRAMES: [usize; 4] = [2, 16, 64, 256];
 
-/// The table's cores, the paper's order.
+/// The table's cores, in the paper's order.
 pub const CORES: [Core; 4] = [Core::Lstm, Core::Gru, Core::MinLstm, Core::MinGru];
 
-/// What PyTorch 2.15, eager, takes for the cores alone at B = 16, LSTM by minLSTM and GRU by minGRU, by
-/// frames a window: measured by `tests/peers/torch_speed.py` on two cores of an Intel Xeon (AVX-512).
+/// Time ratios LSTM/minLSTM and GRU/minGRU of PyTorch 2.15 (eager) for the cores alone at B = 16, by window length: measured
+/// with `tests/peers/torch_speed.py` on two cores of an Intel Xeon (AVX-512).
 pub const PYTORCH_CORES: [(usize, [f64; 2]); 3] =
     [(2, [9.61, 2.84]), (16, [4.10, 4.02]), (64, [3.50, 5.40])];
 
-/// Steps before the clock starts.
+/// Untimed warm-up steps.
 const WARM_UP: usize = 2;
-/// Fewest steps that are timed.
-const FEWEST: usize = 3;
+/// Minimum number of timed steps.
+const MIN_SAMPLES: usize = 3;
 
 /// A kind of step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// What takes it.
+    /// The trained part.
     pub part: Part,
     /// Its core.
     pub core: Core,
-    /// Frames a window.
+    /// Frames per window.
     pub frames: usize,
-    /// Windows a batch, if they are not those of the other steps.
+    /// Windows per batch, if different from the default.
     pub windows: Option<usize>,
 }
 
@@ -82,23 +82,23 @@ impl fmt::Display for Step {
     }
 }
 
-/// The time of a step.
+/// Time per step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
-    /// What took it.
+    /// The trained part.
     pub what: Part,
     /// Its core.
     pub core: Core,
-    /// Frames a window.
+    /// Frames per window.
     pub frames: usize,
-    /// Windows a batch.
+    /// Windows per batch.
     pub windows: usize,
-    /// Median time of a step: forward, loss, backward, Adam (ms).
+    /// Median time per step: forward, loss, backward, Adam (ms).
     pub milliseconds: f64,
 }
 
 impl Step {
-    /// Times steps of this kind for about so long (s).
+    /// Times steps for about `seconds`.
     pub fn time(&self, windows: usize, seconds: f64, device: DeviceKind) -> Timing {
         let windows = self.windows.unwrap_or(windows);
         let mut exercise = StepBenchmark::new(self.part, self.core, self.frames, windows, device);
@@ -107,7 +107,7 @@ impl Step {
         }
         let total = Clock::start();
         let mut times = Vec::new();
-        while times.len() < FEWEST || total.now().as_secs_f64() < seconds {
+        while times.len() < MIN_SAMPLES || total.now().as_secs_f64() < seconds {
             let clock = Clock::start();
             exercise.step();
             times.push(clock.now().as_secs_f64());
@@ -119,7 +119,7 @@ impl Step {
     }
 }
 
-/// The paper's table, row by row: the whole network with its window, then the core alone by `frames`.
+/// The steps of the paper's table: the whole network with the paper's window, then the core alone by `frames`.
 pub fn paper_steps(frames: &[usize]) -> Vec<Step> {
     let alone = frames.iter().map(|&t| (Part::Core, t));
     let kinds = [(Part::Frame, FRAMES[0])].into_iter().chain(alone);
@@ -128,8 +128,7 @@ pub fn paper_steps(frames: &[usize]) -> Vec<Step> {
         .collect()
 }
 
-/// Multiplications (each with an addition) of a core's matrix products for each layer and frame, in units
-/// of H^2.
+/// Multiply-adds of a core's matrix products per layer and frame, in units of H^2.
 pub fn products(core: Core) -> f64 {
     match core {
         Core::Mlp => 1.0,
@@ -145,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_is_written_as_it_is_read() {
+    fn a_step_is_formatted_as_it_is_parsed() {
         for text in ["frame:mingru:2", "core:lstm:16"] {
             assert_eq!(text.parse::<Step>().unwrap().to_string(), text);
         }
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_step_is_refused_with_what_is_expected() {
+    fn an_invalid_step_is_rejected_with_the_expected_syntax() {
         for (text, word) in [
             ("core:lstm", "WHAT:CORE:FRAMES"),
             ("all:lstm:2", "frame or core"),

@@ -1,4 +1,4 @@
-//! How long a frame is on its way from a publisher to a subscriber, beside the middleware alone.
+//! Latency from publisher to subscriber, compared with the middleware alone.
 
 use std::{
     sync::{
@@ -19,68 +19,68 @@ use eddy_transport::{
     TransportKind, TransportOptions, Transports,
 };
 
-/// How long the ends may take to find each other, and a message to arrive.
-const PATIENCE: Duration = Duration::from_secs(10);
-/// How long a subscriber waits before it looks whether the measurement is over.
-const LOOK: Duration = Duration::from_millis(50);
-/// Between two messages: who waits for the next one sleeps by then.
+/// Timeout of discovery and of a message.
+const TIMEOUT: Duration = Duration::from_secs(10);
+/// Timeout of a receive call, after which the end of the measurement is checked.
+const POLL_TIMEOUT: Duration = Duration::from_millis(50);
+/// Pause between messages, after which a waiting subscriber sleeps.
 const PAUSE: Duration = Duration::from_millis(1);
-/// Messages of each kind that are not counted.
+/// Untimed warm-up messages of each kind.
 const WARM_UP: usize = 20;
-/// Bytes that are published as fast as they go, at most, unless that is fewer than ten messages.
-const BURST: usize = 1 << 28;
-/// A burst is over when nothing more arrives for so long.
+/// Maximum size of a burst (bytes), but at least ten messages.
+const MAX_BURST: usize = 1 << 28;
+/// Silence after which a burst is over.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// How messages were sent.
+/// How messages are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Way {
-    /// eddy's publisher and subscriber, a frame written into the message.
+    /// eddy's publisher and subscriber, serialising a frame.
     Frame,
-    /// eddy's publisher and subscriber, bytes that were encoded before.
+    /// eddy's publisher and subscriber, with serialised bytes.
     Bytes,
     /// The middleware alone, with the same bytes.
     Bare,
-    /// eddy's publisher and subscriber, shared memory sent as it is.
+    /// eddy's publisher and subscriber, sending unmodified shared memory.
     Untouched,
-    /// The middleware alone, shared memory sent as it is.
+    /// The middleware alone, sending unmodified shared memory.
     BareUntouched,
 }
 
-/// How long messages were on their way.
+/// Latency and throughput of messages.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Timing {
-    /// What carried them.
+    /// The transport.
     pub transport: &'static str,
     /// How they were sent.
     pub way: Way,
     /// Particles of a frame.
     pub particles: usize,
-    /// Median time from before publishing until received (µs).
+    /// Median time from before publishing to reception (µs).
     pub p50: f64,
-    /// 99th percentile of it (µs).
+    /// 99th percentile (µs).
     pub p99: f64,
     /// Messages timed.
     pub messages: usize,
-    /// Messages that were then published as fast as they go.
+    /// Messages then published at full speed.
     pub burst: usize,
-    /// Of them, those that arrived.
+    /// Messages of the burst that arrived.
     pub arrived: usize,
-    /// How fast these arrived (bytes/s).
+    /// Rate of their arrival (bytes/s).
     pub rate: f64,
 }
 
-/// Both ends of one way.
+/// Publisher and subscriber of one way.
 struct Ends {
     way: Way,
     publish: Publish,
     receive: Receive,
-    /// What they were opened by.
+    /// Kept open during the measurement.
     opened: [Transports; 2],
 }
 
-/// Times so many messages of each way, in turns. Empty if the transport does not carry such messages.
+/// Times `messages` messages of each way, in turns. Empty if the transport does not support messages of this size.
 ///
 /// # Errors
 /// [`TransportError`] when a middleware cannot be opened or fails.
@@ -94,7 +94,7 @@ pub fn time(
     let mut timings = Vec::new();
     let (mut all, mut open, mut bursts) = (Vec::new(), Vec::new(), Vec::new());
     let size = frame.to_cdr().len();
-    let count = (BURST / size).clamp(10, messages.max(10));
+    let count = (MAX_BURST / size).clamp(10, messages.max(10));
     let ends = ends(transport, &frame)?;
     let stop = &AtomicBool::new(false);
     thread::scope(|scope| -> Result<(), TransportError> {
@@ -103,7 +103,7 @@ pub fn time(
             let (sender, arrivals) = mpsc::channel();
             scope.spawn(move || {
                 while !stop.load(Ordering::Relaxed) {
-                    match receive(LOOK) {
+                    match receive(POLL_TIMEOUT) {
                         Ok(false) => {}
                         Ok(true) => drop(sender.send(Ok(clock.now()))),
                         Err(error) => return drop(sender.send(Err(error))),
@@ -121,11 +121,11 @@ pub fn time(
         for number in 0..WARM_UP + messages {
             for (_, publish, arrivals, times) in &mut all {
                 thread::sleep(PAUSE);
-                // Those that were too late for the last round.
+                // Discard late arrivals of the last round.
                 while arrivals.try_recv().is_ok() {}
                 let sent = clock.now();
                 publish()?;
-                let Ok(arrived) = arrivals.recv_timeout(PATIENCE) else { continue };
+                let Ok(arrived) = arrivals.recv_timeout(TIMEOUT) else { continue };
                 if number >= WARM_UP {
                     times.push(arrived?.saturating_sub(sent));
                 }
@@ -156,7 +156,7 @@ pub fn time(
     Ok(timings)
 }
 
-/// Ends the receiving threads, whatever happens.
+/// Stops the receiving threads when dropped.
 pub(super) struct Stopping<'a>(pub(super) &'a AtomicBool);
 
 impl Drop for Stopping<'_> {
@@ -168,22 +168,22 @@ impl Drop for Stopping<'_> {
 type Publish = Box<dyn FnMut() -> Result<(), TransportError> + Send>;
 type Arrivals = mpsc::Receiver<Result<Duration, TransportError>>;
 
-/// Publishes until something arrives, and what was published has arrived. False if messages are too large.
+/// Publishes until a message arrives, then drains the others. False if messages are too large.
 fn meet(publish: &mut Publish, arrivals: &Arrivals, clock: &Clock) -> Result<bool, TransportError> {
-    let end = clock.now() + PATIENCE;
+    let end = clock.now() + TIMEOUT;
     let mut found = false;
     while !found && clock.now() < end {
         match publish() {
             Err(TransportError::TooLarge { .. }) => return Ok(false),
             outcome => outcome?,
         }
-        found = arrivals.recv_timeout(LOOK).is_ok();
+        found = arrivals.recv_timeout(POLL_TIMEOUT).is_ok();
     }
-    while arrivals.recv_timeout(2 * LOOK).is_ok() {}
+    while arrivals.recv_timeout(2 * POLL_TIMEOUT).is_ok() {}
     Ok(found)
 }
 
-/// Publishes so many messages as fast as they go; how many arrive, and how long that takes (s).
+/// Publishes `count` messages at full speed; returns the number that arrived and the time (s).
 fn burst(
     publish: &mut Publish,
     arrivals: &Arrivals,
@@ -204,7 +204,7 @@ fn burst(
     Ok((arrived, (last - begin).as_secs_f64()))
 }
 
-/// Every way of a transport.
+/// Publishers and subscribers for every way of a transport.
 fn ends(kind: TransportKind, frame: &Frame) -> Result<Vec<Ends>, TransportError> {
     let mut ends = Vec::new();
     for way in [Way::Frame, Way::Bytes, Way::Bare, Way::Untouched, Way::BareUntouched] {
@@ -223,19 +223,19 @@ fn ends(kind: TransportKind, frame: &Frame) -> Result<Vec<Ends>, TransportError>
                 else {
                     continue;
                 };
-                (repeated(publisher), bare(subscriber))
+                (bare_publisher(publisher), bare_subscriber(subscriber))
             }
             Way::Frame | Way::Bytes | Way::Untouched => {
                 let subscriber = there.subscriber(&link, ParticleFrame::TYPE)?;
                 let publish = if way == Way::Untouched {
                     let Some(publisher) = here.untouched(&link, frame.len())? else { continue };
-                    repeated(publisher)
+                    bare_publisher(publisher)
                 } else {
                     let publisher =
                         here.publisher(&link, ParticleFrame::TYPE, Reliability::Block)?;
-                    ours(publisher, frame, way == Way::Bytes)
+                    eddy_publisher(publisher, frame, way == Way::Bytes)
                 };
-                (publish, received(subscriber))
+                (publish, eddy_subscriber(subscriber))
             }
         };
         ends.push(Ends { way, publish, receive, opened: [here, there] });
@@ -243,11 +243,11 @@ fn ends(kind: TransportKind, frame: &Frame) -> Result<Vec<Ends>, TransportError>
     Ok(ends)
 }
 
-fn repeated(mut publisher: Box<dyn BarePublisher>) -> Publish {
+fn bare_publisher(mut publisher: Box<dyn BarePublisher>) -> Publish {
     Box::new(move || publisher.publish())
 }
 
-fn ours(mut publisher: Box<dyn Publisher>, frame: &Frame, encoded: bool) -> Publish {
+fn eddy_publisher(mut publisher: Box<dyn Publisher>, frame: &Frame, encoded: bool) -> Publish {
     let (frame, bytes) = (frame.clone(), frame.to_cdr());
     Box::new(move || match encoded {
         true => publisher.publish_cdr(&bytes),
@@ -257,10 +257,10 @@ fn ours(mut publisher: Box<dyn Publisher>, frame: &Frame, encoded: bool) -> Publ
 
 type Receive = Box<dyn FnMut(Duration) -> Result<bool, TransportError> + Send>;
 
-fn bare(mut subscriber: Box<dyn BareSubscriber>) -> Receive {
+fn bare_subscriber(mut subscriber: Box<dyn BareSubscriber>) -> Receive {
     Box::new(move |timeout| subscriber.receive(timeout))
 }
 
-fn received(mut subscriber: Box<dyn Subscriber>) -> Receive {
+fn eddy_subscriber(mut subscriber: Box<dyn Subscriber>) -> Receive {
     Box::new(move |timeout| Ok(subscriber.receive(timeout)?.is_some()))
 }

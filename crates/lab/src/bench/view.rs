@@ -1,4 +1,4 @@
-//! What the live page costs who is looked at, and how many frames arrive at a browser that draws nothing.
+//! Overhead of the live page, and the frame rate that a browser receives without drawing.
 
 use std::{
     io::{self, Read, Write},
@@ -19,41 +19,41 @@ use eddy_inference::checkpoint::{Checkpoint, CheckpointError};
 use eddy_node::viewer::{Ahead, Comparison, Hub, NoControls, Program, Viewer, ViewerError};
 use eddy_transport::ListenAddress;
 
-/// What is measured.
+/// Parameters of the benchmark.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// Particles of a frame.
     pub particles: usize,
-    /// Frames a second, each with its prediction.
+    /// Frame rate (Hz), each frame with its prediction.
     pub hertz: f64,
-    /// How long (s).
+    /// Duration (s).
     pub seconds: f64,
-    /// Browsers that read at once.
+    /// Number of browsers that read.
     pub readers: usize,
-    /// Browsers that never read.
+    /// Number of browsers that never read.
     pub silent: usize,
 }
 
-/// What it took.
+/// Results of the benchmark.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Timing {
-    /// The time that handing over a frame and its prediction took.
+    /// Time to publish a frame and its prediction to the page.
     pub publish: Spread,
-    /// Frames that were handed over (per second).
+    /// Published frames per second.
     pub published: f64,
-    /// Frames that arrived at a reader (per second, the mean of all); no number without readers.
+    /// Frames per second received by a reader (mean over readers); NaN without readers.
     pub arrived: f64,
-    /// Bytes that arrived at a reader (per second).
+    /// Bytes per second received by a reader.
     pub bytes: f64,
 }
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// The shipped checkpoint, whose gravity and walls the baselines have, cannot be read.
+    /// The shipped checkpoint, which provides gravity and walls of the baselines, cannot be read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// There is no page.
+    /// The page cannot be served.
     #[error(transparent)]
     Viewer(#[from] ViewerError),
     /// A reader failed.
@@ -61,7 +61,7 @@ pub enum BenchError {
     Reader(#[from] io::Error),
 }
 
-/// Publishes to a page that so many look at, until `is_over`.
+/// Publishes to a page with readers, until `is_over`.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -107,7 +107,7 @@ pub fn time(plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timing, BenchErro
         }
         let seconds = clock.now().as_secs_f64();
         stop.store(true, Ordering::Relaxed);
-        // Readers wait for bytes: the end of the page is the end of their wait.
+        // Ends the connections that readers wait on.
         drop(viewer);
         for reader in reading {
             match reader.join() {
@@ -127,11 +127,11 @@ pub fn time(plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timing, BenchErro
     })
 }
 
-/// A browser that draws nothing, and says at once that it has.
+/// A browser that acknowledges frames at once, without drawing.
 struct Reader(TcpStream);
 
 impl Reader {
-    /// Connects as RFC 6455 has it.
+    /// Connects as a WebSocket (RFC 6455).
     fn connect(address: SocketAddr) -> io::Result<Self> {
         let mut stream = TcpStream::connect(address)?;
         stream.set_nodelay(true)?;
@@ -152,22 +152,22 @@ impl Reader {
         Err(io::Error::other(String::from_utf8_lossy(&head).into_owned()))
     }
 
-    /// Reads until the page ends. Counts frames, and their bytes, until `stop`.
+    /// Reads until the page closes. Counts frames and bytes until `stop`.
     fn read(mut self, stop: &AtomicBool, counts: &[AtomicU64; 2]) -> io::Result<()> {
         let mut payload = Vec::new();
         loop {
-            // An end without notice is one, too.
+            // The connection may also end without a close message.
             let Ok(kind) = self.message(&mut payload) else { return Ok(()) };
             if kind == BINARY && !stop.load(Ordering::Relaxed) {
                 counts[0].fetch_add(1, Ordering::Relaxed);
                 counts[1].fetch_add(payload.len() as u64, Ordering::Relaxed);
-                // Whoever was told the end does not listen any more.
-                let _ = self.say(br#"{"drawn":1}"#);
+                // The page may have closed already.
+                let _ = self.send(br#"{"drawn":1}"#);
             }
         }
     }
 
-    /// One message of a server, which sends them whole and without a mask.
+    /// One server message: unfragmented and unmasked.
     fn message(&mut self, payload: &mut Vec<u8>) -> io::Result<u8> {
         let mut head = [0; 2];
         self.0.read_exact(&mut head)?;
@@ -189,12 +189,12 @@ impl Reader {
         Ok(head[0] & 15)
     }
 
-    /// Says something short, with a mask of zeros.
-    fn say(&mut self, text: &[u8]) -> io::Result<()> {
+    /// Sends a short message with a zero mask.
+    fn send(&mut self, text: &[u8]) -> io::Result<()> {
         let head = [0x81, 0x80 | text.len() as u8, 0, 0, 0, 0];
         self.0.write_all(&[&head, text].concat())
     }
 }
 
-/// The opcode of a message of bytes.
+/// The opcode of binary messages.
 const BINARY: u8 = 2;

@@ -15,10 +15,10 @@ use eddy_transport::TransportKind;
 /// `eddy bench`
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Which benchmark.
+    /// The benchmark.
     #[command(subcommand)]
     pub command: BenchCommand,
-    /// Also writes the tables, with curves, as a page of its own.
+    /// Also write the tables and plots to an HTML page.
     #[arg(long, global = true, value_name = "FILE")]
     pub html: Option<PathBuf>,
 }
@@ -26,37 +26,37 @@ pub struct BenchArgs {
 /// The benchmarks.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// Times substeps of the Material Point Method by particles and threads.
+    /// Time substeps of the Material Point Method, by particles and threads.
     Solver(BenchSolverArgs),
-    /// Times the prediction of a frame by core: the paper's frame model, the shipped particle model.
+    /// Time the prediction of a frame, by core: the paper's frame model and the shipped particle model.
     Inference(BenchInferenceArgs),
-    /// Times training steps of the paper's network by core and length of the window (its Table 4).
+    /// Time training steps of the paper's network, by core and window length (its Table 4).
     Training(BenchTrainingArgs),
-    /// Times frames on their way from a publisher to a subscriber, beside the middleware alone.
+    /// Measure latency from publisher to subscriber, compared with the middleware alone.
     Transport(BenchTransportArgs),
-    /// Runs a node on shared memory: what it adds to its model's time, how many streams it carries.
+    /// Run a node on shared memory: measure its overhead over the model, and its latency with several streams.
     Node(BenchNodeArgs),
-    /// Times how late replayed frames are, beside a loop that only sleeps until each is due.
+    /// Measure the delay of replayed frames, compared with a loop that only sleeps until each is due.
     Replay(BenchReplayArgs),
-    /// What the live page costs who is looked at, and how many frames arrive at a browser.
+    /// Measure the live page's overhead and the frame rate that a browser receives.
     View(BenchViewArgs),
-    /// Times the writing and reading of bags, and counts what a live recording loses.
+    /// Measure write and read rates of bags, and message loss of a live recording.
     Bag(BenchBagArgs),
 }
 
 /// `eddy bench transport`
 #[derive(Debug, Args)]
 pub struct BenchTransportArgs {
-    /// What carries them.
+    /// Transports to measure.
     #[arg(long, value_delimiter = ',', default_value = "shm,zenoh,dds")]
     pub transport: Vec<TransportKind>,
-    /// Particles of a frame.
+    /// Particles per frame.
     #[arg(long, value_delimiter = ',', default_value = "2500,10000,100000,1000000")]
     pub particles: Vec<usize>,
     /// Messages of each kind.
     #[arg(long, default_value_t = 500)]
     pub messages: usize,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -64,28 +64,28 @@ pub struct BenchTransportArgs {
 /// `eddy bench node`
 #[derive(Debug, Args)]
 pub struct BenchNodeArgs {
-    /// Directory of the checkpoint; the shipped particle model if not given.
+    /// Checkpoint directory [default: the shipped particle model].
     #[arg(long)]
     pub checkpoint: Option<PathBuf>,
-    /// Streams at once.
+    /// Number of streams.
     #[arg(long, default_value_t = 1)]
     pub streams: u64,
-    /// Particles of each stream.
+    /// Particles per stream.
     #[arg(long, default_value_t = 2500)]
     pub particles: usize,
-    /// Frames a second of each stream.
+    /// Frame rate per stream (Hz).
     #[arg(long, default_value_t = 62.5)]
     pub hertz: f64,
-    /// About how long it runs (s).
+    /// Approximate duration (s).
     #[arg(long, default_value_t = 10.0)]
     pub seconds: f64,
-    /// All streams have their frame at the same instant, instead of one after the other.
+    /// Publish the frames of all streams at the same time, instead of evenly spaced.
     #[arg(long)]
     pub together: bool,
-    /// Threads of the engine; as many as there are cores if not given.
+    /// Threads of the engine [default: one per core].
     #[arg(long)]
     pub threads: Option<NonZeroUsize>,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -93,16 +93,16 @@ pub struct BenchNodeArgs {
 /// `eddy bench replay`
 #[derive(Debug, Args)]
 pub struct BenchReplayArgs {
-    /// Particles of a frame.
+    /// Particles per frame.
     #[arg(long, default_value_t = 2500)]
     pub particles: usize,
-    /// Frames a second.
+    /// Frame rate (Hz).
     #[arg(long, default_value_t = 250.0)]
     pub hertz: f64,
-    /// About how long each of the two runs (s).
+    /// Approximate duration of each of the two (s).
     #[arg(long, default_value_t = 15.0)]
     pub seconds: f64,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -110,16 +110,16 @@ pub struct BenchReplayArgs {
 /// `eddy bench view`
 #[derive(Debug, Args)]
 pub struct BenchViewArgs {
-    /// Particles of a frame.
+    /// Particles per frame.
     #[arg(long, default_value_t = 100_000)]
     pub particles: usize,
-    /// Frames a second.
+    /// Frame rate (Hz).
     #[arg(long, default_value_t = 62.5)]
     pub hertz: f64,
-    /// About how long each case is timed (s).
+    /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -127,19 +127,19 @@ pub struct BenchViewArgs {
 /// `eddy bench bag`
 #[derive(Debug, Args)]
 pub struct BenchBagArgs {
-    /// Particles of a frame.
+    /// Particles per frame.
     #[arg(long, default_value_t = 100_000)]
     pub particles: usize,
-    /// Frames a second, live.
+    /// Frame rate of the live recording (Hz).
     #[arg(long, default_value_t = 100.0)]
     pub hertz: f64,
-    /// About how long each is measured (s).
+    /// Approximate duration of each measurement (s).
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
-    /// A directory on the disk that is measured; what is written there is removed.
+    /// Directory on the disk to measure; files written there are removed.
     #[arg(long, default_value = ".")]
     pub directory: PathBuf,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -147,22 +147,22 @@ pub struct BenchBagArgs {
 /// `eddy bench solver`
 #[derive(Debug, Args)]
 pub struct BenchSolverArgs {
-    /// Particles: some of 1000, 2500, 10000, 100000, 1000000; all if not given.
+    /// Numbers of particles, from 1000, 2500, 10000, 100000 and 1000000 [default: all].
     #[arg(long, value_delimiter = ',')]
     pub particles: Vec<usize>,
     /// Numbers of threads.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<usize>,
-    /// How liquids resist: as water, or by the law of Taichi's mpm128.
+    /// Constitutive law of liquids: water, or the law of Taichi's mpm128.
     #[arg(long, value_enum, default_value_t = Law::Water)]
     pub law: Law,
-    /// About how long each case is timed (s).
+    /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
-    /// Writes the start and the states after 20 and 200 substeps as bags, for other programs.
+    /// Write the initial states and the states after 20 and 200 substeps to bags, for comparison with other programs.
     #[arg(long, short)]
     pub output: Option<PathBuf>,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -170,25 +170,25 @@ pub struct BenchSolverArgs {
 /// `eddy bench inference`
 #[derive(Debug, Args)]
 pub struct BenchInferenceArgs {
-    /// Particles of a frame.
+    /// Particles per frame.
     #[arg(long, default_value_t = PARTICLES)]
     pub particles: usize,
-    /// Cores of the frame model; the particle model is always there.
+    /// Cores of the frame model; the particle model is always included.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "mlp,lstm,gru,minlstm,mingru")]
     pub core: Vec<Core>,
     /// Numbers of threads of the engine.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<NonZeroUsize>,
-    /// Devices on which the network in burn is timed beside it.
+    /// Devices on which to also time the network in burn.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "flex,ndarray")]
     pub device: Vec<DeviceKind>,
-    /// Times the engine alone.
+    /// Time the engine only.
     #[arg(long)]
     pub engine_only: bool,
-    /// About how long each is timed (s); a hundred frames at least.
+    /// Approximate duration of each measurement (s); at least a hundred frames.
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -196,21 +196,21 @@ pub struct BenchInferenceArgs {
 /// `eddy bench training`
 #[derive(Debug, Args)]
 pub struct BenchTrainingArgs {
-    /// One kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
-    /// core:lstm:16 (its core alone); may be given several times. If not given: all
-    /// recurrent cores, in the network at 2 frames and alone at 2, 16, 64 and 256.
+    /// A kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
+    /// core:lstm:16 (its core alone); can be repeated [default: all recurrent cores, in the network at 2 frames and
+    /// alone at 2, 16, 64 and 256].
     #[arg(long, value_name = "STEP")]
     pub step: Vec<Step>,
-    /// Windows a batch, where a step does not say.
+    /// Windows per batch, for steps that do not specify it.
     #[arg(long, default_value_t = 16)]
     pub windows: usize,
-    /// About how long each kind of step is timed (s); at least three steps are.
+    /// Approximate duration per kind of step (s); at least three steps.
     #[arg(long, default_value_t = 3.0)]
     pub seconds: f64,
-    /// What computes.
+    /// Device.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
-    /// Prints JSON instead of a table.
+    /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,
 }
@@ -218,26 +218,26 @@ pub struct BenchTrainingArgs {
 /// `eddy study`
 #[derive(Debug, Args)]
 pub struct StudyArgs {
-    /// What is compared.
+    /// The comparison.
     #[arg(value_enum)]
     pub comparison: Comparison,
-    /// Minutes on two cores: few short scenes, narrow networks, two seeds (the default).
+    /// Use few short scenes, narrow networks and two seeds: minutes on two cores (the default).
     #[arg(long, conflicts_with = "paper")]
     pub quick: bool,
-    /// The paper's: 60 scenes of each preset, its widths, three seeds. Many hours on two cores.
+    /// Use the paper's setup: 60 scenes per preset, its network widths, three seeds; many hours on two cores.
     #[arg(long)]
     pub paper: bool,
-    /// A TOML file with what differs from that.
+    /// Read settings from a TOML file; it overrides --quick or --paper.
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// Data, networks, judgements and reports. Comparisons with the same output share data and networks; the same
-    /// command goes on where it was stopped.
+    /// Directory of data, networks, evaluations and reports. Comparisons with the same output share data and networks;
+    /// the same command resumes an interrupted study.
     #[arg(long, short)]
     pub output: PathBuf,
-    /// Networks that are trained at a time.
+    /// Number of networks to train in parallel.
     #[arg(long, default_value_t = NonZeroUsize::MIN)]
     pub jobs: NonZeroUsize,
-    /// What trains the networks of cores, loss and window, and takes the timed steps.
+    /// Device for training and for the timed steps (comparisons cores, loss and window).
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
 }

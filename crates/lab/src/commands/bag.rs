@@ -1,4 +1,4 @@
-//! `eddy bench bag`: how fast bags are written and read.
+//! `eddy bench bag`: write and read rates of bags.
 
 use std::{fs, path::Path};
 
@@ -7,20 +7,20 @@ use serde::Serialize;
 use tempfile::Builder;
 
 use super::args::BenchBagArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::bag::{Plan, Timing, disk, time};
 use eddy_bag::Compression;
 use eddy_frames::progress::Progress;
 
-/// What the disk is measured with (bytes).
-const PLAIN: u64 = 1 << 29;
+/// Size of the plain file that measures the disk (bytes).
+const PLAIN_FILE: u64 = 1 << 29;
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     particles: usize,
     hertz: f64,
-    /// A plain file, written and brought to the disk (bytes/s).
+    /// Write rate of a plain file, including the sync to disk (bytes/s).
     disk: f64,
     timings: Vec<Timing>,
 }
@@ -51,14 +51,14 @@ pub fn run(args: BenchBagArgs, html: Option<&Path>, progress: &dyn Progress) -> 
         ]
     });
     let note = format!(
-        "frames of {} particles; published at {} Hz; the disk alone: {:.0} MB/s",
+        "frames of {} particles, published at {} Hz; disk alone: {:.0} MB/s",
         report.particles,
         report.hertz,
         report.disk / 1e6
     );
     let (title, tables) = ("eddy bench bag", vec![table("Bags", header, rows)]);
-    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
-    sheet.show(&report, args.json, html)
+    let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
+    output.show(&report, args.json, html)
 }
 
 fn measure(
@@ -74,7 +74,7 @@ fn measure(
         directory: directory.into(),
     };
     progress.begin(compressions.len() as u64, "compressions");
-    let disk = disk(directory, PLAIN)?;
+    let disk = disk(directory, PLAIN_FILE)?;
     let mut timings = Vec::new();
     for compression in compressions {
         ensure!(!progress.cancelled(), "interrupted");

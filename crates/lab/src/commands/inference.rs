@@ -1,4 +1,4 @@
-//! `eddy bench inference`: how long the prediction of a frame takes.
+//! `eddy bench inference`: time per predicted frame.
 
 use std::{num::NonZeroUsize, path::Path};
 
@@ -6,27 +6,27 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use super::args::BenchInferenceArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::{
     inference::{Case, Engine, Timing},
     limit::read_rate,
 };
 use eddy_frames::progress::Progress;
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     floors: Vec<Floor>,
     timings: Vec<Timing>,
 }
 
-/// The least time of a frame: reading the weights once.
+/// Lower bound of the time per frame: reading the weights once.
 #[derive(Serialize)]
 struct Floor {
-    /// Bytes of the weights.
+    /// Size of the weights (bytes).
     weights: usize,
     threads: usize,
-    /// Bytes read in a second from a list as long as the weights.
+    /// Read rate of a list as long as the weights (bytes/s).
     rate: f64,
     milliseconds: f64,
 }
@@ -68,12 +68,12 @@ pub fn run(
         floors.extend(args.threads.iter().map(|&threads| Floor::measure(case.weights(), threads)));
     }
     progress.finish();
-    let sheet = sheet(&timings, &floors, engines.len(), args.threads.len());
-    sheet.show(&Report { floors, timings }, args.json, html)
+    let output = output(&timings, &floors, engines.len(), args.threads.len());
+    output.show(&Report { floors, timings }, args.json, html)
 }
 
 /// A row for each network: `engines` timings and `threads` floors each.
-fn sheet(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) -> Sheet {
+fn output(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) -> BenchOutput {
     let mut header = vec!["model".to_owned(), "core".to_owned(), "weights".to_owned()];
     header.extend(floors.iter().take(threads).map(|floor| format!("floor, {}", floor.threads)));
     header.extend(timings.iter().take(engines).map(|timing| match timing.threads {
@@ -92,21 +92,21 @@ fn sheet(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) -
         row
     });
     let note = format!(
-        "ms a frame, median / 99th percentile, one stream of {} particles; engine: by threads; \
-         floor: reading the weights once, by threads",
+        "ms per frame, median / 99th percentile, one stream of {} particles; engine: by threads; \
+         floor: time to read the weights once, by threads",
         timings[0].particles
     );
     let rates = floors[..threads].iter().map(|floor| {
         format!(
-            "the {} weights are read at {:.1} GB/s by {} threads",
+            "{} weights: read at {:.1} GB/s on {} threads",
             timings[0].core.name(),
             floor.rate * 1e-9,
             floor.threads
         )
     });
-    Sheet {
+    BenchOutput {
         title: "eddy bench inference",
-        tables: vec![table("Time of a predicted frame", header, rows)],
+        tables: vec![table("Time per predicted frame", header, rows)],
         plots: Vec::new(),
         notes: std::iter::once(note).chain(rates).collect(),
     }

@@ -1,11 +1,11 @@
-//! `eddy bench` and `eddy study`: arguments, tables in a terminal, as JSON, as a page.
+//! `eddy bench` and `eddy study`: arguments, and output as tables, JSON or HTML.
 
 mod args;
 mod bag;
 mod inference;
 mod node;
+mod output;
 mod replay;
-mod sheet;
 mod solver;
 mod study;
 mod training;
@@ -16,12 +16,12 @@ pub use args::{BenchArgs, BenchCommand, StudyArgs};
 pub use study::run as study;
 
 use eddy_frames::progress::Progress;
-use sheet::{Sheet, printed, table};
+use output::{BenchOutput, plain_text, table};
 
-/// Runs one of the benchmarks, and prints its tables.
+/// Runs a benchmark and prints its results.
 ///
 /// # Errors
-/// Those of the benchmark; an argument out of its range.
+/// Errors of the benchmark; an argument out of range.
 pub fn bench(args: BenchArgs, progress: &dyn Progress) -> anyhow::Result<()> {
     let html = args.html.as_deref();
     match args.command {

@@ -1,4 +1,4 @@
-//! `eddy bench node`: what a node adds to its model's time, and how many streams it carries.
+//! `eddy bench node`: overhead of a node over its model, and number of streams.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use super::args::BenchNodeArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::node::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     streams: u64,
@@ -20,7 +20,7 @@ struct Report {
     seconds: f64,
     together: bool,
     timing: Timing,
-    /// Received to published, less the model's own time, by the model's own time.
+    /// Time from reception to publication minus the model's time, relative to the model's time.
     overhead: f64,
 }
 
@@ -41,16 +41,17 @@ pub fn run(
     let timing = time(&checkpoint, &plan)?;
     let overhead = timing.node.p50 / timing.model.p50 - 1.0;
     let rows = [
-        ("the model alone", timing.model),
-        ("received to published", timing.node),
-        ("publishing to prediction", timing.way),
+        ("model alone", timing.model),
+        ("reception to publication", timing.node),
+        ("publication to prediction", timing.way),
     ];
     let rows = rows.map(|(what, spread)| {
         vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
     });
     let note = format!(
-        "{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: the node adds \
-         {:.0} % to the model's time; {} frames, {} came, {} were dropped by the node, {} of {} predictions came",
+        "{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: node overhead \
+         {:.0} % of the model's time; {} frames published, {} received, {} dropped by the node, {} of {} predictions \
+         received",
         timing.threads,
         100.0 * overhead,
         timing.frames,
@@ -59,9 +60,9 @@ pub fn run(
         timing.predictions,
         timing.expected,
     );
-    let table = table("Time of a frame", ["", "p50 (ms)", "p99 (ms)"], rows);
+    let table = table("Time per frame", ["", "p50 (ms)", "p99 (ms)"], rows);
     let (title, tables) = ("eddy bench node", vec![table]);
-    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
+    let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
-    sheet.show(&report, args.json, html)
+    output.show(&report, args.json, html)
 }

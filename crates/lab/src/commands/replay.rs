@@ -1,4 +1,4 @@
-//! `eddy bench replay`: how exactly messages are played.
+//! `eddy bench replay`: delay of replayed messages.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use anyhow::{Context, ensure};
 use serde::Serialize;
 
 use super::args::BenchReplayArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::replay::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
 
-/// How often replay and timer have their turn.
+/// Number of turns of replay and timer.
 const TURNS: usize = 15;
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     particles: usize,
@@ -21,7 +21,7 @@ struct Report {
     timing: Timing,
 }
 
-/// Plays a bag, and sleeps, in turns.
+/// Alternates between playing a bag and sleeping.
 pub fn run(
     args: BenchReplayArgs,
     html: Option<&Path>,
@@ -33,7 +33,7 @@ pub fn run(
         "seconds: found {seconds}, expected more than 0 and at most 3600"
     );
     ensure!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
-    let folder = tempfile::tempdir().context("a folder for the bag")?;
+    let folder = tempfile::tempdir().context("cannot create a folder for the bag")?;
     let frames = (seconds * hertz / TURNS as f64).ceil() as u32;
     let plan = Plan { particles, hertz, frames, turns: TURNS };
     let timing = time(&folder.path().join("bag"), &plan, &|| progress.cancelled())?;
@@ -43,11 +43,11 @@ pub fn run(
     });
     let note = format!(
         "frames of {particles} particles at {hertz} Hz, {TURNS} turns of {frames} frames; timer: a loop that only \
-         sleeps until each is due; p99 {:.2} times that",
+         sleeps until each is due; p99 of replay: {:.2} times the timer's",
         timing.replay.p99 / timing.timer.p99
     );
-    let table = table("How late frames are", ["late", "p50 (ms)", "p99 (ms)"], rows);
+    let table = table("Delay of frames", ["", "p50 (ms)", "p99 (ms)"], rows);
     let (title, tables) = ("eddy bench replay", vec![table]);
-    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
-    sheet.show(&Report { particles, hertz, timing }, json, html)
+    let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
+    output.show(&Report { particles, hertz, timing }, json, html)
 }

@@ -1,4 +1,4 @@
-//! `eddy bench solver`: how long substeps take.
+//! `eddy bench solver`: time per substep.
 
 use std::{fs, path::Path};
 
@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use serde::Serialize;
 
 use super::args::BenchSolverArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::{
     limit::Limit,
     solver::{CASES, COMPARED, Case, Timing},
@@ -20,13 +20,13 @@ use eddy_frames::progress::Progress;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::{GRAVITY, Law, Materials};
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct SolverReport {
     law: Law,
     stiffness: f32,
     gravity: f32,
-    /// Substeps after which the frames of the bags are taken.
+    /// Substeps of the frames in the bags.
     compared: [u32; 3],
     limits: Vec<Limit>,
     timings: Vec<Timing>,
@@ -53,9 +53,10 @@ pub fn run(
     );
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     if let Some(output) = &args.output {
-        fs::create_dir_all(output).with_context(|| format!("cannot make {}", output.display()))?;
+        fs::create_dir_all(output)
+            .with_context(|| format!("cannot create {}", output.display()))?;
         for &(particles, cells) in &cases {
-            keep(&Case::new(particles, cells, args.law, 1), output)?;
+            write_bag(&Case::new(particles, cells, args.law, 1), output)?;
         }
     }
     progress.begin((cases.len() * args.threads.len()) as u64, "cases");
@@ -74,15 +75,15 @@ pub fn run(
         }
     }
     progress.finish();
-    let sheet = sheet(&timings, &limits);
+    let output = output(&timings, &limits);
     let Materials { stiffness, .. } = Materials::default();
     let (law, gravity, compared) = (args.law, GRAVITY, COMPARED);
     let report = SolverReport { law, stiffness, gravity, compared, limits, timings };
-    sheet.show(&report, args.json, html)
+    output.show(&report, args.json, html)
 }
 
-/// Writes the bag that other programs start from and are compared with.
-fn keep(case: &Case, output: &Path) -> anyhow::Result<()> {
+/// Writes the bag for comparison with other programs.
+fn write_bag(case: &Case, output: &Path) -> anyhow::Result<()> {
     let bag = output.join(format!("particles_{}", case.particles.len()));
     let mut writer = BagWriter::create(&bag, WriterOptions::default())?;
     let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
@@ -101,7 +102,7 @@ fn keep(case: &Case, output: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn sheet(timings: &[Timing], limits: &[Limit]) -> Sheet {
+fn output(timings: &[Timing], limits: &[Limit]) -> BenchOutput {
     let header = ["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"];
     let rows = timings.iter().map(|timing| {
         vec![
@@ -113,10 +114,10 @@ fn sheet(timings: &[Timing], limits: &[Limit]) -> Sheet {
             format!("{:.0} %", 100.0 * timing.share_of_limit),
         ]
     });
-    let first = "liquid, snow and jelly in equal parts; the fastest of 5 rounds".to_owned();
+    let first = "liquid, snow and jelly in equal parts; fastest of 5 rounds".to_owned();
     let limit = |Limit { threads, operations, bytes }: &Limit| {
         format!(
-            "limit, {threads} threads: {:.0} G operations/s in vectors, {:.1} GB/s of memory",
+            "limit on {threads} threads: {:.0} G operations/s in vectors, {:.1} GB/s of memory",
             operations * 1e-9,
             bytes * 1e-9
         )
@@ -130,12 +131,12 @@ fn sheet(timings: &[Timing], limits: &[Limit]) -> Sheet {
         }
     });
     let plot = LinePlot {
-        title: "A substep by particles".into(),
+        title: "Time per substep".into(),
         x: Axis::logarithmic("particles"),
-        y: Axis::linear("time of a particle (ns)"),
+        y: Axis::linear("time per particle (ns)"),
         series: series.collect(),
     };
-    Sheet {
+    BenchOutput {
         title: "eddy bench solver",
         tables: vec![table("Substeps of the Material Point Method", header, rows)],
         plots: vec![plot],

@@ -1,4 +1,4 @@
-//! `eddy bench training`: how long training steps take.
+//! `eddy bench training`: time per training step.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use super::args::BenchTrainingArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::training::{FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, paper_steps, products};
 use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
@@ -15,7 +15,7 @@ use eddy_learning::{
     train::step_benchmark::{PARTICLES, Part},
 };
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     threads: usize,
@@ -43,17 +43,18 @@ pub fn run(
     let threads = std::thread::available_parallelism()?.get();
     let mut tables = vec![times(&timings)];
     let mut notes = vec![format!(
-        "median of a step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
-         encoder 256, two layers of 1250; an epoch as in the paper's Table 4: {PAPER_SAMPLES} windows"
+        "median time per step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
+         encoder 256, two layers of 1250; epoch as in the paper's Table 4: {PAPER_SAMPLES} windows"
     )];
     if args.step.is_empty() {
         tables.push(ratios(&timings));
-        let rival =
-            "PyTorch: 2.15, eager, two cores of an Intel Xeon, by tests/peers/torch_speed.py";
-        notes.insert(0, rival.to_owned());
+        let pytorch =
+            "PyTorch: 2.15, eager, two cores of an Intel Xeon, tests/peers/torch_speed.py";
+        notes.insert(0, pytorch.to_owned());
     }
-    let sheet = Sheet { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
-    sheet.show(&Report { threads, steps: timings }, args.json, html)
+    let output =
+        BenchOutput { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
+    output.show(&Report { threads, steps: timings }, args.json, html)
 }
 
 /// Rows of the table: the whole network with the paper's window, and the core alone by frames.
@@ -78,7 +79,7 @@ fn times(timings: &[Timing]) -> Table {
     table("Training steps", header, rows)
 }
 
-/// The paper's claim, beside what the products alone would give.
+/// The paper's claim, compared with the ratio of matrix products.
 fn ratios(timings: &[Timing]) -> Table {
     let time = |what, core, frames| {
         let of =
@@ -90,11 +91,11 @@ fn ratios(timings: &[Timing]) -> Table {
     for (what, frames) in kinds() {
         let name = if what == Part::Frame { "network" } else { "core" };
         let mut row = vec![name.to_owned(), frames.to_string()];
-        let rival = PYTORCH_CORES.iter().find(|rival| what == Part::Core && rival.0 == frames);
+        let pytorch = PYTORCH_CORES.iter().find(|row| what == Part::Core && row.0 == frames);
         for (pair, (classic, minimal)) in pairs.into_iter().enumerate() {
             let ratio = time(what, classic, frames) / time(what, minimal, frames);
             row.push(format!("{ratio:.2}"));
-            row.push(rival.map_or(String::new(), |(_, ratios)| format!("{:.2}", ratios[pair])));
+            row.push(pytorch.map_or(String::new(), |(_, ratios)| format!("{:.2}", ratios[pair])));
         }
         rows.push(row);
     }
@@ -104,10 +105,10 @@ fn ratios(timings: &[Timing]) -> Table {
     }
     rows.push(row);
     let header = ["what", "frames", "LSTM/minLSTM", "PyTorch", "GRU/minGRU", "PyTorch"];
-    table("Classic cores by minimal ones", header, rows)
+    table("Time ratio of classic to minimal cores", header, rows)
 }
 
-/// The core alone by the length of the window.
+/// The core alone, by window length.
 fn plot(timings: &[Timing]) -> LinePlot {
     let mut series: Vec<Series> = Vec::new();
     for timing in timings.iter().filter(|timing| timing.what == Part::Core) {
@@ -121,9 +122,9 @@ fn plot(timings: &[Timing]) -> LinePlot {
         }
     }
     LinePlot {
-        title: "The core alone: time of a sample".into(),
-        x: Axis::logarithmic("frames of a window"),
-        y: Axis::logarithmic("time of a sample (ms)"),
+        title: "Core alone: time per sample".into(),
+        x: Axis::logarithmic("frames per window"),
+        y: Axis::logarithmic("time per sample (ms)"),
         series,
     }
 }

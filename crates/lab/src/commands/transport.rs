@@ -1,4 +1,4 @@
-//! `eddy bench transport`: how long a frame is on its way.
+//! `eddy bench transport`: latency from publisher to subscriber.
 
 use std::path::Path;
 
@@ -6,18 +6,18 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use super::args::BenchTransportArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::transport::{Timing, Way, time};
 use eddy_evaluation::page::{Axis, LinePlot, Series};
 use eddy_frames::progress::Progress;
 
-/// What `--json` prints.
+/// JSON output.
 #[derive(Serialize)]
 struct Report {
     timings: Vec<Timing>,
 }
 
-/// Times every transport with every number of particles.
+/// Measures every transport with every number of particles.
 pub fn run(
     args: BenchTransportArgs,
     html: Option<&Path>,
@@ -69,15 +69,15 @@ pub fn run(
         ]
     });
     let note = format!(
-        "{} messages of each, in turns, from before publishing until received; bare: the middleware alone with the \
-         same bytes; untouched: shared memory sent as it is; too large for a transport: no row; MB/s, arrived: of \
-         messages published as fast as they go",
+        "{} messages of each, in turns, from before publishing to reception; bare: the middleware alone with the same \
+         bytes; untouched: unmodified shared memory; no row: messages too large for the transport; MB/s and arrived: \
+         of messages published at full speed",
         args.messages
     );
     let (title, tables) =
-        ("eddy bench transport", vec![table("Frames on their way", header, rows)]);
-    let sheet = Sheet { title, tables, plots: vec![plot(&timings)], notes: vec![note] };
-    sheet.show(&Report { timings }, args.json, html)
+        ("eddy bench transport", vec![table("Latency and throughput", header, rows)]);
+    let output = BenchOutput { title, tables, plots: vec![plot(&timings)], notes: vec![note] };
+    output.show(&Report { timings }, args.json, html)
 }
 
 fn name(way: Way) -> &'static str {
@@ -90,7 +90,7 @@ fn name(way: Way) -> &'static str {
     }
 }
 
-/// Medians over the size of a frame, a curve for each way on each transport.
+/// Medians over the size of a frame, one curve per transport and way.
 fn plot(timings: &[Timing]) -> LinePlot {
     let mut series: Vec<Series> = Vec::new();
     for timing in timings {
@@ -102,7 +102,7 @@ fn plot(timings: &[Timing]) -> LinePlot {
         }
     }
     LinePlot {
-        title: "From before publishing until received, median".into(),
+        title: "Median latency".into(),
         x: Axis::logarithmic("particles"),
         y: Axis::logarithmic("time (µs)"),
         series,

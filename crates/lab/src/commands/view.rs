@@ -1,4 +1,4 @@
-//! `eddy bench view`: what the live page costs who is looked at.
+//! `eddy bench view`: overhead of the live page.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use anyhow::ensure;
 use serde::Serialize;
 
 use super::args::BenchViewArgs;
-use super::{Sheet, table};
+use super::{BenchOutput, table};
 use crate::bench::view::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
 
-/// Browsers that read, and that do not.
+/// Numbers of browsers that read and that do not.
 const CASES: [(usize, usize); 4] = [(0, 0), (1, 0), (1, 1), (10, 0)];
 
-/// What `--json` prints, a row a case.
+/// JSON output, one row per case.
 #[derive(Serialize)]
 struct Row {
     readers: usize,
@@ -21,7 +21,7 @@ struct Row {
     timing: Timing,
 }
 
-/// Publishes to nobody, one browser, one beside a silent one, ten.
+/// Measures without browsers, with one, with one and a silent one, and with ten.
 pub fn run(
     args: BenchViewArgs,
     html: Option<&Path>,
@@ -54,12 +54,12 @@ pub fn run(
         ]
     });
     let header = ["read", "silent", "p50 (ms)", "p99 (ms)", "published/s", "arrived/s", "MB/s"];
-    let table = table("What the live page costs who is looked at, by browsers", header, cells);
+    let table = table("Overhead of the live page, by number of browsers", header, cells);
     let note = format!(
-        "{particles} particles at {hertz} Hz; p50, p99: what handing over a frame and its prediction took; arrived: at \
-         each browser that reads"
+        "{particles} particles at {hertz} Hz; p50, p99: time to publish a frame and its prediction; arrived: at each \
+         browser that reads"
     );
     let (title, tables) = ("eddy bench view", vec![table]);
-    let sheet = Sheet { title, tables, plots: Vec::new(), notes: vec![note] };
-    sheet.show(&rows, json, html)
+    let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
+    output.show(&rows, json, html)
 }

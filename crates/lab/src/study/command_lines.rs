@@ -7,7 +7,7 @@ use super::{Comparison, Folders, StudyConfig, Variant, plan::runs};
 use eddy_evaluation::page::command_line;
 use eddy_learning::model::DeviceKind;
 
-/// What command lines are made of.
+/// Builds command lines.
 pub(super) struct CommandLines<'a> {
     pub(super) folders: &'a Folders,
     pub(super) comparison: Comparison,
@@ -29,7 +29,7 @@ impl CommandLines<'_> {
         if let Some(duration) = data.duration {
             words.extend(["--duration".into(), duration.to_string()]);
         }
-        words.extend(["--output".into(), in_words(&self.folders.data(preset))]);
+        words.extend(["--output".into(), shown(&self.folders.data(preset))]);
         words
     }
 
@@ -37,9 +37,9 @@ impl CommandLines<'_> {
     pub(super) fn training(&self, preset: &str, variant: &Variant, seed: u64) -> Vec<String> {
         let output = self.folders.run(preset, &variant.name, seed);
         let mut words = command("train");
-        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
-        words.extend(["--config".into(), in_words(&output.with_extension("toml"))]);
-        words.extend(["--output".into(), in_words(&output), "--resume".into()]);
+        words.extend(["--data".into(), shown(&self.folders.data(preset))]);
+        words.extend(["--config".into(), shown(&output.with_extension("toml"))]);
+        words.extend(["--output".into(), shown(&output), "--resume".into()]);
         if self.device != DeviceKind::default() {
             words.extend(["--device".into(), self.device.name().into()]);
         }
@@ -51,18 +51,18 @@ impl CommandLines<'_> {
         let mut words = command("eval");
         words.push("--checkpoint".into());
         let run = |(variant, seed): (&Variant, u64)| {
-            in_words(&self.folders.run(preset, &variant.name, seed))
+            shown(&self.folders.run(preset, &variant.name, seed))
         };
         words.extend(runs(self.study, self.variants).map(run));
-        words.extend(["--data".into(), in_words(&self.folders.data(preset))]);
-        words.extend(["--horizon".into(), self.study.judging.horizon.to_string()]);
-        words.extend(["--starts".into(), self.study.judging.starts.to_string()]);
-        let folder = self.folders.judgement(self.comparison, preset);
-        words.extend(["--output".into(), in_words(&folder)]);
+        words.extend(["--data".into(), shown(&self.folders.data(preset))]);
+        words.extend(["--horizon".into(), self.study.evaluation.horizon.to_string()]);
+        words.extend(["--starts".into(), self.study.evaluation.starts.to_string()]);
+        let folder = self.folders.evaluation(self.comparison, preset);
+        words.extend(["--output".into(), shown(&folder)]);
         words
     }
 
-    /// Every command that this study stands for, in order; learning curves have none.
+    /// All equivalent commands in order; learning curves have none.
     pub(super) fn all(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for preset in self.presets {
@@ -83,7 +83,7 @@ fn command(name: &str) -> Vec<String> {
     vec!["eddy".to_owned(), name.to_owned()]
 }
 
-/// A path as it is typed.
-pub(super) fn in_words(path: &Path) -> String {
+/// A path as text.
+pub(super) fn shown(path: &Path) -> String {
     path.display().to_string()
 }

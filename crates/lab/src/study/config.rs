@@ -1,4 +1,4 @@
-//! Everything about a study that can be chosen.
+//! Settings of a study.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,11 +11,11 @@ use eddy_inference::checkpoint::{Activation, Architecture, Core, MaterialInput};
 use eddy_learning::train::{Schedule, TrainConfig, dense::DenseConfig};
 use eddy_mpm::{Extent, Preset, Settings};
 
-/// What is compared, on which data, with how much training.
+/// Settings of a study: data, networks and training budget.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudyConfig {
-    /// Seeds: every network is trained once with each.
+    /// Seeds: every network is trained once per seed.
     pub seeds: Vec<u64>,
     /// The scenes.
     pub data: DataConfig,
@@ -29,49 +29,49 @@ pub struct StudyConfig {
     pub windowed_cores: Vec<Core>,
     /// The activations of `study activations`.
     pub activations: Vec<Activation>,
-    /// The network they are compared with.
+    /// The network in which activations are compared.
     pub dense: DenseConfig,
-    /// How the networks of the other studies are trained; what is compared takes the place of its setting here.
+    /// Training settings of the other studies; the compared setting is replaced.
     pub training: TrainConfig,
-    /// How they are judged.
-    pub judging: JudgingConfig,
-    /// Frames a window for which training steps of the cores are timed in `study cores`.
+    /// How they are evaluated.
+    #[serde(rename = "judging")]
+    pub evaluation: EvaluationConfig,
+    /// Window lengths for which training steps of the cores are timed in `study cores`.
     pub step_frames: Vec<usize>,
-    /// About how long each of them is timed (s); five steps at least.
+    /// Approximate duration of each timing (s), at least three steps.
     pub step_seconds: f64,
 }
 
-/// Which scenes are simulated.
+/// The simulated scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataConfig {
-    /// Presets of `eddy simulate`; each is a data set of its own. Cores are compared on all of them, the rest on
-    /// the first.
+    /// Presets of `eddy simulate`, one data set each. Cores are compared on all of them, other settings on the first.
     pub presets: Vec<String>,
-    /// Scenes of each. The first 80 % of them train, the next 10 % validate, the rest judge.
+    /// Scenes per preset: the first 80 % for training, the next 10 % for validation, the rest for the test.
     pub scenes: u32,
     /// Seed of the scenes.
     pub seed: u64,
-    /// Length of a scene (simulated seconds); its own if not given.
+    /// Length of a scene (simulated seconds); the preset's by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub duration: Option<f64>,
 }
 
-/// How networks are judged: free rollouts over the scenes that nobody was trained on.
+/// Evaluation of networks by free rollouts on the test scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct JudgingConfig {
-    /// Frames of the rollouts that are compared with the truth.
+pub struct EvaluationConfig {
+    /// Frames ahead that are compared with the truth.
     pub horizon: usize,
-    /// Start frames a scene.
+    /// Start frames per scene.
     pub starts: usize,
 }
 
-/// A setting of a study that cannot be used.
+/// An invalid setting of a study.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: found {found}, expected {expected}")]
 pub struct InvalidStudy {
-    /// The setting's name in the file.
+    /// The key in the file.
     pub field: &'static str,
     /// Its value.
     pub found: String,
@@ -80,9 +80,9 @@ pub struct InvalidStudy {
 }
 
 impl StudyConfig {
-    /// The paper's: 60 scenes of each preset, the widths of Table 1, T = 2, three seeds. The paper's Table 4 has
-    /// 85 to 99 epochs of 23,856 pairs in batches of 4,096: 500 to 600 steps of Adam. This has 600, in the
-    /// batches of 192 that the paper began with.
+    /// The paper's setup: 60 scenes per preset, the widths of Table 1, T = 2, three seeds. The paper's Table 4 has 85 to 99
+    /// epochs of 23,856 pairs in batches of 4,096, or 500 to 600 steps of Adam; this has 600 steps, in batches of 192 as
+    /// initially in the paper.
     pub fn paper() -> Self {
         let mut training = TrainConfig::defaults(Architecture::Frame);
         training.network.frame.material = MaterialInput::Scalar;
@@ -107,14 +107,14 @@ impl StudyConfig {
             activations: Activation::ALL.to_vec(),
             dense: DenseConfig::paper(50, 30 * 192),
             training,
-            judging: JudgingConfig { horizon: 20, starts: 7 },
+            evaluation: EvaluationConfig { horizon: 20, starts: 7 },
             step_frames: FRAMES.to_vec(),
             step_seconds: 2.0,
         }
     }
 
-    /// Minutes on two cores: ten short scenes of each preset, narrow networks, two seeds. It shows that everything
-    /// works, not who is better.
+    /// Ten short scenes per preset, narrow networks, two seeds: minutes on two cores. A functional check; the results are
+    /// not meaningful.
     pub fn quick() -> Self {
         let mut quick = Self::paper();
         quick.seeds = vec![1, 2];
@@ -125,15 +125,15 @@ impl StudyConfig {
         (training.network.encoder, training.network.hidden) = (64, 200);
         (training.windows.batch, training.windows.per_epoch) = (16, 10 * 16);
         (training.epochs, training.patience) = (3, 3);
-        quick.judging.starts = 3;
+        quick.evaluation.starts = 3;
         (quick.step_frames, quick.step_seconds) = (vec![2, 16], 0.2);
         quick
     }
 
-    /// Checks the numbers and names.
+    /// Checks all settings.
     ///
     /// # Errors
-    /// [`InvalidStudy`] for the first setting that cannot be used.
+    /// [`InvalidStudy`] for the first invalid setting.
     pub fn check(&self) -> Result<(), InvalidStudy> {
         different("seeds", &self.seeds)?;
         different("data.presets", &self.data.presets)?;
@@ -151,16 +151,16 @@ impl StudyConfig {
                 "data.scenes",
                 self.data.scenes as usize,
                 3,
-                "at least 3: to learn, to choose, to judge",
+                "at least 3: for training, validation and test",
             ),
-            ("judging.horizon", self.judging.horizon, 1, "at least 1"),
+            ("judging.horizon", self.evaluation.horizon, 1, "at least 1"),
             (
                 "step_frames",
                 self.step_frames.iter().copied().min().unwrap_or(0),
                 1,
                 "at least 1 each",
             ),
-            ("judging.starts", self.judging.starts, 1, "at least 1"),
+            ("judging.starts", self.evaluation.starts, 1, "at least 1"),
         ];
         for (field, found, least, expected) in numbers {
             if found < least {
@@ -175,8 +175,8 @@ impl StudyConfig {
                 expected: "a positive number",
             });
         }
-        if self.judging.horizon > SCENE_FRAMES {
-            let found = self.judging.horizon.to_string();
+        if self.evaluation.horizon > SCENE_FRAMES {
+            let found = self.evaluation.horizon.to_string();
             let expected = "at most 20: errors of scenes are kept for the paper's 20 frames";
             return Err(InvalidStudy { field: "judging.horizon", found, expected });
         }
@@ -193,7 +193,7 @@ impl DataConfig {
     /// The scenes of a preset, as `eddy simulate` makes them.
     ///
     /// # Errors
-    /// [`InvalidStudy`] for a name that is no preset of random scenes.
+    /// [`InvalidStudy`] for an unknown preset.
     pub fn simulation(&self, preset: &str) -> Result<SimulationRequest, InvalidStudy> {
         let all = [Preset::MultiMaterial, Preset::Fluid, Preset::Stiff, Preset::Kinds];
         let Some(found) = all.into_iter().find(|known| known.name() == preset) else {
@@ -215,14 +215,14 @@ impl DataConfig {
     }
 }
 
-/// Refuses a list that is empty, or has something twice.
+/// Checks that a list is not empty and has no duplicates.
 fn different<T: PartialEq + std::fmt::Debug>(
     field: &'static str,
     list: &[T],
 ) -> Result<(), InvalidStudy> {
     let twice = (1..list.len()).any(|number| list[..number].contains(&list[number]));
     if list.is_empty() || twice {
-        let expected = "at least one, none of them twice";
+        let expected = "at least one, without duplicates";
         return Err(InvalidStudy { field, found: format!("{list:?}"), expected });
     }
     Ok(())

@@ -6,7 +6,7 @@ use super::{Curve, run::Work};
 use eddy_evaluation::dataset::{Dataset, available_memory};
 use eddy_learning::train::dense::train_dense;
 
-/// Computes what is not there yet.
+/// Computes the missing learning curves.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let config = &work.study.dense;
     for preset in work.presets {
@@ -30,7 +30,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             let last = curve.epochs.last().map_or(f64::NAN, |epoch| epoch.validation_loss);
             Curve { activation, seed, config: config.clone(), curve }.save(&file)?;
             let name = activation.name();
-            Ok(Some(format!("{preset} {name} seed {seed}: a validation loss of {last:.2e}")))
+            Ok(Some(format!("{preset} {name} seed {seed}: validation loss {last:.2e}")))
         })?;
     }
     Ok(())

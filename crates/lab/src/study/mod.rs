@@ -1,13 +1,12 @@
-//! The paper's comparisons: which networks are trained, and what came out.
+//! The paper's comparisons.
 //!
 //! 1. [`config`](StudyConfig): data, networks, budget; the paper's and a quick one.
 //! 2. [`plan`](Comparison): the networks of each comparison, and the folders of a study.
-//! 3. [`results`](Trained): what a training and a learning curve came to, kept so that a study goes on where it
-//!    was stopped.
-//! 4. [`networks`](Networks), [`page`](StudyReport): tables and plots of it.
-//! 5. [`run`]: a comparison from nothing to its report: scenes ([`eddy_evaluation::dataset::simulate`]), networks (`training`)
+//! 3. [`results`](Trained): results of trainings and learning curves, saved so that a study can be resumed.
+//! 4. [`networks`](Networks), [`page`](StudyReport): tables and plots.
+//! 5. [`run`]: a whole comparison: scenes ([`eddy_evaluation::dataset::simulate`]), networks (`training`)
 //!    or `learning_curves`, evaluation ([`eddy_evaluation`]), `step_times`, and the files of the report (`write`).
-//! 6. `command_lines`: what to type to do the same step by step.
+//! 6. `command_lines`: the equivalent commands, step by step.
 
 mod command_lines;
 mod config;
@@ -23,7 +22,7 @@ mod tests;
 mod training;
 mod write;
 
-pub use config::{DataConfig, InvalidStudy, JudgingConfig, StudyConfig};
+pub use config::{DataConfig, EvaluationConfig, InvalidStudy, StudyConfig};
 pub use networks::Networks;
 pub use page::StudyReport;
 pub use plan::{Comparison, Folders, Variant};

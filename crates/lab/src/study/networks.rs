@@ -1,4 +1,4 @@
-//! What networks came to on a preset, as tables and plots.
+//! Results of the networks on a preset, as tables and plots.
 
 use super::{Comparison, Trained, Variant};
 use eddy_evaluation::{
@@ -7,7 +7,7 @@ use eddy_evaluation::{
     page::{Axis, Cell, LinePlot, Series, Table},
 };
 
-/// Networks on one preset: every variant with every seed, all judged on the same scenes.
+/// Networks on one preset: every variant with every seed, evaluated on the same scenes.
 pub struct Networks<'a> {
     /// What is compared.
     pub comparison: Comparison,
@@ -17,12 +17,12 @@ pub struct Networks<'a> {
     pub seeds: &'a [u64],
     /// Trainings: all variants with the first seed, then all with the second, and so on.
     pub trained: Vec<Trained>,
-    /// The judgement, in which the networks come first and in the same order.
+    /// The evaluation report, with the networks first and in the same order.
     pub report: Report,
 }
 
 impl Networks<'_> {
-    /// The place of a variant's networks among all, one for each seed.
+    /// Indices of a variant's networks among all, one per seed.
     fn places(&self, variant: usize) -> impl Iterator<Item = usize> {
         let count = self.variants.len();
         (0..self.seeds.len()).map(move |seed| seed * count + variant)
@@ -32,7 +32,7 @@ impl Networks<'_> {
         self.places(variant).map(|place| &self.report.predictors[place])
     }
 
-    /// Who learns nothing.
+    /// The trivial predictors.
     fn trivial(&self) -> impl Iterator<Item = (usize, &Entry)> {
         let trivial =
             |(_, entry): &(usize, &Entry)| matches!(entry.role, Role::Baseline | Role::Mean);
@@ -45,13 +45,13 @@ impl Networks<'_> {
         scenes.map(|scene| mean(scene.errors[place].minmax_mse.iter().copied())).collect()
     }
 
-    /// The same at the last frame.
+    /// MinMax MSE of a predictor at the last frame in each scene.
     fn at_the_end(&self, place: usize) -> Vec<f64> {
         let scenes = self.report.scenes.iter();
         scenes.map(|scene| last(&scene.errors[place].minmax_mse)).collect()
     }
 
-    /// A row for each variant: size, errors with the spread of the seeds, skill, time of a frame.
+    /// A row per variant: size, errors with their range over seeds, skill, time per frame.
     pub fn summary(&self) -> Table {
         let horizon = self.report.horizon;
         let end = format!("RMSE at {horizon} (domain lengths)");
@@ -68,7 +68,7 @@ impl Networks<'_> {
                 &end,
                 "skill at 1",
                 &format!("skill at {horizon}"),
-                "ms a frame",
+                "ms per frame",
             ],
         );
         for (number, variant) in self.variants.iter().enumerate() {
@@ -138,10 +138,10 @@ impl Networks<'_> {
         table
     }
 
-    /// Errors of one variant over those of another, with intervals over scenes and seeds.
+    /// Ratios of errors of two variants, with intervals over scenes and seeds.
     pub fn ratios(&self) -> Table {
         let mut table = Table::new(
-            "MinMax MSE over that of another; below 1 is better",
+            "MinMax MSE relative to another; below 1 is better",
             ["", "mean of frames", "95 %", "last frame", "95 %"],
         );
         for [mine, other] in self.comparison.pairs(self.variants) {
@@ -163,14 +163,14 @@ impl Networks<'_> {
     pub fn training(&self) -> Table {
         let at_once = self.trained.iter().map(|trained| trained.at_once).max().unwrap_or(1);
         let mut table = Table::new(
-            format!("Training, up to {at_once} at a time: means over seeds"),
+            format!("Training, up to {at_once} in parallel: means over seeds"),
             [
                 "",
                 "epochs",
                 "best epoch",
                 "time (s)",
-                "time a sample (ms)",
-                "time an epoch (s)",
+                "time per sample (ms)",
+                "time per epoch (s)",
                 "validation loss",
             ],
         );
@@ -221,7 +221,7 @@ impl Networks<'_> {
             LinePlot {
                 title: "Validation".into(),
                 x: Axis::linear("epoch"),
-                y: Axis::linear("error / best trivial predictor's"),
+                y: Axis::linear("error / best baseline error"),
                 series: variants.map(|variant| seeds(variant, &loss)).collect(),
             },
         ]
@@ -242,7 +242,7 @@ pub(super) fn spread(name: &str, curves: &[Vec<f64>]) -> Series {
 }
 
 impl Comparison {
-    /// Whose errors are divided by whose.
+    /// Pairs of variants whose errors are compared as ratios.
     fn pairs(self, variants: &[Variant]) -> Vec<[usize; 2]> {
         let named = |name: &str| variants.iter().position(|variant| variant.name == name);
         match self {
@@ -257,8 +257,8 @@ impl Comparison {
     }
 }
 
-/// Ratio of two variants' means over seeds and scenes, and its interval by bootstrap: the same scenes for both,
-/// seeds for each. Fewer than five scenes have none.
+/// Ratio of two variants' means over seeds and scenes, and its bootstrap interval over scenes (the same for both) and seeds;
+/// no interval for fewer than five scenes.
 fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Option<Interval>) {
     let scenes = mine.first().map_or(0, Vec::len);
     let over = |runs: &[Vec<f64>], seeds: &[usize], scenes: &[usize]| {
@@ -277,7 +277,7 @@ fn ratio(mine: &[Vec<f64>], other: &[Vec<f64>]) -> (f64, Option<Interval>) {
     (whole, interval.into_iter().next())
 }
 
-/// The mean of what is a number.
+/// The mean, ignoring NaN.
 pub(super) fn mean(numbers: impl Iterator<Item = f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for number in numbers.filter(|number| !number.is_nan()) {
@@ -309,7 +309,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ratio_lies_in_its_interval_which_scenes_and_seeds_make_wide() {
+    fn a_ratio_lies_in_its_interval_which_widens_with_the_spread_of_scenes_and_seeds() {
         let other = vec![vec![1.0, 2.0, 4.0, 3.0, 1.0, 2.0]; 3];
         let twice: Vec<Vec<f64>> =
             other.iter().map(|seed| seed.iter().map(|x| 2.0 * x).collect()).collect();

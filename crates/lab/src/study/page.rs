@@ -9,25 +9,25 @@ use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
 use eddy_inference::checkpoint::{Activation, Core};
 use eddy_learning::train::step_benchmark::Part;
 
-/// A report on its way.
+/// Builds the report of a study.
 pub struct StudyReport {
     page: Page,
     tables: Vec<(String, Table)>,
 }
 
 impl StudyReport {
-    /// The beginning: what is compared, on what, with how much training.
+    /// The title and introduction.
     pub fn new(comparison: Comparison, study: &StudyConfig) -> Self {
         let title = match comparison {
             Comparison::Cores => "Five cores of the frame model",
             Comparison::Activations => "Activations",
-            Comparison::Loss => "With the density loss and without",
-            Comparison::Window => "Frames that are observed",
+            Comparison::Loss => "With and without the density loss",
+            Comparison::Window => "Number of observed frames",
         };
         let data = &study.data;
         let lead = format!(
-            "{} scenes of each preset ({}, seed {}): the first 80 % train, the next 10 % validate, the rest judge. \
-             Seeds {}.",
+            "{} scenes per preset ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
+             test. Seeds {}.",
             data.scenes,
             comparison.presets(study).join(", "),
             data.seed,
@@ -36,11 +36,11 @@ impl StudyReport {
         Self { page: Page::new(title, lead), tables: Vec::new() }
     }
 
-    /// The networks on a preset.
+    /// Adds the networks of a preset.
     pub fn networks(&mut self, preset: &str, study: &StudyConfig, networks: &Networks) {
         let windows = &study.training.windows;
         let budget = format!(
-            "Each network took at most {} steps of Adam with {} windows each.",
+            "Each network was trained for at most {} steps of Adam with {} windows each.",
             study.training.batches() * study.training.epochs as usize,
             windows.batch,
         );
@@ -51,14 +51,15 @@ impl StudyReport {
         section.plots(&networks.plots());
         tables.iter().for_each(|table| _ = section.table(table));
         section.paragraph(
-            "Errors are mean squared differences of x, y, vx, vy, each divided by its range in the training part. Skill is \
-             1 - squared position error / that of the best of persistence, constant velocity and ballistic. Intervals \
-             hold 95 % of 1,000 draws of scenes and seeds with replacement; fewer than five scenes have none.",
+            "Errors are mean squared errors of x, y, vx, vy, each divided by its range in the training part. Skill is 1 - \
+             squared position error / squared position error of the best baseline (persistence, constant velocity, \
+             ballistic). Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of scenes and seeds; with \
+             fewer than five scenes there is none.",
         );
         self.tables.extend(tables.into_iter().map(|table| (preset.to_owned(), table)));
     }
 
-    /// Learning curves on a preset.
+    /// Adds the learning curves of a preset.
     pub fn curves(&mut self, preset: &str, study: &StudyConfig, curves: &[Curve]) {
         let dense = &study.dense;
         let about = format!(
@@ -123,7 +124,7 @@ impl StudyReport {
         self.tables.push((preset.to_owned(), table));
     }
 
-    /// How long training steps take.
+    /// Adds the times of training steps.
     pub fn speed(&mut self, speed: &Speed) {
         let mut lengths: Vec<(Part, usize)> =
             speed.steps.iter().map(|step| (step.what, step.frames)).collect();
@@ -138,7 +139,7 @@ impl StudyReport {
         };
         let windows = speed.steps.first().map_or(0, |step| step.windows);
         let mut table = Table::new(
-            format!("Time of a training step of {windows} windows (ms), by frames a window"),
+            format!("Time per training step of {windows} windows (ms), by frames per window"),
             std::iter::once(String::new()).chain(lengths.iter().map(title)),
         );
         for core in CORES {
@@ -151,21 +152,21 @@ impl StudyReport {
             let cells: Vec<String> = lengths.iter().map(ratio).collect();
             table.row(format!("{} / {}", slow.name(), fast.name()), cells);
         }
-        let section = self.page.section("Speed of training");
+        let section = self.page.section("Training speed");
         section.table(&table).paragraph(&format!(
-            "The paper's Table 4, by the length of the window; on {} cores of {}, device {}.",
+            "The paper's Table 4, by window length; on {} cores of {}, device {}.",
             speed.machine.cores,
             speed.machine.processor,
             speed.device.name()
         ));
-        self.tables.push(("Speed of training".to_owned(), table));
+        self.tables.push(("Training speed".to_owned(), table));
     }
 
-    /// The page, with the commands that make it again.
+    /// The finished page, with the equivalent commands.
     pub fn page(mut self, made: &Provenance, commands: &[String]) -> Page {
-        let section = self.page.section("How to make this again");
+        let section = self.page.section("Reproduce");
         section.provenance(made);
-        section.folded("The commands that this stands for", |section| {
+        section.folded("Equivalent commands", |section| {
             section.code(&commands.join("\n"));
         });
         self.page

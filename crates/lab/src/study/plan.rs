@@ -1,4 +1,4 @@
-//! Which networks a comparison needs, and where everything of a study is.
+//! The networks of a comparison, and the folders of a study.
 
 use std::path::{Path, PathBuf};
 
@@ -6,32 +6,32 @@ use super::StudyConfig;
 use eddy_inference::checkpoint::Core;
 use eddy_learning::train::TrainConfig;
 
-/// What is compared.
+/// A comparison of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Comparison {
-    /// The five cores on every preset: the paper's Tables 2 and 3, and its Table 4 for this machine.
+    /// Compare the five cores on every preset: the paper's Tables 2 and 3, and its Table 4 for this machine.
     Cores,
-    /// Activations of a dense network: the paper's Fig. 5.
+    /// Compare activations of a dense network: the paper's Fig. 5.
     Activations,
-    /// With the density loss and without.
+    /// Compare training with and without the density loss.
     Loss,
-    /// How many frames are observed before one is predicted.
+    /// Compare numbers of observed frames.
     Window,
 }
 
-/// A network that is trained once with every seed.
+/// A network that is trained once per seed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
-    /// Its name in tables, and that of its folder. The same network has the same name in every comparison.
+    /// Name of its folder. The same network has the same name in every comparison.
     pub name: String,
-    /// What stands out about it, with its unit.
+    /// The compared setting with its unit, as shown in tables.
     pub setting: String,
-    /// How it is trained; the seed is set for every run.
+    /// Training settings; the seed is set for every run.
     pub config: TrainConfig,
 }
 
 impl Comparison {
-    /// The word on the command line, and the name of its folder.
+    /// Its name on the command line and of its folder.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cores => "cores",
@@ -41,7 +41,7 @@ impl Comparison {
         }
     }
 
-    /// The networks that are trained and judged; none for the activations, whose network is no model.
+    /// The networks to train and evaluate; none for the activations, whose dense network is not a model.
     pub fn variants(self, study: &StudyConfig) -> Vec<Variant> {
         let base = &study.training;
         let all: Vec<TrainConfig> = match self {
@@ -72,7 +72,7 @@ impl Comparison {
         all.into_iter().map(|config| Variant::new(self, config, base)).collect()
     }
 
-    /// The presets it is about: all for the cores, the first for the others.
+    /// Its presets: all for the cores, the first for the others.
     pub fn presets(self, study: &StudyConfig) -> &[String] {
         match self {
             Self::Cores => &study.data.presets,
@@ -102,7 +102,7 @@ impl Variant {
     }
 }
 
-/// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+/// Every network with every seed. Seeds are in the outer loop, so that an interrupted study has complete seeds.
 pub(super) fn runs<'a>(
     study: &'a StudyConfig,
     variants: &'a [Variant],
@@ -117,7 +117,7 @@ pub struct Folders {
 }
 
 impl Folders {
-    /// Of the study in `root`.
+    /// Folders of the study in `root`.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_owned() }
     }
@@ -138,8 +138,8 @@ impl Folders {
         self.root.join("curves").join(preset).join(name)
     }
 
-    /// The judgement of a comparison's networks on a preset.
-    pub fn judgement(&self, comparison: Comparison, preset: &str) -> PathBuf {
+    /// The evaluation of a comparison's networks on a preset.
+    pub fn evaluation(&self, comparison: Comparison, preset: &str) -> PathBuf {
         self.report(comparison).join(preset)
     }
 
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_of_one_name_are_trained_alike() {
+    fn networks_with_the_same_name_have_the_same_settings() {
         let study = StudyConfig::paper();
         let all = [Comparison::Cores, Comparison::Loss, Comparison::Window];
         let all: Vec<Variant> = all.iter().flat_map(|one| one.variants(&study)).collect();

@@ -1,4 +1,4 @@
-//! What a part of a study came to, as a file that says which part it is.
+//! Result files of the parts of a study.
 
 use std::{
     fs, io,
@@ -19,42 +19,42 @@ use eddy_learning::{
 };
 use eddy_settings::atomic;
 
-/// A network that was trained to its end.
+/// A trained network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trained {
     /// Digest of the checkpoint.
     pub checkpoint: String,
-    /// Numbers that were learned.
+    /// Number of parameters.
     pub parameters: usize,
-    /// Time of the training, validation included (s).
+    /// Training time, including validation (s).
     pub seconds: f64,
-    /// Networks that were trained at the same time.
+    /// Number of networks trained in parallel.
     pub at_once: usize,
     /// Windows seen.
     pub samples: u64,
-    /// What computed.
+    /// Device.
     #[serde(default)]
     pub device: DeviceKind,
-    /// How it was trained.
+    /// Training settings.
     pub config: TrainConfig,
-    /// Every epoch.
+    /// All epochs.
     pub epochs: Vec<Epoch>,
 }
 
 /// The learning curve of a dense network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// What is behind its layers.
+    /// Activation of its layers.
     pub activation: Activation,
     /// Seed of its weights and of the order of the data.
     pub seed: u64,
-    /// How it was trained.
+    /// Training settings.
     pub config: DenseConfig,
-    /// What came out.
+    /// Losses by epoch.
     pub curve: DenseCurve,
 }
 
-/// Why a result is of no use.
+/// Why a result file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultError {
     /// The file cannot be read or written.
@@ -62,20 +62,20 @@ pub enum ResultError {
     File {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The cause.
         reason: io::Error,
     },
-    /// It is no result.
+    /// The file is not a result.
     #[error("{}: found {reason}, expected the result of a training", file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
-        /// Line and column, and what is wrong there.
+        /// The syntax error with its position.
         reason: String,
     },
-    /// It is that of another study.
+    /// The file belongs to another study.
     #[error(
-        "{}: found a training with other settings or on another device, expected those of this study: they go to another --output",
+        "{}: result of a training with other settings or on another device; choose another --output",
         file.display()
     )]
     Other {
@@ -84,14 +84,13 @@ pub enum ResultError {
     },
 }
 
-/// The name of its file in the folder of a run.
 const TRAINED_FILE: &str = "trained.toml";
 
 impl Trained {
-    /// The result in the folder of a run, if it came to its end.
+    /// The result in the folder of a run, if it has finished.
     ///
     /// # Errors
-    /// [`ResultError`], also where it is that of a training with other settings or on another device.
+    /// [`ResultError`], also for a training with other settings or on another device.
     pub fn find(
         folder: &Path,
         config: &TrainConfig,
@@ -102,7 +101,7 @@ impl Trained {
         })
     }
 
-    /// The epoch that the checkpoint is from.
+    /// The epoch of the checkpoint.
     pub fn best(&self) -> Option<&Epoch> {
         self.epochs.iter().rfind(|epoch| epoch.best)
     }
@@ -117,10 +116,10 @@ impl Trained {
 }
 
 impl Curve {
-    /// The curve in a file, if it came to its end.
+    /// The curve in a file, if it has finished.
     ///
     /// # Errors
-    /// [`ResultError`], also where it is that of a training with other settings.
+    /// [`ResultError`], also for a training with other settings.
     pub fn find(file: &Path, config: &DenseConfig) -> Result<Option<Self>, ResultError> {
         find(file.to_owned(), |curve: &Self| curve.config == *config)
     }
@@ -134,31 +133,30 @@ impl Curve {
     }
 }
 
-/// How long training steps take.
+/// Times of training steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Speed {
-    /// On which machine.
+    /// The machine.
     pub machine: Machine,
-    /// What computed.
+    /// Device.
     #[serde(default)]
     pub device: DeviceKind,
-    /// Every kind of step.
+    /// Times by kind of step.
     pub steps: Vec<Timing>,
 }
 
-/// The name of its file in the folder of a comparison.
 const SPEED_FILE: &str = "training_speed.toml";
 
 impl Speed {
-    /// The times in the folder of a comparison, if they were taken.
+    /// The times in the folder of a comparison, if measured.
     ///
     /// # Errors
-    /// [`ResultError`], also where they are those of another device.
+    /// [`ResultError`], also for times of another device.
     pub fn find(folder: &Path, device: DeviceKind) -> Result<Option<Self>, ResultError> {
         find(folder.join(SPEED_FILE), |speed: &Self| speed.device == device)
     }
 
-    /// Writes them there.
+    /// Writes them to the folder of a comparison.
     ///
     /// # Errors
     /// [`ResultError::File`].
@@ -186,7 +184,7 @@ fn find<T: DeserializeOwned>(
     }
 }
 
-/// Whole or not at all.
+/// Writes a result atomically.
 fn save(file: PathBuf, result: &impl Serialize) -> Result<(), ResultError> {
     let text = toml::to_string(result).expect("numbers, words and tables of them are all TOML");
     atomic::replace(&file, text.as_bytes()).map_err(|reason| ResultError::File { file, reason })

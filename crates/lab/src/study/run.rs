@@ -1,4 +1,4 @@
-//! A comparison from nothing to its report. What has come to its end is not done again.
+//! Runs a comparison. Finished parts are not repeated.
 
 use std::{
     collections::VecDeque,
@@ -16,7 +16,7 @@ use anyhow::{Context, bail, ensure};
 
 use super::{
     Comparison, Folders, StudyConfig, Trained, Variant,
-    command_lines::{CommandLines, in_words},
+    command_lines::{CommandLines, shown},
     learning_curves, step_times, training, write,
 };
 use eddy_evaluation::{
@@ -28,23 +28,23 @@ use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{model::DeviceKind, train::TrainConfig};
 
-/// Which comparison to run, and where.
+/// A comparison to run.
 #[derive(Clone, Debug)]
 pub struct StudyRequest {
-    /// What is compared.
+    /// The comparison.
     pub comparison: Comparison,
     /// Data, networks and budget.
     pub study: StudyConfig,
     /// The folder of data, networks, evaluations and reports. Comparisons in the same folder share data and
     /// networks.
     pub output: PathBuf,
-    /// Networks that are trained at a time.
+    /// Number of networks to train in parallel.
     pub jobs: NonZeroUsize,
     /// The device that trains the networks of cores, losses and windows, and takes the timed steps.
     pub device: DeviceKind,
 }
 
-/// A comparison that has come to its end.
+/// Results of a comparison.
 #[derive(Debug)]
 pub struct StudyOutcome {
     /// The first table under each heading of the report.
@@ -57,7 +57,7 @@ impl StudyRequest {
     /// Checks all settings.
     ///
     /// # Errors
-    /// The first setting that cannot be used.
+    /// The first invalid setting.
     pub fn check(&self) -> anyhow::Result<()> {
         self.study.check()?;
         self.study.dense.check()?;
@@ -68,11 +68,11 @@ impl StudyRequest {
     }
 }
 
-/// Runs a comparison: simulates its scenes, trains its networks with every seed, evaluates them on the scenes that
-/// none of them was trained on, and writes the report. The same request goes on where it was cancelled.
+/// Runs a comparison: simulates its scenes, trains its networks with every seed, evaluates them on the test scenes, and
+/// writes the report. Repeating a cancelled request resumes it.
 ///
 /// # Errors
-/// What stopped it, also that it was cancelled. What has come to its end is kept.
+/// The error of the part that failed, or cancellation. Finished parts are kept.
 pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<StudyOutcome> {
     request.check()?;
     let StudyRequest { comparison, study, output, jobs, device } = request;
@@ -101,41 +101,41 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
         Comparison::Cores | Comparison::Loss | Comparison::Window => training::run(&work)?,
     }
     if progress.cancelled() {
-        bail!("interrupted: the same command goes on");
+        bail!("interrupted: run the same command again to resume");
     }
     work.evaluate()?;
     if *comparison == Comparison::Cores {
         step_times::run(&work)?;
     }
     if progress.cancelled() {
-        bail!("interrupted: the same command goes on");
+        bail!("interrupted: run the same command again to resume");
     }
     write::write(&work)
 }
 
-/// A comparison on its way.
+/// A running comparison.
 pub(super) struct Work<'a> {
     pub(super) folders: Folders,
     pub(super) comparison: Comparison,
     pub(super) study: &'a StudyConfig,
     pub(super) variants: Vec<Variant>,
     pub(super) presets: &'a [String],
-    /// Networks that are trained at a time.
+    /// Number of networks to train in parallel.
     pub(super) jobs: usize,
     /// The device that trains the networks whose cores, losses or windows are compared.
     pub(super) device: DeviceKind,
     pub(super) progress: &'a dyn Progress,
-    /// Whether one of them has failed: the others stop.
+    /// Set when a task has failed, to stop the others.
     failed: AtomicBool,
 }
 
 impl Work<'_> {
-    /// Whether what runs is to stop.
+    /// Whether tasks should stop.
     pub(super) fn stops(&self) -> bool {
         self.progress.cancelled() || self.failed.load(Ordering::Relaxed)
     }
 
-    /// The command lines that do the same by hand.
+    /// The equivalent command lines.
     pub(super) fn command_lines(&self) -> CommandLines<'_> {
         CommandLines {
             folders: &self.folders,
@@ -147,7 +147,7 @@ impl Work<'_> {
         }
     }
 
-    /// Simulates the scenes of every preset that are not there yet.
+    /// Simulates the missing scenes of every preset.
     fn simulate(&self) -> anyhow::Result<()> {
         for preset in self.presets {
             let request = self.study.data.simulation(preset)?;
@@ -157,10 +157,10 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Evaluates every network on each preset, unless this very evaluation is there.
+    /// Evaluates every network on each preset, unless already done.
     fn evaluate(&self) -> anyhow::Result<()> {
         for preset in self.presets {
-            let folder = self.folders.judgement(self.comparison, preset);
+            let folder = self.folders.evaluation(self.comparison, preset);
             if self.variants.is_empty() || self.is_evaluated(preset, &folder)? {
                 continue;
             }
@@ -170,31 +170,31 @@ impl Work<'_> {
             evaluation.remarks().iter().for_each(|remark| self.tell(remark));
             let mut report = evaluation.run(self.progress)?;
             report.made.command = command;
-            report.save(&folder).with_context(|| in_words(&folder))?;
+            report.save(&folder).with_context(|| shown(&folder))?;
         }
         Ok(())
     }
 
-    /// All networks on the scenes of a preset.
+    /// The evaluation of all networks on the scenes of a preset.
     fn evaluation(&self, preset: &str) -> anyhow::Result<EvaluationRequest> {
         let load = |(variant, seed): (&Variant, u64)| {
             let path = self.folders.run(preset, &variant.name, seed);
-            Ok((in_words(&path), Checkpoint::load(&path)?))
+            Ok((shown(&path), Checkpoint::load(&path)?))
         };
         let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
         let (data, memory) = (self.folders.data(preset), dataset::available_memory() / 2);
-        let judging = &self.study.judging;
+        let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
             checkpoints,
             streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
-            settings: Settings::full(judging.horizon, judging.starts),
+            settings: Settings::full(evaluation.horizon, evaluation.starts),
             references: Vec::new(),
             join_late: false,
             threads: None,
         })
     }
 
-    /// Whether the report in `folder` is that of all the networks.
+    /// Whether `folder` has the report of this evaluation.
     fn is_evaluated(&self, preset: &str, folder: &Path) -> anyhow::Result<bool> {
         if !folder.exists() {
             return Ok(false);
@@ -208,27 +208,26 @@ impl Work<'_> {
             && evaluated == networks)
     }
 
-    /// What the networks' training came to, in the order of [`Work::runs`].
+    /// Results of the networks' training, in the order of [`Work::runs`].
     pub(super) fn trained(&self, preset: &str) -> anyhow::Result<Vec<(&Variant, Trained)>> {
         let mut all = Vec::new();
         for (variant, seed) in self.runs() {
             let folder = self.folders.run(preset, &variant.name, seed);
             let config = TrainConfig { seed, ..variant.config.clone() };
-            let trained = Trained::find(&folder, &config, self.device)?.with_context(|| {
-                format!("{}: found no trained network, expected one", folder.display())
-            })?;
+            let trained = Trained::find(&folder, &config, self.device)?
+                .with_context(|| format!("{}: no trained network found", folder.display()))?;
             all.push((variant, trained));
         }
         Ok(all)
     }
 
-    /// Every network with every seed. The seed goes round slowest, so that a study that is stopped has whole seeds.
+    /// Every network with every seed, see [`plan::runs`](super::plan::runs).
     pub(super) fn runs(&self) -> impl Iterator<Item = (&Variant, u64)> {
         super::plan::runs(self.study, &self.variants)
     }
 
-    /// Does tasks, `jobs` at a time, until one fails or all are to stop. What comes out is a line to tell, or nothing
-    /// where a task was stopped.
+    /// Runs tasks, `jobs` in parallel, until one fails or all should stop. A task returns a message, or nothing if it was
+    /// stopped.
     pub(super) fn each<T: Send>(
         &self,
         tasks: VecDeque<T>,
@@ -266,7 +265,7 @@ impl Work<'_> {
     }
 }
 
-/// Writes a settings file, so that its command line can be given by hand.
+/// Writes a settings file for an equivalent command.
 pub(super) fn write_settings(file: &Path, text: &str) -> anyhow::Result<()> {
     let folder = file.parent().unwrap_or(Path::new("."));
     let written = fs::create_dir_all(folder).and_then(|()| fs::write(file, text));

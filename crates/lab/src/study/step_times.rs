@@ -1,13 +1,13 @@
-//! Time of training steps: the paper's Table 4 for this machine.
+//! Times of training steps: the paper's Table 4 for this machine.
 
 use super::{Speed, run::Work};
 use crate::bench::training::paper_steps;
 use eddy_evaluation::page::Machine;
 
-/// Windows a batch.
+/// Windows per batch.
 const WINDOWS: usize = 16;
 
-/// Times a step of every recurrent core with each of the lengths of a window, unless that was done.
+/// Times a step of every recurrent core for each window length, unless already done.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let folder = work.folders.report(work.comparison);
     if Speed::find(&folder, work.device)?.is_some() {

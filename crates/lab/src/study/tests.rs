@@ -29,7 +29,7 @@ fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     let training = &mut study.training;
     (training.network.encoder, training.network.hidden) = (8, 16);
     (training.windows.batch, training.windows.per_epoch, training.epochs) = (4, 8, 2);
-    (study.judging.horizon, study.judging.starts) = (3, 1);
+    (study.evaluation.horizon, study.evaluation.starts) = (3, 1);
     (study.step_frames, study.step_seconds) = (vec![2], 0.01);
     let (output, device) = (output.to_owned(), DeviceKind::Flex);
     StudyRequest { comparison, study, output, jobs: NonZeroUsize::MIN, device }
@@ -72,7 +72,7 @@ fn changed(file: &Path) -> SystemTime {
 }
 
 #[test]
-fn a_cancelled_study_goes_on_without_what_has_ended() {
+fn a_cancelled_study_resumes_without_repeating_finished_parts() {
     let folder = tempfile::tempdir().unwrap();
     let request = request(Comparison::Loss, folder.path());
     let first = Lines::until("seed 1: 2 epochs in");
@@ -93,8 +93,8 @@ fn a_cancelled_study_goes_on_without_what_has_ended() {
     assert!(outcome.page.exists());
     assert_eq!(outcome.summaries.len(), 1);
 
-    // Everything is there: nothing is simulated, trained or evaluated again.
-    let folder = folders.judgement(Comparison::Loss, "fluid");
+    // Nothing is simulated, trained or evaluated again.
+    let folder = folders.evaluation(Comparison::Loss, "fluid");
     let before = changed(&folder.join("report.json"));
     let third = Lines::default();
     run(&request, &third).unwrap();
@@ -104,12 +104,12 @@ fn a_cancelled_study_goes_on_without_what_has_ended() {
 }
 
 #[test]
-fn the_evaluation_of_a_study_says_which_command_gives_the_same() {
+fn the_evaluation_of_a_study_records_the_equivalent_command() {
     let folder = tempfile::tempdir().unwrap();
     let request = request(Comparison::Loss, folder.path());
     let lines = Lines::default();
     run(&request, &lines).unwrap();
-    let report = Folders::new(folder.path()).judgement(Comparison::Loss, "fluid");
+    let report = Folders::new(folder.path()).evaluation(Comparison::Loss, "fluid");
     let command = Report::load(&report).unwrap().made.command;
     let root = folder.path().display();
     let networks =
@@ -120,28 +120,28 @@ fn the_evaluation_of_a_study_says_which_command_gives_the_same() {
     );
     assert_eq!(command, expected);
     assert_eq!(lines.count(&command), 1);
-    // Evaluated again where another number of rollouts is asked for.
+    // Another number of rollouts is evaluated again.
     let mut more = request;
-    more.study.judging.starts = 2;
+    more.study.evaluation.starts = 2;
     let lines = Lines::default();
     run(&more, &lines).unwrap();
     assert_eq!((lines.count("epochs in"), lines.count("--starts 2")), (0, 1));
 }
 
 #[test]
-fn learning_curves_that_are_there_are_not_computed_again() {
+fn existing_learning_curves_are_not_computed_again() {
     let folder = tempfile::tempdir().unwrap();
     let request = request(Comparison::Activations, folder.path());
-    let first = Lines::until("seed 1: a validation loss of");
+    let first = Lines::until("seed 1: validation loss");
     run(&request, &first).unwrap_err();
     let second = Lines::default();
     run(&request, &second).unwrap();
-    let loss = "a validation loss of";
+    let loss = ": validation loss";
     assert_eq!((first.count(loss), second.count(loss)), (1, 1));
 }
 
 #[test]
-fn a_request_that_cannot_be_used_is_refused_before_anything_is_written() {
+fn an_invalid_request_is_rejected_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("out");
     let usual = request(Comparison::Loss, &output);

@@ -1,4 +1,4 @@
-//! Networks that are trained once with every seed.
+//! Trains every network with every seed.
 
 use std::{collections::VecDeque, fs, path::PathBuf};
 
@@ -16,15 +16,15 @@ use eddy_learning::train::{LAST_FOLDER, Machine, Run, TrainConfig, train};
 
 /// A network with one seed.
 struct Task {
-    /// Its name in what is printed.
+    /// Its name in messages.
     name: String,
     config: TrainConfig,
     output: PathBuf,
-    /// The command that does the same.
+    /// The equivalent command.
     command: String,
 }
 
-/// Trains what is not trained yet.
+/// Trains the missing networks.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     for preset in work.presets {
         let mut tasks = VecDeque::new();
@@ -53,7 +53,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
 }
 
 impl Task {
-    /// Trains it, and gives a line about it; none when it was stopped.
+    /// Trains the network and returns a message; `None` if it was stopped.
     fn run(
         &self,
         work: &Work,
@@ -62,7 +62,7 @@ impl Task {
         at_once: usize,
     ) -> anyhow::Result<Option<String>> {
         let Self { name, config, output, command } = self;
-        // Beside the folder, as this is made by who trains.
+        // Beside the folder, which `train` creates.
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let run = Run {
             device: work.device,
@@ -77,7 +77,7 @@ impl Task {
         if outcome.interrupted {
             return Ok(None);
         }
-        let Some(best) = outcome.best else { bail!("{name}: found no epoch, expected one") };
+        let Some(best) = outcome.best else { bail!("{name}: training finished without an epoch") };
         let trained = Trained {
             checkpoint: best.digest().to_owned(),
             parameters: best.parameters(),
@@ -89,12 +89,12 @@ impl Task {
             epochs: outcome.epochs,
         };
         trained.save(output)?;
-        // What is needed to go on is three times as large as the network, and not needed any more.
+        // The state for resuming is three times as large as the network and no longer needed.
         let last = output.join(LAST_FOLDER);
         fs::remove_dir_all(&last).with_context(|| last.display().to_string())?;
         let best = &best.description.training;
         Ok(Some(format!(
-            "{name}: {} epochs in {:.0} s, best {} with a validation loss of {:.3}",
+            "{name}: {} epochs in {:.0} s, best epoch {} with validation loss {:.3}",
             best.epochs, trained.seconds, best.best_epoch, best.validation_loss
         )))
     }

@@ -1,15 +1,15 @@
-//! What a comparison came to: `report.html`, and `tables.md` for who writes about it.
+//! Writes the report of a comparison: `report.html`, and `tables.md` for use in documents.
 
 use anyhow::Context;
 
 use super::{
     Comparison, Curve, Networks, Speed, StudyReport,
-    command_lines::in_words,
+    command_lines::shown,
     run::{StudyOutcome, Work, write_settings},
 };
 use eddy_evaluation::{Report, page::Provenance};
 
-/// Writes both.
+/// Writes both files.
 pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     let folder = work.folders.report(work.comparison);
     let mut report = StudyReport::new(work.comparison, work.study);
@@ -25,7 +25,7 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
                     variants: &work.variants,
                     seeds: &work.study.seeds,
                     trained: trained.collect(),
-                    report: Report::load(&work.folders.judgement(comparison, preset))?,
+                    report: Report::load(&work.folders.evaluation(comparison, preset))?,
                 };
                 report.networks(preset, work.study, &networks);
             }
@@ -39,7 +39,7 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     write_settings(&folder.join("tables.md"), &report.markdown())?;
     let html = folder.join("report.html");
     let page = report.page(&Provenance::here(), &work.command_lines().all());
-    page.save(&html).with_context(|| in_words(&html))?;
+    page.save(&html).with_context(|| shown(&html))?;
     Ok(StudyOutcome { summaries, page: html })
 }
 
@@ -50,9 +50,9 @@ fn curves(work: &Work, preset: &str) -> anyhow::Result<Vec<Curve>> {
         for activation in &work.study.activations {
             let file = work.folders.curve(preset, activation.name(), seed);
             let curve = Curve::find(&file, &work.study.dense)?;
-            curves.push(curve.with_context(|| {
-                format!("{}: found no learning curve, expected one", file.display())
-            })?);
+            curves.push(
+                curve.with_context(|| format!("{}: no learning curve found", file.display()))?,
+            );
         }
     }
     Ok(curves)

@@ -1,8 +1,7 @@
-//! A chunk: neighbouring particles, and the patch of the grid that they give their momentum to.
+//! A chunk: neighbouring particles and the patch of the grid to which they scatter momentum.
 //!
-//! Chunks depend on the particles alone, not on the number of threads; each has its own patch, and
-//! patches are added up in the order of the chunks. So the bits are the same for any number of
-//! threads.
+//! Chunks depend on the particles only. Each has its own patch, and patches are summed in the order of the chunks, so the
+//! results are bit-identical for any number of threads.
 
 use std::ops::Range;
 
@@ -11,19 +10,18 @@ use super::{
     simd::{LANES, Simd},
 };
 
-/// Cells that particles may drift off before they are sorted anew, and one more for the substep in
-/// which that is noticed.
+/// Cells that particles may drift before they are sorted again, and one more for the substep in which that is detected.
 const MARGIN: i32 = 2;
 /// Nodes of a stencil on each axis.
 const STENCIL: i32 = 3;
-/// A row is read and written in vectors of four nodes: so many more than the stencil needs.
+/// Rows are read and written in vectors of four nodes: this many more than the stencil needs.
 const SPARE: usize = 1;
 
 /// A chunk of particles.
 #[derive(Clone, Debug, Default)]
-#[repr(align(128))] // neighbours are written by different threads
+#[repr(align(128))] // adjacent chunks are written by different threads
 pub(super) struct Chunk {
-    /// Its particles, in the order of the cells.
+    /// Range of its particles, sorted by cell.
     range: Range<usize>,
     /// Cells per domain length.
     inverse_dx: f32,
@@ -31,24 +29,24 @@ pub(super) struct Chunk {
     pub(super) origin: [i32; 2],
     /// Nodes of the patch on x and y.
     pub(super) nodes: [usize; 2],
-    /// Nodes from one row (x) of the patch to the next.
+    /// Row stride of the patch (nodes).
     pub(super) stride: usize,
-    /// Lowest nodes of stencils that lie in the patch: from, and up to but without (cells + 1/2).
+    /// Range of positions whose stencils lie in the patch: lower bounds and exclusive upper bounds (cells).
     inside: [[f32; 2]; 2],
-    /// The same without the outermost cell of the margin.
+    /// The same range without the outermost cell of the margin.
     near: [[f32; 2]; 2],
-    /// Momentum per mass of a particle (domain lengths per s).
+    /// Momentum, in units of a particle's mass (domain lengths per s).
     momentum: Vec<[f32; 2]>,
-    /// Sum of the weights: mass in masses of a particle.
+    /// Mass, in units of a particle's mass: the sum of the weights.
     mass: Vec<f32>,
     /// A particle has entered the outermost cell of the margin.
     pub(super) drifted: bool,
-    /// A particle has left the patch, or is nowhere.
+    /// A particle has left the patch or has a NaN position.
     pub(super) lost: bool,
 }
 
 impl Chunk {
-    /// Lays the patch around particles whose lowest nodes lie between `least` and `most`.
+    /// Lays out the patch around particles whose stencils' lowest nodes lie between `least` and `most`.
     pub(super) fn lay(
         &mut self,
         range: Range<usize>,
@@ -79,18 +77,18 @@ impl Chunk {
         self.mass.resize(size, 0.0);
     }
 
-    /// The places of its particles.
+    /// Range of its particles.
     pub(super) fn particles(&self) -> Range<usize> {
         self.range.clone()
     }
 
-    /// Its packs: only the last chunk's last one is not full.
+    /// Range of its packs. Only the last pack of the last chunk is not full.
     pub(super) fn packs(&self) -> Range<usize> {
         self.range.start / LANES..self.range.end.div_ceil(LANES)
     }
 
-    /// Whether the stencils of sixteen positions (cells) lie in the patch, and whether they do so
-    /// without the outermost cell of the margin. False for NaN.
+    /// Whether the stencils of sixteen positions (cells) lie in the patch, and in the patch without the outermost cell of
+    /// the margin. False for NaN.
     #[inline(always)]
     pub(super) fn holds<S: Simd>(&self, simd: S, position: [S::Lanes; 2]) -> (bool, bool) {
         let within = |bounds: &[[f32; 2]; 2]| {
@@ -119,25 +117,25 @@ impl Chunk {
         let (Some(momentum), Some(mass)) =
             (self.momentum[start..].first_chunk_mut(), self.mass[start..].first_chunk_mut())
         else {
-            unreachable!("`holds` has seen that the stencil lies in the patch")
+            unreachable!("`holds` checks that the stencil lies in the patch")
         };
         (momentum, mass)
     }
 
-    /// Whether the patch has this row of the grid.
+    /// Whether the patch contains this row of the grid.
     pub(super) fn covers(&self, row: usize) -> bool {
         let row = row as i32 - self.origin[0];
         row >= 0 && (row as usize) < self.nodes[0]
     }
 
-    /// A row of the patch, which must have it.
+    /// Momentum and mass of a row that the patch contains.
     pub(super) fn row(&self, row: usize) -> (&[[f32; 2]], &[f32]) {
         let start = (row - self.origin[0] as usize) * self.stride;
         let end = start + self.nodes[1];
         (&self.momentum[start..end], &self.mass[start..end])
     }
 
-    /// Takes all momentum off.
+    /// Sets momentum and mass to zero.
     pub(super) fn clear(&mut self) {
         self.momentum.fill([0.0; 2]);
         self.mass.fill(0.0);

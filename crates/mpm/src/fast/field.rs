@@ -1,4 +1,4 @@
-//! The velocities of all nodes: momentum of the patches becomes velocity, gravity and walls act.
+//! Velocities of all nodes: sums the patches of the chunks and applies gravity and walls.
 
 use super::{
     super::{
@@ -16,11 +16,11 @@ use super::{
 pub(super) struct Field {
     /// Velocities (domain lengths per s).
     pub(super) velocity: Vec<[f32; 2]>,
-    /// Masses, in masses of a particle.
+    /// Masses, in units of a particle's mass.
     pub(super) mass: Vec<f32>,
     /// Nodes along x and y.
     pub(super) sides: [usize; 2],
-    /// Nodes from one row to the next.
+    /// Row stride (nodes).
     pub(super) stride: usize,
     /// Cells per domain length.
     pub(super) inverse_dx: f32,
@@ -37,14 +37,14 @@ impl Field {
     }
 }
 
-/// The nodes while particles read them.
+/// Read access to the nodes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Nodes<'a> {
     /// Velocities, row (x) by row (domain lengths per s).
     pub(super) velocity: &'a [[f32; 2]],
-    /// Masses, in masses of a particle.
+    /// Masses, in units of a particle's mass.
     pub(super) mass: &'a [f32],
-    /// Nodes from one row to the next.
+    /// Row stride (nodes).
     pub(super) stride: usize,
 }
 
@@ -70,14 +70,14 @@ fn rows<T>(nodes: &[T], at: usize, stride: usize) -> [&[T; GROUP]; 3] {
         nodes[at + 2 * stride..].first_chunk(),
     ) {
         (Some(a), Some(b), Some(c)) => [a, b, c],
-        _ => unreachable!("the chunk has seen that the stencil lies in the grid"),
+        _ => unreachable!("the chunk checks that the stencil lies in the grid"),
     }
 }
 
-/// What acts on the nodes in a substep.
+/// Forces and walls that act on the nodes in a substep.
 #[derive(Clone, Debug)]
 pub(super) struct Forces {
-    /// What the walls let pass in rows at the lower wall, between the walls and at the upper wall.
+    /// Velocity bounds for rows at the lower wall, between the walls and at the upper wall.
     walls: [Walls; 3],
     /// Nodes along x.
     rows: usize,
@@ -87,11 +87,10 @@ pub(super) struct Forces {
     dt: f32,
     /// Acceleration in -y (domain lengths per s^2).
     gravity: f32,
-    /// Pulls if there is one.
     attractor: Option<Attractor>,
 }
 
-/// Least and largest velocity that separating slip walls let pass at the nodes of a row.
+/// Velocity bounds of separating slip walls at the nodes of a row.
 #[derive(Clone, Debug)]
 struct Walls {
     least: Vec<[f32; 2]>,
@@ -99,7 +98,7 @@ struct Walls {
 }
 
 impl Walls {
-    /// The walls of a row that is `row`th of so many, with so many nodes and some to spare.
+    /// The bounds of row `row` on a grid of this size, padded to whole groups.
     fn new(row: usize, [rows, columns]: [usize; 2]) -> Self {
         let least = |k: usize| if k < WALL_CELLS { 0.0 } else { f32::NEG_INFINITY };
         let most = |k: usize, side| if k + WALL_CELLS >= side { 0.0 } else { f32::INFINITY };
@@ -121,7 +120,7 @@ impl Forces {
         Self { walls, rows, dx: shape.dx, dt, gravity, attractor }
     }
 
-    /// What an attractor adds to the velocities of a row in a substep.
+    /// Velocity that an attractor adds to the nodes of a row in a substep.
     fn pull(&self, attractor: &Attractor, row: usize, velocity: &mut [[f32; 2]]) {
         for (j, velocity) in velocity.iter_mut().enumerate() {
             let pull = attractor.acceleration([row as f32 * self.dx, j as f32 * self.dx]);
@@ -133,21 +132,21 @@ impl Forces {
 /// The update of one row of the field from the patches that cover it.
 pub(super) struct Update<'a> {
     pub(super) forces: &'a Forces,
-    /// Number of the row.
+    /// Index of the row.
     pub(super) row: usize,
     pub(super) chunks: &'a [Chunk],
     /// Velocities of the row's nodes.
     pub(super) velocity: &'a mut [[f32; 2]],
     /// Masses of the row's nodes.
     pub(super) mass: &'a mut [f32],
-    /// Room to add up.
+    /// Scratch buffer.
     pub(super) sum: &'a mut Sum,
 }
 
 impl Work for Update<'_> {
     type Output = ();
 
-    /// Nodes without mass get a velocity too; nobody is near enough to feel it.
+    /// Nodes without mass get a velocity too, but no particle is near enough to gather it.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let Self { forces, row, chunks, velocity, mass, sum } = self;
@@ -169,8 +168,7 @@ impl Work for Update<'_> {
             .take((to - from).div_ceil(GROUP));
         for (((((momentum, mass), pull), least), most), velocity) in fours {
             let mass = simd.max_pairs(simd.twice(simd.load_ones(mass)), lightest);
-            // Divided, not multiplied by an inverse: inside a body all nodes have nearly the same
-            // mass, and the same rounding of its inverse everywhere would let momentum drift.
+            // A division instead of a multiplication by the inverse, as in `Grid::update`.
             let free = simd.load_pairs(momentum) / mass - fall + simd.load_pairs(pull);
             let above = simd.max_pairs(simd.load_pairs(least), free);
             simd.store_pairs(simd.min_pairs(simd.load_pairs(most), above), velocity);
@@ -178,26 +176,26 @@ impl Work for Update<'_> {
     }
 }
 
-/// Nodes that are computed at once.
+/// Nodes per vector.
 const GROUP: usize = 4;
 
-/// The whole groups of a slice.
+/// The complete groups of a slice.
 #[inline(always)]
 fn groups<T>(nodes: &[T]) -> impl Iterator<Item = &[T; GROUP]> {
     nodes.as_chunks().0.iter()
 }
 
-/// One row of the grid while the patches are added up.
+/// Scratch buffer for the sum of the patches in one row.
 #[derive(Clone, Debug)]
 pub(super) struct Sum {
     momentum: Vec<[f32; 2]>,
     mass: Vec<f32>,
-    /// What the attractor adds to the velocity; zero without one.
+    /// Velocity added by the attractor; zero without one.
     pull: Vec<[f32; 2]>,
 }
 
 impl Sum {
-    /// A row of so many nodes.
+    /// A buffer for rows of `nodes` nodes.
     pub(super) fn new(nodes: usize) -> Self {
         Self {
             momentum: vec![[0.0; 2]; nodes],
@@ -206,8 +204,8 @@ impl Sum {
         }
     }
 
-    /// Adds up what the patches have in row `i`, in the order of the chunks, and says between which
-    /// nodes; `None` if no patch covers the row.
+    /// Sums the patches in row `i`, in the order of the chunks, and returns the range of covered nodes; `None` if no patch
+    /// covers the row.
     #[inline(always)]
     fn add_up(&mut self, i: usize, chunks: &[Chunk]) -> Option<[usize; 2]> {
         let covering = || chunks.iter().filter(|chunk| chunk.covers(i));

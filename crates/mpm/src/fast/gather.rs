@@ -1,9 +1,9 @@
-//! Grid to particles: [`g2p`](super::super::g2p) for sixteen particles.
+//! Grid to particles for a pack, as [`g2p`](super::super::g2p).
 
 use super::{
     super::{
         material::Law,
-        water::{LOOSEST, MEMORY},
+        water::{MAX_AREA, RELAXATION_TIME},
     },
     field::Nodes,
     pack::Pack,
@@ -13,7 +13,7 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// Velocities and their gradients come back, positions move.
+/// Gathers velocities and their gradients, and advances positions.
 #[inline(always)]
 pub(super) fn gather<S: Simd>(
     simd: S,
@@ -36,10 +36,10 @@ pub(super) fn gather<S: Simd>(
     }
     simd.store(stencils.offset[1], &mut scratch.offset);
     if step.moduli.law == Law::Water {
-        recall(simd, weights, pack, field, step, scratch);
+        correct_density(simd, weights, pack, field, step, scratch);
     }
     let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
-    // The lanes behind the last particle hold copies of another one, which move with it.
+    // Unused lanes hold copies of another particle.
     for l in 0..LANES {
         let [a, b, c] = field.velocities(node[l] as usize);
         let (a, b, c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
@@ -70,10 +70,9 @@ pub(super) fn gather<S: Simd>(
     }
 }
 
-/// Draws the area that water remembers to what the mass of the nodes says, as
-/// [`water::recalled`](super::super::water).
+/// Relaxes the area of water towards the density of the grid, as [`water`](super::super::water).
 #[inline(always)]
-fn recall<S: Simd>(
+fn correct_density<S: Simd>(
     simd: S,
     weights: &Weights<S>,
     pack: &mut Pack,
@@ -82,8 +81,8 @@ fn recall<S: Simd>(
     scratch: &mut Scratch,
 ) {
     let liquid = simd.splat(f32::from(Material::Liquid as u8));
-    let wet = simd.equal(simd.load(&pack.material), liquid);
-    if simd.count(wet) == 0 {
+    let liquid_lanes = simd.equal(simd.load(&pack.material), liquid);
+    if simd.count(liquid_lanes) == 0 {
         return;
     }
     let Scratch { node, offset, weight, mass, .. } = scratch;
@@ -95,15 +94,15 @@ fn recall<S: Simd>(
             + simd.splat_ones(weight[2][l]) * c;
         mass[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
     }
-    let loosest = simd.splat(LOOSEST);
+    let max_area = simd.splat(MAX_AREA);
     let side = simd.load(&pack.deformation[0]);
     let area = side * simd.load(&pack.deformation[3]);
-    let room = simd.splat(step.crowd) / simd.load(mass);
-    let room = simd.select(simd.less(loosest, room), loosest, room);
-    let area = area + (room - area) * simd.splat((step.dt / MEMORY).min(1.0));
+    let target = simd.splat(step.particles_per_cell) / simd.load(mass);
+    let target = simd.select(simd.less(max_area, target), max_area, target);
+    let area = area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0));
     let side = simd.sqrt(area);
     for k in [0, 3] {
         let kept = simd.load(&pack.deformation[k]);
-        simd.store(simd.select(wet, side, kept), &mut pack.deformation[k]);
+        simd.store(simd.select(liquid_lanes, side, kept), &mut pack.deformation[k]);
     }
 }

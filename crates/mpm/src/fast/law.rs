@@ -1,6 +1,5 @@
-//! The constitutive law for sixteen particles at once: [`constitutive`](super::super::constitutive) and
-//! [`water`](super::super::water)
-//! without branches.
+//! The constitutive model for a pack, without branches, as [`constitutive`](super::super::constitutive) and
+//! [`water`](super::super::water).
 
 use super::{
     super::{
@@ -8,7 +7,7 @@ use super::{
             JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
             SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
         },
-        water::LOOSEST,
+        water::MAX_AREA,
     },
     pack::Pack,
     simd::{LANES, Lanes, Simd},
@@ -16,7 +15,7 @@ use super::{
 use eddy_frames::Material;
 
 /// Below this the rotation of a matrix, or the direction of its stretch, is undefined.
-const SMALLEST: f32 = 1e-12;
+const MIN_LENGTH: f32 = 1e-12;
 
 /// Kirchhoff stress of sixteen particles: xx, xy, yy (density x velocity^2).
 pub(super) type Stress<S> = [<S as Simd>::Lanes; 3];
@@ -24,42 +23,42 @@ pub(super) type Stress<S> = [<S as Simd>::Lanes; 3];
 /// F or C of sixteen particles: xx, xy, yx, yy.
 type Matrices<S> = [<S as Simd>::Lanes; 4];
 
-/// Moves the deformation of all particles `dt` seconds on and returns their stress.
+/// Advances the deformation of all particles by `dt` seconds and returns their stress.
 #[inline(always)]
 pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f32) -> Stress<S> {
     let is = |material: Material| {
         let number = simd.splat(f32::from(material as u8));
         simd.equal(simd.load(&pack.material), number)
     };
-    let (wet, white) = (is(Material::Liquid), is(Material::Snow));
-    let wet_lanes = simd.count(wet);
+    let (is_liquid, is_snow) = (is(Material::Liquid), is(Material::Snow));
+    let liquids = simd.count(is_liquid);
     let affine = load(simd, &pack.affine);
     let trial = trial(simd, pack, &affine, dt);
-    if wet_lanes == LANES {
+    if liquids == LANES {
         let (deformation, stress) = liquid(simd, &trial, &affine, moduli);
         store(simd, pack, deformation);
         return stress;
     }
-    let (mut deformation, mut stress) = if simd.count(white) == 0 {
+    let (mut deformation, mut stress) = if simd.count(is_snow) == 0 {
         let stress = elastic(simd, &trial, polar(simd, &trial).0, factor(simd, pack), moduli);
         (trial, stress)
     } else {
-        snow(simd, pack, &trial, white, moduli)
+        snow(simd, pack, &trial, is_snow, moduli)
     };
-    if wet_lanes > 0 {
-        let (wet_deformation, wet_stress) = liquid(simd, &trial, &affine, moduli);
+    if liquids > 0 {
+        let (liquid_deformation, liquid_stress) = liquid(simd, &trial, &affine, moduli);
         for k in 0..4 {
-            deformation[k] = simd.select(wet, wet_deformation[k], deformation[k]);
+            deformation[k] = simd.select(is_liquid, liquid_deformation[k], deformation[k]);
         }
         for k in 0..3 {
-            stress[k] = simd.select(wet, wet_stress[k], stress[k]);
+            stress[k] = simd.select(is_liquid, liquid_stress[k], stress[k]);
         }
     }
     store(simd, pack, deformation);
     stress
 }
 
-// No `array::map` here: it is a call, of which the compiler does not always see the inside.
+// Not `array::map`, which the compiler does not always inline.
 #[inline(always)]
 fn load<S: Simd>(simd: S, [xx, xy, yx, yy]: &[Lanes; 4]) -> Matrices<S> {
     [simd.load(xx), simd.load(xy), simd.load(yx), simd.load(yy)]
@@ -82,7 +81,7 @@ fn trial<S: Simd>(simd: S, pack: &Pack, affine: &Matrices<S>, dt: f32) -> Matric
     [a * xx + b * yx, a * xy + b * yy, c * xx + d * yx, c * xy + d * yy]
 }
 
-/// Liquids: pressure from the area, viscous shear.
+/// Liquids: pressure from the area, and viscous stress.
 #[inline(always)]
 fn liquid<S: Simd>(
     simd: S,
@@ -98,13 +97,13 @@ fn liquid<S: Simd>(
             (area, [tension, zero, tension])
         }
         Law::Water => {
-            let loosest = simd.splat(LOOSEST);
-            let area = simd.select(simd.less(loosest, area), loosest, area);
+            let max_area = simd.splat(MAX_AREA);
+            let area = simd.select(simd.less(max_area, area), max_area, area);
             let packed = one / area;
             let squared = packed * packed;
             let seventh = squared * squared * squared * packed;
             let pressure = simd.splat(moduli.lame.lambda / 7.0) * (seventh - one);
-            // The order keeps what is no number.
+            // This order of operands preserves NaN.
             let pressure = area * simd.select(simd.less(pressure, zero), zero, pressure);
             let viscous = area * simd.splat(2.0 * moduli.viscosity);
             let half = simd.splat(0.5);
@@ -124,13 +123,13 @@ fn polar<S: Simd>(simd: S, [xx, xy, yx, yy]: &Matrices<S>) -> ([S::Lanes; 2], S:
     let half = simd.splat(0.5);
     let (a, b) = (half * (*xx + *yy), half * (*yx - *xy));
     let q = simd.sqrt(a * a + b * b);
-    let irregular = simd.less(q, simd.splat(SMALLEST));
+    let irregular = simd.less(q, simd.splat(MIN_LENGTH));
     let cos = simd.select(irregular, simd.splat(1.0), a / q);
     let sin = simd.select(irregular, simd.splat(0.0), b / q);
     ([cos, sin], q)
 }
 
-/// Stiffness as a multiple of E: that of rope or of jelly.
+/// Stiffness of rope or jelly relative to E.
 #[inline(always)]
 fn factor<S: Simd>(simd: S, pack: &Pack) -> S::Lanes {
     let rope = simd.splat(f32::from(Material::Rope as u8));
@@ -138,7 +137,7 @@ fn factor<S: Simd>(simd: S, pack: &Pack) -> S::Lanes {
     simd.select(is_rope, simd.splat(ROPE_STIFFNESS), simd.splat(JELLY_STIFFNESS))
 }
 
-/// Fixed-corotated stress of deformations whose rotations are known.
+/// Fixed-corotated stress, given the rotations.
 #[inline(always)]
 fn elastic<S: Simd>(
     simd: S,
@@ -160,13 +159,13 @@ fn elastic<S: Simd>(
     ]
 }
 
-/// Packs with snow: what is snow returns to its yield surface and hardens.
+/// Deformation and stress of packs with snow: lanes with snow are projected onto the yield surface and harden.
 #[inline(always)]
 fn snow<S: Simd>(
     simd: S,
     pack: &mut Pack,
     trial: &Matrices<S>,
-    white: S::Mask,
+    is_snow: S::Mask,
     moduli: &Moduli,
 ) -> (Matrices<S>, Stress<S>) {
     let half = simd.splat(0.5);
@@ -182,15 +181,15 @@ fn snow<S: Simd>(
         simd.select(simd.less(highest, s), highest, s)
     };
     let (large_kept, small_kept) = (clamp(large), clamp(small));
-    let yields = white & (simd.less(small, lowest) | simd.less(highest, large));
+    let yields = is_snow & (simd.less(small, lowest) | simd.less(highest, large));
 
     let plastic = simd.load(&pack.plastic);
-    let factor = simd.select(white, hardening(simd, plastic), factor(simd, pack));
+    let factor = simd.select(is_snow, hardening(simd, plastic), factor(simd, pack));
     let flowed = plastic * ((large * small) / (large_kept * small_kept));
     simd.store(simd.select(yields, flowed, plastic), &mut pack.plastic);
 
     let mean = half * (large_kept + small_kept);
-    let undirected = simd.less(r, simd.splat(SMALLEST));
+    let undirected = simd.less(r, simd.splat(MIN_LENGTH));
     let stretch = half * (large_kept - small_kept);
     let stretch = simd.select(undirected, simd.splat(0.0), stretch / r);
     let (a, b, c, d) = (mean * cos, mean * sin, stretch * c, stretch * d);

@@ -1,14 +1,14 @@
-//! The vector instructions of this processor, chosen while the program runs.
+//! Run-time selection of vector instructions.
 
 use super::simd::{Portable, Simd};
 
-/// A set of vector instructions that this processor has: only [`Level::present`] makes one.
+/// A set of vector instructions supported by this processor, as detected by [`Level::present`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) struct Level(Instructions);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Instructions {
-    /// What every processor of the architecture has.
+    /// The baseline of the architecture.
     Portable,
     /// 256-bit vectors.
     #[cfg(target_arch = "x86_64")]
@@ -18,18 +18,16 @@ enum Instructions {
     Avx512,
 }
 
-/// Something to compute that is compiled for every set of instructions. `run` has to be inlined
-/// (`#[inline(always)]`), with everything that it calls: only so the compiler uses the instructions.
+/// A computation that is compiled for every set of instructions. `run` and everything that it calls must be
+/// `#[inline(always)]`, or the compiler does not use the instructions.
 pub(super) trait Work {
-    /// What comes out.
     type Output;
 
-    /// Computes it.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
 impl Level {
-    /// Those of this processor, the widest last.
+    /// The sets supported by this processor, the widest last.
     pub(in super::super) fn present() -> Vec<Self> {
         #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut, reason = "nothing to add"))]
         let mut present = vec![Self(Instructions::Portable)];
@@ -43,20 +41,20 @@ impl Level {
         present
     }
 
-    /// The widest of this processor.
+    /// The widest set supported by this processor.
     pub(in super::super) fn widest() -> Self {
         Self::present().pop().unwrap_or(Self(Instructions::Portable))
     }
 
-    /// Computes something with these instructions.
+    /// Runs a computation with these instructions.
     #[inline]
     pub(super) fn run<W: Work>(self, work: W) -> W::Output {
         match self.0 {
             Instructions::Portable => work.run(Portable),
-            // SAFETY: `present` has seen AVX2.
+            // SAFETY: `present` has detected AVX2.
             #[cfg(target_arch = "x86_64")]
             Instructions::Avx2 => unsafe { x86::avx2(work) },
-            // SAFETY: `present` has seen AVX-512.
+            // SAFETY: `present` has detected AVX-512.
             #[cfg(target_arch = "x86_64")]
             Instructions::Avx512 => unsafe { x86::avx512(work) },
         }
@@ -72,13 +70,13 @@ mod x86 {
 
     #[target_feature(enable = "avx2")]
     pub(super) fn avx2<W: Work>(work: W) -> W::Output {
-        // SAFETY: this function runs where AVX2 is.
+        // SAFETY: the target feature is enabled.
         work.run(unsafe { Avx2::assume() })
     }
 
     #[target_feature(enable = "avx2,avx512f,avx512vl")]
     pub(super) fn avx512<W: Work>(work: W) -> W::Output {
-        // SAFETY: this function runs where AVX2 and AVX-512 are.
+        // SAFETY: the target features are enabled.
         work.run(unsafe { Avx512::assume() })
     }
 }

@@ -1,17 +1,17 @@
-//! The solver as fast as this processor carries it. The plain path beside it ([`p2g`](super::p2g),
-//! [`grid`](super::grid), [`g2p`](super::g2p)) is what tests hold it against.
+//! The vectorised, multi-threaded solver. Tests compare it with the plain one ([`p2g`](super::p2g), [`grid`](super::grid),
+//! [`g2p`](super::g2p)).
 //!
-//! The substeps of a call, from particles to particles:
+//! The substeps of a call:
 //!
-//! 1. [`sort`]: particles are ordered by cell, put into packs of sixteen ([`pack`]) and cut into
-//!    [`chunk`]s, each with a patch of the grid of its own. Again when they have drifted.
-//! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: velocities
-//!    are gathered ([`gather`]) from the nodes around ([`stencil`]), particles move, deform and are
-//!    stressed ([`law`]), momentum is scattered ([`scatter`]).
-//! 3. [`field`]: the patches are added up to the velocities of all nodes; gravity and walls act.
+//! 1. [`sort`]: sort particles by cell, store them in packs of sixteen ([`pack`]) and divide these into [`chunk`]s, each
+//!    with its own patch of the grid. Repeated when particles have drifted.
+//! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: gather velocities ([`gather`])
+//!    from the surrounding nodes ([`stencil`]), advance positions, update deformation and stress ([`law`]), scatter momentum
+//!    ([`scatter`]).
+//! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity and walls.
 //!
-//! [`level`] chooses the vector instructions, [`team`] holds the threads. The bits depend on neither.
-//! [`peak`] is what the speed is measured against.
+//! [`level`] selects the vector instructions at run time. The results are bit-identical for all of them and any number of
+//! threads. [`peak`] measures the peak arithmetic rate, for comparison.
 #![expect(
     unsafe_code,
     reason = "vector instructions, and threads that write to disjoint parts of one slice"
@@ -49,11 +49,10 @@ use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::S
 pub(super) use level::Level;
 pub use peak::multiply_and_add;
 
-/// Substeps after which particles are sorted anew even if none has drifted off: by then neighbours
-/// in a cell are no longer neighbours in memory.
+/// Maximum number of substeps between sorts: after that many, neighbours in a cell are no longer neighbours in memory.
 const SORT_EVERY: u32 = 64;
 
-/// Everything that the fast path keeps from call to call. The state itself is in the particles.
+/// Buffers reused from call to call. The state itself is in the particles.
 #[derive(Clone, Debug)]
 pub(super) struct Fast {
     level: Level,
@@ -65,7 +64,7 @@ pub(super) struct Fast {
 }
 
 impl Fast {
-    /// The fast path on a grid, with so many threads.
+    /// Buffers for a grid, and the threads.
     pub(super) fn new(shape: GridShape, threads: usize, level: Level) -> Self {
         let pool = ThreadPool::new("solver", threads, 0);
         if let Some(error) = pool.spawn_error() {
@@ -81,11 +80,11 @@ impl Fast {
         }
     }
 
-    /// Moves particles so many substeps on.
+    /// Advances particles by a number of substeps.
     ///
     /// # Errors
-    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a
-    /// position that is no number. The others are where they were before the call then.
+    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a position that is not
+    /// finite. The other particles are then unchanged.
     pub(super) fn run(
         &mut self,
         particles: &mut [Particle],
@@ -96,7 +95,7 @@ impl Fast {
         if particles.is_empty() || substeps == 0 {
             return Ok(());
         }
-        // After an error the lost particle is still where it was lost.
+        // After an error the lost particle keeps its position outside the grid.
         if let Some(lost) = particles.iter().position(|p| !settings.grid.contains(p.position)) {
             return Err(lost);
         }
@@ -110,25 +109,24 @@ impl Fast {
             }
             let most = (substeps - done).min(SORT_EVERY);
             done += self.substeps(done == 0, most, step, forces);
-            self.found(particles)?;
+            self.check_lost(particles)?;
         }
         self.finish(step);
-        self.found(particles)?;
+        self.check_lost(particles)?;
         for (particle, k) in self.packs.states() {
             particles[k as usize] = particle;
         }
         Ok(())
     }
 
-    /// Sorts the particles anew and cuts them into other chunks.
+    /// Sorts the particles again and divides them into chunks.
     fn sort(&mut self, step: &Step) {
         self.packs.sort(step, &self.field, &mut lock(&self.pool));
         self.packs.cut(&mut self.chunks, step, &self.field);
     }
 
-    /// Runs up to `most` substeps, up to the velocities of the nodes, and says how many. Ends early
-    /// when particles have to be sorted, or one is lost. In the first substep of all particles have
-    /// their velocities already.
+    /// Runs up to `most` substeps, up to the velocities of the nodes, and returns their number. Ends early when particles
+    /// have to be sorted or one is lost. In the very first substep the particles already have their velocities.
     fn substeps(&mut self, first: bool, most: u32, step: &Step, forces: &Forces) -> u32 {
         let (level, stride) = (self.level, self.field.stride);
         let rows = self.field.sides[0];
@@ -143,7 +141,7 @@ impl Fast {
         pool.broadcast(threads, &|thread, barrier| {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
-                // SAFETY: each chunk, with its packs, belongs to one thread; nobody writes nodes.
+                // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
                 let (mine, velocity, mass) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
                     (mine, velocities.read(0..velocities.len()), masses.read(0..masses.len()))
@@ -159,14 +157,14 @@ impl Fast {
                     }
                 }
                 barrier.wait();
-                // SAFETY: nobody writes chunks until the next meeting.
+                // SAFETY: no thread writes chunks before the next barrier.
                 let all = unsafe { chunks.read(0..parts) };
                 if all.iter().any(|chunk| chunk.lost) {
                     break;
                 }
                 for row in share(rows, thread, threads) {
                     let nodes = row * stride..(row + 1) * stride;
-                    // SAFETY: each row belongs to one thread; nobody reads nodes.
+                    // SAFETY: each row belongs to one thread; no thread reads nodes.
                     let (velocity, mass) =
                         unsafe { (velocities.part(nodes.clone()), masses.part(nodes)) };
                     let sum = &mut sum;
@@ -185,7 +183,7 @@ impl Fast {
         done.into_inner()
     }
 
-    /// Brings the velocities of the nodes back to the particles: the end of the last substep.
+    /// Gathers the velocities of the nodes: the end of the last substep.
     fn finish(&mut self, step: &Step) {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step);
@@ -198,11 +196,11 @@ impl Fast {
         }
     }
 
-    /// Whether every particle is where it can be.
+    /// Checks that no particle is lost.
     ///
     /// # Errors
     /// As [`Fast::run`].
-    fn found(&self, particles: &mut [Particle]) -> Result<(), usize> {
+    fn check_lost(&self, particles: &mut [Particle]) -> Result<(), usize> {
         let lost = self.chunks.iter().filter(|chunk| chunk.lost).flat_map(|chunk| {
             let states = chunk.particles().map(|k| sort::state(&self.packs.packs, k));
             states.filter(|(particle, _)| !chunk.holds_one(particle.position))
@@ -217,7 +215,7 @@ impl Fast {
     }
 }
 
-/// The threads. A panic in a job leaves them usable.
+/// Locks the pool, which stays usable after a panic in a job.
 fn lock(pool: &Mutex<ThreadPool>) -> MutexGuard<'_, ThreadPool> {
     pool.lock().unwrap_or_else(PoisonError::into_inner)
 }

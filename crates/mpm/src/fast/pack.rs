@@ -1,4 +1,4 @@
-//! Sixteen particles, component by component: what the lanes of the vectors work on.
+//! Packs: sixteen particles as a structure of arrays.
 
 use super::{
     super::{matrix::Matrix2, particle::Particle},
@@ -20,14 +20,14 @@ pub(super) struct Pack {
     pub(super) deformation: [Lanes; 4],
     /// Jp of snow.
     pub(super) plastic: Lanes,
-    /// [`Material`] as a number.
+    /// [`Material`] as its number.
     pub(super) material: Lanes,
-    /// Which particle of the solver this is.
+    /// Index of each particle in the solver.
     pub(super) index: [u32; LANES],
 }
 
 impl Pack {
-    /// Sixteen times the same particle; the lanes behind the last particle hold a copy of it.
+    /// A pack with the same particle in all lanes; unused lanes keep this copy.
     pub(super) fn filled(particle: &Particle, index: u32) -> Self {
         let Matrix2 { xx, xy, yx, yy } = particle.deformation;
         let affine = particle.affine;
@@ -42,7 +42,7 @@ impl Pack {
         }
     }
 
-    /// Puts a particle into a lane.
+    /// Stores a particle in a lane.
     pub(super) fn set(&mut self, lane: usize, particle: &Particle, index: u32) {
         let (c, f) = (particle.affine, particle.deformation);
         for axis in 0..2 {
@@ -69,7 +69,7 @@ impl Pack {
             affine: matrix(&self.affine),
             deformation: matrix(&self.deformation),
             plastic: self.plastic[lane],
-            // The numbers come from `set`.
+            // Stored by `set`, so valid.
             material: Material::ALL[self.material[lane] as usize % Material::ALL.len()],
         }
     }

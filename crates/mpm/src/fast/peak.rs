@@ -1,15 +1,15 @@
-//! How fast this processor multiplies and adds: what the solver's speed is measured against.
+//! Peak arithmetic rate of the processor, for comparison with the solver.
 
 use super::{
     level::{Level, Work},
     simd::{LANES, Simd},
 };
 
-/// Chains that do not wait for each other: enough to hide the latency of an instruction.
+/// Independent chains, enough to hide the latency of an instruction.
 const CHAINS: usize = 12;
 
-/// Multiplies and adds in the solver's widest vectors, in registers only, and returns the number of
-/// additions and multiplications done. A product and a sum are two instructions, as in the solver.
+/// Multiplies and adds in the widest vectors of the solver, in registers only, and returns the number of operations. Products
+/// and sums are separate instructions, as in the solver.
 pub fn multiply_and_add(rounds: u64) -> u64 {
     std::hint::black_box(Level::widest().run(Chains { rounds }));
     rounds * (2 * CHAINS * LANES) as u64

@@ -1,4 +1,4 @@
-//! Particles to grid: [`p2g`](super::super::p2g) for sixteen particles.
+//! Particles to grid for a pack, as [`p2g`](super::super::p2g).
 
 use super::{
     chunk::Chunk,
@@ -9,10 +9,10 @@ use super::{
     transfer::{Scratch, Step},
 };
 
-/// What each particle gives to the nodes around it: `w (lowest + i along_x + j along_y)` at (i, j)
-/// cells from the lowest one, momentum per mass (domain lengths per s).
+/// Computes the momentum that each particle scatters, `w (lowest + i along_x + j along_y)` at the node (i, j) of its
+/// stencil, per mass (domain lengths per s).
 #[inline(always)]
-pub(super) fn spread<S: Simd>(
+pub(super) fn prepare<S: Simd>(
     simd: S,
     pack: &Pack,
     stress: &law::Stress<S>,
@@ -41,7 +41,7 @@ pub(super) fn spread<S: Simd>(
     }
 }
 
-/// Particles to grid.
+/// Scatters the particles of a pack.
 #[inline(always)]
 pub(super) fn scatter<S: Simd>(
     simd: S,
@@ -49,15 +49,15 @@ pub(super) fn scatter<S: Simd>(
     scratch: &Scratch,
     lanes: usize,
     chunk: &mut Chunk,
-    held: &mut Held<S>,
+    cell: &mut CellSum<S>,
 ) {
     let Scratch { node, offset, weight, vectors: [lowest, along_x, along_y], .. } = scratch;
     for l in 0..lanes {
         let at = node[l] as usize;
-        if at != held.at {
-            held.give(simd, chunk);
-            *held = Held::nothing(simd);
-            held.at = at;
+        if at != cell.at {
+            cell.flush(simd, chunk);
+            *cell = CellSum::zero(simd);
+            cell.at = at;
         }
         let along = weights.pairs(simd.splat_pairs(offset[l]));
         let mass = weights.ones(simd.splat_ones(offset[l]));
@@ -65,31 +65,31 @@ pub(super) fn scatter<S: Simd>(
         let mut momentum = along * (simd.repeat(&lowest[l]) + across);
         let next = along * simd.repeat(&along_x[l]);
         for (i, weight) in weight.iter().enumerate() {
-            held.momentum[i] = held.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
-            held.mass[i] = held.mass[i] + simd.splat_ones(weight[l]) * mass;
+            cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
+            cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
             momentum = momentum + next;
         }
     }
 }
 
-/// What the particles of one cell have given so far: it goes to memory when the cell changes.
-pub(super) struct Held<S: Simd> {
-    /// The lowest node, counted in the patch; none at first.
+/// Sum over consecutive particles of one cell, in registers, added to the patch when the cell changes.
+pub(super) struct CellSum<S: Simd> {
+    /// Index of the lowest node in the patch; `usize::MAX` at first.
     at: usize,
     momentum: [S::Pairs; 3],
     mass: [S::Ones; 3],
 }
 
-impl<S: Simd> Held<S> {
+impl<S: Simd> CellSum<S> {
     #[inline(always)]
-    pub(super) fn nothing(simd: S) -> Self {
+    pub(super) fn zero(simd: S) -> Self {
         let (momentum, mass) = ([simd.splat_pairs(0.0); 3], [simd.splat_ones(0.0); 3]);
         Self { at: usize::MAX, momentum, mass }
     }
 
-    /// Adds it to the patch.
+    /// Adds the sum to the patch.
     #[inline(always)]
-    pub(super) fn give(&self, simd: S, chunk: &mut Chunk) {
+    pub(super) fn flush(&self, simd: S, chunk: &mut Chunk) {
         if self.at == usize::MAX {
             return;
         }

@@ -1,4 +1,4 @@
-//! Particles in the order of their cells, in packs, cut into chunks.
+//! Sorts particles by cell, into packs and chunks.
 
 use eddy_threads::{DisjointSlice, ThreadPool, share};
 
@@ -6,27 +6,27 @@ use super::{
     super::particle::Particle, chunk::Chunk, field::Field, pack::Pack, simd::LANES, transfer::Step,
 };
 
-/// Most chunks; more threads than that have nothing to do.
-const CHUNKS: usize = 16;
-/// Particles of a chunk, at least: two overlapping patches cost more than a small chunk gains.
-const FEWEST: usize = 512;
+/// Maximum number of chunks, and so of threads with work.
+const MAX_CHUNKS: usize = 16;
+/// Minimum number of particles of a chunk: the overlap of patches costs more than smaller chunks gain.
+const MIN_CHUNK_PARTICLES: usize = 512;
 /// Packs above which all threads fill them.
 const WORTH_WAKING: usize = 1000;
 
 /// All particles, in packs.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Packs {
-    /// The packs; only the last one is not full.
+    /// The packs; only the last one may be partially filled.
     pub(super) packs: Vec<Pack>,
-    /// How many particles there are.
+    /// Number of particles.
     particles: usize,
-    /// Where packs are sorted into.
+    /// Buffer for sorted packs.
     sorted: Vec<Pack>,
     order: Order,
 }
 
 impl Packs {
-    /// Takes particles in, sorted.
+    /// Stores particles in sorted order.
     pub(super) fn fill(
         &mut self,
         particles: &[Particle],
@@ -40,7 +40,7 @@ impl Packs {
         collect(&self.order.places, numbered, &mut self.packs, pool);
     }
 
-    /// Sorts the particles anew.
+    /// Sorts the particles again.
     pub(super) fn sort(&mut self, step: &Step, field: &Field, pool: &mut ThreadPool) {
         let packs = &self.packs;
         let lowest = (0..self.particles).map(|place| lowest(packs, place, step));
@@ -50,14 +50,14 @@ impl Packs {
         std::mem::swap(&mut self.packs, &mut self.sorted);
     }
 
-    /// Every particle, and which one it is.
+    /// Every particle with its index in the solver.
     pub(super) fn states(&self) -> impl Iterator<Item = (Particle, u32)> {
         (0..self.particles).map(|k| state(&self.packs, k))
     }
 
-    /// Cuts the packs into chunks of about the same size: whole packs, but for the last one.
+    /// Divides the packs into chunks of about the same size.
     pub(super) fn cut(&self, chunks: &mut Vec<Chunk>, step: &Step, field: &Field) {
-        let count = (self.particles / FEWEST).clamp(1, CHUNKS);
+        let count = (self.particles / MIN_CHUNK_PARTICLES).clamp(1, MAX_CHUNKS);
         let end = |k: usize| (self.packs.len() * k / count * LANES).min(self.particles);
         chunks.resize_with(count, Chunk::default);
         for (k, chunk) in chunks.iter_mut().enumerate() {
@@ -75,7 +75,7 @@ impl Packs {
     }
 }
 
-/// The state of a particle in packs, and which one it is.
+/// The state of a particle in packs, and its index in the solver.
 pub(super) fn state(packs: &[Pack], place: usize) -> (Particle, u32) {
     let (pack, lane) = (&packs[place / LANES], place % LANES);
     (pack.get(lane), pack.index[lane])
@@ -87,7 +87,7 @@ fn lowest(packs: &[Pack], place: usize, step: &Step) -> [i32; 2] {
     step.lowest([x[place % LANES], y[place % LANES]])
 }
 
-/// Puts the particles at these places into packs, one after the other.
+/// Stores the particles at these places in packs.
 fn collect(
     places: &[u32],
     numbered: impl Fn(u32) -> (Particle, u32) + Sync,
@@ -121,18 +121,17 @@ fn collect(
     });
 }
 
-/// Orders particles by the lowest nodes of their stencils, row by row. Those of one cell keep their
-/// order.
+/// Counting sort of particles by the lowest nodes of their stencils, row by row. Stable within a cell.
 #[derive(Clone, Debug, Default)]
 struct Order {
-    /// For each place the place in the old order.
+    /// Previous place of the particle at each place.
     places: Vec<u32>,
     keys: Vec<u32>,
     starts: Vec<u32>,
 }
 
 impl Order {
-    /// Finds the order of particles with these lowest nodes.
+    /// Sorts particles with these lowest nodes.
     fn find(&mut self, lowest: impl Iterator<Item = [i32; 2]>, field: &Field) {
         let columns = field.sides[1] as u32;
         self.keys.clear();

@@ -1,8 +1,8 @@
-//! Sixteen particles and the nodes around them: [`spline`](super::super::spline) in vectors.
+//! Stencils of a pack, as [`spline`](super::super::spline).
 
 use super::simd::{LANES, Simd};
 
-/// Where sixteen particles are among the nodes.
+/// Stencils of sixteen particles.
 pub(super) struct Stencils<S: Simd> {
     /// Lowest node of each on x and y.
     pub(super) base: [[i32; LANES]; 2],
@@ -13,11 +13,11 @@ pub(super) struct Stencils<S: Simd> {
 }
 
 impl<S: Simd> Stencils<S> {
-    /// The stencils at these places (cells), which [`Chunk::holds`](super::chunk::Chunk::holds).
+    /// The stencils at positions (cells) inside the patch, see [`Chunk::holds`](super::chunk::Chunk::holds).
     #[inline(always)]
     pub(super) fn of(simd: S, cell: [S::Lanes; 2]) -> Self {
         let (half, one) = (simd.splat(0.5), simd.splat(1.0));
-        // Cutting is the floor of what is not negative.
+        // Truncation is the floor of non-negative numbers.
         let (x, base_x) = simd.truncate(cell[0] - half);
         let (y, base_y) = simd.truncate(cell[1] - half);
         let offset = [cell[0] - x, cell[1] - y];
@@ -32,24 +32,24 @@ impl<S: Simd> Stencils<S> {
     }
 }
 
-/// Weights of the four nodes of a row at a distance `y` from the first, as `c0 + y (c1 + y c2)`.
+/// Coefficients of the weights of the four nodes of a row at a distance `y` from the first: `c0 + y (c1 + y c2)`.
 const WEIGHTS: [[f32; 4]; 3] =
     [[1.125, -0.25, 0.125, 0.0], [-1.5, 2.0, -0.5, 0.0], [0.5, -1.0, 0.5, 0.0]];
 
-/// Numbers of the four nodes, for each of the two components.
+/// Duplicates the numbers of four nodes for two components.
 const fn twice(row: [f32; 4]) -> [[f32; 2]; 4] {
     [[row[0]; 2], [row[1]; 2], [row[2]; 2], [row[3]; 2]]
 }
 
 const PAIR_WEIGHTS: [[[f32; 2]; 4]; 3] = [twice(WEIGHTS[0]), twice(WEIGHTS[1]), twice(WEIGHTS[2])];
-/// Number of the node in its row.
+/// Index of the node in its row.
 const PAIR_PLACES: [[f32; 2]; 4] = twice([0.0, 1.0, 2.0, 3.0]);
 
-/// Weights of a row along y, in vectors.
+/// Weights of a row along y.
 pub(super) struct Weights<S: Simd> {
     pairs: [S::Pairs; 3],
     ones: [S::Ones; 3],
-    /// Numbers of the nodes in their row.
+    /// Indices of the nodes in their row.
     pub(super) places: S::Pairs,
 }
 

@@ -9,7 +9,7 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// A solver at the start of a scene, and the particles that it starts from.
+/// A solver at the start of a scene.
 fn solver(scene: &Scene, law: Law) -> Solver {
     let materials = Materials { law, viscosity: 1e-3, ..Materials::default() };
     let grid = scene.grid().unwrap();
@@ -26,7 +26,7 @@ fn solver(scene: &Scene, law: Law) -> Solver {
     Solver::new(scene.particles().unwrap(), settings).unwrap()
 }
 
-/// By how much each coordinate differs.
+/// Absolute differences of all coordinates.
 fn difference(a: &[Particle], b: &[Particle]) -> impl Iterator<Item = f32> {
     let coordinates = |particle: &Particle| particle.position;
     a.iter().flat_map(coordinates).zip(b.iter().flat_map(coordinates)).map(|(a, b)| (a - b).abs())
@@ -36,7 +36,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 20, ..ProptestConfig::default() })]
 
     #[test]
-    fn it_moves_particles_as_the_plain_path_does(
+    fn it_moves_particles_like_the_plain_solver(
         seed in 0u64..1000, id in 0u64..10, warm in 0u32..600, fluid in any::<bool>(),
         taichi in any::<bool>(), pulled in any::<bool>()
     ) {
@@ -49,8 +49,8 @@ proptest! {
         let mut plain = fast.clone();
         fast.run(20).unwrap();
         plain.run_plain(20).unwrap();
-        // In a splash that breaks a few particles feel every rounding: in about one such case of a
-        // hundred, some coordinates differ by more than 1e-6. In 400 cases none did by 1e-5.
+        // In a breaking splash a few particles are sensitive to rounding: in about one such case of a hundred,
+        // some coordinates differ by more than 1e-6. In 400 cases none differed by 1e-5.
         let mut positions: Vec<f32> = difference(fast.particles(), plain.particles()).collect();
         positions.sort_by(f32::total_cmp);
         let (most, all) = (positions[positions.len() * 99 / 100], positions[positions.len() - 1]);
@@ -59,7 +59,7 @@ proptest! {
 }
 
 #[test]
-fn every_level_and_any_number_of_threads_give_the_same_bits() {
+fn all_vector_instructions_and_numbers_of_threads_give_the_same_bits() {
     for (preset, id) in [(Preset::MultiMaterial, 0), (Preset::MultiMaterial, 1), (Preset::Fluid, 2)]
     {
         let start = solver(&Scene::generate(preset, 7, id), Law::Water);
@@ -80,8 +80,8 @@ fn every_level_and_any_number_of_threads_give_the_same_bits() {
 }
 
 #[test]
-fn particles_that_are_sorted_by_several_threads_are_the_same_too() {
-    // Enough of them to be packed in parallel, and fast enough to be sorted again.
+fn sorting_on_several_threads_gives_the_same_bits() {
+    // Enough particles to be packed in parallel, and fast enough to be sorted again.
     let grid = GridShape::unit(256);
     let spacing = 0.5 * grid.dx;
     let particles = (0..20_000).map(|k| {
@@ -108,7 +108,7 @@ fn particles_that_are_sorted_by_several_threads_are_the_same_too() {
 }
 
 #[test]
-fn a_solver_made_from_the_particles_goes_on_with_the_same_bits() {
+fn a_solver_restored_from_particles_continues_with_the_same_bits() {
     let mut whole = solver(&Scene::generate(Preset::MultiMaterial, 3, 3), Law::Water);
     whole.run(300).unwrap();
     let mut restored = solver(&Scene::generate(Preset::MultiMaterial, 3, 3), Law::Water);
@@ -120,7 +120,7 @@ fn a_solver_made_from_the_particles_goes_on_with_the_same_bits() {
 }
 
 #[test]
-fn a_particle_that_moves_further_than_a_cell_is_an_error_that_names_it() {
+fn a_particle_that_moves_further_than_a_cell_is_an_error_with_its_index() {
     let scene = Scene::generate(Preset::MultiMaterial, 1, 5);
     let mut fast = solver(&scene, Law::Water);
     let mut start = scene.particles().unwrap();
@@ -131,5 +131,5 @@ fn a_particle_that_moves_further_than_a_cell_is_an_error_that_names_it() {
     let lost = fast.run(1).unwrap_err();
     let moved = fast.particles()[lost].position[0] - start[lost].position[0];
     assert!(moved > 1.0 / 64.0, "{moved}");
-    assert_eq!(fast.run(1), Err(lost), "the state stays of no use");
+    assert_eq!(fast.run(1), Err(lost), "the state stays invalid");
 }

@@ -1,8 +1,7 @@
-//! The one pass over the particles of a chunk: velocity comes from the grid, particles move, deform
-//! and are stressed, and their momentum goes to the patch of the grid that is the chunk's own.
+//! The pass over the particles of a chunk: gathers velocities, advances particles, updates their stress and scatters their
+//! momentum to the chunk's patch of the grid.
 //!
-//! All particles have the same mass, so that weights are spread instead of masses, and momentum per
-//! mass.
+//! All particles have the same mass, so masses and momenta are in units of it.
 
 use super::{
     super::{
@@ -16,12 +15,12 @@ use super::{
     law,
     level::Work,
     pack::Pack,
-    scatter::{Held, scatter, spread},
+    scatter::{CellSum, prepare, scatter},
     simd::{LANES, Lanes, Simd, Vectors},
     stencil::{Stencils, Weights},
 };
 
-/// What is the same for all particles in a substep.
+/// Parameters of a substep.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     /// Length of the substep (s).
@@ -30,16 +29,16 @@ pub(super) struct Step {
     pub(super) dx: f32,
     /// Cells per domain length.
     pub(super) inverse_dx: f32,
-    /// `-dt 4 / (dx^2 rho)`: from Kirchhoff stress to the affine part of the velocity.
+    /// `-dt 4 / (dx^2 rho)`: converts Kirchhoff stress to the affine part of the velocity.
     pub(super) impulse: f32,
-    /// Particles to a cell in an undeformed body.
-    pub(super) crowd: f32,
-    /// What the particles are made of.
+    /// Particles per cell in an undeformed body.
+    pub(super) particles_per_cell: f32,
+    /// Material parameters.
     pub(super) moduli: Moduli,
 }
 
 impl Step {
-    /// What these settings come to.
+    /// The parameters for these settings.
     pub(super) fn of(settings: &SolverSettings) -> Self {
         let SolverSettings { grid: GridShape { dx, .. }, dt, .. } = *settings;
         let inverse_dx = 1.0 / dx;
@@ -48,7 +47,7 @@ impl Step {
             dx,
             inverse_dx,
             impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
-            crowd: dx * dx / settings.volume(),
+            particles_per_cell: dx * dx / settings.volume(),
             moduli: Moduli::of(&settings.materials),
         }
     }
@@ -59,20 +58,20 @@ impl Step {
     }
 }
 
-/// One pack between vectors and single particles. Kept from pack to pack, so that nothing is cleared.
+/// Scratch buffer of a pack, between vectors over particles and vectors over nodes. Reused without clearing.
 #[repr(align(64))]
 pub(super) struct Scratch {
-    /// Node of each particle that its stencil begins with.
+    /// Index of each stencil's lowest node.
     pub(super) node: [i32; LANES],
-    /// Distance from it along y (cells).
+    /// Distance from the lowest node along y (cells).
     pub(super) offset: Lanes,
     /// Weights of the three rows.
     pub(super) weight: [Lanes; 3],
     /// Weights times the distance along x (cells).
     pub(super) moment: [Lanes; 3],
-    /// Mass around each particle, in masses of a particle.
+    /// Grid mass at each particle, in units of a particle's mass.
     pub(super) mass: Lanes,
-    /// Three vectors of each particle.
+    /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
 }
 
@@ -87,8 +86,8 @@ impl Scratch {
     };
 }
 
-/// The pass over the particles of a chunk. Without `GATHER` they stay where they are and only give
-/// their momentum; without `SCATTER` they only move.
+/// The pass over the particles of a chunk. Without `GATHER` particles only scatter their momentum; without `SCATTER` they
+/// only gather and move.
 pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool> {
     pub(super) chunk: &'a mut Chunk,
     /// The chunk's packs.
@@ -107,7 +106,7 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
         if SCATTER {
             chunk.clear();
         }
-        let mut held = Held::nothing(simd);
+        let mut sum = CellSum::zero(simd);
         let mut scratch = Scratch::EMPTY;
         let mut left = chunk.particles().len();
         for pack in packs {
@@ -130,12 +129,12 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
             if SCATTER {
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
-                spread(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
-                scatter(simd, &weights, &scratch, lanes, chunk, &mut held);
+                prepare(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
+                scatter(simd, &weights, &scratch, lanes, chunk, &mut sum);
             }
         }
         if SCATTER {
-            held.give(simd, chunk);
+            sum.flush(simd, chunk);
         }
     }
 }

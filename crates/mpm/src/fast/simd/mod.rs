@@ -1,7 +1,7 @@
-//! The vectors that the two phases compute with, in each set of instructions.
+//! Vector types of the solver for each set of instructions.
 //!
-//! Nothing here fuses a product with a sum, and square roots and quotients are exactly rounded, so
-//! that every set gives the same bits: [`portable`] is what the others ([`avx2`], [`avx512`]) are.
+//! Products and sums are not fused, and square roots and quotients are correctly rounded, so all sets give the same bits:
+//! [`portable`] defines the results of [`avx2`] and [`avx512`].
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -16,35 +16,35 @@ pub(super) use {avx2::Avx2, avx512::Avx512};
 
 pub(super) use portable::Portable;
 
-/// Particles that are moved, deformed and stressed at once.
+/// Particles per vector.
 pub(super) const LANES: usize = 16;
 
-/// One number of each of sixteen particles, in memory.
+/// One number per particle, in memory.
 pub(super) type Lanes = [f32; LANES];
 
-/// Two numbers of each of sixteen particles, side by side in memory.
+/// Two interleaved numbers per particle, in memory.
 pub(super) type Vectors = [[f32; 2]; LANES];
 
-/// A set of vector instructions. Whoever holds a value has seen that the processor has them.
+/// A set of vector instructions. A value proves that the processor supports them.
 pub(super) trait Simd: Copy {
-    /// One number of each of sixteen particles.
+    /// One number per particle.
     type Lanes: Arithmetic + Div<Output = Self::Lanes>;
-    /// A truth for each of sixteen particles.
+    /// One boolean per particle.
     type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask>;
-    /// Two numbers for each of four neighbouring nodes: a row of a stencil.
+    /// Two numbers for each of four neighbouring nodes, a row of a stencil.
     type Pairs: Arithmetic + Div<Output = Self::Pairs>;
     /// One number for each of four neighbouring nodes.
     type Ones: Arithmetic;
 
-    /// Sixteen times the same number.
+    /// The same number in all lanes.
     fn splat(self, number: f32) -> Self::Lanes;
-    /// From memory.
+    /// Loads from memory.
     fn load(self, lanes: &Lanes) -> Self::Lanes;
-    /// To memory.
+    /// Stores to memory.
     fn store(self, value: Self::Lanes, lanes: &mut Lanes);
-    /// From memory where two numbers of each particle lie side by side.
+    /// Loads and deinterleaves two numbers per particle.
     fn load_vectors(self, vectors: &Vectors) -> [Self::Lanes; 2];
-    /// To such memory.
+    /// Interleaves and stores two numbers per particle.
     fn store_vectors(self, value: [Self::Lanes; 2], vectors: &mut Vectors);
     /// Square roots.
     fn sqrt(self, value: Self::Lanes) -> Self::Lanes;
@@ -56,39 +56,39 @@ pub(super) trait Simd: Copy {
     fn equal(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask;
     /// `a` where the mask is true, else `b`.
     fn select(self, mask: Self::Mask, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
-    /// In how many lanes the mask is true.
+    /// Number of lanes in which the mask is true.
     fn count(self, mask: Self::Mask) -> usize;
-    /// Cut towards zero, as numbers and as integers. Between -2^31 and 2^31.
+    /// Truncates numbers between -2^31 and 2^31, to floats and integers.
     fn truncate(self, value: Self::Lanes) -> (Self::Lanes, [i32; LANES]);
 
-    /// The same number everywhere in a row.
+    /// The same number for both components of each node.
     fn splat_pairs(self, number: f32) -> Self::Pairs;
     /// The same two numbers for each node.
     fn repeat(self, pair: &[f32; 2]) -> Self::Pairs;
-    /// From memory.
+    /// Loads from memory.
     fn load_pairs(self, pairs: &[[f32; 2]; 4]) -> Self::Pairs;
-    /// To memory.
+    /// Stores to memory.
     fn store_pairs(self, value: Self::Pairs, pairs: &mut [[f32; 2]; 4]);
-    /// The smaller of two, `b` where one is NaN.
+    /// Minimum; `b` where either is NaN.
     fn min_pairs(self, a: Self::Pairs, b: Self::Pairs) -> Self::Pairs;
-    /// The larger of two, `b` where one is NaN.
+    /// Maximum; `b` where either is NaN.
     fn max_pairs(self, a: Self::Pairs, b: Self::Pairs) -> Self::Pairs;
-    /// The sum over the four nodes of each of three rows: `(0 + 2) + (1 + 3)`.
+    /// Sums over the four nodes of each of three rows, as `(0 + 2) + (1 + 3)`.
     fn sums(self, rows: [Self::Pairs; 3]) -> [[f32; 2]; 3];
 
-    /// The sum over the four nodes: `(0 + 2) + (1 + 3)`.
+    /// Sum over the four nodes, as `(0 + 2) + (1 + 3)`.
     fn sum_ones(self, ones: Self::Ones) -> f32;
-    /// One number of each node, for both of its numbers.
+    /// Duplicates each node's number for both components.
     fn twice(self, ones: Self::Ones) -> Self::Pairs;
     /// The same number for each node.
     fn splat_ones(self, number: f32) -> Self::Ones;
-    /// From memory.
+    /// Loads from memory.
     fn load_ones(self, ones: &[f32; 4]) -> Self::Ones;
-    /// To memory.
+    /// Stores to memory.
     fn store_ones(self, value: Self::Ones, ones: &mut [f32; 4]);
 }
 
-/// Sum, difference and product, number by number.
+/// Lane-wise sum, difference and product.
 pub(super) trait Arithmetic:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {

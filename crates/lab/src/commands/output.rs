@@ -1,4 +1,4 @@
-//! What a benchmark has to say: in a terminal, as JSON, as a page.
+//! Output of benchmarks as tables, JSON or HTML.
 
 use std::path::Path;
 
@@ -8,20 +8,20 @@ use serde::Serialize;
 
 use eddy_evaluation::page::{LinePlot, Page, Provenance, Table};
 
-/// Tables of this machine, with plots where a curve is natural.
-pub(super) struct Sheet {
-    /// What was measured.
+/// Results of a benchmark.
+pub(super) struct BenchOutput {
+    /// The command.
     pub(super) title: &'static str,
-    /// Tables, in their order.
+    /// Tables.
     pub(super) tables: Vec<Table>,
-    /// Curves, for the page only.
+    /// Plots, for the page only.
     pub(super) plots: Vec<LinePlot>,
-    /// What the numbers are, one sentence each.
+    /// Notes on the numbers, one sentence each.
     pub(super) notes: Vec<String>,
 }
 
-impl Sheet {
-    /// Prints `json` if that is wanted, the tables otherwise, and writes the page if `html` says where.
+impl BenchOutput {
+    /// Prints `report` as JSON if `json` is set, the tables otherwise, and writes the page to `html` if given.
     pub(super) fn show(
         &self,
         report: &impl Serialize,
@@ -31,7 +31,7 @@ impl Sheet {
         if json {
             println!("{}", serde_json::to_string_pretty(report)?);
         } else {
-            let tables: Vec<String> = self.tables.iter().map(printed).collect();
+            let tables: Vec<String> = self.tables.iter().map(plain_text).collect();
             println!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n"));
         }
         let Some(html) = html else { return Ok(()) };
@@ -40,18 +40,18 @@ impl Sheet {
     }
 
     fn page(&self, made: &Provenance) -> Page {
-        let mut page = Page::new(self.title, "Measured on the machine that is named below.");
-        let section = page.section("Measured");
+        let mut page = Page::new(self.title, "Measured on the machine below.");
+        let section = page.section("Results");
         section.plots(&self.plots);
         self.tables.iter().for_each(|table| _ = section.table(table));
         self.notes.iter().for_each(|note| _ = section.paragraph(note));
-        page.section("How to make this again").provenance(made);
+        page.section("Reproduce").provenance(made);
         page
     }
 }
 
-/// A table without lines.
-pub(crate) fn printed(of: &Table) -> String {
+/// A table without borders.
+pub(crate) fn plain_text(of: &Table) -> String {
     let mut table = Printed::new();
     table.load_style(presets::NOTHING);
     table.set_header(of.header());
@@ -62,7 +62,7 @@ pub(crate) fn printed(of: &Table) -> String {
     table.trim_fmt()
 }
 
-/// The rows of a table, each with its name first.
+/// A table from rows that start with their names.
 pub(super) fn table<T: Into<String>>(
     caption: &str,
     header: impl IntoIterator<Item = T>,
