@@ -99,17 +99,17 @@ fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
             second(
                 "shape.polygon.corners = [[0, 0], [0.001, 0], [0, 0.001]]\nposition = [0.2, 0.2]",
             ),
-            &["bodies[1].shape", "room for 0 particles", "make it larger"],
+            &["bodies[1].shape", "room for 0 particles", "enlarge it"],
         ),
         (DISC.replace("0.1\n", "-0.1\n"), &["bodies[0].shape.disc.radius: found -0.1"]),
         // No place.
         (
             DISC.replace("[0.5, 0.5]", "[0.5, 0.1]"),
-            &["bodies[0]", "between the walls", "move the body"],
+            &["bodies[0]", "between the walls", "move or shrink the body"],
         ),
         (
             second("shape.rectangle.size = [0.1, 0.1]\nposition = [0.6, 0.5]"),
-            &["bodies[0] and bodies[1]", "do not overlap", "move one"],
+            &["bodies[0] and bodies[1] overlap near", "move or shrink one"],
         ),
         (
             format!("domain = [1.01, 1.0]\n{DISC}"),

@@ -90,7 +90,7 @@ fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
     for words in [
         "## fluid",
         "## multi-material",
-        "## Speed of training",
+        "## Training speed",
         "| mingru / gru |",
         "| gru / mingru |",
     ] {
@@ -122,7 +122,7 @@ fn what_was_trained_otherwise_or_is_damaged_is_not_taken_for_ours() {
     let file = study.folder.path().join("study.toml");
     fs::write(&file, SETTINGS.replace("hidden = 16", "hidden = 8")).unwrap();
     let error = fail(1, study.arguments("loss"));
-    assert!(error.contains("trained.toml: found a training with other settings"), "{error}");
+    assert!(error.contains("trained.toml: result of a training with other settings"), "{error}");
     // The same networks are judged again where that is asked for otherwise.
     fs::write(&file, SETTINGS.replace("starts = 1", "starts = 2")).unwrap();
     study.run("loss");
@@ -169,7 +169,7 @@ fn settings_that_cannot_be_used_are_refused_before_anything_is_written() {
     let study = Study::new();
     let file = study.folder.path().join("study.toml");
     for (line, words) in [
-        ("seeds = [1, 1]", "seeds: found [1, 1], expected at least one, none of them twice"),
+        ("seeds = [1, 1]", "seeds: found [1, 1], expected at least one, without duplicates"),
         ("windows = []", "windows: found [], expected at least one"),
         ("[data]\nscenes = 2", "data.scenes: found 2, expected at least 3"),
         ("[training]\narchitecture = \"particle\"", "expected frame: the paper's network"),
