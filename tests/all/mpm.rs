@@ -243,7 +243,10 @@ fn a_directory_of_other_scenes_is_left_as_it_is() {
     let foreign = output.join("foreign");
     fs::create_dir_all(foreign.join("scene_0000")).unwrap();
     let said = fail(1, simulate(&foreign, &["--scenes", "1"]));
-    assert!(said.contains("already exists and is not this scene according to the manifest"), "{said}");
+    assert!(
+        said.contains("already exists and is not this scene according to the manifest"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -251,7 +254,10 @@ fn an_unstable_request_is_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("unstable");
     let said = fail(1, simulate(&output, &["--substeps", "20"]));
-    assert!(said.contains("scene 0: substeps: found 20, expected at least 153 per frame"), "{said}");
+    assert!(
+        said.contains("scene 0: substeps: found 20, expected at least 153 per frame"),
+        "{said}"
+    );
     assert!(!output.exists());
     fail(2, ["simulate", "--preset", "gas", "--output", "x"]);
 

@@ -53,7 +53,6 @@ pub use body::Body;
 pub use energy::Energy;
 pub use error::{Limit, MpmError};
 pub use extent::Extent;
-pub use fast::multiply_and_add;
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
 pub use material::{Law, Materials};

@@ -7,7 +7,7 @@ use plotters::{
     chart::{ChartBuilder, ChartContext},
     element::Polygon,
     prelude::{
-        Cartesian2d, DrawingArea, IntoDrawingArea as _, IntoFont as _, LineSeries, SVGBackend,
+        Cartesian2d, DrawingBackend, IntoDrawingArea as _, IntoFont as _, LineSeries, SVGBackend,
     },
     style::{Color as _, ShapeStyle, TRANSPARENT},
 };
@@ -17,6 +17,7 @@ use super::{
     scale::AxisRange,
     style::{AXIS, INK, PALE, Style},
 };
+use crate::picture::{Canvas, CanvasBackend};
 
 /// Width and height of the drawing (drawing units, about half a pixel on a screen).
 const SIZE: (u32, u32) = (1120, 700);
@@ -28,6 +29,11 @@ const LABELS: (u32, u32) = (84, 124);
 const MARK: f64 = 9.0;
 /// Approximate number of marks on a curve with more points.
 const MARKS: usize = 7;
+/// Margins above and to the right of the axes: in pages, and in images with title and names.
+const PAGE_MARGINS: [u32; 2] = [8, 24];
+const IMAGE_MARGINS: [u32; 2] = [44, 300];
+/// Height of a line of names in images.
+const LINE: i32 = 22;
 
 /// A named curve.
 #[derive(Clone, Debug, Default)]
@@ -55,7 +61,9 @@ pub struct LinePlot {
     pub series: Vec<Series>,
 }
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<AxisRange, AxisRange>>;
+/// Pixel coordinates.
+type Pixel = (i32, i32);
+type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<AxisRange, AxisRange>>;
 
 impl Series {
     /// A curve over 1, 2, 3, ...: one number per frame ahead.
@@ -105,15 +113,10 @@ impl LinePlot {
 
     /// The drawing; `None` if no point can be shown.
     fn svg(&self) -> Option<String> {
-        let points = || self.series.iter().flat_map(|series| self.coordinates(&series.points));
-        let ends_of_bands = || self.series.iter().flat_map(|series| self.band(&series.band));
-        let x = self.x.ends(points().flatten().map(|[x, _]| x))?;
-        let within = points().flatten().map(|[_, y]| y);
-        let y =
-            self.y.ends(within.chain(ends_of_bands().flat_map(|[_, low, high]| [low, high])))?;
+        let ends = self.ends()?;
         let mut svg = String::new();
         // Drawing into memory does not fail.
-        self.draw(&mut svg, x, y).ok()?;
+        self.draw(SVGBackend::with_string(&mut svg, SIZE), ends, PAGE_MARGINS).ok()?;
         // The page sets the size; inline SVG needs no namespace.
         let (_, drawing) = svg.split_once('>')?;
         let (width, height) = SIZE;
@@ -122,6 +125,37 @@ impl LinePlot {
             html! { svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(words) {} };
         let opening = opening.into_string();
         Some(opening.strip_suffix("</svg>")?.to_owned() + drawing)
+    }
+
+    /// The plot as an image, with its title and the names of the series beside their last points; `None` if no point
+    /// can be shown.
+    pub(crate) fn canvas(&self) -> Option<Canvas> {
+        let ends = self.ends()?;
+        let mut canvas = Canvas::new(SIZE.0 as usize, SIZE.1 as usize);
+        let last = self.draw(CanvasBackend(&mut canvas), ends, IMAGE_MARGINS).ok()?;
+        let area = CanvasBackend(&mut canvas).into_drawing_area();
+        let style = ("sans-serif", LETTERS).into_font().color(&INK);
+        area.draw_text(&self.title, &style, (LABELS.1 as i32, 12)).ok()?;
+        let mut taken = Vec::new();
+        for (series, at) in self.series.iter().zip(last) {
+            let Some(at) = at else { continue };
+            let width = area.estimate_text_size(&series.name, &style).ok()?.0;
+            let place = free_place(&mut taken, at, width as i32);
+            area.draw_text(&series.name, &style, place).ok()?;
+        }
+        drop(area);
+        Some(canvas)
+    }
+
+    /// Ends of both axes; `None` if no point can be shown.
+    fn ends(&self) -> Option<[[f64; 2]; 2]> {
+        let points = || self.series.iter().flat_map(|series| self.coordinates(&series.points));
+        let ends_of_bands = || self.series.iter().flat_map(|series| self.band(&series.band));
+        let x = self.x.ends(points().flatten().map(|[x, _]| x))?;
+        let within = points().flatten().map(|[_, y]| y);
+        let y =
+            self.y.ends(within.chain(ends_of_bands().flat_map(|[_, low, high]| [low, high])))?;
+        Some([x, y])
     }
 
     fn shows(&self, series: &Series) -> bool {
@@ -141,15 +175,21 @@ impl LinePlot {
         band.iter().filter_map(interval).collect()
     }
 
-    fn draw(&self, svg: &mut String, x: [f64; 2], y: [f64; 2]) -> Result<(), Box<dyn Error>> {
-        let root: DrawingArea<SVGBackend, _> =
-            SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    /// Draws axes and series, and returns the pixel of the last point of each series.
+    fn draw<B: DrawingBackend<ErrorType: 'static>>(
+        &self,
+        backend: B,
+        [x, y]: [[f64; 2]; 2],
+        [top, right]: [u32; 2],
+    ) -> Result<Vec<Option<Pixel>>, Box<dyn Error>> {
+        let root = backend.into_drawing_area();
         let (below, left) = LABELS;
         let (x, y) = (self.x.range(x), self.y.range(y));
         let labels = [&x, &y].map(AxisRange::labels);
         let mut chart = ChartBuilder::on(&root)
             .margin(8)
-            .margin_right(24)
+            .margin_top(top)
+            .margin_right(right)
             .x_label_area_size(below)
             .y_label_area_size(left)
             .build_cartesian_2d(x, y)?;
@@ -172,14 +212,19 @@ impl LinePlot {
         for (number, series) in self.series.iter().enumerate() {
             self.draw_series(&mut chart, series, number)?;
         }
+        let last = |series: &Series| {
+            let [x, y] = self.coordinates(&series.points).into_iter().flatten().next_back()?;
+            Some(chart.backend_coord(&(x, y)))
+        };
+        let last = self.series.iter().map(last).collect();
         drop(chart);
         root.present()?;
-        Ok(())
+        Ok(last)
     }
 
-    fn draw_band(
+    fn draw_band<B: DrawingBackend<ErrorType: 'static>>(
         &self,
-        chart: &mut Chart<'_, '_>,
+        chart: &mut Chart<'_, B>,
         series: &Series,
         style: Style,
     ) -> Result<(), Box<dyn Error>> {
@@ -193,9 +238,9 @@ impl LinePlot {
         Ok(())
     }
 
-    fn draw_series(
+    fn draw_series<B: DrawingBackend<ErrorType: 'static>>(
         &self,
-        chart: &mut Chart<'_, '_>,
+        chart: &mut Chart<'_, B>,
         series: &Series,
         number: usize,
     ) -> Result<(), Box<dyn Error>> {
@@ -222,6 +267,21 @@ impl LinePlot {
         }
         Ok(())
     }
+}
+
+/// Upper left corner of a name of this width beside a point, moved down while it overlaps other names.
+fn free_place(taken: &mut Vec<(i32, i32, i32)>, (x, y): (i32, i32), width: i32) -> Pixel {
+    let (left, mut top) = (x + 2 * MARK as i32, y - LINE / 2);
+    let overlaps = |top: i32| {
+        move |&&(from, to, other): &&(i32, i32, i32)| {
+            (other - top).abs() < LINE && from < left + width && left < to
+        }
+    };
+    while let Some(&(_, _, other)) = taken.iter().find(overlaps(top)) {
+        top = other + LINE;
+    }
+    taken.push((left, left + width, top));
+    (left, top)
 }
 
 #[cfg(test)]
@@ -261,6 +321,33 @@ mod tests {
             assert_eq!(figure(Axis::logarithmic, points), None);
         }
         assert_eq!(figure(Axis::logarithmic, vec![[1.0, 0.0], [2.0, -1.0]]), None);
+    }
+
+    #[test]
+    fn an_image_has_its_points_names_and_title() {
+        let empty = plot(Axis::logarithmic, vec![[0.0, 1.0]]);
+        assert_eq!(plot(Axis::logarithmic, vec![[1.0, -1.0]]).canvas(), None);
+        let with_points = plot(Axis::logarithmic, vec![[1.0, 1.0]]);
+        let ink = |canvas: &Canvas, [left, right]: [usize; 2]| {
+            let dark = |(index, p): (usize, &[u8; 3])| {
+                (left..right).contains(&(index % canvas.width())) && p.iter().all(|&c| c < 100)
+            };
+            canvas.pixels().iter().enumerate().filter(|&(i, p)| dark((i, p))).count()
+        };
+        let canvas = with_points.canvas().unwrap();
+        let middle = (LABELS.1 as usize + SIZE.0 as usize - IMAGE_MARGINS[1] as usize) / 2;
+        assert!(ink(&canvas, [middle + 12, middle + 60]) > 20, "the name is beside the point");
+        assert_eq!((canvas.width(), canvas.height()), (SIZE.0 as usize, SIZE.1 as usize));
+        assert!(empty.canvas().is_some(), "zero is a frame");
+    }
+
+    #[test]
+    fn names_do_not_overlap() {
+        let mut taken = Vec::new();
+        let first = free_place(&mut taken, (50, 50), 80);
+        let second = free_place(&mut taken, (55, 52), 80);
+        assert!(second.1 >= first.1 + LINE);
+        assert_eq!(free_place(&mut taken, (300, 50), 80).1, first.1);
     }
 
     #[test]

@@ -4,7 +4,10 @@ use embedded_graphics::{
     Drawable, Pixel,
     draw_target::DrawTarget,
     geometry::{OriginDimensions, Point, Size},
-    mono_font::{MonoFont, MonoTextStyle, ascii::FONT_8X13},
+    mono_font::{
+        MonoFont, MonoTextStyle,
+        ascii::{FONT_8X13, FONT_10X20},
+    },
     pixelcolor::{Rgb888, RgbColor},
     text::{Alignment, Baseline, Text, TextStyleBuilder},
 };
@@ -12,6 +15,8 @@ use embedded_graphics::{
 use super::palette::{Rgb, WHITE, mix};
 
 const FONT: &MonoFont<'_> = &FONT_8X13;
+/// Font of plots.
+pub(super) const PLOT_FONT: &MonoFont<'_> = &FONT_10X20;
 
 /// Height of a line of text (pixels).
 pub(super) const LINE: usize = 18;
@@ -102,9 +107,30 @@ impl Canvas {
         self.fill(left + width - 1, top, 1, height, color);
     }
 
+    /// Blends a colour into the pixel at `[x, y]`, clipped.
+    pub(super) fn blend(&mut self, [x, y]: [i32; 2], color: Rgb, alpha: f32) {
+        let inside = |at: i32, extent| usize::try_from(at).ok().filter(|&at| at < extent);
+        if let (Some(x), Some(y)) = (inside(x, self.width), inside(y, self.height)) {
+            let pixel = &mut self.pixels[y * self.width + x];
+            *pixel = mix(*pixel, color, alpha);
+        }
+    }
+
     /// Draws text with its upper left corner at `(left, top)`.
     pub(super) fn text(&mut self, text: &str, left: usize, top: usize, color: Rgb) {
-        let style = MonoTextStyle::new(FONT, Rgb888::new(color[0], color[1], color[2]));
+        self.text_in(FONT, text, left, top, color);
+    }
+
+    /// As [`Canvas::text`], in a font.
+    pub(super) fn text_in(
+        &mut self,
+        font: &MonoFont<'_>,
+        text: &str,
+        left: usize,
+        top: usize,
+        color: Rgb,
+    ) {
+        let style = MonoTextStyle::new(font, Rgb888::new(color[0], color[1], color[2]));
         let place =
             TextStyleBuilder::new().alignment(Alignment::Left).baseline(Baseline::Top).build();
         let point = Point::new(left as i32, top as i32);
@@ -116,7 +142,13 @@ impl Canvas {
 
     /// Width of a text (pixels).
     pub(super) fn width_of(text: &str) -> usize {
-        text.len() * (FONT.character_size.width + FONT.character_spacing) as usize
+        Self::size_of(text, FONT).0
+    }
+
+    /// Width and height of a text in a font (pixels).
+    pub(super) fn size_of(text: &str, font: &MonoFont<'_>) -> (usize, usize) {
+        let Size { width, height } = font.character_size;
+        (text.len() * (width + font.character_spacing) as usize, height as usize)
     }
 }
 
@@ -135,11 +167,7 @@ impl DrawTarget for Canvas {
         pixels: I,
     ) -> Result<(), Self::Error> {
         for Pixel(point, color) in pixels {
-            let inside = |at: i32, extent| usize::try_from(at).ok().filter(|&at| at < extent);
-            if let (Some(x), Some(y)) = (inside(point.x, self.width), inside(point.y, self.height))
-            {
-                self.pixels[y * self.width + x] = [color.r(), color.g(), color.b()];
-            }
+            self.blend([point.x, point.y], [color.r(), color.g(), color.b()], 1.0);
         }
         Ok(())
     }

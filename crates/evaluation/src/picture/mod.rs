@@ -3,19 +3,19 @@
 //! 1. `palette`: colours of materials and of speeds.
 //! 2. `canvas`: raster images: antialiased discs, rectangles, text.
 //! 3. `panel`: a frame with its time and a legend.
-//! 4. `scatter`: named points on logarithmic axes.
+//! 4. `backend`: plots of [`page`](crate::page) on a canvas.
 //! 5. `file`: PNG files and animations.
 //! 6. `quantize`: the 256 colours of a GIF.
 
+mod backend;
 mod canvas;
 mod file;
 mod palette;
 mod panel;
 mod quantize;
-mod scatter;
 
+pub(crate) use backend::CanvasBackend;
 pub use canvas::Canvas;
 pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
 pub use palette::{Rgb, of_material as material_color, scale as scale_colors};
 pub use panel::{Coloring, Painter};
-pub use scatter::{Mark, Scatter, ScatterPoint};

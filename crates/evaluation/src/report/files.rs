@@ -28,7 +28,7 @@ impl Report {
         if fs::exists(&plot)? {
             fs::remove_file(&plot)?;
         }
-        match self.plot() {
+        match self.cost_plot().canvas() {
             Some(canvas) => write_png(&plot, &canvas).map_err(io::Error::other),
             None => Ok(()),
         }

@@ -5,7 +5,7 @@
 //! 3. `entry`: all results of one predictor.
 //! 4. `group`: networks that differ only in their training: mean, standard deviation, interval.
 //! 5. `scenes`: errors scene by scene.
-//! 6. `page` and its `tables`, `plot`, `files`: output.
+//! 6. `page`, `tables`, `files`: output.
 //! 7. `read`, `compare`: comparison of reports read from files.
 
 mod compare;
@@ -15,7 +15,6 @@ mod files;
 mod group;
 mod measures;
 mod page;
-mod plot;
 mod read;
 mod scenes;
 mod tables;

@@ -3,11 +3,10 @@
 
 use std::{hint::black_box, thread};
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use serde::Serialize;
 
 use eddy_frames::clock::Clock;
-use eddy_mpm as mpm;
 
 /// Operations per particle and substep, counted in `mpm::fast` for an elastic particle: gather from nine nodes 128,
 /// deformation and stress 65, scatter to nine nodes 130, stencils and positions 45. Divisions and square roots count as
@@ -19,6 +18,8 @@ const BYTES: f64 = 2.0 * 52.0;
 
 /// Timed rounds of arithmetic, about 20 ms.
 const ROUNDS: u64 = 2_000_000;
+/// Independent chains, enough to hide the latency of an instruction.
+const CHAINS: usize = 12;
 /// Numbers per thread for the memory bandwidth: far more than caches hold.
 const NUMBERS: usize = 1 << 24;
 /// Bytes read per thread for the read rate, about 50 ms.
@@ -40,7 +41,7 @@ pub struct Limit {
 impl Limit {
     /// Measures the peak rates on a number of threads, in some tenths of a second.
     pub fn measure(threads: usize) -> Self {
-        let operations = best(threads, || mpm::multiply_and_add(ROUNDS) as f64);
+        let operations = best(threads, || Arch::new().dispatch(Chains { rounds: ROUNDS }));
         let mut memory: Vec<Vec<f32>> = vec![vec![1.0; NUMBERS]; threads];
         let moved = (2 * size_of::<f32>() * NUMBERS) as f64;
         let bytes = best_of(&mut memory, |numbers| {
@@ -57,6 +58,29 @@ impl Limit {
     pub fn per_particle(&self, in_memory: bool) -> f64 {
         let arithmetic = OPERATIONS / self.operations;
         if in_memory { arithmetic.max(BYTES / self.bytes) } else { arithmetic }
+    }
+}
+
+/// Independent chains of `x <- x a + b` in registers. Products and sums are separate instructions, as in the solver.
+struct Chains {
+    rounds: u64,
+}
+
+impl WithSimd for Chains {
+    /// Number of operations.
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let [factor, term] = [0.999, 0.001].map(|x| simd.splat_f32s(black_box(x)));
+        let mut chains = [simd.splat_f32s(1.0); CHAINS];
+        for _ in 0..self.rounds {
+            for chain in &mut chains {
+                *chain = simd.add_f32s(simd.mul_f32s(*chain, factor), term);
+            }
+        }
+        black_box(chains.into_iter().map(|chain| simd.reduce_sum_f32s(chain)).sum::<f32>());
+        self.rounds as f64 * (2 * CHAINS * S::F32_LANES) as f64
     }
 }
 

@@ -11,7 +11,7 @@
 //! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity and walls.
 //!
 //! [`level`] selects the vector instructions at run time. The results are bit-identical for all of them and any number of
-//! threads. [`peak`] measures the peak arithmetic rate, for comparison.
+//! threads.
 #![expect(
     unsafe_code,
     reason = "vector instructions, and threads that write to disjoint parts of one slice"
@@ -23,7 +23,6 @@ mod gather;
 mod law;
 mod level;
 mod pack;
-mod peak;
 mod scatter;
 mod simd;
 mod sort;
@@ -47,7 +46,6 @@ use transfer::{Pass, Step};
 use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings};
 
 pub(super) use level::Level;
-pub use peak::multiply_and_add;
 
 /// Maximum number of substeps between sorts: after that many, neighbours in a cell are no longer neighbours in memory.
 const SORT_EVERY: u32 = 64;

@@ -1,4 +1,4 @@
-//! The ground truth against what is known, through the public interface.
+//! The solver against analytic and experimental references, through the public interface.
 //!
 //! | check | reference | tolerance |
 //! |---|---|---|
@@ -9,15 +9,15 @@
 //! | the same | Ritter 1892: at most 2 sqrt(g H) | bound |
 //! | `water`: a pool after a splash | its density is 1 | 5 % |
 //! | `water`: energy, also of viscous water | does not grow | 1 %, viscous 0.1 % |
-//! | `water`: comes apart | without tension it flies on | 10 % of its speed |
+//! | `water`: separates | without tension it keeps its speed | 10 % of its speed |
 //! | `rope`: hangs | strain rho g L / 2E' in the mean | 1 % of its length, one piece |
 //! | `rope`: swings, is dropped, meets others | tension of a few weights, about 1 % | 2 %, 3 %; one piece |
 //! | `snow`: packs | stretch in its clamp (Stomakhin et al. 2013); one heap | 1e-6; 95 % of the particles |
 //! | `jelly`: returns to its shape | sides of its second moments; mean of abs(F - R) | 3 %; 0.05 |
 //!
-//! Beside the code are: spline weights (`spline`), mass, momentum, free fall and energy of the other
+//! Unit tests beside the code cover spline weights (`spline`), mass, momentum, free fall and energy of the other
 //! materials (`solver`), rotation, frame indifference, stress as the derivative of the energy
-//! (`constitutive`, `water`), the guard of stability (`stability`, `simulation`).
+//! (`constitutive`, `water`) and the stability limit (`stability`, `simulation`).
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod elastic;
@@ -29,18 +29,18 @@ mod water;
 use eddy_frames::Material;
 use eddy_mpm::{GRAVITY, GridShape, Materials, Particle, Solver, SolverSettings, minimum_substeps};
 
-/// Interval that the number of substeps is chosen for (s).
+/// Interval for which the number of substeps is chosen (s).
 const INTERVAL: f64 = 0.016;
 
-/// Settings with the longest stable substep for particles of this material, and for speeds up to 5
-/// domain lengths per second. Particles are half a cell apart.
+/// Settings with the longest stable substep for this material at speeds up to 5 domain lengths per second. Particles are
+/// half a cell apart.
 fn settings(grid: GridShape, material: Material, materials: Materials) -> SolverSettings {
     let (substeps, _) = minimum_substeps(&[material], &materials, grid.dx, 5.0, INTERVAL);
     let dt = (INTERVAL / f64::from(substeps)) as f32;
     SolverSettings { grid, spacing: 0.5 * grid.dx, materials, dt, gravity: GRAVITY, threads: 1 }
 }
 
-/// A rectangle of `columns` x `rows` particles that rest, column by column, from its lower left corner.
+/// A rectangle of `columns` x `rows` particles at rest, column by column from its lower left corner.
 fn block(
     corner: [f32; 2],
     [columns, rows]: [usize; 2],
@@ -53,12 +53,12 @@ fn block(
         .collect()
 }
 
-/// Moves everything about so many seconds on.
+/// Advances by about `seconds`.
 fn run_for(solver: &mut Solver, seconds: f32) {
     solver.run((seconds / solver.settings().dt).round() as u32).unwrap();
 }
 
-/// How many particles the largest piece has: those that hang together over gaps of at most `link`.
+/// Number of particles of the largest connected piece, with gaps of at most `link`.
 fn largest_piece(particles: &[Particle], link: f32) -> usize {
     let near = |a: &Particle, b: &Particle| {
         let [dx, dy] = [0, 1].map(|axis| a.position[axis] - b.position[axis]);
@@ -80,7 +80,7 @@ fn largest_piece(particles: &[Particle], link: f32) -> usize {
     largest
 }
 
-/// `|F - R|` of a particle: how far its deformation is from a rotation.
+/// `|F - R|` of a particle: the deviation of its deformation from a rotation.
 fn strain(particle: &Particle) -> f32 {
     let f = particle.deformation;
     let (cos, sin) = (f.xx + f.yy, f.yx - f.xy);
@@ -90,14 +90,14 @@ fn strain(particle: &Particle) -> f32 {
     parts.iter().map(|part| part * part).sum::<f32>().sqrt()
 }
 
-/// How far the particles reach along an axis (domain lengths).
+/// Extent of the particles along an axis (domain lengths).
 fn extent(particles: &[Particle], axis: usize) -> f32 {
     let along = || particles.iter().map(|particle| particle.position[axis]);
     along().fold(f32::MIN, f32::max) - along().fold(f32::MAX, f32::min)
 }
 
-/// Long and short side of the rectangle that has the second moments of these particles (domain
-/// lengths), however it is turned.
+/// Long and short side of the rectangle with the second moments of these particles (domain lengths), independent of its
+/// rotation.
 fn sides(particles: &[Particle]) -> [f64; 2] {
     let count = particles.len() as f64;
     let along = |axis: usize| particles.iter().map(move |p| f64::from(p.position[axis]));

@@ -1,7 +1,7 @@
 //! 256-bit vectors: sixteen particles in two of them, a row of nodes in one.
 //!
-//! All methods are safe to call because a value of [`Avx2`], which everything starts from, exists
-//! only where the processor has AVX2; loads and stores are unaligned ones of just their argument.
+//! All methods are safe because all vectors derive from a value of [`Avx2`], which exists only if the processor supports
+//! AVX2. Loads and stores are unaligned and access exactly their argument.
 
 use std::{
     arch::x86_64::*,
@@ -18,7 +18,7 @@ impl Avx2 {
     /// The instruction set.
     ///
     /// # Safety
-    /// The processor has AVX2.
+    /// The processor supports AVX2.
     #[inline(always)]
     pub(in super::super) unsafe fn assume() -> Self {
         Self(())
@@ -29,7 +29,7 @@ impl Avx2 {
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Two([__m256; 2]);
 
-/// Sixteen truths, all bits of a number set or none.
+/// Sixteen booleans: all bits of a lane are set or none.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Mask([__m256; 2]);
 
@@ -48,7 +48,7 @@ macro_rules! operator {
             #[inline(always)]
             fn $name(self, other: Self) -> Self {
                 let (Self($a), Self($b)) = (self, other);
-                // SAFETY: a vector exists only where its instructions are.
+                // SAFETY: see the module.
                 Self(unsafe { $value })
             }
         }

@@ -1,7 +1,7 @@
-//! 512-bit vectors for particles; rows of nodes are those of [`Avx2`].
+//! 512-bit vectors for particles; rows of nodes use [`Avx2`].
 //!
-//! All methods are safe to call because a value of [`Avx512`], which everything starts from, exists
-//! only where the processor has AVX-512; loads and stores are unaligned ones of just their argument.
+//! All methods are safe because all vectors derive from a value of [`Avx512`], which exists only if the processor supports
+//! AVX-512. Loads and stores are unaligned and access exactly their argument.
 
 use std::{
     arch::x86_64::*,
@@ -21,10 +21,10 @@ impl Avx512 {
     /// The instruction set.
     ///
     /// # Safety
-    /// The processor has AVX2, AVX-512 F and AVX-512 VL.
+    /// The processor supports AVX2, AVX-512 F and AVX-512 VL.
     #[inline(always)]
     pub(in super::super) unsafe fn assume() -> Self {
-        // SAFETY: the caller says so.
+        // SAFETY: guaranteed by the caller.
         Self(unsafe { Avx2::assume() })
     }
 }
@@ -33,7 +33,7 @@ impl Avx512 {
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct One(__m512);
 
-/// Sixteen truths, one bit each.
+/// Sixteen booleans, one bit each.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Bits(__mmask16);
 

@@ -1,4 +1,4 @@
-//! Plain arrays: every processor has them, and the compiler makes of them what it can.
+//! Plain arrays, for every processor.
 
 use std::{
     array,
@@ -7,17 +7,17 @@ use std::{
 
 use super::{LANES, Lanes, Simd, Vectors};
 
-/// The instructions of every processor of the architecture.
+/// The baseline instructions of the architecture.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Portable;
 
-/// Numbers side by side.
+/// An array of numbers.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Numbers<const N: usize>([f32; N]);
 
-/// Truths side by side.
+/// An array of booleans.
 #[derive(Clone, Copy, Debug)]
-pub(in super::super) struct Truths([bool; LANES]);
+pub(in super::super) struct Booleans([bool; LANES]);
 
 macro_rules! operator {
     ($trait:ident, $name:ident, $operator:tt) => {
@@ -35,7 +35,7 @@ operator!(Sub, sub, -);
 operator!(Mul, mul, *);
 operator!(Div, div, /);
 
-impl BitAnd for Truths {
+impl BitAnd for Booleans {
     type Output = Self;
     #[inline(always)]
     fn bitand(self, other: Self) -> Self {
@@ -43,7 +43,7 @@ impl BitAnd for Truths {
     }
 }
 
-impl BitOr for Truths {
+impl BitOr for Booleans {
     type Output = Self;
     #[inline(always)]
     fn bitor(self, other: Self) -> Self {
@@ -53,7 +53,7 @@ impl BitOr for Truths {
 
 impl Simd for Portable {
     type Lanes = Numbers<LANES>;
-    type Mask = Truths;
+    type Mask = Booleans;
     type Pairs = Numbers<8>;
     type Ones = Numbers<4>;
 
@@ -83,15 +83,15 @@ impl Simd for Portable {
     }
     #[inline(always)]
     fn less(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
-        Truths(array::from_fn(|k| a.0[k] < b.0[k]))
+        Booleans(array::from_fn(|k| a.0[k] < b.0[k]))
     }
     #[inline(always)]
     fn at_least(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
-        Truths(array::from_fn(|k| a.0[k] >= b.0[k]))
+        Booleans(array::from_fn(|k| a.0[k] >= b.0[k]))
     }
     #[inline(always)]
     fn equal(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask {
-        Truths(array::from_fn(|k| a.0[k] == b.0[k]))
+        Booleans(array::from_fn(|k| a.0[k] == b.0[k]))
     }
     #[inline(always)]
     fn select(self, mask: Self::Mask, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes {
@@ -99,7 +99,7 @@ impl Simd for Portable {
     }
     #[inline(always)]
     fn count(self, mask: Self::Mask) -> usize {
-        mask.0.iter().map(|&truth| usize::from(truth)).sum()
+        mask.0.iter().map(|&lane| usize::from(lane)).sum()
     }
     #[inline(always)]
     fn truncate(self, value: Self::Lanes) -> (Self::Lanes, [i32; LANES]) {
