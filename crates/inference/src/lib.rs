@@ -1,8 +1,8 @@
-//! Streaming prediction of particle frames: a checkpoint in, the next frame out, one hidden state a stream.
+//! Predicts particle frames from a checkpoint, one frame of a stream at a time, with one hidden state per stream.
 //!
-//! 1. [`checkpoint`]: the weights and what a network is, as files.
-//! 2. [`kernels`]: vectorised building blocks, forward and adjoint, for streaming and for training.
-//! 3. [`engine`]: a checkpoint that predicts frames, one after the other.
+//! 1. [`checkpoint`]: weights and description of a network as files.
+//! 2. [`kernels`]: vectorised kernels and their adjoints, for prediction and training.
+//! 3. [`engine`]: runs a checkpoint's network and its rules.
 
 pub mod checkpoint;
 pub mod engine;

@@ -1,6 +1,5 @@
-//! Settings from TOML files: typed, unknown keys rejected, files hold only what differs from the
-//! defaults. Beside them what all crates need for files and names: [`atomic`] writes and suggestions for
-//! misspelt names ([`near`]).
+//! Typed settings from TOML files: files contain only what differs from the defaults, unknown keys are rejected. Also
+//! used by all crates: [`atomic`] writes and suggestions for misspelt names ([`near`]).
 
 use std::{
     fs, io,

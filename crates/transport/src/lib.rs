@@ -1,21 +1,21 @@
-//! Topics on a wire: one small trait pair, one file for each middleware.
+//! Publishers and subscribers on several transports: one small pair of traits, one folder per middleware.
 //!
 //! 1. `link`: a transport and a topic, written `zenoh:/particles`.
-//! 2. [`Publisher`], [`Subscriber`]: what every transport offers; [`Payload`]: one message.
-//! 3. `opener`: [`Transports`] opens them; one session for each middleware and process; `middleware`: what it
-//!    asks of each.
-//! 4. `seen`: which topics there are.
-//! 5. `queue`: the bounded queue between a transport's thread and a subscriber.
+//! 2. [`Publisher`], [`Subscriber`]: implemented by every transport; [`Payload`]: one message.
+//! 3. `opener`: [`Transports`] opens them, with one session per middleware and process; `middleware`: the trait that
+//!    each middleware implements.
+//! 4. `seen`: topics found on a transport.
+//! 5. `queue`: the bounded queue between a middleware's thread and a subscriber.
 //! 6. `memory`: within this process.
-//! 7. `shm`: shared memory, by iceoryx2.
-//! 8. `zenoh`: the wire of ROS 2's rmw_zenoh.
-//! 9. `dds`: the wire of ROS 2's DDS middlewares.
-//! 10. `foxglove`: the wire of Foxglove's application, to look at only; `address`: where such a server listens.
-//! 11. `bare`: middlewares alone, to measure against.
+//! 7. `shm`: shared memory (iceoryx2).
+//! 8. `zenoh`: the wire format of ROS 2's rmw_zenoh.
+//! 9. `dds`: the wire format of ROS 2's DDS middlewares (RTPS).
+//! 10. `foxglove`: a WebSocket server for Foxglove's application, publishing only; `address`: where it listens.
+//! 11. `bare`: middleware without eddy's layers, for benchmarks.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
-//! A transport may move frames in a form of its own (shared memory does), so every form of [`Payload`]
-//! must be expected from any topic of frames.
+//! A transport may carry frames in its own form (shared memory does), so subscribers of frames must expect every
+//! variant of [`Payload`].
 
 mod address;
 #[cfg(feature = "lab")]
