@@ -3,7 +3,6 @@
 #![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
 mod bad_input;
-mod bag;
 mod bag_edit;
 mod bag_recover;
 mod bench;

@@ -1,4 +1,4 @@
-//! Struct to CDR bytes and back, with the 4-byte encapsulation header that ROS 2 sends
+//! Encodes and decodes CDR with the 4-byte encapsulation header of ROS 2
 //! (OMG DDSI-RTPS 2.5, 10.2: `00 01` is plain CDR, little-endian; two option bytes follow).
 
 use cdr_encoding::{from_bytes, to_vec_with_size_hint, to_writer};
@@ -7,61 +7,46 @@ use serde::{Serialize, de::DeserializeOwned};
 /// Little-endian plain CDR.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// What CDR may append to reach its 4-byte granularity.
+/// Padding that CDR may append to reach a multiple of 4 bytes.
 const MAX_PADDING: usize = 3;
 
 /// Why encoding cannot fail.
-const EXPRESSED: &str =
-    "messages hold numbers, strings and sequences only, all of which CDR expresses";
+const REPRESENTABLE: &str =
+    "messages consist of numbers, strings and sequences, which CDR can represent";
 
-/// Why bytes are no message.
+/// Bytes that are not a message of the expected type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the message of each variant says what its fields are")]
 pub enum CdrError {
-    /// The encapsulation header is not that of plain CDR.
+    /// The encapsulation header is not that of plain CDR; `found` holds the first bytes, at most four.
     #[error(
         "CDR header: found {found:02x?}, expected [00, 01, 00, 00] (plain CDR, little-endian) or [00, 00, 00, 00] (big-endian)"
     )]
-    Header {
-        /// The first bytes, at most four.
-        found: Vec<u8>,
-    },
-    /// The bytes do not hold the message's fields.
-    #[error("CDR body of {length} bytes is no {type_name}: {reason}")]
-    Body {
-        /// The Rust type that was expected.
-        type_name: &'static str,
-        /// Bytes after the header.
-        length: usize,
-        /// What the decoder met.
-        reason: String,
-    },
-    /// The message ended before its bytes did.
+    Header { found: Vec<u8> },
+    /// The body of `length` bytes does not hold the fields of the message.
+    #[error("CDR body of {length} bytes is not a {type_name}: {reason}")]
+    Body { type_name: &'static str, length: usize, reason: String },
+    /// Bytes follow the message.
     #[error("CDR body: found {found} bytes, expected {expected} for this {type_name}")]
-    Trailing {
-        /// The Rust type that was expected.
-        type_name: &'static str,
-        /// Bytes after the header.
-        found: usize,
-        /// Bytes that the message used.
-        expected: usize,
-    },
+    Trailing { type_name: &'static str, found: usize, expected: usize },
 }
 
-/// The message as little-endian CDR with its header.
+/// Encodes a message as little-endian CDR with its header.
 ///
 /// # Panics
-/// Never for the messages of [`crate`]: they hold only what CDR can express.
+/// Never for the messages of this crate, which CDR can represent.
 pub fn encode<M: Serialize>(message: &M) -> Vec<u8> {
-    let body = to_vec_with_size_hint::<M, byteorder::LittleEndian>(message, 256).expect(EXPRESSED);
+    let body =
+        to_vec_with_size_hint::<M, byteorder::LittleEndian>(message, 256).expect(REPRESENTABLE);
     [HEADER.as_slice(), &body].concat()
 }
 
-/// The message in `bytes`, of either byte order.
+/// Decodes a message of either byte order.
 ///
-/// Memory is bounded by the length of `bytes`, whatever lengths they claim.
+/// Memory is bounded by the length of `bytes`, not by the lengths declared in them.
 ///
 /// # Errors
-/// [`CdrError`] when the header is unknown, the body ends early or goes on after the message.
+/// [`CdrError`] when the header is unknown, the body is truncated, or bytes follow the message.
 pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, CdrError> {
     let header = || CdrError::Header { found: bytes[..bytes.len().min(4)].to_vec() };
     let (head, body) = bytes.split_at_checked(HEADER.len()).ok_or_else(header)?;
@@ -82,10 +67,9 @@ pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, CdrError> {
     Ok(message)
 }
 
-/// The stream of what may be a `ParticleFrame`, without decoding the rest of it: the field after the header,
-/// which ends with a string.
+/// The stream id of an undecoded `ParticleFrame`: the field after the header, which ends with a string.
 pub fn stream_of_frame(bytes: &[u8]) -> Option<u64> {
-    /// Of the seconds and nanoseconds before the string.
+    /// Position of the string, after seconds and nanoseconds (bytes).
     const STRING: usize = 8;
     let (head, body) = bytes.split_at_checked(HEADER.len())?;
     let little = head[1] == 1;
@@ -96,11 +80,11 @@ pub fn stream_of_frame(bytes: &[u8]) -> Option<u64> {
     Some(if little { u64::from_le_bytes(stream) } else { u64::from_be_bytes(stream) })
 }
 
-/// As [`encode`], into `bytes`, whose room is used again.
+/// As [`encode`], into `bytes`, whose memory is reused.
 pub fn encode_into<M: Serialize>(message: &M, bytes: &mut Vec<u8>) {
     bytes.clear();
     bytes.extend(HEADER);
-    to_writer::<M, byteorder::LittleEndian, _>(&mut *bytes, message).expect(EXPRESSED);
+    to_writer::<M, byteorder::LittleEndian, _>(&mut *bytes, message).expect(REPRESENTABLE);
 }
 
 fn short_name<M>() -> &'static str {
@@ -130,16 +114,16 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_of_four_billion_particles_is_refused_without_reserving_them() {
+    fn a_declared_length_of_four_billion_particles_is_rejected_without_allocating() {
         let mut bytes = encode(&ParticleFrame::default());
         let material = bytes.len() - 4;
         bytes[material..].fill(0xff);
         let error = decode::<ParticleFrame>(&bytes).unwrap_err();
-        assert!(error.to_string().contains("is no ParticleFrame"), "{error}");
+        assert!(error.to_string().contains("is not a ParticleFrame"), "{error}");
     }
 
     #[test]
-    fn a_message_that_goes_on_is_refused() {
+    fn bytes_after_a_message_are_rejected() {
         let mut bytes = encode(&RosString { data: "eddy".into() });
         bytes.extend([0; 8]);
         assert!(matches!(decode::<RosString>(&bytes), Err(CdrError::Trailing { .. })));
@@ -170,13 +154,13 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_make_the_decoder_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        fn the_decoder_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             let _ = decode::<ParticleFrame>(&bytes);
             let _ = stream_of_frame(&bytes);
         }
 
         #[test]
-        fn every_truncation_is_refused(cut in 0usize..100) {
+        fn every_truncation_is_rejected(cut in 0usize..100) {
             let message = ParticleFrame {
                 position: vec![0.5; 8], velocity: vec![0.0; 8], material: vec![0; 4],
                 ..ParticleFrame::default()

@@ -1,7 +1,7 @@
-//! A frame as `sensor_msgs/msg/PointCloud2`, which RViz, Foxglove and Rerun draw.
+//! A frame as `sensor_msgs/msg/PointCloud2`, for RViz, Foxglove and Rerun.
 //!
-//! A point has 24 bytes: `x y z vx vy` as `float32` from 0 to 19, `material` as `uint8` at 20, three
-//! bytes of nothing. `z` is 0.
+//! A point has 24 bytes: `x y z vx vy` as `float32` in bytes 0 to 19, `material` as `uint8` in byte 20, three bytes of
+//! padding. `z` is 0.
 
 use super::{Header, PointCloud2, PointField, cdr};
 use eddy_frames::Frame;
@@ -13,7 +13,7 @@ pub const POINT_STEP: usize = 24;
 const UINT8: u8 = 2;
 const FLOAT32: u8 = 7;
 
-/// Name, place (bytes) and kind of what a point holds.
+/// Name, offset (bytes) and datatype of the fields of a point.
 const FIELDS: [(&str, u32, u8); 6] = [
     ("x", 0, FLOAT32),
     ("y", 4, FLOAT32),
@@ -23,12 +23,10 @@ const FIELDS: [(&str, u32, u8); 6] = [
     ("material", 20, UINT8),
 ];
 
-/// What ends the message after the points: their number of bytes (here 0), then `is_dense`.
+/// Bytes of the message from the length of the point data on, without points: the length and `is_dense`.
 const TAIL: usize = size_of::<u32>() + size_of::<bool>();
 
-/// The CDR bytes of the frame as a cloud.
-///
-/// The points go straight into the message, not byte by byte through an encoder.
+/// Encodes a frame as the CDR bytes of a point cloud. The points are written into the message without an encoder.
 pub fn to_cdr(frame: &Frame) -> Vec<u8> {
     let without_points = cdr::encode(&PointCloud2 { is_dense: true, ..description(frame) });
     let (head, tail) = without_points.split_at(without_points.len() - TAIL);
@@ -51,7 +49,7 @@ pub fn to_cdr(frame: &Frame) -> Vec<u8> {
     bytes
 }
 
-/// Everything but the points.
+/// The point cloud without its points.
 fn description(frame: &Frame) -> PointCloud2 {
     let fields = FIELDS.map(|(name, offset, datatype)| PointField {
         name: name.to_owned(),
@@ -77,7 +75,7 @@ mod tests {
     use super::*;
     use eddy_frames::{Domain, Material, Stamp};
 
-    /// Reads a field of a point as its description says.
+    /// Reads a field of a point according to its description.
     fn read(cloud: &PointCloud2, point: usize, name: &str) -> f32 {
         let field = cloud.fields.iter().find(|field| field.name == name).unwrap();
         let at = point * cloud.point_step as usize + field.offset as usize;
@@ -90,7 +88,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_cloud_holds_what_the_frame_holds(
+        fn a_cloud_has_the_particles_of_the_frame(
             sequence in 0u32..1_000,
             particles in prop::collection::vec((prop::array::uniform4(-1e6f32..1e6), 0usize..4), 1..50),
         ) {

@@ -1,15 +1,15 @@
-//! [`Frame`] from and to its message: the one place where bytes from outside become particles.
+//! Converts a [`Frame`] from and to its message: the only place where external data becomes particles.
 
 use super::{Header, ParticleFrame, cdr, cdr::CdrError};
 use eddy_frames::{Domain, Frame, InvalidFrame, Material};
 
-/// Why a message is not a frame that can be used.
+/// A message that is not a valid frame.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BadFrame {
-    /// The bytes are no `ParticleFrame`.
+    /// The bytes are not a `ParticleFrame`.
     #[error(transparent)]
     Cdr(#[from] CdrError),
-    /// The message is one, but not a whole frame.
+    /// The `ParticleFrame` is not a valid frame.
     #[error(transparent)]
     Invalid(#[from] InvalidFrame),
 }
@@ -41,24 +41,22 @@ impl TryFrom<&ParticleFrame> for Frame {
     }
 }
 
-/// A frame as the CDR bytes of its message, and back.
+/// Encodes and decodes a frame as the CDR of a [`ParticleFrame`].
 pub trait FrameCdr: Sized {
-    /// The frame as CDR bytes of a [`ParticleFrame`].
-    ///
-    /// As [`cdr::encode`] writes that, but the particles are copied once and as a whole, not number by number.
+    /// The same bytes as from [`cdr::encode`], with the particles copied as a whole rather than number by number.
     fn to_cdr(&self) -> Vec<u8>;
 
-    /// The frame in the CDR bytes of a [`ParticleFrame`].
+    /// Decodes and checks a frame.
     ///
     /// # Errors
-    /// [`BadFrame`] when the bytes are no such message, or the message is not a whole frame.
+    /// [`BadFrame`] when the bytes are not a [`ParticleFrame`], or it is not a valid frame.
     fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame>;
 }
 
 impl FrameCdr for Frame {
     fn to_cdr(&self) -> Vec<u8> {
         let mut bytes = cdr::encode(&without_particles(self));
-        // The last three fields are lists, whose lengths are all there is of them here.
+        // The last three fields are empty sequences: only their lengths.
         bytes.truncate(bytes.len() - 3 * size_of::<u32>());
         let particles = size_of_val(&self.position[..]) + size_of_val(&self.velocity[..]);
         bytes.reserve_exact(3 * size_of::<u32>() + particles + self.material.len());
@@ -82,7 +80,7 @@ impl FrameCdr for Frame {
     }
 }
 
-/// The message of a frame, with empty lists of particles.
+/// The message of a frame without particles.
 fn without_particles(frame: &Frame) -> ParticleFrame {
     ParticleFrame {
         header: Header::world(frame.stamp),
@@ -143,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_survives_its_message() {
+    fn a_frame_is_converted_to_its_message_and_back() {
         let frame = Frame::try_from(&message()).unwrap();
         assert_eq!(ParticleFrame::from(&frame), message());
         assert_eq!(Frame::from_cdr(&frame.to_cdr()), Ok(frame));
@@ -169,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_is_named_with_found_and_expected() {
+    fn invalid_frames_are_rejected_with_found_and_expected() {
         type Fault = fn(&mut ParticleFrame);
         let cases: [(Fault, &str); 6] = [
             (|m| m.lower = vec![0.0; 3], "lower: found 3 dimensions, expected 2"),

@@ -1,7 +1,7 @@
-//! Type names as DDS has them, which rmw_zenoh's keys use, too: `eddy_msgs/msg/ParticleFrame` is
-//! `eddy_msgs::msg::dds_::ParticleFrame_` there.
+//! Type names in DDS and in the keys of rmw_zenoh: `eddy_msgs/msg/ParticleFrame` is
+//! `eddy_msgs::msg::dds_::ParticleFrame_`.
 
-/// The name in DDS of a ROS type.
+/// The DDS name of a ROS type.
 pub fn dds_type(name: &str) -> String {
     match name.rsplit_once('/') {
         Some((path, last)) => format!("{}::dds_::{last}_", path.replace('/', "::")),
@@ -9,7 +9,7 @@ pub fn dds_type(name: &str) -> String {
     }
 }
 
-/// The inverse; `None` for what is no type of ROS 2.
+/// The ROS name of a DDS type; `None` if it is not a type of ROS 2.
 pub fn ros_type(name: &str) -> Option<String> {
     let (path, last) = name.strip_suffix('_')?.rsplit_once("::dds_::")?;
     Some(format!("{}/{last}", path.replace("::", "/")))
@@ -22,7 +22,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn types_are_named_as_ros_names_them_in_dds() {
+    fn types_have_the_dds_names_of_ros() {
         for (ros, dds) in [
             ("eddy_msgs/msg/ParticleFrame", "eddy_msgs::msg::dds_::ParticleFrame_"),
             ("std_msgs/msg/String", "std_msgs::msg::dds_::String_"),
@@ -35,7 +35,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn names_come_back(
+        fn names_are_converted_back(
             package in "[a-z][a-z0-9_]{0,9}",
             kind in "msg|srv|action",
             name in "[A-Z][A-Za-z0-9_]{0,9}",

@@ -1,6 +1,6 @@
 //! ROS 2 messages: Rust structs for the `.msg` files, their CDR encoding, schema text and type hashes.
 //!
-//! 1. [`twins`]: one Rust struct per message, with the fields of the `.msg` file.
+//! 1. [`messages`]: one Rust struct per message, with the fields of the `.msg` file.
 //! 2. [`cdr`]: encoding and decoding (CDR, XCDR1, little-endian header `00 01 00 00`).
 //! 3. [`schema`]: the `.msg` text with its dependencies, as stored in MCAP files, and the type
 //!    description parsed from it.
@@ -17,33 +17,31 @@ pub mod cdr;
 pub mod cloud;
 mod convert;
 mod dds_type;
+mod messages;
 pub mod playback;
 pub mod schema;
 pub mod service_type;
 pub mod services;
-mod twins;
 
 pub use convert::{BadFrame, FrameCdr};
 pub use dds_type::{dds_type, ros_type};
-pub use schema::{TypeSupport, UnknownType, type_support};
-pub use service_type::{UnknownService, service_hash};
-pub use twins::{
+pub use messages::{
     Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
     PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
 };
+pub use schema::{TypeSupport, UnknownType, type_support};
+pub use service_type::{UnknownService, service_hash};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-/// A message that travels on a topic.
+/// A message of a topic.
 pub trait Message: Serialize + DeserializeOwned {
-    /// The type's name, such as `eddy_msgs/msg/ParticleFrame`.
+    /// Name of the type, such as `eddy_msgs/msg/ParticleFrame`.
     const TYPE: &'static str;
 }
 
-/// The type of the messages on a topic of ours, by the name of the topic.
-///
-/// Status, cloud, diagnostics, clock and parameter events have their fixed names; every other topic carries
-/// frames.
+/// The message type of a topic of eddy, from the last part of its name: status, cloud, diagnostics, clock and parameter
+/// events have fixed names, all other topics carry frames.
 pub fn topic_type(topic: &str) -> &'static str {
     match topic.rsplit('/').next() {
         Some("status") => PredictionStatus::TYPE,
@@ -65,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn topics_are_of_frames_unless_their_last_word_says_otherwise() {
+    fn topics_carry_frames_unless_their_last_part_says_otherwise() {
         let cases = [
             ("/particles", ParticleFrame::TYPE),
             ("/left/prediction", ParticleFrame::TYPE),

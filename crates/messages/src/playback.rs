@@ -1,5 +1,5 @@
-//! Rust twins of the `.srv` files of rosbag2's player (`rosbag2_interfaces`), field by field; those without
-//! fields are [`Empty`](super::services::Empty).
+//! Requests and responses of rosbag2's player (`rosbag2_interfaces`); those without fields are
+//! [`Empty`](super::services::Empty).
 
 use serde::{Deserialize, Serialize};
 
@@ -8,21 +8,21 @@ use super::Time;
 /// Response of `PlayNext`, `SetRate` and `Seek`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Success {
-    /// Whether it was done.
+    /// Whether the request succeeded.
     pub success: bool,
 }
 
 /// Response of `IsPaused`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Paused {
-    /// Whether the player pauses.
+    /// Whether the player is paused.
     pub paused: bool,
 }
 
 /// Request of `SetRate`, response of `GetRate`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlayingRate {
-    /// How much faster than recorded.
+    /// Factor of the recorded speed.
     pub rate: f64,
 }
 

@@ -1,7 +1,7 @@
-//! The `.msg` files: parsed, joined into schema text, hashed.
+//! Parses the `.msg` files, makes their schema text, and hashes them.
 //!
-//! Schema text is what MCAP carries (`ros2msg`): the message's own text, then each dependency after
-//! a line of 80 `=` and a line `MSG: package/Type` (MCAP specification, appendix "ros2msg").
+//! Schema text is that of MCAP (`ros2msg`): the text of the message, then each dependency after a line of 80 `=` and a
+//! line `MSG: package/Type` (MCAP specification, appendix "ros2msg").
 //! The type hash is RIHS01: SHA-256 of the JSON type description (REP 2011, REP 2016).
 
 use std::{collections::BTreeMap, sync::LazyLock};
@@ -11,21 +11,21 @@ use hiroz_schema::{
     calculate_hash,
 };
 
-/// What other programs must be told about a message type.
+/// Description of a message type for other programs.
 #[derive(Clone, Debug)]
 pub struct TypeSupport {
-    /// Name as in ROS 2, such as `eddy_msgs/msg/ParticleFrame`.
+    /// ROS 2 name, such as `eddy_msgs/msg/ParticleFrame`.
     pub name: String,
-    /// The `.msg` text with that of every dependency.
+    /// The `.msg` text of the type and all its dependencies.
     pub schema: String,
     /// Type hash, `RIHS01_` and 64 hexadecimal digits.
     pub hash: String,
-    /// The parsed type, then those it refers to, in the order of their names.
+    /// The parsed type, and the referenced types sorted by name.
     pub description: TypeDescriptionMsg,
 }
 
 impl TypeSupport {
-    /// A type whose definition is not known here: only its name and its type hash (empty if unknown).
+    /// A type that is not built in: only its name and its type hash (empty if unknown).
     pub fn foreign(name: &str, hash: &str) -> Self {
         let type_description = TypeDescription { type_name: name.to_owned(), fields: Vec::new() };
         Self {
@@ -40,82 +40,46 @@ impl TypeSupport {
     }
 }
 
-/// The type is none of those that eddy speaks.
+/// A message type that is not built in.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("message type: found {found}, expected one of {}", known_types().join(", "))]
 pub struct UnknownType {
-    /// The name that is not known.
+    /// The unknown name.
     pub found: String,
 }
 
-/// The `.msg` files this program was built from: name, text.
-const FILES: [(&str, &str); 14] = [
-    (
-        "builtin_interfaces/msg/Time",
-        include_str!("../msgs/standard/builtin_interfaces/msg/Time.msg"),
-    ),
-    (
-        "diagnostic_msgs/msg/DiagnosticArray",
-        include_str!("../msgs/standard/diagnostic_msgs/msg/DiagnosticArray.msg"),
-    ),
-    (
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        include_str!("../msgs/standard/diagnostic_msgs/msg/DiagnosticStatus.msg"),
-    ),
-    (
-        "diagnostic_msgs/msg/KeyValue",
-        include_str!("../msgs/standard/diagnostic_msgs/msg/KeyValue.msg"),
-    ),
-    ("eddy_msgs/msg/ParticleFrame", include_str!("../msgs/eddy_msgs/msg/ParticleFrame.msg")),
-    ("eddy_msgs/msg/PredictionStatus", include_str!("../msgs/eddy_msgs/msg/PredictionStatus.msg")),
-    (
-        "rcl_interfaces/msg/Parameter",
-        include_str!("../msgs/standard/rcl_interfaces/msg/Parameter.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/ParameterEvent",
-        include_str!("../msgs/standard/rcl_interfaces/msg/ParameterEvent.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/ParameterValue",
-        include_str!("../msgs/standard/rcl_interfaces/msg/ParameterValue.msg"),
-    ),
-    ("rosgraph_msgs/msg/Clock", include_str!("../msgs/standard/rosgraph_msgs/msg/Clock.msg")),
-    (
-        "sensor_msgs/msg/PointCloud2",
-        include_str!("../msgs/standard/sensor_msgs/msg/PointCloud2.msg"),
-    ),
-    ("sensor_msgs/msg/PointField", include_str!("../msgs/standard/sensor_msgs/msg/PointField.msg")),
-    ("std_msgs/msg/Header", include_str!("../msgs/standard/std_msgs/msg/Header.msg")),
-    ("std_msgs/msg/String", include_str!("../msgs/standard/std_msgs/msg/String.msg")),
+macro_rules! files {
+    ($($folder:literal $name:literal),* $(,)?) => {
+        [$(($name, include_str!(concat!("../msgs/", $folder, $name, ".msg")))),*]
+    };
+}
+
+/// Names and texts of the built-in `.msg` files.
+const FILES: [(&str, &str); 14] = files![
+    "standard/" "builtin_interfaces/msg/Time",
+    "standard/" "diagnostic_msgs/msg/DiagnosticArray",
+    "standard/" "diagnostic_msgs/msg/DiagnosticStatus",
+    "standard/" "diagnostic_msgs/msg/KeyValue",
+    "" "eddy_msgs/msg/ParticleFrame",
+    "" "eddy_msgs/msg/PredictionStatus",
+    "standard/" "rcl_interfaces/msg/Parameter",
+    "standard/" "rcl_interfaces/msg/ParameterEvent",
+    "standard/" "rcl_interfaces/msg/ParameterValue",
+    "standard/" "rosgraph_msgs/msg/Clock",
+    "standard/" "sensor_msgs/msg/PointCloud2",
+    "standard/" "sensor_msgs/msg/PointField",
+    "standard/" "std_msgs/msg/Header",
+    "standard/" "std_msgs/msg/String",
 ];
 
-/// The `.msg` files of messages that travel only inside of others: name, text.
-const PARTS: [(&str, &str); 6] = [
-    (
-        "rcl_interfaces/msg/FloatingPointRange",
-        include_str!("../msgs/standard/rcl_interfaces/msg/FloatingPointRange.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/IntegerRange",
-        include_str!("../msgs/standard/rcl_interfaces/msg/IntegerRange.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/ListParametersResult",
-        include_str!("../msgs/standard/rcl_interfaces/msg/ListParametersResult.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/ParameterDescriptor",
-        include_str!("../msgs/standard/rcl_interfaces/msg/ParameterDescriptor.msg"),
-    ),
-    (
-        "rcl_interfaces/msg/SetParametersResult",
-        include_str!("../msgs/standard/rcl_interfaces/msg/SetParametersResult.msg"),
-    ),
-    (
-        "service_msgs/msg/ServiceEventInfo",
-        include_str!("../msgs/standard/service_msgs/msg/ServiceEventInfo.msg"),
-    ),
+/// Names and texts of the `.msg` files of messages that are only fields of others.
+const NESTED_FILES: [(&str, &str); 6] = files![
+    "standard/" "rcl_interfaces/msg/FloatingPointRange",
+    "standard/" "rcl_interfaces/msg/IntegerRange",
+    "standard/" "rcl_interfaces/msg/ListParametersResult",
+    "standard/" "rcl_interfaces/msg/ParameterDescriptor",
+    "standard/" "rcl_interfaces/msg/SetParametersResult",
+    "standard/" "service_msgs/msg/ServiceEventInfo",
 ];
 
 static TYPES: LazyLock<BTreeMap<&'static str, TypeSupport>> =
@@ -124,7 +88,7 @@ static TYPES: LazyLock<BTreeMap<&'static str, TypeSupport>> =
 /// The type support of a message type.
 ///
 /// # Errors
-/// [`UnknownType`] when no `.msg` file of that name was built in.
+/// [`UnknownType`] when the type is not built in.
 pub fn type_support(name: &str) -> Result<&'static TypeSupport, UnknownType> {
     TYPES.get(name).ok_or_else(|| UnknownType { found: name.to_owned() })
 }
@@ -134,11 +98,10 @@ fn known_types() -> Vec<&'static str> {
 }
 
 fn text_of(name: &str) -> &'static str {
-    let (_, text) = FILES
-        .iter()
-        .chain(&PARTS)
-        .find(|(known, _)| *known == name)
-        .unwrap_or_else(|| panic!("msgs/ holds no {name}, which another message refers to"));
+    let (_, text) =
+        FILES.iter().chain(&NESTED_FILES).find(|(known, _)| *known == name).unwrap_or_else(|| {
+            panic!("msgs/ does not have {name}, which another message references")
+        });
     text
 }
 
@@ -161,7 +124,7 @@ fn assemble(name: &str) -> TypeSupport {
     TypeSupport { name: name.to_owned(), schema, hash, description }
 }
 
-/// Adds every message that `of` refers to, and what these refer to.
+/// Adds all messages that `of` references, directly or indirectly.
 pub(super) fn collect_dependencies(
     of: &TypeDescription,
     into: &mut BTreeMap<String, TypeDescription>,
@@ -176,28 +139,27 @@ pub(super) fn collect_dependencies(
     }
 }
 
-/// Reads the part of the `.msg` language that our files use: comments, constants, fields of
-/// primitive, string or message type, arrays and sequences of them; defaults are passed over.
+/// Parses the subset of the `.msg` language that the files use: comments, constants, fields of primitive, string or
+/// message type, arrays and sequences; defaults are ignored.
 pub(super) fn parse(name: &str, text: &str) -> TypeDescription {
     let package = name.split('/').next().unwrap_or_default();
     let fields = text
         .lines()
         .map(|line| line.split('#').next().unwrap_or_default().trim())
-        // A constant has a `=` that bounds no sequence.
+        // Constants have a `=` that is not part of `<=`.
         .filter(|line| !line.is_empty() && !line.replace("<=", "").contains('='))
         .map(|line| {
             let mut words = line.split_whitespace();
-            let (Some(kind), Some(field)) = (words.next(), words.next()) else {
+            let (Some(kind), Some(name_of_field)) = (words.next(), words.next()) else {
                 panic!("{name}: found `{line}`, expected `type name`");
             };
-            described(field, field_type(package, kind))
+            field(name_of_field, field_type(package, kind))
         })
         .collect();
     TypeDescription { type_name: name.to_owned(), fields }
 }
 
-/// A field of this name and type.
-pub(super) fn described(name: &str, field_type: FieldTypeDescription) -> FieldDescription {
+pub(super) fn field(name: &str, field_type: FieldTypeDescription) -> FieldDescription {
     FieldDescription { name: name.to_owned(), field_type, default_value: String::new() }
 }
 
@@ -267,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_type_is_named_with_the_known_ones() {
+    fn an_unknown_type_is_rejected_with_the_known_ones() {
         let message = type_support("sensor_msgs/msg/Imu").unwrap_err().to_string();
         assert!(message.starts_with("message type: found sensor_msgs/msg/Imu, expected one of"));
         assert!(message.contains("eddy_msgs/msg/ParticleFrame"));
@@ -284,14 +246,14 @@ mod tests {
     }
 
     #[test]
-    fn the_schema_carries_each_dependency_once() {
+    fn the_schema_text_has_each_dependency_once() {
         let schema = &type_support("eddy_msgs/msg/ParticleFrame").unwrap().schema;
         assert_eq!(schema.matches("MSG: std_msgs/Header\n").count(), 1);
         assert_eq!(schema.matches("MSG: builtin_interfaces/Time\n").count(), 1);
     }
 
     #[test]
-    fn twins_and_texts_agree_field_by_field() {
+    fn structs_and_files_have_the_same_fields() {
         agree::<ParticleFrame>();
         agree::<PredictionStatus>();
         agree::<DiagnosticArray>();
@@ -309,28 +271,28 @@ mod tests {
         let referred = &support.description.referenced_type_descriptions;
         for description in referred.iter().chain([&support.description.type_description]) {
             assert_eq!(
-                fields_of_twin(&registry, &description.type_name),
-                fields_of_text(description)
+                fields_of_struct(&registry, &description.type_name),
+                fields_of_file(description)
             );
         }
     }
 
-    fn twin_name(type_name: &str) -> &str {
+    fn struct_name(type_name: &str) -> &str {
         match type_name.rsplit('/').next().unwrap() {
             "String" => "RosString",
             short => short,
         }
     }
 
-    fn fields_of_twin(registry: &Registry, type_name: &str) -> Vec<(String, String)> {
-        let name = twin_name(type_name);
+    fn fields_of_struct(registry: &Registry, type_name: &str) -> Vec<(String, String)> {
+        let name = struct_name(type_name);
         let ContainerFormat::Struct(fields) = &registry[name] else {
-            panic!("{name} is no struct with named fields");
+            panic!("{name} is not a struct with named fields");
         };
         fields.iter().map(|field| (field.name.clone(), format!("{:?}", field.value))).collect()
     }
 
-    fn fields_of_text(description: &TypeDescription) -> Vec<(String, String)> {
+    fn fields_of_file(description: &TypeDescription) -> Vec<(String, String)> {
         description
             .fields
             .iter()
@@ -338,7 +300,7 @@ mod tests {
                 let kind = &field.field_type;
                 let element = match TypeId::base_type(kind.type_id) {
                     TypeId::NESTED_TYPE => {
-                        Format::TypeName(twin_name(&kind.nested_type_name).into())
+                        Format::TypeName(struct_name(&kind.nested_type_name).into())
                     }
                     TypeId::BYTE | TypeId::UINT8 => Format::U8,
                     TypeId::BOOL => Format::Bool,
@@ -349,7 +311,7 @@ mod tests {
                     TypeId::FLOAT32 => Format::F32,
                     TypeId::FLOAT64 => Format::F64,
                     TypeId::STRING => Format::Str,
-                    other => panic!("{}: type id {other} has no twin", field.name),
+                    other => panic!("{}: type id {other} has no Rust type", field.name),
                 };
                 let format = if TypeId::is_unbounded_sequence(kind.type_id) {
                     Format::Seq(Box::new(element))

@@ -1,9 +1,8 @@
-//! The `.srv` files: parsed and hashed.
+//! Parses and hashes the `.srv` files.
 //!
-//! To a type hash a service is a message of three fields, `request_message`, `response_message` and
-//! `event_message`, whose types `T_Request`, `T_Response` and `T_Event` are made from the file
-//! (`rosidl_parser/rosidl_parser/definition.py`, `Service`, and REP 2016). An event holds a
-//! `service_msgs/msg/ServiceEventInfo` and at most one request and one response.
+//! For its type hash, a service is a message of the fields `request_message`, `response_message` and `event_message` with
+//! the types `T_Request`, `T_Response` and `T_Event` (`rosidl_parser/rosidl_parser/definition.py`, `Service`, and
+//! REP 2016). An event has a `service_msgs/msg/ServiceEventInfo` and at most one request and one response.
 
 use std::{collections::BTreeMap, sync::LazyLock};
 
@@ -11,13 +10,13 @@ use hiroz_schema::{
     FieldTypeDescription, TypeDescription, TypeDescriptionMsg, TypeId, calculate_hash,
 };
 
-use super::schema::{collect_dependencies, described, parse};
+use super::schema::{collect_dependencies, field, parse};
 
-/// The service type is none of those that eddy offers.
+/// A service type that is not built in.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("service type: found {found}, expected one of {}", known_services().join(", "))]
 pub struct UnknownService {
-    /// The name that is not known.
+    /// The unknown name.
     pub found: String,
 }
 
@@ -27,7 +26,7 @@ macro_rules! files {
     };
 }
 
-/// The `.srv` files this program was built from: name, text.
+/// Names and texts of the built-in `.srv` files.
 const FILES: [(&str, &str); 15] = files![
     "rcl_interfaces/srv/DescribeParameters",
     "rcl_interfaces/srv/GetParameterTypes",
@@ -52,7 +51,7 @@ static HASHES: LazyLock<BTreeMap<&'static str, String>> =
 /// The type hash of a service type: `RIHS01_` and 64 hexadecimal digits.
 ///
 /// # Errors
-/// [`UnknownService`] when no `.srv` file of that name was built in.
+/// [`UnknownService`] when the type is not built in.
 pub fn service_hash(name: &str) -> Result<&'static str, UnknownService> {
     let hash = HASHES.get(name).map(String::as_str);
     hash.ok_or_else(|| UnknownService { found: name.to_owned() })
@@ -66,7 +65,7 @@ fn hash(name: &str, text: &str) -> String {
     calculate_hash(&description(name, text)).to_rihs_string()
 }
 
-/// The service as a message, with every type it refers to in the order of their names.
+/// The service as a message, with all referenced types sorted by name.
 fn description(name: &str, text: &str) -> TypeDescriptionMsg {
     let (request, response) = text
         .split_once("---")
@@ -74,9 +73,9 @@ fn description(name: &str, text: &str) -> TypeDescriptionMsg {
     let [request, response] = [("Request", request), ("Response", response)].map(|(part, text)| {
         let mut message = parse(&format!("{name}_{part}"), text);
         if message.fields.is_empty() {
-            // As IDL knows no empty struct.
+            // IDL has no empty structs.
             let byte = FieldTypeDescription::primitive(TypeId::UINT8);
-            message.fields.push(described("structure_needs_at_least_one_member", byte));
+            message.fields.push(field("structure_needs_at_least_one_member", byte));
         }
         message
     });
@@ -88,21 +87,21 @@ fn description(name: &str, text: &str) -> TypeDescriptionMsg {
     let event = TypeDescription {
         type_name: format!("{name}_Event"),
         fields: vec![
-            described("info", one("service_msgs/msg/ServiceEventInfo")),
-            described("request", at_most_one(&request.type_name)),
-            described("response", at_most_one(&response.type_name)),
+            field("info", one("service_msgs/msg/ServiceEventInfo")),
+            field("request", at_most_one(&request.type_name)),
+            field("response", at_most_one(&response.type_name)),
         ],
     };
     let service = TypeDescription {
         type_name: name.to_owned(),
         fields: vec![
-            described("request_message", one(&request.type_name)),
-            described("response_message", one(&response.type_name)),
-            described("event_message", one(&event.type_name)),
+            field("request_message", one(&request.type_name)),
+            field("response_message", one(&response.type_name)),
+            field("event_message", one(&event.type_name)),
         ],
     };
     let parts = [request, response, event];
-    // Known beforehand: no `.msg` file has them.
+    // Inserted first, since they have no `.msg` file.
     let mut referenced: BTreeMap<_, _> =
         parts.iter().map(|part| (part.type_name.clone(), part.clone())).collect();
     parts.iter().for_each(|part| collect_dependencies(part, &mut referenced));
@@ -156,7 +155,7 @@ mod tests {
 
     /// Computed with zenoh-ros2-sdk 0.1.8, `compute_service_type_hash`.
     #[test]
-    fn hashes_of_the_players_services_are_those_of_another_program() {
+    fn hashes_of_the_players_services_match_another_implementation() {
         for (name, hash) in [
             ("Pause", "b101e6aaf344c37f1405f5a1f484fee1c7d2acc61c6f04aeb636e9ab3f51a497"),
             ("Seek", "6e9b6b38c44f111e36e43903da565fb2775ab0f0e69c02169a5fb0f130b23eb4"),
@@ -167,14 +166,14 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_service_is_named_with_the_known_ones() {
+    fn an_unknown_service_is_rejected_with_the_known_ones() {
         let message = service_hash("std_srvs/srv/SetBool").unwrap_err().to_string();
         assert!(message.starts_with("service type: found std_srvs/srv/SetBool, expected one of"));
         assert!(message.contains("std_srvs/srv/Trigger"));
     }
 
     #[test]
-    fn what_a_service_refers_to_comes_once_in_the_order_of_the_names() {
+    fn referenced_types_of_a_service_are_listed_once_and_sorted() {
         let (name, text) = FILES.iter().find(|(name, _)| name.ends_with("/Seek")).unwrap();
         let described = description(name, text);
         let names: Vec<_> =

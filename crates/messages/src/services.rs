@@ -1,52 +1,52 @@
-//! Rust twins of the `.srv` files that nodes answer: `std_srvs/srv/Trigger` and the parameter services
-//! of `rcl_interfaces` (<https://github.com/ros2/rcl_interfaces>), field by field.
+//! Requests and responses of `std_srvs/srv/Trigger` and the parameter services of `rcl_interfaces`
+//! (<https://github.com/ros2/rcl_interfaces>).
 
 use serde::{Deserialize, Serialize};
 
-/// A request or response without fields; on the wire it has one byte, as IDL knows no empty struct.
+/// A request or response without fields; encoded as one byte, since IDL has no empty structs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Empty {
-    /// Means nothing.
+    /// Unused.
     pub structure_needs_at_least_one_member: u8,
 }
 
 /// Response of `std_srvs/srv/Trigger`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerResponse {
-    /// Whether it was done.
+    /// Whether the request succeeded.
     pub success: bool,
-    /// What was done, or why not.
+    /// Description of the result.
     pub message: String,
 }
 
-/// What a [`ParameterValue`] holds (`rcl_interfaces/msg/ParameterType`).
+/// Type of a [`ParameterValue`] (`rcl_interfaces/msg/ParameterType`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ParameterKind {
-    /// Nothing.
+    /// No value.
     NotSet = 0,
-    /// A truth value.
+    /// A boolean.
     Bool = 1,
-    /// A whole number.
+    /// An integer.
     Integer = 2,
     /// A floating-point number.
     Double = 3,
-    /// A text.
+    /// A string.
     String = 4,
     /// Bytes.
     Bytes = 5,
-    /// Truth values.
+    /// Booleans.
     Bools = 6,
-    /// Whole numbers.
+    /// Integers.
     Integers = 7,
     /// Floating-point numbers.
     Doubles = 8,
-    /// Texts.
+    /// Strings.
     Strings = 9,
 }
 
 impl ParameterKind {
-    /// Every kind, in the order of its number.
+    /// All kinds, indexed by number.
     const ALL: [Self; 10] = [
         Self::NotSet,
         Self::Bool,
@@ -60,7 +60,7 @@ impl ParameterKind {
         Self::Strings,
     ];
 
-    /// With its article, for sentences.
+    /// Name with its article, for error messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::NotSet => "nothing",
@@ -77,39 +77,39 @@ impl ParameterKind {
     }
 }
 
-/// `rcl_interfaces/msg/ParameterValue`: the field that `kind` names counts.
+/// `rcl_interfaces/msg/ParameterValue`; `kind` selects the field with the value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterValue {
-    /// A [`ParameterKind`] as its number.
+    /// Number of a [`ParameterKind`].
     #[serde(rename = "type")]
     pub kind: u8,
-    /// For 1.
+    /// Value of kind 1.
     pub bool_value: bool,
-    /// For 2.
+    /// Value of kind 2.
     pub integer_value: i64,
-    /// For 3.
+    /// Value of kind 3.
     pub double_value: f64,
-    /// For 4.
+    /// Value of kind 4.
     pub string_value: String,
-    /// For 5.
+    /// Value of kind 5.
     pub byte_array_value: Vec<u8>,
-    /// For 6.
+    /// Value of kind 6.
     pub bool_array_value: Vec<bool>,
-    /// For 7.
+    /// Value of kind 7.
     pub integer_array_value: Vec<i64>,
-    /// For 8.
+    /// Value of kind 8.
     pub double_array_value: Vec<f64>,
-    /// For 9.
+    /// Value of kind 9.
     pub string_array_value: Vec<String>,
 }
 
 impl ParameterValue {
-    /// A truth value.
+    /// A boolean.
     pub fn bool(value: bool) -> Self {
         Self { bool_value: value, ..Self::of(ParameterKind::Bool) }
     }
 
-    /// A whole number.
+    /// An integer.
     pub fn integer(value: i64) -> Self {
         Self { integer_value: value, ..Self::of(ParameterKind::Integer) }
     }
@@ -119,17 +119,17 @@ impl ParameterValue {
         Self { double_value: value, ..Self::of(ParameterKind::Double) }
     }
 
-    /// A text.
+    /// A string.
     pub fn string(value: String) -> Self {
         Self { string_value: value, ..Self::of(ParameterKind::String) }
     }
 
-    /// Truth values.
+    /// Booleans.
     pub fn bools(values: Vec<bool>) -> Self {
         Self { bool_array_value: values, ..Self::of(ParameterKind::Bools) }
     }
 
-    /// Whole numbers.
+    /// Integers.
     pub fn integers(values: Vec<i64>) -> Self {
         Self { integer_array_value: values, ..Self::of(ParameterKind::Integers) }
     }
@@ -139,7 +139,7 @@ impl ParameterValue {
         Self { double_array_value: values, ..Self::of(ParameterKind::Doubles) }
     }
 
-    /// Texts.
+    /// Strings.
     pub fn strings(values: Vec<String>) -> Self {
         Self { string_array_value: values, ..Self::of(ParameterKind::Strings) }
     }
@@ -148,7 +148,10 @@ impl ParameterValue {
         Self { kind: kind as u8, ..Self::default() }
     }
 
-    /// What it holds; the number itself if that means nothing.
+    /// The kind of the value.
+    ///
+    /// # Errors
+    /// The number, if it is not that of a kind.
     pub fn kind(&self) -> Result<ParameterKind, u8> {
         ParameterKind::ALL.get(usize::from(self.kind)).copied().ok_or(self.kind)
     }
@@ -157,9 +160,9 @@ impl ParameterValue {
 /// `rcl_interfaces/msg/Parameter`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// Its value.
+    /// Value of the parameter.
     pub value: ParameterValue,
 }
 
@@ -173,14 +176,14 @@ pub struct ParameterNames {
 /// Response of `rcl_interfaces/srv/GetParameters`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GetParametersResponse {
-    /// One value a name; of kind 0 where there is no such parameter.
+    /// One value per name; of kind 0 if there is no such parameter.
     pub values: Vec<ParameterValue>,
 }
 
 /// Response of `rcl_interfaces/srv/GetParameterTypes`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GetParameterTypesResponse {
-    /// One kind a name.
+    /// One kind per name.
     pub types: Vec<u8>,
 }
 
@@ -194,41 +197,41 @@ pub struct SetParametersRequest {
 /// `rcl_interfaces/msg/SetParametersResult`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersResult {
-    /// Whether it was set.
+    /// Whether the parameter was set.
     pub successful: bool,
-    /// Why not.
+    /// Reason of a failure.
     pub reason: String,
 }
 
 /// Response of `rcl_interfaces/srv/SetParameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersResponse {
-    /// One result a parameter.
+    /// One result per parameter.
     pub results: Vec<SetParametersResult>,
 }
 
 /// Response of `rcl_interfaces/srv/SetParametersAtomically`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersAtomicallyResponse {
-    /// For all of them.
+    /// The result for all parameters.
     pub result: SetParametersResult,
 }
 
 /// Request of `rcl_interfaces/srv/ListParameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListParametersRequest {
-    /// Only parameters below these, all if there is none.
+    /// Prefixes of the parameters; all parameters if empty.
     pub prefixes: Vec<String>,
-    /// How many levels of names; 0 for all.
+    /// Number of levels of the names; 0 for all.
     pub depth: u64,
 }
 
 /// Response of `rcl_interfaces/srv/ListParameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListParametersResponse {
-    /// The parameters' names.
+    /// Names of the parameters.
     pub names: Vec<String>,
-    /// Their prefixes.
+    /// Prefixes of the parameters.
     pub prefixes: Vec<String>,
 }
 
@@ -239,7 +242,7 @@ pub struct IntegerRange {
     pub from_value: i64,
     /// Largest value.
     pub to_value: i64,
-    /// Distance of values; 0 for any.
+    /// Distance between values; 0 for any.
     pub step: u64,
 }
 
@@ -250,25 +253,25 @@ pub struct FloatingPointRange {
     pub from_value: f64,
     /// Largest value.
     pub to_value: f64,
-    /// Distance of values; 0 for any.
+    /// Distance between values; 0 for any.
     pub step: f64,
 }
 
 /// `rcl_interfaces/msg/ParameterDescriptor`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDescriptor {
-    /// The parameter's name.
+    /// Name of the parameter.
     pub name: String,
-    /// The kind of its value.
+    /// Kind of the value.
     #[serde(rename = "type")]
     pub kind: u8,
-    /// What it does.
+    /// Description of the parameter.
     pub description: String,
-    /// What else it must fulfil.
+    /// Constraints in addition to the range.
     pub additional_constraints: String,
-    /// Whether it cannot be set.
+    /// Whether the parameter is read-only.
     pub read_only: bool,
-    /// Whether its kind may change.
+    /// Whether the kind may change.
     pub dynamic_typing: bool,
     /// Range of a floating-point value; at most one.
     pub floating_point_range: Vec<FloatingPointRange>,
@@ -279,6 +282,6 @@ pub struct ParameterDescriptor {
 /// Response of `rcl_interfaces/srv/DescribeParameters`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DescribeParametersResponse {
-    /// One descriptor a name.
+    /// One descriptor per name.
     pub descriptors: Vec<ParameterDescriptor>,
 }

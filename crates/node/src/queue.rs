@@ -10,7 +10,7 @@ use std::{
 };
 
 use super::Arrival;
-use eddy_transport::{Payload, Queue, Reliability};
+use eddy_transport::{Payload, PushError, Queue, Reliability};
 
 /// How long a receiver waits for room before it looks whether the queue is closed.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -55,17 +55,16 @@ impl FrameQueue {
             }
             match self.reliability {
                 Reliability::Drop => {
-                    let given_up = self
-                        .messages
-                        .push_or_give_up(message, |waiting| greediest(waiting, stream));
-                    if let Some(stream) = given_up.and_then(|message| message.stream) {
+                    let dropped =
+                        self.messages.push_or_drop(message, |waiting| greediest(waiting, stream));
+                    dropped.iter().filter_map(|message| message.stream).for_each(|stream| {
                         self.count(stream);
-                    }
+                    });
                     return true;
                 }
                 Reliability::Block => match self.messages.push_or_wait(message, PATIENCE) {
                     Ok(()) => return true,
-                    Err(back) => message = back,
+                    Err(PushError::Full(back) | PushError::Closed(back)) => message = back,
                 },
             }
         }

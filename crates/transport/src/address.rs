@@ -1,4 +1,4 @@
-//! Where something is served: on the loopback interface unless told otherwise.
+//! Addresses of servers; the loopback interface by default.
 
 use std::{
     fmt,
@@ -6,12 +6,12 @@ use std::{
     str::FromStr,
 };
 
-/// An address of this machine with a port, `PORT` unless told otherwise (8080: the live page); a port alone is one of the
-/// loopback interface, 0 any that is free.
+/// An address of this machine with a port. A text may omit the port (`PORT`; 8080 for the live page) or the address (the
+/// loopback interface); port 0 means any free port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ListenAddress<const PORT: u16 = 8080>(pub SocketAddr);
 
-/// Why a text is no [`ListenAddress`].
+/// A text that is not a [`ListenAddress`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "found `{found}`, expected a port (9000), an address (0.0.0.0) or both (0.0.0.0:9000, [::1]:9000)"
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_an_address_or_both() {
+    fn an_address_is_a_port_an_ip_or_both() {
         for (text, expected) in [
             ("9000", "127.0.0.1:9000"),
             ("0.0.0.0", "0.0.0.0:8080"),

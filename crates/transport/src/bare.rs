@@ -1,35 +1,34 @@
-//! Middlewares alone, used as directly as they can be: what eddy's own publishers and subscribers are
-//! measured against.
+//! The middlewares used directly, as a reference for benchmarks of eddy's publishers and subscribers.
 
 use std::time::Duration;
 
 use super::{Link, TransportError, TransportKind, Transports};
 use eddy_frames::Frame;
 
-/// Publishes one message again and again.
+/// Publishes one message repeatedly.
 pub trait BarePublisher: Send {
-    /// Publishes it once more.
+    /// Publishes the message.
     ///
     /// # Errors
-    /// [`TransportError`] when the middleware refuses.
+    /// [`TransportError`] from the middleware.
     fn publish(&mut self) -> Result<(), TransportError>;
 }
 
-/// Receives such messages, and looks at none.
+/// Receives messages without reading them.
 pub trait BareSubscriber: Send {
-    /// Whether a message came within `timeout`.
+    /// Whether a message arrived within `timeout`.
     ///
     /// # Errors
-    /// [`TransportError`] when the middleware failed.
+    /// [`TransportError`] from the middleware.
     fn receive(&mut self, timeout: Duration) -> Result<bool, TransportError>;
 }
 
-/// Both ends, as two processes would have them.
+/// Publisher and subscriber with a session each, like two processes.
 pub type BarePair = (Box<dyn BarePublisher>, Box<dyn BareSubscriber>);
 
 impl Transports {
-    /// The middleware of `link` alone, with the bytes that eddy would send for `frame`; `None` where there is
-    /// nothing to compare with. If not `touched`, memory that is written in place is sent as it is.
+    /// The middleware of `link` with the bytes that eddy sends for `frame`; `None` without a reference. If not
+    /// `touched`, messages in shared memory are sent without being written.
     ///
     /// # Errors
     /// [`TransportError`] when the middleware cannot be opened.
@@ -46,8 +45,8 @@ impl Transports {
         }
     }
 
-    /// eddy's own publisher of frames of so many particles, which are not written; `None` where messages are
-    /// not written in place.
+    /// eddy's publisher of frames of `particles` particles, without writing them; `None` if messages are not written
+    /// in place.
     ///
     /// # Errors
     /// As [`Transports::publisher`].

@@ -1,8 +1,7 @@
-//! Topics for Foxglove's application, by the WebSocket server of its SDK: to look at, nothing is received.
+//! Publishes topics for Foxglove's application over the WebSocket server of its SDK.
 //!
-//! Names, types and bytes are those of ROS 2 and of our bags, so that a layout that was made for one of them shows
-//! the others. Nothing is sent on a topic that nobody shows, and of clouds nothing is encoded. A viewer that does not keep up loses the
-//! oldest messages; the publisher never waits for it.
+//! Names, types and bytes are those of ROS 2 and of bags, so that one layout fits all of them. Topics that no viewer
+//! shows are not sent or encoded. A slow viewer loses the oldest messages; the publisher never waits for it.
 
 use std::{
     net::{IpAddr, SocketAddr},
@@ -18,21 +17,21 @@ use super::{ListenAddress, Publisher, TransportError};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, UnknownType, type_support};
 
-/// Messages of all topics that wait for one viewer: at 100,000 particles, clouds of 38 MB.
+/// Capacity of the queue of a viewer, for all topics (messages): 38 MB of clouds of 100,000 particles.
 const BACKLOG: usize = 16;
 
-/// Where it listens; the port is the one that Foxglove's application expects.
+/// Address of the server, with the default port of Foxglove's application.
 pub type FoxgloveAddress = ListenAddress<8765>;
 
-/// Foxglove's server, until it is dropped.
+/// The server; it stops when it is dropped.
 pub struct FoxgloveServer {
-    /// Ours alone: the SDK's own one would show whatever else the process logs to it.
+    /// Not the SDK's global context, which would include everything else that the process logs to it.
     context: Arc<Context>,
     address: SocketAddr,
     handle: Option<WebSocketServerHandle>,
 }
 
-/// Why there is no server.
+/// The server cannot listen at the address.
 #[derive(Debug, thiserror::Error)]
 #[error("{address}: found `{reason}`, expected a free port of this machine (0 takes any)")]
 pub struct NotServed {
@@ -44,7 +43,7 @@ impl FoxgloveServer {
     /// Listens at `address`; viewers see the server as `name`.
     ///
     /// # Errors
-    /// [`NotServed`] where that address cannot be had.
+    /// [`NotServed`] when the address is not available.
     pub fn start(address: FoxgloveAddress, name: &str) -> Result<Self, NotServed> {
         let ListenAddress(address) = address;
         let context = Context::new();
@@ -62,15 +61,15 @@ impl FoxgloveServer {
         Ok(Self { context, address, handle: Some(handle) })
     }
 
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// A topic of messages of the type of this name.
+    /// A publisher of messages of type `type_name`.
     ///
     /// # Errors
-    /// [`UnknownType`] where it is none of ours.
+    /// [`UnknownType`] when the type is not part of eddy-messages.
     pub fn publisher(
         &self,
         topic: &str,
@@ -83,14 +82,14 @@ impl FoxgloveServer {
             .message_encoding("cdr")
             .schema(schema)
             .build_raw()
-            .expect("a channel whose encoding is given is complete");
+            .expect("a channel with an encoding is complete");
         Ok(Box::new(FoxglovePublisher { channel }))
     }
 }
 
 impl Drop for FoxgloveServer {
     fn drop(&mut self) {
-        // Nobody waits for viewers that do not read.
+        // Without waiting for viewers.
         drop(self.handle.take().map(WebSocketServerHandle::stop));
     }
 }
@@ -112,7 +111,7 @@ impl Publisher for FoxglovePublisher {
         Ok(())
     }
 
-    /// One as soon as somebody shows the topic.
+    /// 1 while a viewer shows the topic.
     fn subscribers(&self) -> usize {
         usize::from(self.channel.has_sinks())
     }

@@ -2,9 +2,9 @@
 //!
 //! 1. `link`: a transport and a topic, written `zenoh:/particles`.
 //! 2. [`Publisher`], [`Subscriber`]: implemented by every transport; [`Payload`]: one message.
-//! 3. `opener`: [`Transports`] opens them, with one session per middleware and process; `middleware`: the trait that
+//! 3. `transports`: [`Transports`] opens them, with one session per middleware and process; `middleware`: the trait that
 //!    each middleware implements.
-//! 4. `seen`: topics found on a transport.
+//! 4. `discovered`: topics found on a transport.
 //! 5. `queue`: the bounded queue between a middleware's thread and a subscriber.
 //! 6. `memory`: within this process.
 //! 7. `shm`: shared memory (iceoryx2).
@@ -22,6 +22,7 @@ mod address;
 mod bare;
 #[cfg(feature = "dds")]
 mod dds;
+mod discovered;
 #[cfg(feature = "lab")]
 pub mod foreign;
 #[cfg(feature = "foxglove")]
@@ -29,17 +30,16 @@ mod foxglove;
 mod link;
 mod memory;
 mod middleware;
-mod opener;
 mod payload;
 mod queue;
-mod seen;
 #[cfg(feature = "shm")]
 mod shm;
+mod transports;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
 pub use link::{is_absolute_name, is_name_token};
-pub use queue::Queue;
+pub use queue::{PushError, Queue};
 
 #[cfg(feature = "foxglove")]
 pub use self::foxglove::{FoxgloveAddress, FoxgloveServer, NotServed};
@@ -51,8 +51,8 @@ pub use payload::Payload;
 #[cfg(feature = "shm")]
 pub use shm::{SharedFrame, SharedMemory};
 
-pub use opener::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
-pub use seen::SeenTopic;
+pub use discovered::SeenTopic;
+pub use transports::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 
 use std::time::Duration;
 
@@ -66,129 +66,88 @@ use eddy_messages::{BadFrame, UnknownService, UnknownType};
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Reliability {
-    /// Waits for the subscriber, at most [`TransportOptions::patience`]; nothing is lost.
-    /// Advertised to ROS 2 as reliable, keep all.
+    /// Wait for the subscriber, at most 30 s; no message is lost. Advertised to ROS 2 as reliable, keep all.
     Block,
-    /// Gives up the message; the publisher is never slowed. Advertised as best effort, keep last.
+    /// Drop the message; the publisher never waits. Advertised to ROS 2 as best effort, keep last.
     Drop,
 }
 
-/// Sends the messages of one topic.
+/// Publishes messages on a topic.
 pub trait Publisher: Send {
-    /// Sends a frame in the transport's own form.
+    /// Publishes a frame in the form of the transport.
     ///
     /// # Errors
-    /// [`TransportError`] when the transport cannot take it; the publisher stays usable.
+    /// [`TransportError`]; the publisher stays usable.
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError>;
 
-    /// Sends a message given as CDR bytes with their header.
+    /// Publishes a message as CDR bytes with their header.
     ///
     /// # Errors
-    /// As [`Publisher::publish_frame`]; also when a topic of frames gets bytes that are no frame
-    /// and the transport cannot carry them as they are.
+    /// As [`Publisher::publish_frame`]; also on a topic of frames when the bytes are not a frame and the transport
+    /// cannot carry them.
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
 
-    /// How many subscribers are connected now, as far as the transport knows.
+    /// Number of connected subscribers, as far as the transport knows.
     fn subscribers(&self) -> usize;
 }
 
-/// Receives the messages of one topic.
+/// Receives the messages of a topic.
 pub trait Subscriber: Send {
-    /// The next message, or `None` when none came within `timeout`.
+    /// The next message, or `None` when none arrives within `timeout`.
     ///
     /// # Errors
-    /// [`TransportError`] when the transport failed. A message that is no frame is not such a
-    /// failure: it is delivered as CDR bytes, for the receiver to judge.
+    /// [`TransportError`] when the transport fails. A message that is not a valid frame is not an error here: it is
+    /// delivered as CDR bytes.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError>;
 
-    /// Messages that the transport could not deliver, since the start.
+    /// Number of messages that the transport could not deliver.
     fn refused(&self) -> u64;
 }
 
-/// Turns the CDR of a request into the CDR of its response; `None` where none can be given.
+/// Maps the CDR of a request to the CDR of its response; `None` if there is no response.
 pub type Handler = Box<dyn FnMut(&[u8]) -> Option<Vec<u8>> + Send>;
 
-/// A service that is answered as long as this lives.
+/// A service; requests are answered until it is dropped.
 pub trait Served: Send {}
 
-/// Why a transport failed.
+/// Why a transport fails.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message of each variant says what its fields are")]
 pub enum TransportError {
-    /// The topic's message type is not one of ours.
+    /// The message type is not part of eddy-messages.
     #[error(transparent)]
     Type(#[from] UnknownType),
-    /// The service's type is not one of ours.
+    /// The service type is not part of eddy-messages.
     #[error(transparent)]
     Service(#[from] UnknownService),
-    /// The topic carries frames, the bytes are none.
+    /// Bytes on a topic of frames are not a valid frame.
     #[error("{link}: {reason}")]
-    Frame {
-        /// The topic's link.
-        link: Link,
-        /// What is wrong with the bytes.
-        reason: BadFrame,
-    },
-    /// The topic is in use for messages of another type.
+    Frame { link: Link, reason: BadFrame },
+    /// The topic has another message type.
     #[error("{link}: found message type {found}, expected {expected}")]
-    TopicType {
-        /// The topic's link.
-        link: Link,
-        /// The type that the topic carries.
-        found: String,
-        /// The type that was asked for.
-        expected: String,
-    },
-    /// An environment variable cannot be used.
+    TopicType { link: Link, found: String, expected: String },
+    /// An environment variable, or a part of it, cannot be used.
     #[error("{variable}: found `{found}`, expected {expected}")]
-    Environment {
-        /// Its name.
-        variable: &'static str,
-        /// Its value, or the part of it that is wrong.
-        found: String,
-        /// What it should be.
-        expected: String,
-    },
-    /// A subscriber took nothing for as long as a blocking publisher is willing to wait.
+    Environment { variable: &'static str, found: String, expected: String },
+    /// A subscriber received nothing for [`TransportOptions::patience`] and blocked a publisher.
     #[error(
-        "{link}: found a subscriber that took nothing for {seconds} s, expected one that reads (or --reliability drop)"
+        "{link}: a subscriber received nothing for {seconds} s; check that it is running, or use --reliability drop"
     )]
-    Stalled {
-        /// The topic's link.
-        link: Link,
-        /// How long the publisher waited (s).
-        seconds: f64,
-    },
-    /// The transport cannot carry so large a message soundly.
+    Stalled { link: Link, seconds: f64 },
+    /// The message is too large for the transport (bytes).
     #[error(
         "{link}: found a message of {found} bytes, expected at most {limit} (use shm or zenoh for larger ones)"
     )]
-    TooLarge {
-        /// The topic's link.
-        link: Link,
-        /// Its size (bytes).
-        found: usize,
-        /// The largest it carries (bytes).
-        limit: usize,
-    },
+    TooLarge { link: Link, found: usize, limit: usize },
     /// This program was built without the transport.
     #[error(
-        "{link}: found a transport that this program was built without, expected one it has (feature `{}` of eddy-transport)",
+        "{link}: this program was built without this transport (feature `{}` of eddy-transport)",
         link.transport
     )]
-    NotBuilt {
-        /// The topic's link.
-        link: Link,
-    },
-    /// The middleware refused.
+    NotBuilt { link: Link },
+    /// The middleware reports an error.
     #[error("{link}: {action}: {reason}")]
-    Middleware {
-        /// The topic's link.
-        link: Link,
-        /// What was tried.
-        action: &'static str,
-        /// What the middleware said, and what to do about it.
-        reason: String,
-    },
+    Middleware { link: Link, action: &'static str, reason: String },
 }
 
 /// The example of the README, which a test runs.

@@ -1,4 +1,4 @@
-//! A transport and a topic in one word: `zenoh:/particles`.
+//! Links: a transport and a topic, written `zenoh:/particles`.
 
 use std::{fmt, str::FromStr};
 
@@ -6,23 +6,23 @@ use serde::Deserialize;
 
 use eddy_settings::near;
 
-/// The ways a message can travel.
+/// The transports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum TransportKind {
-    /// Within this process.
+    /// Within a process.
     Memory,
-    /// Shared memory of this machine (iceoryx2).
+    /// Shared memory (iceoryx2).
     Shm,
-    /// Zenoh, in the form of ROS 2's rmw_zenoh.
+    /// Zenoh with the wire format of ROS 2's rmw_zenoh.
     Zenoh,
-    /// DDS, as ROS 2 speaks it unless told otherwise.
+    /// DDS, the default of ROS 2.
     Dds,
 }
 
 impl TransportKind {
     pub(crate) const ALL: [Self; 4] = [Self::Memory, Self::Shm, Self::Zenoh, Self::Dds];
 
-    /// The word before the colon.
+    /// The name in links.
     pub fn name(self) -> &'static str {
         match self {
             Self::Memory => "memory",
@@ -54,19 +54,19 @@ impl FromStr for TransportKind {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Link {
-    /// How the messages travel.
+    /// The transport.
     pub transport: TransportKind,
-    /// Absolute ROS 2 topic name, such as `/particles`.
+    /// Absolute ROS 2 name of the topic, such as `/particles`.
     pub topic: String,
 }
 
-/// Why a word is no link.
+/// A text that is not a [`Link`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidLink {
-    /// There is no colon.
+    /// It has no colon.
     #[error("link: found `{found}`, expected transport:topic, for example zenoh:/particles")]
     Form {
-        /// The whole word.
+        /// The text.
         found: String,
     },
     /// The transport is unknown.
@@ -75,16 +75,16 @@ pub enum InvalidLink {
         near::hint(found, TransportKind::ALL.map(TransportKind::name))
     )]
     Transport {
-        /// The word before the colon.
+        /// The part before the colon.
         found: String,
     },
-    /// The topic is no absolute ROS 2 name.
+    /// The topic is not an absolute ROS 2 name.
     #[error(
-        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _, no word starts with a digit){}",
+        "link topic: found `{found}`, expected an absolute ROS 2 name such as /particles (letters, digits and _; no part starts with a digit){}",
         meant(found)
     )]
     Topic {
-        /// The word after the colon.
+        /// The part after the colon.
         found: String,
     },
 }
@@ -100,7 +100,7 @@ impl Link {
         Self { transport: TransportKind::Shm, topic: topic.to_owned() }
     }
 
-    /// A topic within this process.
+    /// A topic within the process.
     pub fn memory(topic: &str) -> Self {
         Self { transport: TransportKind::Memory, topic: topic.to_owned() }
     }
@@ -138,19 +138,19 @@ impl FromStr for Link {
     }
 }
 
-/// For a topic that lacks nothing but its slash.
+/// A hint if only the leading slash is missing.
 fn meant(topic: &str) -> String {
     let absolute = format!("/{topic}");
     let alone = is_absolute_name(&absolute);
     if alone { format!("; did you mean {absolute}?") } else { String::new() }
 }
 
-/// ROS 2 topic names, <https://design.ros2.org/articles/topic_and_service_names.html>.
+/// Whether this is an absolute ROS 2 topic name, <https://design.ros2.org/articles/topic_and_service_names.html>.
 pub fn is_absolute_name(topic: &str) -> bool {
     topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_name_token))
 }
 
-/// A word of such a name; the name of a node is one.
+/// Whether this is a valid part of such a name, or a node name.
 pub fn is_name_token(token: &str) -> bool {
     token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
@@ -161,14 +161,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_is_read_as_it_is_written() {
+    fn a_link_is_parsed_from_its_text() {
         for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1", "dds:/a"] {
             assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
         }
     }
 
     #[test]
-    fn bad_links_say_what_was_expected() {
+    fn invalid_links_are_rejected_with_what_was_expected() {
         let message = |text: &str| text.parse::<Link>().unwrap_err().to_string();
         assert!(message("/particles").starts_with("link: found `/particles`"));
         assert!(message("tcp:/particles").starts_with("link transport: found `tcp`"));

@@ -1,4 +1,4 @@
-//! The transport within one process: every subscriber has a queue, publishers fill them.
+//! The transport within a process: publishers fill the queues of the subscribers.
 
 use std::{
     collections::HashMap,
@@ -8,13 +8,15 @@ use std::{
 };
 
 use super::{
-    Link, Payload, Publisher, Reliability, Subscriber, TransportError, middleware::Middleware,
-    opener, queue::Queue,
+    Link, Payload, Publisher, Reliability, Subscriber, TransportError,
+    middleware::Middleware,
+    queue::{PushError, Queue},
+    transports,
 };
 use eddy_frames::Frame;
 use eddy_messages::TypeSupport;
 
-/// Messages that a subscriber may be behind.
+/// Capacity of a subscriber's queue (messages).
 const DEPTH: usize = 64;
 
 /// The topics of one process.
@@ -29,12 +31,12 @@ struct Topic {
 }
 
 impl Broker {
-    /// No topics; publishers that block wait `patience` for a subscriber.
+    /// No topics; blocking publishers wait up to `patience` for a subscriber.
     pub(super) fn new(patience: Duration) -> Self {
         Self { topics: Mutex::default(), patience }
     }
 
-    /// The topic of `link`. Whoever opens it first decides its type.
+    /// The topic of `link`. The first publisher or subscriber determines its type.
     fn topic(&self, link: &Link, type_name: &str) -> Result<Arc<Topic>, TransportError> {
         let mut topics = lock(&self.topics);
         let topic = topics.entry(link.topic.clone()).or_insert_with(|| {
@@ -83,21 +85,22 @@ pub(super) struct MemoryPublisher {
 }
 
 impl MemoryPublisher {
-    /// The queues of the subscribers there are.
+    /// The queues of the current subscribers.
     fn queues(&self) -> Vec<Arc<Queue<Payload>>> {
         let mut queues = lock(&self.topic.queues);
         queues.retain(|queue| queue.strong_count() > 0);
         queues.iter().filter_map(Weak::upgrade).collect()
     }
 
-    /// Every subscriber gets the message, also those after one that stalls.
+    /// Sends the message to every subscriber, also after one that stalls.
     fn publish(&self, payload: &Payload) -> Result<(), TransportError> {
         let mut stalled = false;
         for queue in self.queues() {
             match self.reliability {
-                Reliability::Drop => queue.push_or_replace(payload.clone()),
+                Reliability::Drop => queue.push_or_drop_oldest(payload.clone()),
                 Reliability::Block => {
-                    stalled |= queue.push_or_wait(payload.clone(), self.patience).is_err();
+                    let pushed = queue.push_or_wait(payload.clone(), self.patience);
+                    stalled |= matches!(pushed, Err(PushError::Full(_)));
                 }
             }
         }
@@ -111,7 +114,7 @@ impl MemoryPublisher {
 
 impl Publisher for MemoryPublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        opener::check_frames(&self.link, &self.topic.type_name)?;
+        transports::check_frames(&self.link, &self.topic.type_name)?;
         self.publish(&Payload::Frame(frame.clone()))
     }
 
@@ -144,7 +147,7 @@ impl Drop for MemorySubscriber {
     }
 }
 
-/// No lock is held across anything that can panic half way.
+/// A panic in another thread leaves the contents consistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

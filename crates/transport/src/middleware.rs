@@ -1,13 +1,13 @@
-//! What [`Transports`](super::Transports) asks of each middleware.
+//! The trait that [`Transports`](super::Transports) uses for each middleware.
 
 use std::{num::NonZeroUsize, sync::Arc};
 
 use super::{Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError};
 use eddy_messages::TypeSupport;
 
-/// A middleware that is open in this process.
+/// An open middleware.
 pub(crate) trait Middleware: Send + Sync {
-    /// A publisher; `kept` messages are kept for later subscribers where the middleware can.
+    /// A publisher; `kept` messages are kept for late-joining subscribers if the middleware supports it.
     fn publisher(
         self: Arc<Self>,
         link: &Link,
@@ -23,7 +23,7 @@ pub(crate) trait Middleware: Send + Sync {
         support: &TypeSupport,
     ) -> Result<Box<dyn Subscriber>, TransportError>;
 
-    /// A service; `None` where the middleware has none.
+    /// A service; `None` if the middleware has no services.
     fn service(
         self: Arc<Self>,
         _link: &Link,
@@ -33,12 +33,12 @@ pub(crate) trait Middleware: Send + Sync {
         Ok(None)
     }
 
-    /// The topics it knows of. Errors name `link`.
+    /// The known topics. `link` is for error messages.
     fn topics(&self, _link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
         Ok(Vec::new())
     }
 
-    /// The memory that publishers share on a topic; `None` where nothing is shared.
+    /// The shared memory of a topic; `None` if the middleware has none.
     #[cfg(feature = "shm")]
     fn shared_memory(
         &self,
@@ -48,7 +48,7 @@ pub(crate) trait Middleware: Send + Sync {
         Ok(None)
     }
 
-    /// A publisher of frames that are not written; `None` where messages are not written in place.
+    /// A publisher that does not write its frames; `None` if messages are not written in place.
     #[cfg(feature = "lab")]
     fn untouched(
         &self,

@@ -1,16 +1,16 @@
-//! One message, in the form in which its transport delivers it.
+//! A message in the form in which a transport delivers it.
 
 #[cfg(feature = "shm")]
 use super::SharedFrame;
 use eddy_frames::{Frame, FrameView};
 use eddy_messages::{BadFrame, FrameCdr, cdr};
 
-/// One message as a transport delivers it.
+/// A message in the form in which a transport delivers it.
 #[derive(Debug)]
 pub enum Payload {
-    /// A frame of its own, already checked.
+    /// A checked frame.
     Frame(Frame),
-    /// A frame in shared memory, which is lent until this is dropped.
+    /// A frame in shared memory, borrowed until this is dropped.
     #[cfg(feature = "shm")]
     Shared(SharedFrame),
     /// CDR bytes with their 4-byte header, unchecked.
@@ -18,11 +18,10 @@ pub enum Payload {
 }
 
 impl Payload {
-    /// Makes sure that it is a frame, which [`Payload::view`] then shows: bytes are decoded, what lies in
-    /// shared memory is checked and stays there.
+    /// Decodes bytes, or checks a frame in shared memory in place; [`Payload::view`] then returns the frame.
     ///
     /// # Errors
-    /// [`BadFrame`] when it is no usable frame; it stays as it is.
+    /// [`BadFrame`] when it is not a valid frame; the payload is unchanged.
     pub fn decode(&mut self) -> Result<(), BadFrame> {
         match self {
             Self::Frame(_) => {}
@@ -33,7 +32,7 @@ impl Payload {
         Ok(())
     }
 
-    /// The frame where it lies; `None` for what was not [decoded](Payload::decode).
+    /// The frame, without a copy; `None` before [`Payload::decode`].
     pub fn view(&self) -> Option<FrameView<'_>> {
         match self {
             Self::Frame(frame) => Some(frame.into()),
@@ -43,7 +42,7 @@ impl Payload {
         }
     }
 
-    /// The stream of what is a frame, or looks like one.
+    /// The stream id, also of an unchecked frame.
     pub fn stream(&self) -> Option<u64> {
         match self {
             Self::Frame(frame) => Some(frame.stream),
@@ -53,10 +52,10 @@ impl Payload {
         }
     }
 
-    /// The frame, decoded if it came as bytes.
+    /// The frame, decoded if necessary.
     ///
     /// # Errors
-    /// [`BadFrame`] when the bytes are no usable frame.
+    /// [`BadFrame`] when it is not a valid frame.
     pub fn into_frame(self) -> Result<Frame, BadFrame> {
         match self {
             Self::Frame(frame) => Ok(frame),
@@ -66,7 +65,7 @@ impl Payload {
         }
     }
 
-    /// The memory it takes (bytes).
+    /// Size in memory (bytes).
     pub fn size(&self) -> usize {
         match self {
             Self::Frame(frame) => size_of_val(&*frame.position) * 2 + frame.len(),
@@ -76,7 +75,7 @@ impl Payload {
         }
     }
 
-    /// The CDR bytes, encoded if it came as a frame.
+    /// The CDR bytes, encoded if necessary.
     pub fn into_cdr(self) -> Vec<u8> {
         match self {
             Self::Frame(frame) => frame.to_cdr(),
@@ -87,7 +86,7 @@ impl Payload {
     }
 }
 
-/// What is lent cannot be lent twice: the clone has a frame of its own.
+/// The clone of a frame in shared memory is a copy.
 impl Clone for Payload {
     fn clone(&self) -> Self {
         match self {
@@ -99,7 +98,7 @@ impl Clone for Payload {
     }
 }
 
-/// Equal if they are the same message, whatever form they came in.
+/// Equal messages are equal in all forms.
 impl PartialEq for Payload {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {

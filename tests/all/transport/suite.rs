@@ -310,7 +310,7 @@ fn a_blocking_publisher_gives_up_on_a_stalled_subscriber_when_its_patience_ends(
         let stalled = (0..).map(|n| publisher.publish_frame(&frame(n, 10))).find_map(Result::err);
         let message = stalled.unwrap().to_string();
         assert!(
-            message.starts_with(&format!("{link}: found a subscriber that took nothing for 0.1 s")),
+            message.starts_with(&format!("{link}: a subscriber received nothing for 0.1 s")),
             "{message}"
         );
         // The publisher stays usable.

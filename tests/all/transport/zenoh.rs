@@ -119,10 +119,8 @@ fn a_service_answers_each_request_under_its_sequence_and_gid() {
     let refused = client.request(&link.topic, TRIGGER, vec![9]);
     assert_eq!(
         refused,
-        Some(Err(
-            "no answer: the payload is no request of this service, or who should answer is busy"
-                .to_owned()
-        ))
+        Some(Err("no response: the payload is not a request of this service, or the node is busy"
+            .to_owned()))
     );
     assert_eq!(request(21), Some(Ok(vec![0, 1, 0, 0, 42])));
 

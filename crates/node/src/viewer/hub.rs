@@ -128,7 +128,7 @@ impl Hub {
     pub fn observed(&self, frame: &FrameView<'_>) {
         self.observed.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_replace(Copied::Truth(frame.to_frame()));
+            self.inbox.push_or_drop_oldest(Copied::Truth(frame.to_frame()));
         }
     }
 
@@ -136,7 +136,7 @@ impl Hub {
     pub fn predicted(&self, frame: &Frame, ahead: Ahead) {
         self.predicted.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_replace(Copied::Prediction(frame.clone(), ahead));
+            self.inbox.push_or_drop_oldest(Copied::Prediction(frame.clone(), ahead));
         }
     }
 

@@ -1,4 +1,4 @@
-//! Messages as the bytes they are: RustDDS asks for an encoder and a decoder, and gets none.
+//! Serializer and deserializer for RustDDS that pass CDR bytes unchanged.
 
 use std::convert::Infallible;
 
@@ -10,12 +10,12 @@ use ros2_client::dds::rustdds::{
 
 use eddy_messages::cdr::HEADER;
 
-/// A message's CDR, without the header, which RustDDS writes itself.
+/// The CDR of a message without its header, which RustDDS writes.
 pub(super) struct Body(Bytes);
 
 impl Body {
-    /// The body of a message with its header. `None` unless it is plain little-endian CDR, the
-    /// only form that a writer of RustDDS announces.
+    /// The body of a message with its header; `None` unless it is plain little-endian CDR, the only representation that a
+    /// writer of RustDDS announces.
     pub(super) fn of(message: Vec<u8>) -> Option<Self> {
         let message = Bytes::from(message);
         (message.len() >= HEADER.len() && message[..2] == HEADER[..2])
@@ -23,10 +23,10 @@ impl Body {
     }
 }
 
-/// Writes a [`Body`] as it is, reads a message with its header as it came.
-pub(super) struct AsItIs;
+/// Writes a [`Body`] and reads a message with its header, unchanged.
+pub(super) struct PassThrough;
 
-impl SerializerAdapter<Body> for AsItIs {
+impl SerializerAdapter<Body> for PassThrough {
     type Error = Infallible;
 
     fn output_encoding() -> RepresentationIdentifier {
@@ -38,8 +38,8 @@ impl SerializerAdapter<Body> for AsItIs {
     }
 }
 
-/// Every form of payload: which of them can be used is for the receiver to judge, and to count.
-const FORMS: [(RepresentationIdentifier, [u8; 2]); 10] = [
+/// All representations; the subscriber rejects and counts those that it cannot decode.
+const REPRESENTATIONS: [(RepresentationIdentifier, [u8; 2]); 10] = [
     (RepresentationIdentifier::CDR_BE, [0, 0x00]),
     (RepresentationIdentifier::CDR_LE, [0, 0x01]),
     (RepresentationIdentifier::PL_CDR_BE, [0, 0x02]),
@@ -52,17 +52,17 @@ const FORMS: [(RepresentationIdentifier, [u8; 2]); 10] = [
     (RepresentationIdentifier::D_CDR_LE, [0, 0x15]),
 ];
 
-static IDENTIFIERS: [RepresentationIdentifier; FORMS.len()] = {
-    let mut identifiers = [RepresentationIdentifier::CDR_LE; FORMS.len()];
-    let mut form = 0;
-    while form < FORMS.len() {
-        identifiers[form] = FORMS[form].0;
-        form += 1;
+static IDENTIFIERS: [RepresentationIdentifier; REPRESENTATIONS.len()] = {
+    let mut identifiers = [RepresentationIdentifier::CDR_LE; REPRESENTATIONS.len()];
+    let mut index = 0;
+    while index < REPRESENTATIONS.len() {
+        identifiers[index] = REPRESENTATIONS[index].0;
+        index += 1;
     }
     identifiers
 };
 
-impl DeserializerAdapter<Vec<u8>> for AsItIs {
+impl DeserializerAdapter<Vec<u8>> for PassThrough {
     type Error = Infallible;
     type Decoded = Vec<u8>;
 
@@ -75,25 +75,25 @@ impl DeserializerAdapter<Vec<u8>> for AsItIs {
     }
 }
 
-impl DefaultDecoder<Vec<u8>> for AsItIs {
-    type Decoder = Whole;
-    const DECODER: Whole = Whole;
+impl DefaultDecoder<Vec<u8>> for PassThrough {
+    type Decoder = WithHeader;
+    const DECODER: WithHeader = WithHeader;
 }
 
-/// Gives a message back with its header.
+/// Decodes to the message with its header.
 #[derive(Clone)]
-pub(super) struct Whole;
+pub(super) struct WithHeader;
 
-impl Decode<'_, Vec<u8>> for Whole {
+impl Decode<'_, Vec<u8>> for WithHeader {
     type Error = Infallible;
 
     fn decode_bytes(
         self,
         body: &[u8],
-        form: RepresentationIdentifier,
+        representation: RepresentationIdentifier,
     ) -> Result<Vec<u8>, Infallible> {
-        let known = FORMS.iter().find(|(identifier, _)| *identifier == form);
-        // The identifier is one of those above, or RustDDS had refused the message.
+        let known = REPRESENTATIONS.iter().find(|(identifier, _)| *identifier == representation);
+        // RustDDS rejects all other identifiers.
         let [high, low] = known.map_or([0xff, 0xff], |(_, bytes)| *bytes);
         Ok([[high, low, 0, 0].as_slice(), body].concat())
     }
@@ -104,10 +104,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_message_comes_out_as_it_went_in() {
+    fn a_message_is_unchanged() {
         let message = [&HEADER[..], &[1, 2, 3]].concat();
-        let body = AsItIs::to_bytes(&Body::of(message.clone()).unwrap()).unwrap();
-        let read: Vec<u8> = AsItIs::from_bytes(&body, AsItIs::output_encoding()).unwrap();
+        let body = PassThrough::to_bytes(&Body::of(message.clone()).unwrap()).unwrap();
+        let read: Vec<u8> = PassThrough::from_bytes(&body, PassThrough::output_encoding()).unwrap();
         assert_eq!(read, message);
     }
 

@@ -1,8 +1,8 @@
-//! The node as ROS sees it, and who is matched with whom.
+//! The node in the ROS graph, and matched endpoints.
 //!
-//! Each process tells on the topic `ros_discovery_info` which endpoints belong to its node
-//! (<https://design.ros2.org/articles/Node_to_Participant_mapping.html>): the newest message counts. Who
-//! is matched RustDDS reports as events, which a thread of ours reads.
+//! Each process publishes the endpoints of its node on the topic `ros_discovery_info`
+//! (<https://design.ros2.org/articles/Node_to_Participant_mapping.html>). RustDDS reports matched endpoints as events,
+//! which are read by a thread.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -28,8 +28,8 @@ use ros2_client::{
 use super::middleware;
 use crate::{Link, TransportError, TransportOptions};
 
-/// Writers that are remembered for each reader because they do not fit it. They are kept when they go: what
-/// they sent last may still have to be taken.
+/// Largest number of incompatible writers per reader. They are kept when they disappear, since their last messages may not
+/// have been received yet.
 const MAX_MISMATCHED: usize = 1_024;
 
 pub(super) struct Graph {
@@ -39,7 +39,7 @@ pub(super) struct Graph {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What the thread and the endpoints share.
+/// Shared by the thread and the endpoints.
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
@@ -48,11 +48,11 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Readers matched with each of our writers.
+    /// Readers matched with each local writer.
     readers: BTreeMap<GUID, BTreeSet<GUID>>,
-    /// Writers whose promises each of our readers does not accept.
+    /// Writers with a QoS that is incompatible with each local reader.
     mismatched: BTreeMap<GUID, BTreeSet<GUID>>,
-    /// Wakes the readers of ours that want to know of such writers.
+    /// Wakers of local readers for incompatible writers.
     wakers: BTreeMap<GUID, Arc<Waker>>,
 }
 
@@ -81,7 +81,7 @@ impl Graph {
         Ok(graph)
     }
 
-    /// Tells that there is a writer of ours.
+    /// Announces a local writer.
     pub(super) fn add_writer(&self, writer: GUID) {
         self.announce(|announcer| {
             announcer.writers.insert(writer);
@@ -95,7 +95,7 @@ impl Graph {
         lock(&self.shared.state).readers.remove(&writer);
     }
 
-    /// Tells that there is a reader of ours.
+    /// Announces a local reader.
     pub(super) fn add_reader(&self, reader: GUID) {
         self.announce(|announcer| {
             announcer.readers.insert(reader);
@@ -111,17 +111,17 @@ impl Graph {
         state.wakers.remove(&reader);
     }
 
-    /// Wakes `waker` whenever [`Graph::mismatched`] has grown for `reader`.
+    /// Wakes `waker` whenever an incompatible writer for `reader` appears.
     pub(super) fn watch(&self, reader: GUID, waker: &Arc<Waker>) {
         lock(&self.shared.state).wakers.insert(reader, Arc::clone(waker));
     }
 
-    /// Writers whose promises `reader` does not accept.
+    /// Writers with a QoS that is incompatible with `reader`.
     pub(super) fn mismatched(&self, reader: GUID) -> BTreeSet<GUID> {
         lock(&self.shared.state).mismatched.get(&reader).cloned().unwrap_or_default()
     }
 
-    /// Readers matched with a writer of ours.
+    /// Number of readers matched with a local writer.
     pub(super) fn matched(&self, writer: GUID) -> usize {
         lock(&self.shared.state).readers.get(&writer).map_or(0, BTreeSet::len)
     }
@@ -136,7 +136,7 @@ impl Graph {
 impl Drop for Graph {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not waited for.
+        // A thread that cannot be woken is not joined.
         if self.waker.wake().is_ok()
             && let Some(thread) = self.thread.take()
         {
@@ -176,7 +176,7 @@ impl Announcer {
     }
 }
 
-/// Starts the thread that reads RustDDS's events.
+/// Starts the thread that reads the events of RustDDS.
 fn watch(
     mut listener: DomainParticipantStatusListener,
     shared: Arc<Shared>,
@@ -190,11 +190,11 @@ fn watch(
         let mut events = Events::with_capacity(4);
         while !shared.stop.load(Ordering::Relaxed) {
             while let Some(event) = listener.try_recv_status() {
-                shared.take(event);
+                shared.handle(event);
             }
             match poll.poll(&mut events, None) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("the DDS graph is no longer watched: {error}");
+                    tracing::warn!("watching the DDS graph stopped: {error}");
                     return;
                 }
                 _ => {}
@@ -205,7 +205,7 @@ fn watch(
 }
 
 impl Shared {
-    fn take(&self, event: Event) {
+    fn handle(&self, event: Event) {
         match event {
             Event::RemoteReaderMatched { local_writer, remote_reader } => {
                 lock(&self.state).readers.entry(local_writer).or_default().insert(remote_reader);
@@ -229,7 +229,7 @@ impl Shared {
                     writers.pop_first();
                 }
                 if let Some(Err(error)) = state.wakers.get(&local_reader).map(|w| w.wake()) {
-                    tracing::warn!("a DDS subscriber cannot be woken: {error}");
+                    tracing::warn!("cannot wake a DDS subscriber: {error}");
                 }
             }
             Event::InconsistentTopic { previous_topic_data, discovered_topic_data, .. } => {
@@ -245,7 +245,7 @@ impl Shared {
     }
 }
 
-/// No lock is held across anything that can panic half way.
+/// A panic in another thread leaves the state consistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

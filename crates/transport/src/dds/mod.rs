@@ -1,33 +1,29 @@
-//! DDS, in the form of ROS 2's DDS middlewares: a plain ROS 2 sees the node, its topics and parameters.
+//! DDS as in ROS 2's DDS middlewares: an unmodified ROS 2 sees the node, its topics and parameters.
 //!
-//! 1. [`participant`]: the process on the network; which networks it speaks on.
-//! 2. [`graph`]: the node and its endpoints as ROS sees them; who is matched with whom.
-//! 3. [`cdr`]: bytes pass as they are, nothing is encoded twice.
-//! 4. [`qos`]: what an endpoint promises; what a message may weigh.
+//! 1. [`participant`]: the DDS participant and its networks.
+//! 2. [`graph`]: the node and its endpoints in the ROS graph; matched endpoints.
+//! 3. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
+//! 4. [`qos`]: QoS of the endpoints; largest message size.
 //! 5. [`publisher`], [`subscriber`]: messages.
 //! 6. [`service`]: requests and responses.
 //!
 //! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
 //! (<https://design.ros2.org/articles/topic_and_service_names.html>).
 //!
-//! Names and graph messages are those of ros2-client, the endpoints those of RustDDS underneath it.
-//! ros2-client 0.12.1's own `Node` and `Publisher` do not fit: a publisher cannot be asked whether its
-//! messages have arrived (`DataWriter::wait_for_acknowledgments`), so that the last frames of a replay
-//! would be lost with the process; it encodes every message itself, where we have the bytes already;
-//! endpoints stay in the graph after they are gone; and its spinner subscribes to `/clock` with a type that
-//! is not ROS's, beside our own.
+//! Names and graph messages come from ros2-client, endpoints from RustDDS. `Node` and `Publisher` of ros2-client 0.12.1
+//! are not used: a publisher cannot wait for acknowledgments (`DataWriter::wait_for_acknowledgments`), so the last frames
+//! of a replay would be lost with the process; it encodes every message, although the bytes exist; endpoints stay in the
+//! graph after they are dropped; and its spinner subscribes to `/clock` with a type other than that of ROS.
 //!
-//! Loopback: RustDDS 0.15 takes a list of networks that it announces itself on, sends to and joins groups on
-//! (`DomainParticipantBuilder::with_only_networks`), which is `127.0.0.1` here unless
-//! [`DdsOptions`](super::DdsOptions) say otherwise. Its unicast sockets are bound to all addresses
-//! nevertheless, and there is no setting for that: who knows the port can send to it from outside. Where
-//! that matters a firewall must close the UDP ports from 7400. Loopback has no multicast: participants
-//! announce themselves to the ports of the first twelve of a domain there.
+//! Loopback: RustDDS 0.15 restricts announcements, destinations and multicast groups to a list of networks
+//! (`DomainParticipantBuilder::with_only_networks`), here `127.0.0.1` unless [`DdsOptions`](super::DdsOptions) say
+//! otherwise. Its unicast sockets are always bound to all addresses, so other machines can send to these ports unless a
+//! firewall closes the UDP ports from 7400. Loopback has no multicast: participants announce themselves to the ports of
+//! the first twelve participants of a domain.
 //!
-//! What RustDDS cannot do: a reader takes everything it is sent, so that a publisher that blocks waits for
-//! the subscriber's process to have a message, not for it to be read. A subscriber keeps 1,024 messages
-//! (64 MiB) it has not read, then gives up the oldest and counts it. And a subscriber that is killed is only missed
-//! after its lease of 50 s.
+//! Limitations of RustDDS: readers accept everything they are sent, so a blocking publisher waits until the subscriber's
+//! process has received a message, not until it is read. A subscriber queues 1,024 messages (64 MiB), then drops and
+//! counts the oldest. A killed subscriber is detected after its lease of 50 s.
 
 mod cdr;
 mod graph;
@@ -68,12 +64,12 @@ impl DdsNode {
     pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         let participant = participant::open(link, options)?;
         let failed = |error| middleware(link, "open the DDS participant", &error);
-        let none = qos::unsaid();
+        let none = qos::default();
         let publisher = participant.create_publisher(&none).map_err(failed)?;
         let subscriber = participant.create_subscriber(&none).map_err(failed)?;
         let graph = Graph::open(link, &participant, &publisher, options)?;
         let (patience, largest_message) = (options.patience, qos::largest_message());
-        tracing::info!("DDS carries messages of up to {largest_message} bytes here");
+        tracing::info!("DDS: largest message is {largest_message} bytes");
         Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
     }
 
@@ -81,7 +77,7 @@ impl DdsNode {
     fn topic(&self, link: &Link, type_name: &str) -> Result<Topic, TransportError> {
         let (name, type_name) = (format!("rt{}", link.topic), dds_type(type_name));
         self.participant
-            .create_topic(name, type_name, &qos::cache(), TopicKind::NoKey)
+            .create_topic(name, type_name, &qos::topic(), TopicKind::NoKey)
             .map_err(|error| middleware(link, "create the topic", &error))
     }
 }
@@ -114,7 +110,7 @@ impl Middleware for DdsNode {
         Ok(Some(Box::new(DdsService::open(&self, link, type_name, handler)?)))
     }
 
-    /// The topics that have been announced by others, read or written.
+    /// The topics announced by others, published or subscribed.
     fn topics(&self, _link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
         let topics = self.participant.discovered_topics().into_iter();
         let seen = |name: &str, type_name: &str| {
@@ -143,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn services_have_a_type_for_each_way() {
+    fn services_have_a_request_and_a_response_type() {
         let [request, response] = service_types("std_srvs/srv/Trigger");
         assert_eq!(request, "std_srvs::srv::dds_::Trigger_Request_");
         assert_eq!(response, "std_srvs::srv::dds_::Trigger_Response_");

@@ -1,4 +1,4 @@
-//! The process on the network.
+//! The DDS participant.
 
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -7,7 +7,7 @@ use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder};
 use super::middleware;
 use crate::{DiscoveryRange, Link, TransportError, TransportOptions};
 
-/// The one participant of this process in its domain.
+/// Opens the participant of this process in its domain.
 pub(super) fn open(
     link: &Link,
     options: &TransportOptions,

@@ -1,4 +1,4 @@
-//! Publishes one topic.
+//! Publishes a topic.
 
 use std::{sync::Arc, thread, time::Duration};
 
@@ -6,27 +6,27 @@ use ros2_client::dds::rustdds::{RTPSEntity, Timestamp, dds::WriteError, no_key::
 
 use super::{
     DdsNode,
-    cdr::{AsItIs, Body},
+    cdr::{Body, PassThrough},
     middleware,
-    qos::{self, Promise},
+    qos::{self, PublisherQos},
 };
-use crate::{Link, Publisher, Reliability, TransportError, opener};
+use crate::{Link, Publisher, Reliability, TransportError, transports};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, TypeSupport};
 
-/// How long the last messages are waited for when a publisher goes: a subscriber that was killed never has them.
-const LAST_PATIENCE: Duration = Duration::from_secs(3);
-/// How long a publisher stays when its last message has arrived: readers of RustDDS (0.15) forget what nobody has taken
-/// from them yet when the writer goes, which a busy machine takes a while to do.
-const FAREWELL: Duration = Duration::from_millis(250);
+/// How long a dropped publisher waits for acknowledgments, which a killed subscriber never sends.
+const DROP_TIMEOUT: Duration = Duration::from_secs(3);
+/// How long a dropped publisher waits after the last acknowledgment: readers of RustDDS (0.15) discard messages that were
+/// not taken yet when their writer disappears, and a busy machine may take a while to take them.
+const LINGER: Duration = Duration::from_millis(250);
 
 pub(crate) struct DdsPublisher {
     link: Link,
     type_name: String,
-    promise: Promise,
-    writer: DataWriter<Body, AsItIs>,
-    /// Bytes written since everything had arrived.
-    on_their_way: usize,
+    qos: PublisherQos,
+    writer: DataWriter<Body, PassThrough>,
+    /// Bytes written since the last acknowledgment.
+    unacknowledged: usize,
     node: Arc<DdsNode>,
 }
 
@@ -38,14 +38,14 @@ impl DdsPublisher {
         reliability: Reliability,
     ) -> Result<Self, TransportError> {
         let topic = node.topic(link, &support.name)?;
-        let promise = Promise::of(reliability, &support.name);
+        let qos = PublisherQos::of(reliability, &support.name);
         let writer = node
             .publisher
-            .create_datawriter_no_key(&topic, Some(promise.qos(node.patience)))
+            .create_datawriter_no_key(&topic, Some(qos.policies(node.patience)))
             .map_err(|error| middleware(link, "create the publisher", &error))?;
         node.graph.add_writer(writer.guid());
         let (link, type_name) = (link.clone(), support.name.clone());
-        Ok(Self { link, type_name, promise, writer, on_their_way: 0, node: Arc::clone(node) })
+        Ok(Self { link, type_name, qos, writer, unacknowledged: 0, node: Arc::clone(node) })
     }
 
     fn publish(&mut self, message: Vec<u8>) -> Result<(), TransportError> {
@@ -57,25 +57,27 @@ impl DdsPublisher {
         let body = Body::of(message).ok_or_else(|| {
             middleware(&self.link, "publish", &"expected plain little-endian CDR (00 01 00 00)")
         })?;
-        if self.promise == Promise::Waits && self.on_their_way + size > qos::MAX_ON_THEIR_WAY {
-            self.wait_until_arrived(self.node.patience)?;
+        if self.qos == PublisherQos::Blocking
+            && self.unacknowledged + size > qos::MAX_UNACKNOWLEDGED
+        {
+            self.wait_for_acknowledgments(self.node.patience)?;
         }
         match self.writer.write(body, Some(Timestamp::now())) {
-            Ok(()) => self.on_their_way += size,
-            Err(WriteError::WouldBlock { .. }) if self.promise == Promise::Waits => {
+            Ok(()) => self.unacknowledged += size,
+            Err(WriteError::WouldBlock { .. }) if self.qos == PublisherQos::Blocking => {
                 return Err(self.stalled());
             }
-            // Dropped, as promised.
+            // Dropped.
             Err(WriteError::WouldBlock { .. }) => {}
             Err(error) => return Err(middleware(&self.link, "publish", &error)),
         }
         Ok(())
     }
 
-    fn wait_until_arrived(&mut self, patience: Duration) -> Result<(), TransportError> {
+    fn wait_for_acknowledgments(&mut self, patience: Duration) -> Result<(), TransportError> {
         match self.writer.wait_for_acknowledgments(patience) {
             Ok(true) => {
-                self.on_their_way = 0;
+                self.unacknowledged = 0;
                 Ok(())
             }
             Ok(false) => Err(self.stalled()),
@@ -91,7 +93,7 @@ impl DdsPublisher {
 
 impl Publisher for DdsPublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        opener::check_frames(&self.link, &self.type_name)?;
+        transports::check_frames(&self.link, &self.type_name)?;
         self.publish(frame.to_cdr())
     }
 
@@ -105,11 +107,11 @@ impl Publisher for DdsPublisher {
 }
 
 impl Drop for DdsPublisher {
-    /// What was sent must have arrived before it can no longer be repaired.
+    /// Waits for acknowledgments, since lost messages cannot be repaired afterwards.
     fn drop(&mut self) {
-        if self.promise == Promise::Waits && self.on_their_way > 0 {
-            match self.wait_until_arrived(self.node.patience.min(LAST_PATIENCE)) {
-                Ok(()) => thread::sleep(FAREWELL),
+        if self.qos == PublisherQos::Blocking && self.unacknowledged > 0 {
+            match self.wait_for_acknowledgments(self.node.patience.min(DROP_TIMEOUT)) {
+                Ok(()) => thread::sleep(LINGER),
                 Err(error) => tracing::warn!("{error}"),
             }
         }

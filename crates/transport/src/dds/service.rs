@@ -1,7 +1,7 @@
-//! Answers the requests of one service.
+//! Answers the requests of a service.
 //!
-//! Requests come on the topic `rq<service>Request`, responses go to `rr<service>Reply`, and name the request
-//! by the identity that came with it (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
+//! Requests arrive on the topic `rq<service>Request`; responses are published on `rr<service>Reply` with the sample
+//! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
 
 use std::{
     io,
@@ -21,9 +21,9 @@ use ros2_client::dds::rustdds::{
 
 use super::{
     DdsNode,
-    cdr::{AsItIs, Body},
+    cdr::{Body, PassThrough},
     middleware,
-    qos::{self, Promise},
+    qos::{self, PublisherQos},
     service_types,
 };
 use crate::{Handler, Link, Served, TransportError};
@@ -31,7 +31,7 @@ use crate::{Handler, Link, Served, TransportError};
 const WAKE: Token = Token(0);
 const REQUESTS: Token = Token(1);
 
-/// A service that is answered as long as this lives.
+/// A service; requests are answered until it is dropped.
 pub(crate) struct DdsService {
     stop: Arc<AtomicBool>,
     waker: Waker,
@@ -48,15 +48,15 @@ impl DdsService {
         let failed = |error: io::Error| middleware(link, "offer the service", &error);
         let poll = Poll::new().map_err(failed)?;
         let waker = Waker::new(poll.registry(), WAKE).map_err(failed)?;
-        let mut desk = Desk::open(node, link, type_name, handler)?;
+        let mut worker = Worker::open(node, link, type_name, handler)?;
         poll.registry()
-            .register(&mut desk.requests, REQUESTS, Interest::READABLE)
+            .register(&mut worker.requests, REQUESTS, Interest::READABLE)
             .map_err(failed)?;
         let stop = Arc::<AtomicBool>::default();
         let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new()
             .name("dds service".to_owned())
-            .spawn(move || desk.run(poll, &stopped))
+            .spawn(move || worker.run(poll, &stopped))
             .map_err(failed)?;
         Ok(Self { stop, waker, thread: Some(thread) })
     }
@@ -67,7 +67,7 @@ impl Served for DdsService {}
 impl Drop for DdsService {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not waited for.
+        // A thread that cannot be woken is not joined.
         if self.waker.wake().is_ok()
             && let Some(thread) = self.thread.take()
         {
@@ -76,16 +76,16 @@ impl Drop for DdsService {
     }
 }
 
-/// Where requests come in and responses go out.
-struct Desk {
+/// Receives requests and publishes responses.
+struct Worker {
     link: Link,
-    requests: SimpleDataReader<Vec<u8>, AsItIs>,
-    responses: DataWriter<Body, AsItIs>,
+    requests: SimpleDataReader<Vec<u8>, PassThrough>,
+    responses: DataWriter<Body, PassThrough>,
     handler: Handler,
     node: Arc<DdsNode>,
 }
 
-impl Desk {
+impl Worker {
     fn open(
         node: &Arc<DdsNode>,
         link: &Link,
@@ -95,16 +95,19 @@ impl Desk {
         let failed = |error| middleware(link, "offer the service", &error);
         let [request_type, response_type] = service_types(type_name);
         let topic = |name, kind| {
-            let topic = node.participant.create_topic(name, kind, &qos::cache(), TopicKind::NoKey);
+            let topic = node.participant.create_topic(name, kind, &qos::topic(), TopicKind::NoKey);
             topic.map_err(failed)
         };
         let responses = topic(format!("rr{}Reply", link.topic), response_type)?;
         let responses = node
             .publisher
-            .create_datawriter_no_key(&responses, Some(Promise::Repairs.qos(Duration::ZERO)))
+            .create_datawriter_no_key(
+                &responses,
+                Some(PublisherQos::Reliable.policies(Duration::ZERO)),
+            )
             .map_err(failed)?;
         let requests = topic(format!("rq{}Request", link.topic), request_type)?;
-        let requests: SimpleDataReader<Vec<u8>, AsItIs> = node
+        let requests: SimpleDataReader<Vec<u8>, PassThrough> = node
             .subscriber
             .create_simple_datareader_no_key(&requests, Some(qos::reliable_reader()))
             .map_err(failed)?;
@@ -126,7 +129,7 @@ impl Desk {
             }
             match poll.poll(&mut events, None) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("{}: no longer answered: {error}", self.link);
+                    tracing::warn!("{}: the service stopped: {error}", self.link);
                     return;
                 }
                 _ => {}
@@ -145,15 +148,15 @@ impl Desk {
     }
 }
 
-impl Drop for Desk {
+impl Drop for Worker {
     fn drop(&mut self) {
         self.node.graph.remove_writer(self.responses.guid());
         self.node.graph.remove_reader(self.requests.guid());
     }
 }
 
-/// By what a request's sender knows its response. Fast DDS names itself, but leaves the number open,
-/// which is then that of the message.
+/// The sample identity of the response. Fast DDS leaves the sequence number of the request's identity unknown; that of the
+/// message is used then.
 fn identity(request: &DeserializedCacheChange<Vec<u8>>) -> SampleIdentity {
     let number = request.sequence_number;
     match request.related_sample_identity() {

@@ -1,15 +1,15 @@
 //! Subscribes to one topic.
 //!
-//! A reader that asks for repairs does not match writers that do not repair, and one that does not ask
-//! gets none: which of them a topic needs is only known when its writers are. The first reader asks. When
-//! writers turn up that it does not fit, a second one takes their messages, and no others.
+//! A reliable reader does not match best-effort writers, and a best-effort reader gets no repairs, so the choice
+//! depends on the writers. The first reader is reliable. When writers appear that do not match it, a second,
+//! best-effort reader receives their messages, and no others.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     thread::{self, JoinHandle},
     time::Duration,
@@ -21,18 +21,18 @@ use ros2_client::dds::rustdds::{
     no_key::SimpleDataReader,
 };
 
-use super::{DdsNode, cdr::AsItIs, middleware, qos};
+use super::{DdsNode, cdr::PassThrough, middleware, qos};
 use crate::{Link, Payload, Subscriber, TransportError, queue::Queue};
 use eddy_messages::TypeSupport;
 
-/// Messages that a subscriber may be behind.
+/// Capacity of the queue (messages).
 const DEPTH: usize = 1_024;
-/// Bytes that a subscriber may be behind.
-const MOST_BYTES: usize = 64 << 20;
-/// Writers whose gaps are counted at the same time.
+/// Capacity of the queue (bytes).
+const MAX_BYTES: usize = 64 << 20;
+/// Largest number of writers whose gaps are counted.
 const MAX_WRITERS: usize = 64;
 
-type Reader = SimpleDataReader<Vec<u8>, AsItIs>;
+type Reader = SimpleDataReader<Vec<u8>, PassThrough>;
 
 pub(crate) struct DdsSubscriber {
     shared: Arc<Shared>,
@@ -43,8 +43,7 @@ pub(crate) struct DdsSubscriber {
 struct Shared {
     link: Link,
     queue: Queue<Vec<u8>>,
-    /// Bytes in the queue.
-    waiting: AtomicUsize,
+    /// Messages that did not arrive.
     lost: AtomicU64,
     stop: AtomicBool,
 }
@@ -56,13 +55,7 @@ impl DdsSubscriber {
         support: &TypeSupport,
     ) -> Result<Self, TransportError> {
         let failed = |error: io::Error| middleware(link, "create the subscriber", &error);
-        let ours = Arc::new(Shared {
-            link: link.clone(),
-            queue: Queue::new(DEPTH),
-            waiting: AtomicUsize::new(0),
-            lost: AtomicU64::new(0),
-            stop: AtomicBool::new(false),
-        });
+        let ours = Arc::new(Shared::new(link.clone()));
         let poll = Poll::new().map_err(failed)?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKE).map_err(failed)?);
         let topic = node.topic(link, &support.name)?;
@@ -70,10 +63,10 @@ impl DdsSubscriber {
         let reliable = open(&node, link, &topic, RELIABLE, poll.registry())?;
         node.graph.watch(reliable.guid(), &waker);
         let gaps = Gaps::default();
-        let intake = Intake { topic, reliable, best_effort: None, gaps, shared, node };
+        let receiver = Receiver { topic, reliable, best_effort: None, gaps, shared, node };
         let thread = thread::Builder::new()
             .name("dds subscriber".to_owned())
-            .spawn(move || intake.run(poll))
+            .spawn(move || receiver.run(poll))
             .map_err(failed)?;
         Ok(Self { shared: ours, waker, thread: Some(thread) })
     }
@@ -81,22 +74,18 @@ impl DdsSubscriber {
 
 impl Subscriber for DdsSubscriber {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let message = self.shared.queue.pop(timeout);
-        if let Some(message) = &message {
-            self.shared.waiting.fetch_sub(message.len(), Ordering::Relaxed);
-        }
-        Ok(message.map(Payload::Cdr))
+        Ok(self.shared.queue.pop(timeout).map(Payload::Cdr))
     }
 
     fn refused(&self) -> u64 {
-        self.shared.lost.load(Ordering::Relaxed)
+        self.shared.lost.load(Ordering::Relaxed) + self.shared.queue.dropped()
     }
 }
 
 impl Drop for DdsSubscriber {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not waited for.
+        // A thread that cannot be woken is not joined.
         if self.waker.wake().is_ok()
             && let Some(thread) = self.thread.take()
         {
@@ -106,33 +95,9 @@ impl Drop for DdsSubscriber {
 }
 
 impl Shared {
-    /// Puts a message into the queue, and gives up what is too much, oldest first.
-    fn put(&self, message: Vec<u8>) {
-        let waiting = self.waiting.fetch_add(message.len(), Ordering::Relaxed) + message.len();
-        let mut excess = waiting.saturating_sub(MOST_BYTES);
-        let mut message = Some(message);
-        while let Some(newest) = message.take() {
-            let oldest = if excess > 0 { self.queue.pop(Duration::ZERO) } else { None };
-            match oldest {
-                Some(oldest) => {
-                    self.give_up(&oldest);
-                    excess = excess.saturating_sub(oldest.len());
-                    message = Some(newest);
-                }
-                None => match self.queue.push_or_wait(newest, Duration::ZERO) {
-                    Ok(()) => {}
-                    Err(newest) => {
-                        excess = 1;
-                        message = Some(newest);
-                    }
-                },
-            }
-        }
-    }
-
-    fn give_up(&self, message: &[u8]) {
-        self.waiting.fetch_sub(message.len(), Ordering::Relaxed);
-        self.lost.fetch_add(1, Ordering::Relaxed);
+    fn new(link: Link) -> Self {
+        let queue = Queue::with_cost(DEPTH, MAX_BYTES, Vec::len);
+        Self { link, queue, lost: AtomicU64::new(0), stop: AtomicBool::new(false) }
     }
 }
 
@@ -140,8 +105,8 @@ const WAKE: Token = Token(0);
 const RELIABLE: Token = Token(1);
 const BEST_EFFORT: Token = Token(2);
 
-/// Takes messages from RustDDS, on a thread of its own.
-struct Intake {
+/// Receives messages from RustDDS on a thread of its own.
+struct Receiver {
     topic: Topic,
     reliable: Reader,
     best_effort: Option<Reader>,
@@ -169,7 +134,7 @@ fn open(
     Ok(reader)
 }
 
-impl Intake {
+impl Receiver {
     fn run(mut self, mut poll: Poll) {
         let mut events = Events::with_capacity(4);
         while !self.shared.stop.load(Ordering::Relaxed) {
@@ -181,10 +146,10 @@ impl Intake {
                     Err(error) => tracing::warn!("{error}"),
                 }
             }
-            self.take(&unreliable);
+            self.receive(&unreliable);
             match poll.poll(&mut events, None) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("{}: no longer read: {error}", self.shared.link);
+                    tracing::warn!("{}: receiving stopped: {error}", self.shared.link);
                     return;
                 }
                 _ => {}
@@ -192,8 +157,8 @@ impl Intake {
         }
     }
 
-    /// Takes everything there is now, from each reader what is its own: both see the whole topic.
-    fn take(&mut self, unreliable: &BTreeSet<GUID>) {
+    /// Receives all available messages, from each reader those of its writers: both readers see the whole topic.
+    fn receive(&mut self, unreliable: &BTreeSet<GUID>) {
         let Self { reliable, best_effort, gaps, shared, .. } = self;
         for (reader, repairs) in [(Some(&*reliable), true), (best_effort.as_ref(), false)] {
             let Some(reader) = reader else { continue };
@@ -205,7 +170,7 @@ impl Intake {
                         let number = i64::from(sample.sequence_number);
                         let lost = gaps.count(sample.writer_guid, number);
                         shared.lost.fetch_add(lost, Ordering::Relaxed);
-                        shared.put(sample.into_value());
+                        shared.queue.push_or_drop_oldest(sample.into_value());
                     }
                     Ok(None) => break,
                     Err(error) => {
@@ -218,7 +183,7 @@ impl Intake {
     }
 }
 
-impl Drop for Intake {
+impl Drop for Receiver {
     fn drop(&mut self) {
         for reader in [Some(&self.reliable), self.best_effort.as_ref()].into_iter().flatten() {
             self.node.graph.remove_reader(reader.guid());
@@ -231,7 +196,7 @@ impl Drop for Intake {
 struct Gaps(BTreeMap<GUID, i64>);
 
 impl Gaps {
-    /// Messages that were written between the last one and this one, but never came.
+    /// Number of messages between the last one and this one that did not arrive.
     fn count(&mut self, writer: GUID, number: i64) -> u64 {
         if self.0.len() >= MAX_WRITERS && !self.0.contains_key(&writer) {
             self.0.clear();
@@ -248,34 +213,28 @@ mod tests {
     use super::*;
 
     fn shared() -> Shared {
-        Shared {
-            link: "dds:/test".parse().unwrap(),
-            queue: Queue::new(DEPTH),
-            waiting: AtomicUsize::new(0),
-            lost: AtomicU64::new(0),
-            stop: AtomicBool::new(false),
-        }
+        Shared::new("dds:/test".parse().unwrap())
     }
 
     #[test]
-    fn the_oldest_of_too_many_messages_is_given_up_and_counted() {
+    fn the_oldest_of_too_many_messages_is_dropped_and_counted() {
         let shared = shared();
         for number in 0..DEPTH + 3 {
-            shared.put(number.to_le_bytes().to_vec());
+            shared.queue.push_or_drop_oldest(number.to_le_bytes().to_vec());
         }
         assert_eq!(shared.queue.pop(Duration::ZERO), Some(3usize.to_le_bytes().to_vec()));
-        assert_eq!(shared.lost.load(Ordering::Relaxed), 3);
-        assert_eq!(shared.waiting.load(Ordering::Relaxed), DEPTH * size_of::<usize>());
+        assert_eq!(shared.queue.dropped(), 3);
+        assert_eq!(shared.queue.cost(), (DEPTH - 1) * size_of::<usize>());
     }
 
     #[test]
     fn too_many_bytes_count_as_too_many_messages() {
         let shared = shared();
         for number in 0..6 {
-            shared.put(vec![number; MOST_BYTES / 4]);
+            shared.queue.push_or_drop_oldest(vec![number; MAX_BYTES / 4]);
         }
         assert_eq!(shared.queue.pop(Duration::ZERO).unwrap()[0], 2);
-        assert_eq!(shared.lost.load(Ordering::Relaxed), 2);
+        assert_eq!(shared.queue.dropped(), 2);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! iceoryx2 alone, woken by events, and eddy's own writer without the writing.
+//! iceoryx2 used directly, with wake-ups by events, and eddy's publisher without writing.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use iceoryx2::{
 
 use super::{
     layout::{self, FrameHeader, SharedParticle},
-    publisher::Outlet,
+    publisher::Writer,
     service::{Ipc, middleware},
 };
 use crate::{
@@ -36,7 +36,7 @@ struct Subscriber {
     _node: Node<Ipc>,
 }
 
-/// Both ends of a service with iceoryx2's defaults.
+/// Publisher and subscriber of a service with iceoryx2's defaults.
 pub(crate) fn pair(link: &Link, frame: &Frame, touched: bool) -> Result<BarePair, TransportError> {
     let failed = |action| move |error: &dyn std::fmt::Display| middleware(link, action, error);
     let name: ServiceName = format!("bare{}", link.topic)
@@ -88,7 +88,7 @@ impl BarePublisher for Publisher {
         let written = if self.touched {
             loan.write_from_slice(&self.particles)
         } else {
-            // SAFETY: shared memory is zeroed when it is made, and any bits are a particle.
+            // SAFETY: shared memory is zeroed when it is allocated, and any bits are a valid particle.
             unsafe { loan.assume_init() }
         };
         written.send().map_err(|error| middleware(&self.link, "send", &error))?;
@@ -108,16 +108,16 @@ impl BareSubscriber for Subscriber {
     }
 }
 
-/// eddy's own writer, which leaves the particles as they are.
+/// eddy's publisher, which does not write the particles.
 pub(super) struct Untouched {
-    pub(super) outlet: Outlet<SharedParticle, FrameHeader>,
+    pub(super) writer: Writer<SharedParticle, FrameHeader>,
     pub(super) particles: usize,
 }
 
 impl BarePublisher for Untouched {
     fn publish(&mut self) -> Result<(), TransportError> {
         // SAFETY: as above.
-        self.outlet
+        self.writer
             .send(self.particles, FrameHeader::default(), |loan| unsafe { loan.assume_init() })
     }
 }

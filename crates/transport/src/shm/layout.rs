@@ -1,4 +1,4 @@
-//! How a frame lies in shared memory. Other languages name these types and copy this layout.
+//! Memory layout of a frame in shared memory. Programs in other languages use these type names and this layout.
 
 use std::slice;
 
@@ -9,25 +9,25 @@ use eddy_messages::{Header, ParticleFrame};
 
 /// A [`Particle`] as an element of a payload.
 ///
-/// A type of its own, since a trait of iceoryx2 cannot be implemented for a type of another crate.
+/// A newtype, because a trait of iceoryx2 cannot be implemented for a type of another crate.
 #[derive(Clone, Copy, Debug)]
 #[repr(transparent)]
 pub(crate) struct SharedParticle(Particle);
 
 /// The particles of a payload.
 pub(super) fn particles(payload: &[SharedParticle]) -> &[Particle] {
-    // SAFETY: `repr(transparent)`: both have one layout.
+    // SAFETY: `repr(transparent)`: both types have the same layout.
     unsafe { slice::from_raw_parts(payload.as_ptr().cast(), payload.len()) }
 }
 
-// SAFETY: the layout is fixed (`repr(C)`, five numbers), any bits are a particle, and it refers to nothing.
+// SAFETY: the layout is fixed (`repr(C)`, five numbers), any bits are a valid particle, and it has no references.
 unsafe impl ZeroCopySend for SharedParticle {
     unsafe fn type_name() -> &'static str {
         "eddy::Particle"
     }
 }
 
-/// What a frame says besides its particles, 48 bytes.
+/// A frame without its particles, 48 bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("eddy::FrameHeader")]
 #[repr(C)]
@@ -62,8 +62,8 @@ pub(super) fn particle(frame: &Frame, index: usize) -> SharedParticle {
     SharedParticle(Particle { x, y, vx, vy, material: frame.material[index] as u32 })
 }
 
-/// What lies in shared memory as a message, unchecked. Material numbers that do not fit its bytes
-/// are saturated, so that they stay unknown.
+/// The unchecked frame in shared memory as a message. Material numbers that do not fit a byte are saturated, so that
+/// they stay unknown.
 pub(crate) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleFrame {
     let material = |p: &Particle| u8::try_from(p.material).unwrap_or(u8::MAX);
     ParticleFrame {
@@ -79,7 +79,7 @@ pub(crate) fn message(header: &FrameHeader, particles: &[Particle]) -> ParticleF
     }
 }
 
-/// The frame in shared memory, unchecked.
+/// The unchecked frame in shared memory.
 pub(super) fn view<'a>(header: &FrameHeader, particles: &'a [Particle]) -> FrameView<'a> {
     FrameView {
         stream: header.stream,
@@ -91,14 +91,14 @@ pub(super) fn view<'a>(header: &FrameHeader, particles: &'a [Particle]) -> Frame
     }
 }
 
-/// The frame in shared memory, checked and in memory of its own.
+/// A checked copy of the frame in shared memory.
 pub(crate) fn frame(header: &FrameHeader, particles: &[Particle]) -> Result<Frame, InvalidFrame> {
     let frame = view(header, particles);
     frame.check()?;
     Ok(frame.to_frame())
 }
 
-/// Header and particles as other programs may have left them in shared memory: any bits at all.
+/// Header and particles of any bits, as other programs may write them.
 #[cfg(feature = "lab")]
 pub(crate) fn from_bits(bytes: &[u8]) -> (FrameHeader, Vec<Particle>) {
     let mut words = bytes.chunks_exact(4).map(|word| {
@@ -129,7 +129,7 @@ mod tests {
     use eddy_frames::Material;
 
     #[test]
-    fn the_layout_is_the_one_other_programs_were_told() {
+    fn the_layout_is_the_documented_one() {
         assert_eq!((size_of::<SharedParticle>(), align_of::<SharedParticle>()), (20, 4));
         assert_eq!(offset_of!(Particle, material), 16);
         assert_eq!((size_of::<FrameHeader>(), align_of::<FrameHeader>()), (48, 8));
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_material_is_named() {
+    fn an_unknown_material_is_rejected() {
         let header = FrameHeader { dt: 0.016, upper: [1.0; 2], ..FrameHeader::default() };
         let particle = Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material: 256 };
         let error = view(&header, &[particle]).check().unwrap_err();

@@ -1,31 +1,28 @@
-//! Shared memory of this machine, by iceoryx2: frames are written where their readers read them.
+//! Shared memory (iceoryx2): subscribers read frames where the publisher wrote them.
 //!
-//! 1. [`layout`]: how a frame lies in memory.
-//! 2. [`service`]: opens the services of a topic, whoever made them, and clears away what killed
-//!    processes left.
-//! 3. [`publisher`]: writes messages into loaned memory, sends them, wakes the readers.
-//! 4. [`subscriber`]: waits, and lends what came; [`lent`]: a frame that is read where it lies.
-//! 5. [`bare`]: iceoryx2 alone, to measure against.
+//! 1. [`layout`]: memory layout of a frame.
+//! 2. [`service`]: opens the services of a topic and removes the resources of killed processes.
+//! 3. [`publisher`]: writes messages into loaned memory, sends them and wakes the subscribers.
+//! 4. [`subscriber`]: waits for messages; [`shared_frame`]: a frame that is read in place.
+//! 5. [`bare`]: iceoryx2 used directly, for benchmarks.
 //!
-//! The service of a topic is called `eddy<topic>`, such as `eddy/particles`. Frames travel as a slice
-//! of `Particle` with a [`FrameHeader`](layout::FrameHeader); every other message as
-//! CDR bytes. An event service of the same name wakes readers: event 0 is a new sample.
+//! The service of a topic is called `eddy<topic>`, such as `eddy/particles`. Frames are sent as a slice of `Particle` with
+//! a [`FrameHeader`](layout::FrameHeader), other messages as CDR bytes. An event service of the same name wakes
+//! subscribers: event 0 is a new sample.
 //!
-//! Overflow and buffer length belong to the service and are fixed by whoever creates it. eddy
-//! creates services without overflow and with room for 32 messages a reader, so that one service serves
-//! blocking and dropping publishers alike: it is the publisher that waits for a full reader or passes
-//! it over. A service made by another program is taken as it is.
+//! Overflow and buffer length are properties of the service, set by its creator. eddy creates services without overflow
+//! and with buffers of 32 messages, which serve blocking and dropping publishers alike: the publisher waits for a
+//! subscriber with a full buffer, or skips it. Services created by other programs are used as they are.
 //!
-//! A frame's `frame_id` does not travel: readers see `world`, whatever the bytes given to
-//! [`publish_cdr`](super::Publisher::publish_cdr) said.
-#![expect(unsafe_code, reason = "types in shared memory promise their layout")]
+//! The `frame_id` of a frame is not transmitted: subscribers see `world`.
+#![expect(unsafe_code, reason = "types in shared memory guarantee their layout")]
 
 #[cfg(feature = "lab")]
 pub(super) mod bare;
 pub(super) mod layout;
-mod lent;
 mod publisher;
 mod service;
+mod shared_frame;
 mod subscriber;
 
 use std::{num::NonZeroUsize, sync::Arc, time::Duration};
@@ -36,23 +33,23 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use super::BarePublisher;
 use super::{
     Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
-    middleware::Middleware, opener::is_frames,
+    middleware::Middleware, transports::is_frames,
 };
-pub use lent::SharedFrame;
 pub use service::SharedMemory;
+pub use shared_frame::SharedFrame;
 
 use eddy_messages::TypeSupport;
 #[cfg(feature = "lab")]
 use eddy_messages::{Message, ParticleFrame};
 use layout::{FrameHeader, SharedParticle};
-use publisher::{BytesPublisher, FramePublisher, Outlet};
+use publisher::{BytesPublisher, FramePublisher, Writer};
 use service::Services;
-use subscriber::{BytesSubscriber, FrameSubscriber, Inlet};
+use subscriber::{BytesSubscriber, FrameSubscriber, Reader};
 
-/// This process among the users of shared memory.
+/// The shared memory of this process.
 pub(super) struct ShmNode {
     services: Services,
-    /// How long a publisher that blocks waits for a subscriber.
+    /// How long a blocking publisher waits for a subscriber.
     patience: Duration,
 }
 
@@ -80,12 +77,12 @@ impl Middleware for ShmNode {
         let patience = self.patience;
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<SharedParticle, FrameHeader>(link, type_name)?;
-            let outlet = Outlet::open(link, topic, &events, cleaner, reliability, patience)?;
-            Box::new(FramePublisher { outlet })
+            let writer = Writer::open(link, topic, &events, cleaner, reliability, patience)?;
+            Box::new(FramePublisher { writer })
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
-            let outlet = Outlet::open(link, topic, &events, cleaner, reliability, patience)?;
-            Box::new(BytesPublisher { outlet, type_name: type_name.to_owned() })
+            let writer = Writer::open(link, topic, &events, cleaner, reliability, patience)?;
+            Box::new(BytesPublisher { writer, type_name: type_name.to_owned() })
         })
     }
 
@@ -99,11 +96,11 @@ impl Middleware for ShmNode {
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<SharedParticle, FrameHeader>(link, type_name)?;
             let borrowable = topic.static_config().subscriber_max_borrowed_samples();
-            let inlet = Inlet::open(link, &topic, &events, cleaner)?;
-            Box::new(FrameSubscriber::new(inlet, borrowable))
+            let reader = Reader::open(link, &topic, &events, cleaner)?;
+            Box::new(FrameSubscriber::new(reader, borrowable))
         } else {
             let topic = self.services.topic::<u8, ()>(link, type_name)?;
-            Box::new(BytesSubscriber { inlet: Inlet::open(link, &topic, &events, cleaner)? })
+            Box::new(BytesSubscriber { reader: Reader::open(link, &topic, &events, cleaner)? })
         })
     }
 
@@ -128,8 +125,8 @@ impl Middleware for ShmNode {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         let topic =
             self.services.topic::<SharedParticle, FrameHeader>(link, ParticleFrame::TYPE)?;
-        let outlet =
-            Outlet::open(link, topic, &events, cleaner, Reliability::Block, self.patience)?;
-        Ok(Some(Box::new(bare::Untouched { outlet, particles })))
+        let writer =
+            Writer::open(link, topic, &events, cleaner, Reliability::Block, self.patience)?;
+        Ok(Some(Box::new(bare::Untouched { writer, particles })))
     }
 }

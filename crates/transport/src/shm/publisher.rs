@@ -1,4 +1,4 @@
-//! Writes messages into loaned memory, sends them, wakes the readers.
+//! Writes messages into loaned memory, sends them and wakes the subscribers.
 
 use std::{fmt::Debug, mem::MaybeUninit, thread, time::Duration};
 
@@ -13,47 +13,47 @@ use super::{
     layout::{self, FrameHeader, SharedParticle},
     service::{BORROWED, Cleaner, DEPTH, Events, Ipc, Topic, middleware},
 };
-use crate::{Link, Publisher, Reliability, TransportError, opener};
+use crate::{Link, Publisher, Reliability, TransportError, transports};
 use eddy_frames::Frame;
 use eddy_messages::FrameCdr;
 
-/// Elements of a message there is room for at first; more room is made when a longer one comes.
+/// Initial capacity of a message (elements); grows with longer messages.
 const FIRST_LENGTH: usize = 2560;
-/// Memory of a writer (bytes) that gives room for as many messages as all possible readers may hold. What
-/// takes more has room for fewer of them.
+/// Memory budget of a publisher (bytes). If as many messages as all possible subscribers may hold exceed it, memory for
+/// fewer messages is allocated.
 const BUDGET: usize = 128 << 20;
-/// Messages that there is room for, however large they are: more than one reader can hold that has stopped
-/// reading.
-const FEWEST: usize = DEPTH + BORROWED + 8;
-/// Between two tries to send to a reader that is not there yet.
-const PAUSE: Duration = Duration::from_millis(1);
+/// Smallest number of messages for which memory is allocated: more than one subscriber holds that has stopped
+/// receiving.
+const MIN_MESSAGES: usize = DEPTH + BORROWED + 8;
+/// Interval between attempts to send.
+const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
-/// Memory of a message that is to be written.
+/// Memory of a message to be written.
 pub(super) type Loan<P, H> = SampleMutUninit<Ipc, [MaybeUninit<P>], H>;
-/// A message that can be sent.
+/// A message to be sent.
 pub(super) type Written<P, H> = SampleMut<Ipc, [P], H>;
 
-/// The writing side of one topic.
-pub(super) struct Outlet<P, H>
+/// Sends the messages of a topic.
+pub(super) struct Writer<P, H>
 where
     P: Debug + ZeroCopySend + 'static,
     H: Debug + ZeroCopySend + 'static,
 {
     link: Link,
     topic: Topic<P, H>,
-    /// Its memory is made when it is opened: messages that need more get another one.
+    /// Allocates its memory when it is opened; replaced for larger messages.
     publisher: publisher::Publisher<Ipc, [P], H>,
     notifier: Notifier<Ipc>,
     reliability: Reliability,
     patience: Duration,
-    /// Whether a reader that came late was told of.
-    warned: bool,
-    /// Whether it was said that there was no room.
-    full: bool,
+    /// Whether a missed message was logged.
+    warned_missed: bool,
+    /// Whether a dropped message was logged.
+    warned_dropped: bool,
     _cleaner: Cleaner,
 }
 
-impl<P, H> Outlet<P, H>
+impl<P, H> Writer<P, H>
 where
     P: Debug + ZeroCopySend,
     H: Debug + Default + ZeroCopySend,
@@ -69,7 +69,7 @@ where
         if reliability == Reliability::Block && topic.static_config().has_safe_overflow() {
             tracing::warn!(
                 %link,
-                "found a service made by another program with overflow: slow readers lose the oldest messages"
+                "the service was created by another program with overflow; slow subscribers lose the oldest messages"
             );
         }
         let publisher = open_publisher(link, &topic, FIRST_LENGTH, reliability, patience)?;
@@ -78,27 +78,27 @@ where
             .default_event_id(EventId::new(0))
             .create()
             .map_err(|error| middleware(link, "open the notifier", &error))?;
-        let outlet = Self {
+        let writer = Self {
             link: link.clone(),
             topic,
             publisher,
             notifier,
             reliability,
             patience,
-            warned: false,
-            full: false,
+            warned_missed: false,
+            warned_dropped: false,
             _cleaner: cleaner,
         };
-        // Readers that wait connect now, before the first message.
-        outlet.wake();
-        Ok(outlet)
+        // Waiting subscribers connect now, before the first message.
+        writer.wake();
+        Ok(writer)
     }
 
-    /// Sends `length` elements with a header, which `write` puts into loaned memory.
+    /// Sends `length` elements with a header; `write` writes them into loaned memory.
     ///
-    /// A reader connects when it next looks for messages; until then it has a buffer, but is not
-    /// waited for when that is full. A blocking publisher therefore sends again what nobody took. With
-    /// several readers, one that is so late may miss messages that another one took; this is a warning.
+    /// A subscriber connects when it next polls for messages. Until then its full buffer does not block a publisher, so
+    /// a blocking publisher repeats a message that no subscriber received. With several subscribers, one that has not
+    /// connected yet may miss messages that another one received; this is logged.
     pub(super) fn send(
         &mut self,
         length: usize,
@@ -108,52 +108,52 @@ where
     where
         H: Copy,
     {
-        self.make_room(length)?;
-        let tries = self.patience.div_duration_f64(PAUSE) as u64;
-        for _ in 0..=tries {
-            let Some(taken) = self.send_once(length, header, &write)? else {
-                // Every message there is room for is with some reader.
+        self.reserve(length)?;
+        let attempts = self.patience.div_duration_f64(RETRY_INTERVAL) as u64;
+        for _ in 0..=attempts {
+            let Some(received) = self.send_once(length, header, &write)? else {
+                // All messages are held by subscribers.
                 if self.reliability == Reliability::Drop {
-                    if !std::mem::replace(&mut self.full, true) {
-                        tracing::warn!(link = %self.link, "messages are given up: readers that do not read hold all there is room for");
+                    if !std::mem::replace(&mut self.warned_dropped, true) {
+                        tracing::warn!(link = %self.link, "dropping messages: subscribers that do not receive hold all memory");
                     }
                     return Ok(());
                 }
-                thread::sleep(PAUSE);
+                thread::sleep(RETRY_INTERVAL);
                 continue;
             };
             self.wake();
-            let readers = self.subscribers();
-            if self.reliability == Reliability::Drop || taken >= readers {
+            let subscribers = self.subscribers();
+            if self.reliability == Reliability::Drop || received >= subscribers {
                 return Ok(());
             }
-            if taken > 0 {
-                if !std::mem::replace(&mut self.warned, true) {
-                    tracing::warn!(link = %self.link, taken, readers, "a reader that does not read yet misses messages");
+            if received > 0 {
+                if !std::mem::replace(&mut self.warned_missed, true) {
+                    tracing::warn!(link = %self.link, received, subscribers, "a subscriber that has not connected yet misses messages");
                 }
                 return Ok(());
             }
-            thread::sleep(PAUSE);
+            thread::sleep(RETRY_INTERVAL);
         }
         Err(self.stalled())
     }
 
-    /// Makes sure that there is room for messages of so many elements. What was sent before stays with
-    /// readers that have looked for messages since this topic was opened; others miss it.
-    fn make_room(&mut self, length: usize) -> Result<(), TransportError> {
+    /// Ensures a capacity of `length` elements. Messages sent before remain with the connected subscribers; others miss
+    /// them.
+    fn reserve(&mut self, length: usize) -> Result<(), TransportError> {
         if length <= self.publisher.initial_max_slice_len() {
             return Ok(());
         }
         let Self { link, topic, reliability, patience, .. } = self;
-        // Twice as much at least: a frame that grows by a particle now and then needs no new room each time.
-        let room = length.next_power_of_two();
-        self.publisher = open_publisher(link, topic, room, *reliability, *patience)?;
-        tracing::info!(%link, elements = room, "made room for larger messages");
+        // At least doubled, so that a growing frame does not need new memory each time.
+        let capacity = length.next_power_of_two();
+        self.publisher = open_publisher(link, topic, capacity, *reliability, *patience)?;
+        tracing::info!(%link, elements = capacity, "allocated memory for larger messages");
         Ok(())
     }
 
-    /// Writes a message into loaned memory and sends it; how many readers took it. `None` when there is no
-    /// memory to loan.
+    /// Writes a message into loaned memory, sends it, and returns the number of subscribers that received it; `None`
+    /// without free memory.
     fn send_once(
         &self,
         length: usize,
@@ -172,10 +172,10 @@ where
         })
     }
 
-    /// Readers also poll: a wake-up that fails costs them time, not messages.
+    /// Subscribers also poll: a failed wake-up delays messages but does not lose them.
     fn wake(&self) {
         if let Err(error) = self.notifier.notify() {
-            tracing::debug!(link = %self.link, ?error, "readers were not woken");
+            tracing::debug!(link = %self.link, ?error, "cannot wake subscribers");
         }
     }
 
@@ -202,10 +202,10 @@ where
     let builder = topic
         .publisher_builder()
         .initial_max_slice_len(length)
-        // iceoryx2 grows by itself, too, but then for as many messages as ever: 6 GB for a million particles.
+        // iceoryx2 can grow memory itself, but for the full number of messages: 6 GB for a million particles.
         .allocation_strategy(AllocationStrategy::Static)
         .override_sample_preallocation(move |all| {
-            all.min((BUDGET / (length * size_of::<P>())).max(FEWEST))
+            all.min((BUDGET / (length * size_of::<P>())).max(MIN_MESSAGES))
         });
     let builder = match reliability {
         Reliability::Drop => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
@@ -224,43 +224,43 @@ where
 
 /// Publishes a topic of frames.
 pub(super) struct FramePublisher {
-    pub(super) outlet: Outlet<SharedParticle, FrameHeader>,
+    pub(super) writer: Writer<SharedParticle, FrameHeader>,
 }
 
 impl Publisher for FramePublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        self.outlet.send(frame.len(), frame.into(), |loan| {
+        self.writer.send(frame.len(), frame.into(), |loan| {
             loan.write_from_fn(|index| layout::particle(frame, index))
         })
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
         let frame = Frame::from_cdr(bytes)
-            .map_err(|reason| TransportError::Frame { link: self.outlet.link.clone(), reason })?;
+            .map_err(|reason| TransportError::Frame { link: self.writer.link.clone(), reason })?;
         self.publish_frame(&frame)
     }
 
     fn subscribers(&self) -> usize {
-        self.outlet.subscribers()
+        self.writer.subscribers()
     }
 }
 
 /// Publishes a topic of any other type.
 pub(super) struct BytesPublisher {
-    pub(super) outlet: Outlet<u8, ()>,
+    pub(super) writer: Writer<u8, ()>,
     pub(super) type_name: String,
 }
 
 impl Publisher for BytesPublisher {
     fn publish_frame(&mut self, _: &Frame) -> Result<(), TransportError> {
-        opener::check_frames(&self.outlet.link, &self.type_name)
+        transports::check_frames(&self.writer.link, &self.type_name)
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        self.outlet.send(bytes.len(), (), |loan| loan.write_from_slice(bytes))
+        self.writer.send(bytes.len(), (), |loan| loan.write_from_slice(bytes))
     }
 
     fn subscribers(&self) -> usize {
-        self.outlet.subscribers()
+        self.writer.subscribers()
     }
 }

@@ -1,4 +1,4 @@
-//! The services of a topic: opened as they are found, created with room to spare.
+//! Opens or creates the services of a topic.
 
 use std::{
     fmt::{self, Debug, Display},
@@ -25,38 +25,38 @@ use super::layout::SharedParticle;
 use crate::{Link, SeenTopic, TransportError, TransportKind};
 use eddy_messages::{Message, ParticleFrame, topic_type};
 
-/// The flavour of iceoryx2 whose ports may move between threads.
+/// The iceoryx2 variant whose ports may move between threads.
 pub(super) type Ipc = ipc_threadsafe::Service;
 /// Opens the ports of a topic.
 pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
 /// Opens the ports of a topic's events.
 pub(super) type Events = event::PortFactory<Ipc>;
 
-/// Messages that a reader may be behind. A publisher reserves (and zeroes) memory for as many
-/// from every possible reader, those it has borrowed included: 16 MB for frames of 2,560 particles, 0.8 MB
-/// for short messages. That leaves room for several topics in the 64 MB that containers usually have.
+/// Buffer length of a subscriber (messages). A publisher reserves and zeroes memory for the buffers and borrowed samples
+/// of all possible subscribers: 16 MB for frames of 2,560 particles, 0.8 MB for short messages, so that several topics
+/// fit into the usual 64 MB of a container.
 pub(super) const DEPTH: usize = 32;
-/// Messages that a reader may be reading in place.
+/// Samples that a subscriber may borrow.
 pub(super) const BORROWED: usize = 8;
-/// Readers that a topic has room for, and writers.
+/// Largest number of subscribers of a topic, and of publishers.
 const PORTS: usize = 8;
-/// Processes that may have a topic open.
+/// Largest number of processes per topic.
 const PROCESSES: usize = 32;
-/// How often killed processes are looked for.
+/// Interval at which resources of killed processes are removed.
 const CLEANING: Duration = Duration::from_millis(500);
-/// How often opening is tried while another process creates or removes the same service.
+/// Attempts to open a service while another process creates or removes it.
 const ATTEMPTS: u32 = 50;
 /// The attribute that names a service's message type.
 const TYPE_ATTRIBUTE: &str = "type";
 
-/// Opens services, and clears away what killed processes left.
+/// Opens services and removes the resources of killed processes.
 pub(super) struct Services {
-    // Locked for its thread safety only: opening is rare.
+    // A mutex only for thread safety: opening is rare.
     node: Mutex<Node<Ipc>>,
     cleaner: Cleaner,
 }
 
-/// Keeps the cleaning going for as long as there is one.
+/// Keeps the cleaner thread running until the last clone is dropped.
 pub(super) type Cleaner = mpsc::Sender<()>;
 
 impl Services {
@@ -65,7 +65,7 @@ impl Services {
         let name = NodeName::new(node_name).map_err(|error| failed(&format!("{error:?}")))?;
         let node = NodeBuilder::new()
             .name(&name)
-            // Signals belong to the program.
+            // The program handles signals.
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
             .map_err(|error| failed(&error))?;
@@ -73,7 +73,7 @@ impl Services {
         Ok(Self { node: Mutex::new(node), cleaner })
     }
 
-    /// For the ports, which may outlive these services.
+    /// For ports, which may outlive these services.
     pub(super) fn cleaner(&self) -> Cleaner {
         self.cleaner.clone()
     }
@@ -98,7 +98,7 @@ impl Services {
                 Err(PublishSubscribeOpenError::IncompatibleTypes) => {
                     return Err(foreign_type::<P, H>(link, &name, node.config()));
                 }
-                Err(error) if is_passing(error) => {}
+                Err(error) if is_transient(error) => {}
                 Err(error) => return Err(middleware(link, "open the service", &error)),
             }
             let created = builder()
@@ -112,7 +112,7 @@ impl Services {
                 .create_with_attributes(&attributes(type_name));
             match created {
                 Ok(topic) => return Ok(topic),
-                // Another process was faster, or is about to be.
+                // Another process creates the service at the same time.
                 Err(
                     error @ (PublishSubscribeCreateError::AlreadyExists
                     | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
@@ -126,20 +126,19 @@ impl Services {
         Err(middleware(link, "open the service", &last))
     }
 
-    /// The topics that have a service. Those whose type nobody tells are taken for what their memory
-    /// layout and their name say.
+    /// The topics that have a service. A missing type is inferred from the memory layout and the name.
     pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
         let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
         let mut topics = Vec::new();
         Ipc::list(node.config(), |service| {
-            topics.extend(seen(&service.static_details));
+            topics.extend(discovered(&service.static_details));
             CallbackProgression::Continue
         })
         .map_err(|error| middleware(link, "list the services", &format!("{error:?}")))?;
         Ok(topics)
     }
 
-    /// The service that wakes the readers of a topic.
+    /// The service that wakes the subscribers of a topic.
     pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
         let name = service_name(link)?;
         let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
@@ -155,14 +154,14 @@ impl Services {
     }
 }
 
-/// The memory that the publishers of a topic have made for it.
+/// The memory that the publishers of a topic have allocated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SharedMemory {
-    /// How many there are.
+    /// Number of publishers.
     pub publishers: usize,
-    /// How many read from it.
+    /// Number of subscribers.
     pub subscribers: usize,
-    /// What it takes, but for some bytes a message.
+    /// Size (bytes), without a few bytes of overhead per message.
     pub bytes: usize,
 }
 
@@ -193,8 +192,8 @@ impl Display for SharedMemory {
     }
 }
 
-/// The topic that a service carries, if it is one of those that are called as ours are.
-fn seen(service: &StaticConfig) -> Option<SeenTopic> {
+/// The topic of a service; `None` if its name is not that of a topic.
+fn discovered(service: &StaticConfig) -> Option<SeenTopic> {
     let messaging_pattern::MessagingPattern::PublishSubscribe(details) =
         service.messaging_pattern()
     else {
@@ -203,21 +202,21 @@ fn seen(service: &StaticConfig) -> Option<SeenTopic> {
     let topic =
         service.name().as_str().strip_prefix("eddy").filter(|name| name.starts_with('/'))?;
     let link = format!("{}:{topic}", TransportKind::Shm).parse().ok()?;
-    let stated = TYPE_ATTRIBUTE
+    let declared = TYPE_ATTRIBUTE
         .try_into()
         .ok()
         .and_then(|key| service.attributes().key_value(&key, 0).map(ToString::to_string));
     let of_frames = details.message_type_details().payload.type_name()
         == TypeDetail::new::<SharedParticle>(TypeVariant::Dynamic).type_name();
-    let type_name = stated.or_else(|| {
+    let type_name = declared.or_else(|| {
         let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
         (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
     })?;
     Some(SeenTopic { link, type_name, hash: None, kept: 0 })
 }
 
-/// Errors of a service that is not there, or that another process is creating or removing right now.
-fn is_passing(error: PublishSubscribeOpenError) -> bool {
+/// Whether the service does not exist, or another process is creating or removing it.
+fn is_transient(error: PublishSubscribeOpenError) -> bool {
     matches!(
         error,
         PublishSubscribeOpenError::DoesNotExist
@@ -236,12 +235,12 @@ fn attributes(type_name: &str) -> AttributeSpecifier {
     let specifier = AttributeSpecifier::new();
     match (TYPE_ATTRIBUTE.try_into(), type_name.try_into()) {
         (Ok(key), Ok(value)) => specifier.define(&key, &value).unwrap_or_default(),
-        // Longer than iceoryx2 allows: readers then go without this check.
+        // Longer than iceoryx2 allows: not checked.
         _ => specifier,
     }
 }
 
-/// CDR of every type has the same layout: the attribute tells the types apart.
+/// Checks the attribute with the message type, since CDR of all types has the same layout.
 fn check_type<P, H>(
     link: &Link,
     expected: &str,
@@ -265,7 +264,7 @@ where
     }
 }
 
-/// Names the layout of the service that is there and the one that was asked for.
+/// The error with the layout of the service and the expected one.
 fn foreign_type<P: ZeroCopySend, H: ZeroCopySend>(
     link: &Link,
     name: &ServiceName,
@@ -294,8 +293,8 @@ fn layout_name(payload: &TypeDetail, header: &TypeDetail) -> String {
     }
 }
 
-/// A thread that clears away what killed processes left: their readers would hold blocking writers
-/// back for good, and would be counted as subscribers. It ends with the last [`Cleaner`].
+/// Starts a thread that removes the resources of killed processes: their subscribers would block publishers forever and
+/// would be counted. The thread ends with the last [`Cleaner`].
 fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
     let (keep, ended) = mpsc::channel::<()>();
     thread::Builder::new().name("shm cleaner".to_owned()).spawn(move || {
@@ -304,12 +303,12 @@ fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
                 if let NodeState::Dead(node) = state
                     && let Err(error) = node.try_remove_stale_resources()
                 {
-                    tracing::debug!(?error, "a killed process is not cleared away yet");
+                    tracing::debug!(?error, "cannot remove a killed process yet");
                 }
                 CallbackProgression::Continue
             });
             if let Err(error) = listed {
-                tracing::debug!(%error, "users of shared memory cannot be listed");
+                tracing::debug!(%error, "cannot list the users of shared memory");
             }
         }
     })?;

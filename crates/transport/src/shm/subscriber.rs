@@ -13,19 +13,19 @@ use iceoryx2::{
 
 use super::{
     layout::{FrameHeader, SharedParticle},
-    lent::{self, Ledger, SharedFrame},
     service::{Cleaner, Events, Ipc, Topic, middleware},
+    shared_frame::{self, LoanCounter, SharedFrame},
 };
 use crate::{Link, Payload, Subscriber, TransportError};
 
-/// How often a reader looks for messages whose publisher does not wake it.
+/// Polling interval for publishers that do not send wake-ups.
 const POLL: Duration = Duration::from_millis(100);
-/// What a wake-up without a message counts of the time to wait, so that a publisher that only
-/// wakes cannot hold a reader for good.
+/// Time that a wake-up without a message takes off the timeout, so that a publisher that only sends wake-ups cannot
+/// extend it forever.
 const EMPTY_WAKE: Duration = Duration::from_millis(1);
 
-/// The reading side of one topic.
-pub(super) struct Inlet<P, H>
+/// Receives the messages of a topic.
+pub(super) struct Reader<P, H>
 where
     P: Debug + ZeroCopySend + 'static,
     H: Debug + ZeroCopySend + 'static,
@@ -36,7 +36,7 @@ where
     _cleaner: Cleaner,
 }
 
-impl<P, H> Inlet<P, H>
+impl<P, H> Reader<P, H>
 where
     P: Debug + ZeroCopySend,
     H: Debug + ZeroCopySend,
@@ -61,14 +61,14 @@ where
     fn receive(&self, timeout: Duration) -> Result<Option<Sample<Ipc, [P], H>>, TransportError> {
         let mut left = timeout;
         loop {
-            // Before the look at the buffer: a wake-up from now on means a message not yet seen.
+            // Before polling, so that any later wake-up means a new message.
             self.wait(Duration::ZERO)?;
             match self.subscriber.receive() {
                 Ok(Some(sample)) => return Ok(Some(sample)),
                 Ok(None) => {}
-                // A publisher was killed while it connected; the others go on.
+                // A publisher was killed while it connected; the others are not affected.
                 Err(error) => {
-                    tracing::warn!(link = %self.link, %error, "a publisher cannot be read")
+                    tracing::warn!(link = %self.link, %error, "cannot receive from a publisher")
                 }
             }
             if left.is_zero() {
@@ -80,7 +80,7 @@ where
         }
     }
 
-    /// Waits for a wake-up and takes all there are; whether there was one.
+    /// Waits for wake-ups, consumes all of them, and returns whether there was one.
     fn wait(&self, timeout: Duration) -> Result<bool, TransportError> {
         let waited = if timeout.is_zero() {
             self.listener.try_wait(|_| {})
@@ -89,52 +89,52 @@ where
         };
         match waited {
             Ok(wakes) => Ok(wakes > 0),
-            // The program wants to look at the signal, not to wait on.
+            // Return, so that the program can handle the signal.
             Err(ListenerWaitError::InterruptSignal) => Ok(false),
             Err(error) => Err(middleware(&self.link, "wait for messages", &error)),
         }
     }
 }
 
-/// Reads a topic of frames.
+/// Subscribes to a topic of frames.
 pub(super) struct FrameSubscriber {
-    inlet: Inlet<SharedParticle, FrameHeader>,
-    ledger: Ledger,
-    /// Samples that may be out at the same time; one more is read and given back at once.
+    reader: Reader<SharedParticle, FrameHeader>,
+    loans: LoanCounter,
+    /// Samples that may be lent out at the same time; one more is received and returned at once.
     lendable: usize,
 }
 
 impl FrameSubscriber {
-    pub(super) fn new(inlet: Inlet<SharedParticle, FrameHeader>, borrowable: usize) -> Self {
-        Self { inlet, ledger: Ledger::default(), lendable: borrowable.saturating_sub(1) }
+    pub(super) fn new(reader: Reader<SharedParticle, FrameHeader>, borrowable: usize) -> Self {
+        Self { reader, loans: LoanCounter::default(), lendable: borrowable.saturating_sub(1) }
     }
 }
 
 impl Subscriber for FrameSubscriber {
-    /// Lends the frame where it lies. While as many are out as the service allows, whoever keeps them is
-    /// behind: then it is a copy, so that the publisher's memory comes back.
+    /// Lends the frame in place, or copies it while the largest number of samples is lent out, so that the publisher gets
+    /// its memory back.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let Some(sample) = self.inlet.receive(timeout)? else { return Ok(None) };
-        Ok(Some(match self.ledger.lend(self.lendable) {
+        let Some(sample) = self.reader.receive(timeout)? else { return Ok(None) };
+        Ok(Some(match self.loans.lend(self.lendable) {
             Some(loan) => Payload::Shared(SharedFrame::new(sample, loan)),
-            None => lent::copy(&sample),
+            None => shared_frame::copy(&sample),
         }))
     }
 
-    /// None: what other programs write is delivered, frame or not.
+    /// 0: all messages are delivered, also those that are not valid frames.
     fn refused(&self) -> u64 {
         0
     }
 }
 
-/// Reads a topic of any other type.
+/// Subscribes to a topic of any other type.
 pub(super) struct BytesSubscriber {
-    pub(super) inlet: Inlet<u8, ()>,
+    pub(super) reader: Reader<u8, ()>,
 }
 
 impl Subscriber for BytesSubscriber {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let sample = self.inlet.receive(timeout)?;
+        let sample = self.reader.receive(timeout)?;
         Ok(sample.map(|sample| Payload::Cdr(sample.payload().to_vec())))
     }
 

@@ -1,22 +1,21 @@
-//! The attachment that rmw_zenoh sends beside every message, exactly 33 bytes
-//! (`rmw_zenoh_cpp/src/detail/attachment_helpers.cpp`): sequence, source time, length of the GID, GID.
+//! The attachment of rmw_zenoh, exactly 33 bytes with every message
+//! (`rmw_zenoh_cpp/src/detail/attachment_helpers.cpp`): sequence number, source time, length of the GID, GID.
 //!
-//! A C++ peer aborts on an attachment that it cannot parse, so no other form is ever sent. Readers take
-//! messages with any attachment or none.
+//! A C++ peer aborts on an attachment that it cannot parse. Messages with any other attachment, or none, are received.
 
-/// Bytes of an endpoint's identifier.
+/// Size of a GID (bytes).
 const GID_LENGTH: usize = 16;
-/// Bytes of an attachment.
+/// Size of an attachment (bytes).
 pub(super) const LENGTH: usize = 8 + 8 + 1 + GID_LENGTH;
 
-/// What a publisher says about a message.
+/// Origin of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Attachment {
-    /// Number of the message; a publisher starts at 1.
+    /// Sequence number; a publisher starts at 1.
     pub(super) sequence: i64,
-    /// When it was published (ns since the epoch).
+    /// Time of publication (ns since the epoch).
     pub(super) source_time: i64,
-    /// Who published it.
+    /// GID of the publisher.
     pub(super) gid: [u8; GID_LENGTH],
 }
 
@@ -30,7 +29,7 @@ impl Attachment {
         bytes
     }
 
-    /// The attachment in `bytes`, or `None` when they have another form.
+    /// Parses an attachment; `None` if it has another form.
     pub(crate) fn parse(bytes: &[u8]) -> Option<Self> {
         let bytes: &[u8; LENGTH] = bytes.try_into().ok()?;
         let (sequence, rest) = bytes.split_first_chunk()?;
@@ -58,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn other_forms_are_no_attachment() {
+    fn other_forms_are_rejected() {
         let mut bytes = Attachment { sequence: 1, source_time: 2, gid: [3; 16] }.to_bytes();
         assert_eq!(Attachment::parse(&bytes[..32]), None);
         assert_eq!(Attachment::parse(&[]), None);

@@ -1,4 +1,4 @@
-//! zenoh alone: sessions with eddy's settings, bytes without attachment.
+//! Zenoh used directly: sessions with eddy's settings, bytes without attachment.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ struct Subscriber {
     _session: Session,
 }
 
-/// Both ends, in sessions of their own.
+/// Publisher and subscriber with a session each.
 pub(crate) fn pair(
     link: &Link,
     options: &TransportOptions,

@@ -1,15 +1,14 @@
-//! The zenoh session: rmw_zenoh's settings, and how processes find each other without a router.
+//! The Zenoh session: settings of rmw_zenoh, and discovery without a router.
 //!
-//! Defaults are those of `rmw_zenoh_cpp/config/DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`: a peer that
-//! connects to a router on `tcp/localhost:7447` and goes on without one, no multicast, gossip, timestamps.
-//! ROS nodes need that router to find each other. eddy processes do not: each listens on the first
-//! free port of a small loopback range ([`ZenohOptions::ports`]) and dials, for as long as it lives,
-//! every port of the range below its own. So of any two processes exactly one dials the other,
-//! whichever starts first, and one that is killed and started again is found again by the others.
-//! A process that finds the range full listens elsewhere, dials all of it, and meets others like it by gossip.
+//! The defaults are those of `rmw_zenoh_cpp/config/DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`: a peer that connects to an
+//! optional router on `tcp/localhost:7447`, without multicast, with gossip and timestamps. ROS nodes need the router to
+//! find each other. eddy processes do not: each listens on the first free port of a small loopback range
+//! ([`ZenohOptions::ports`]) and keeps connecting to all lower ports of the range. So exactly one of any two processes
+//! connects to the other, whichever starts first, and a restarted process is found again. If the range is full, a process
+//! listens on another port, connects to the whole range and finds others like it by gossip.
 //!
-//! `ZENOH_SESSION_CONFIG_URI` replaces all of this. `ZENOH_CONFIG_OVERRIDE` replaces single keys; one that says
-//! who to listen or connect to, or another mode, also switches the range off.
+//! `ZENOH_SESSION_CONFIG_URI` replaces all of this. `ZENOH_CONFIG_OVERRIDE` replaces single keys; with the keys `mode`,
+//! `listen` or `connect` the port range is not used.
 
 use std::net::{Ipv4Addr, TcpListener};
 
@@ -21,17 +20,17 @@ use crate::{Link, TransportError, TransportOptions, ZenohOptions};
 
 const FILE_VARIABLE: &str = "ZENOH_SESSION_CONFIG_URI";
 const OVERRIDE_VARIABLE: &str = "ZENOH_CONFIG_OVERRIDE";
-/// Overridden keys that say how processes find each other.
-const WAYS: [&str; 3] = ["mode", "listen", "connect"];
-/// How a range's ports are dialled: the first try at once, then at these intervals (ms).
-const DIAL: &str = "retry_period_init_ms=100;retry_period_max_ms=500";
+/// Keys whose override disables the port range.
+const DISCOVERY_KEYS: [&str; 3] = ["mode", "listen", "connect"];
+/// Retry intervals for the ports of the range (ms).
+const RETRY: &str = "retry_period_init_ms=100;retry_period_max_ms=500";
 
 /// The session of this process.
 pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Session, TransportError> {
     let zenoh = &options.zenoh;
     let overrides = overrides(&zenoh.overrides)?;
     let overridden =
-        |way: &str| overrides.iter().any(|(key, _)| key.split('/').next() == Some(way));
+        |key: &str| overrides.iter().any(|(found, _)| found.split('/').next() == Some(key));
     if let Some(path) = &zenoh.config_file {
         let config = Config::from_file(path).map_err(|error| TransportError::Environment {
             variable: FILE_VARIABLE,
@@ -41,18 +40,18 @@ pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Session, T
         return open_with(link, config, &overrides);
     }
     let config = rmw_defaults(options).map_err(|error| middleware(link, "configure", &error))?;
-    if WAYS.iter().any(|way| overridden(way)) {
+    if DISCOVERY_KEYS.iter().any(|key| overridden(key)) {
         return open_with(link, config, &overrides);
     }
     let mut failed = None;
-    for (listen, connect) in meeting_places(zenoh) {
+    for (listen, connect) in endpoints(zenoh) {
         let mut config = config.clone();
         insert(&mut config, "listen/endpoints", &json!([listen]))
             .and_then(|()| insert(&mut config, "connect/endpoints", &json!(connect)))
             .map_err(|error| middleware(link, "configure", &error))?;
         match open_with(link, config, &overrides) {
             Ok(session) => return Ok(session),
-            // Taken in the meantime.
+            // The port was taken in the meantime.
             Err(error) => failed = Some(error),
         }
     }
@@ -101,10 +100,10 @@ fn rmw_defaults(options: &TransportOptions) -> zenoh::Result<Config> {
             "scouting/gossip/autoconnect_strategy",
             json!({ "peer": { "to_router": "always", "to_peer": "greater-zid" } }),
         ),
-        // What a session waits at most for its first peers; without a router, always.
+        // Longest wait for the first peers; without a router, the full time.
         ("scouting/delay", json!(250)),
         ("timestamping/enabled", json!(true)),
-        // A lost process is noticed by its closed connection; a busy one must not count as lost.
+        // Lost processes are detected by their closed connection; the lease must not expire for busy ones.
         ("transport/link/tx/lease", json!(60_000)),
         ("transport/link/tx/keep_alive", json!(2)),
         ("transport/link/tx/queue/congestion_control/block/wait_before_close", json!(patience)),
@@ -120,19 +119,19 @@ fn insert(config: &mut Config, key: &str, value: &serde_json::Value) -> zenoh::R
     config.insert_json5(key, &value.to_string())
 }
 
-/// Where to listen and whom to dial, the best first: each free port of the range with the ports
-/// below it, then any port with all of them.
-fn meeting_places(options: &ZenohOptions) -> impl Iterator<Item = (String, Vec<String>)> {
-    let dial = |ports: &mut dyn Iterator<Item = u16>| -> Vec<String> {
-        let peers = ports.map(|port| format!("tcp/127.0.0.1:{port}#{DIAL}"));
+/// Endpoints to listen on and to connect to, in order of preference: each free port of the range with all lower ports,
+/// then any port with the whole range.
+fn endpoints(options: &ZenohOptions) -> impl Iterator<Item = (String, Vec<String>)> {
+    let connect = |ports: &mut dyn Iterator<Item = u16>| -> Vec<String> {
+        let peers = ports.map(|port| format!("tcp/127.0.0.1:{port}#{RETRY}"));
         [options.router.clone()].into_iter().chain(peers).collect()
     };
     let free = options.ports.clone().filter(|&port| is_free(port));
     let within = free.map(move |port| {
-        (format!("tcp/127.0.0.1:{port}"), dial(&mut options.ports.clone().filter(|&p| p < port)))
+        (format!("tcp/127.0.0.1:{port}"), connect(&mut options.ports.clone().filter(|&p| p < port)))
     });
     let beyond = std::iter::once_with(move || {
-        ("tcp/127.0.0.1:0".to_owned(), dial(&mut options.ports.clone()))
+        ("tcp/127.0.0.1:0".to_owned(), connect(&mut options.ports.clone()))
     });
     within.chain(beyond)
 }
@@ -162,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_override_names_variable_found_and_expected() {
+    fn an_invalid_override_is_rejected_with_variable_found_and_expected() {
         let message = open_with_overrides("mode");
         assert_eq!(message, "ZENOH_CONFIG_OVERRIDE: found `mode`, expected key=value;key=value");
         let message = open_with_overrides("mood=\"peer\"");
@@ -181,14 +180,18 @@ mod tests {
     }
 
     #[test]
-    fn of_any_two_processes_exactly_one_dials_the_other() {
+    fn exactly_one_of_any_two_processes_connects_to_the_other() {
         let options = ZenohOptions { ports: 27_448..=27_451, ..ZenohOptions::default() };
-        let places: Vec<_> = meeting_places(&options).collect();
+        let places: Vec<_> = endpoints(&options).collect();
         let (_, beyond) = places.last().unwrap();
         assert_eq!(beyond.len(), 5, "the router and the whole range");
         for (listen, connect) in &places[..places.len() - 1] {
             let port: u16 = listen.rsplit(':').next().unwrap().parse().unwrap();
-            assert_eq!(connect.len(), 1 + usize::from(port - 27_448), "{listen} dials {connect:?}");
+            assert_eq!(
+                connect.len(),
+                1 + usize::from(port - 27_448),
+                "{listen} connects to {connect:?}"
+            );
             assert_eq!(connect[0], "tcp/localhost:7447");
         }
     }

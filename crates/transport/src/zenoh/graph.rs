@@ -1,4 +1,4 @@
-//! Who else is on a topic: the liveliness tokens of its other side.
+//! Other endpoints of a topic, by their liveliness tokens.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -11,7 +11,7 @@ use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKi
 use super::keys::{Endpoint, kept_in, publishers, topic_in, type_in};
 use crate::{SeenTopic, TransportKind};
 
-/// The endpoints on the other side of our topic: counted, and told from those of another type.
+/// The endpoints on the other side of a topic with the same type.
 pub(super) struct Graph {
     matching: Arc<Mutex<HashSet<String>>>,
     _watch: pubsub::Subscriber<()>,
@@ -20,8 +20,8 @@ pub(super) struct Graph {
 impl Graph {
     /// Watches the other side of the topic of `endpoint`.
     ///
-    /// Type and hash are part of a topic's key, so messages of another type never arrive. What
-    /// would be silence is a warning here, once for each type.
+    /// Type and hash are part of the key, so messages of another type never arrive. Endpoints of another type cause a
+    /// warning, once per type.
     pub(super) fn watch(session: &Session, endpoint: &Endpoint) -> zenoh::Result<Self> {
         let matching = Arc::new(Mutex::new(HashSet::new()));
         let observed = Arc::clone(&matching);
@@ -29,7 +29,7 @@ impl Graph {
         let (link, own_token) = (endpoint.link.clone(), endpoint.token.clone());
         let watch = session
             .liveliness()
-            .declare_subscriber(&endpoint.others)
+            .declare_subscriber(&endpoint.peers)
             .history(true)
             .callback(move |sample| {
                 let token = sample.key_expr().as_str();
@@ -42,7 +42,7 @@ impl Graph {
                     if appears { observed.insert(token.to_owned()) } else { observed.remove(token) };
                 } else if appears && lock(&foreign).insert((found.0.clone(), found.1.to_owned())) {
                     tracing::warn!(
-                        "{link}: found message type {} ({}), expected {} ({}): its messages are not exchanged",
+                        "{link}: found message type {} ({}), expected {} ({}); these messages are not exchanged",
                         found.0, found.1, expected.0, expected.1
                     );
                 }
@@ -51,14 +51,14 @@ impl Graph {
         Ok(Self { matching, _watch: watch })
     }
 
-    /// How many endpoints there are of our type.
+    /// Number of endpoints with the same type.
     pub(super) fn matching(&self) -> usize {
         lock(&self.matching).len()
     }
 }
 
-/// The topics that have a publisher somewhere. What several publishers keep adds up; one that keeps nothing
-/// makes the topic volatile.
+/// The topics with a publisher. The kept messages of several publishers add up; a volatile publisher makes the topic
+/// volatile.
 pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<SeenTopic>> {
     let replies = session.liveliness().get(publishers(domain_id)).wait()?;
     let seen = |token: &str| {
@@ -81,12 +81,12 @@ pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<See
     Ok(topics.into_iter().map(with_kept).collect())
 }
 
-/// Shows a node or an endpoint to the others until it is dropped.
+/// Announces a node or an endpoint until the token is dropped.
 pub(super) fn declare(session: &Session, token: &str) -> zenoh::Result<LivelinessToken> {
     session.liveliness().declare_token(token.to_owned()).wait()
 }
 
-/// A set is never left half changed.
+/// A panic in another thread leaves the sets consistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! Names on the wire: key expressions, liveliness tokens, quality of service, GIDs
+//! Names on the wire: key expressions, liveliness tokens, QoS, GIDs
 //! (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`).
 
 use std::num::NonZeroUsize;
@@ -8,16 +8,16 @@ use zenoh::session::ZenohId;
 use crate::{Link, Reliability};
 use eddy_messages::{TypeSupport, dds_type, ros_type};
 
-/// First word of every liveliness token.
+/// First chunk of every liveliness token.
 const ADMIN_SPACE: &str = "@ros2_lv";
-/// Stands for an empty enclave or namespace; within names, for `/`.
+/// Replaces an empty enclave or namespace, and `/` in names.
 const EMPTY: &str = "%";
-/// The durability of publishers that keep messages for subscribers that come later, as a code.
+/// Code of the durability transient local.
 const TRANSIENT_LOCAL: &str = "1";
-/// Messages kept, as advertised for dropping publishers (the ROS 2 default).
+/// History depth advertised for dropping publishers (the default of ROS 2).
 const ADVERTISED_DEPTH: usize = 10;
 
-/// The two sides of a topic, and the one side of services that eddy has.
+/// Kinds of endpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Publisher,
@@ -26,7 +26,7 @@ pub(super) enum Side {
 }
 
 impl Side {
-    /// The word in tokens.
+    /// Code in tokens.
     fn code(self) -> &'static str {
         match self {
             Self::Publisher => "MP",
@@ -35,8 +35,8 @@ impl Side {
         }
     }
 
-    /// The word in the tokens of the other side.
-    fn others_code(self) -> &'static str {
+    /// Code of the endpoints on the other side.
+    fn peer_code(self) -> &'static str {
         match self {
             Self::Publisher => Self::Subscription.code(),
             Self::Subscription => Self::Publisher.code(),
@@ -49,26 +49,26 @@ impl Side {
 pub(super) struct Node {
     pub(super) domain_id: u16,
     pub(super) zid: ZenohId,
-    /// As ROS writes it, such as `/robot1`.
+    /// ROS namespace, such as `/robot1`.
     pub(super) namespace: String,
     pub(super) name: String,
 }
 
 impl Node {
-    /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`; the node's number is 0.
+    /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`; the node has id 0.
     pub(super) fn token(&self) -> String {
         let Self { domain_id, zid, name, .. } = self;
         let namespace = self.mangled_namespace();
         format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{EMPTY}/{namespace}/{name}")
     }
 
-    /// `/` is `%`, `/robot1` is `%robot1`.
+    /// `/` becomes `%`, `/robot1` becomes `%robot1`.
     fn mangled_namespace(&self) -> String {
         self.namespace.replace('/', EMPTY)
     }
 }
 
-/// A publisher, subscriber or service of ours, as others see it.
+/// A publisher, subscriber or service in the ROS graph.
 pub(super) struct Endpoint {
     pub(super) link: Link,
     /// ROS name of the type, such as `eddy_msgs/msg/ParticleFrame`.
@@ -77,12 +77,12 @@ pub(super) struct Endpoint {
     pub(super) key: String,
     /// `@ros2_lv/<domain>/<zid>/<nid>/<eid>/<MP|MS|SS>/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>`
     pub(super) token: String,
-    /// The tokens of the topic's other side, whatever their type.
-    pub(super) others: String,
+    /// Key expression of the tokens on the other side of the topic, of any type.
+    pub(super) peers: String,
 }
 
 impl Endpoint {
-    /// Endpoint number `id` of a node.
+    /// The endpoint `id` of a node.
     pub(super) fn new(
         node: &Node,
         id: usize,
@@ -95,7 +95,7 @@ impl Endpoint {
         let namespace = node.mangled_namespace();
         let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
         let (type_name, hash) = (dds_type(&support.name), &support.hash);
-        let (code, other) = (side.code(), side.others_code());
+        let (code, other) = (side.code(), side.peer_code());
         Self {
             link: link.clone(),
             type_name: support.name.clone(),
@@ -103,11 +103,11 @@ impl Endpoint {
             token: format!(
                 "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{namespace}/{name}/{mangled}/{type_name}/{hash}/{qos}"
             ),
-            others: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
+            peers: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
         }
     }
 
-    /// Who says so in attachments: XXH3-128 of the token, little-endian.
+    /// The id in attachments: XXH3-128 of the token, little-endian.
     pub(super) fn gid(&self) -> [u8; 16] {
         gid(&self.token)
     }
@@ -117,7 +117,7 @@ fn gid(token: &str) -> [u8; 16] {
     xxhash_rust::xxh3::xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
-/// Type, as ROS names it, and hash in the token of an endpoint.
+/// ROS name and hash of the type in the token of an endpoint.
 pub(crate) fn type_in(token: &str) -> Option<(String, &str)> {
     let mut chunks = token.split('/').skip(10);
     Some((ros_type(chunks.next()?)?, chunks.next()?))
@@ -133,9 +133,8 @@ pub(super) fn publishers(domain_id: u16) -> String {
     format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Publisher.code())
 }
 
-/// What a publisher promises: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each
-/// empty where it equals rmw_zenoh's default of reliable, volatile, keep last. One that keeps its last
-/// messages for subscribers that come later is transient local.
+/// QoS of a publisher: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each empty for the
+/// defaults of rmw_zenoh (reliable, volatile, keep last). A publisher that keeps messages is transient local.
 pub(super) fn publisher_qos(reliability: Reliability, kept: Option<NonZeroUsize>) -> String {
     match (reliability, kept) {
         (Reliability::Block, Some(depth)) => format!(":{TRANSIENT_LOCAL}:,{depth}:,:,:,,"),
@@ -145,8 +144,7 @@ pub(super) fn publisher_qos(reliability: Reliability, kept: Option<NonZeroUsize>
     }
 }
 
-/// How many messages a publisher keeps for subscribers that come later, by its token; none if it is
-/// volatile.
+/// Number of messages that a publisher keeps according to its token; `None` if it is volatile.
 pub(super) fn kept_in(token: &str) -> Option<NonZeroUsize> {
     let mut policies = token.split('/').nth(12)?.split(':').skip(1);
     let (durability, history) = (policies.next()?, policies.next()?);
@@ -154,12 +152,12 @@ pub(super) fn kept_in(token: &str) -> Option<NonZeroUsize> {
     (durability == TRANSIENT_LOCAL).then(|| depth.unwrap_or(NonZeroUsize::MIN))
 }
 
-/// What a service promises: reliable, volatile, keep last, as the services of ROS 2 do.
+/// QoS of a service: reliable, volatile, keep last, as in ROS 2.
 pub(super) fn service_qos(depth: usize) -> String {
     format!("::,{depth}:,:,:,,")
 }
 
-/// What a subscriber asks for: little, so that every publisher suits it.
+/// QoS of a subscriber: best effort, which is compatible with every publisher.
 pub(super) fn subscriber_qos(depth: usize) -> String {
     best_effort(depth)
 }
@@ -219,11 +217,11 @@ mod tests {
                 "@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%raw/{name}/{hash}/2::,64:,:,:,,"
             )
         );
-        assert_eq!(endpoint.others, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*");
+        assert_eq!(endpoint.peers, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*");
     }
 
     #[test]
-    fn the_node_has_a_token_of_its_own() {
+    fn a_node_has_a_token() {
         assert_eq!(node().token(), format!("@ros2_lv/7/{ZID}/0/0/NN/%/%/eddy_node"));
     }
 
@@ -250,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_publisher_keeps_is_read_back_from_its_token() {
+    fn the_number_of_kept_messages_is_read_back_from_a_token() {
         for (qos, kept) in [
             (publisher_qos(Reliability::Block, NonZeroUsize::new(7)), 7),
             (publisher_qos(Reliability::Drop, NonZeroUsize::new(3)), 3),
@@ -264,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn quality_of_service_is_written_as_rmw_zenoh_writes_it() {
+    fn qos_is_encoded_as_in_rmw_zenoh() {
         assert_eq!(publisher_qos(Reliability::Block, None), "::2,:,:,:,,");
         assert_eq!(publisher_qos(Reliability::Drop, None), "2::,10:,:,:,,");
         let one = Some(NonZeroUsize::MIN);

@@ -1,21 +1,20 @@
-//! Zenoh, in the form of ROS 2's rmw_zenoh: an unmodified ROS 2 sees and echoes our topics.
+//! Zenoh with the wire format of ROS 2's rmw_zenoh: an unmodified ROS 2 lists and echoes eddy's topics.
 //!
 //! 1. [`config`]: the session; how processes find each other.
-//! 2. [`keys`]: key expressions, liveliness tokens, quality of service, GIDs.
-//! 3. [`attachment`]: the 33 bytes beside every message.
-//! 4. [`graph`]: who else is on a topic, by liveliness tokens.
+//! 2. [`keys`]: key expressions, liveliness tokens, QoS, GIDs.
+//! 3. [`attachment`]: the 33 bytes attached to every message.
+//! 4. [`graph`]: other endpoints of a topic, by liveliness tokens.
 //! 5. [`publisher`], [`subscriber`]: messages.
-//! 6. [`latched`]: messages for subscribers that come later.
-//! 7. [`service`]: requests and their responses.
-//! 8. [`bare`]: zenoh alone, to measure against.
+//! 6. [`transient_local`]: messages kept for late-joining subscribers.
+//! 7. [`service`]: requests and responses.
+//! 8. [`bare`]: Zenoh used directly, for benchmarks.
 //!
-//! Why the plain `zenoh` crate, and not `hiroz` 0.2.1, which speaks the same wire: hiroz makes an
-//! endpoint's GID from a truncated SHA-256 of session and entity numbers (its `src/entity.rs`, `endpoint_gid`), where
-//! rmw_zenoh takes XXH3-128 of the liveliness token (`liveliness_utils.cpp`, `Entity::Entity`), so ROS
-//! tools could not tie a message to its publisher; it turns on all of zenoh's default features (TLS, QUIC, serial
-//! lines, shared memory); and it builds zenoh a second time as a build dependency. Its part for names and tokens,
-//! `hiroz-protocol` 0.2.1, compiles only with its feature `std`, which turns on the same features; the
-//! names are short enough to be written here.
+//! Why the `zenoh` crate and not `hiroz` 0.2.1, which has the same wire format: hiroz derives the GID of an endpoint from
+//! a truncated SHA-256 of session and entity numbers (`src/entity.rs`, `endpoint_gid`), rmw_zenoh from XXH3-128 of the
+//! liveliness token (`liveliness_utils.cpp`, `Entity::Entity`), so ROS tools could not match messages with publishers.
+//! hiroz also enables all default features of zenoh (TLS, QUIC, serial, shared memory) and builds zenoh a second time as
+//! a build dependency. `hiroz-protocol` 0.2.1, its crate for names and tokens, compiles only with its feature `std`,
+//! which enables the same features.
 
 pub(super) mod attachment;
 #[cfg(feature = "lab")]
@@ -23,10 +22,10 @@ pub(super) mod bare;
 mod config;
 mod graph;
 pub(super) mod keys;
-mod latched;
 mod publisher;
 mod service;
 mod subscriber;
+mod transient_local;
 
 use std::{
     fmt::Display,
@@ -55,7 +54,7 @@ pub(super) struct ZenohNode {
     session: Session,
     node: Node,
     patience: Duration,
-    /// Number of the next endpoint; the node itself is 0.
+    /// Id of the next endpoint; the node has id 0.
     next_id: AtomicUsize,
     _token: LivelinessToken,
 }
@@ -118,7 +117,7 @@ impl Middleware for ZenohNode {
     }
 }
 
-/// An error of zenoh on `link`.
+/// An error of Zenoh on `link`.
 fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> TransportError {
     TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
 }

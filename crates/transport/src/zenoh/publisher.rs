@@ -1,4 +1,4 @@
-//! Publishes one topic.
+//! Publishes a topic.
 
 use std::{num::NonZeroUsize, sync::Arc};
 
@@ -9,10 +9,10 @@ use super::{
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
-    latched::Kept,
     middleware,
+    transient_local::Kept,
 };
-use crate::{Link, Publisher, Reliability, TransportError, opener};
+use crate::{Link, Publisher, Reliability, TransportError, transports};
 use eddy_frames::{Frame, clock};
 use eddy_messages::FrameCdr;
 
@@ -20,14 +20,14 @@ pub(crate) struct ZenohPublisher {
     link: Link,
     type_name: String,
     publisher: pubsub::Publisher<'static>,
-    /// For subscribers that come later.
+    /// For late-joining subscribers.
     kept: Option<Kept>,
     gid: [u8; 16],
-    /// Number of the last message; the first one is 1.
+    /// Sequence number of the last message; the first is 1.
     sequence: i64,
     graph: Graph,
     _token: LivelinessToken,
-    /// The session ends with its last user.
+    /// Keeps the session open.
     node: Arc<ZenohNode>,
 }
 
@@ -84,7 +84,7 @@ impl ZenohPublisher {
 
 impl Publisher for ZenohPublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        opener::check_frames(&self.link, &self.type_name)?;
+        transports::check_frames(&self.link, &self.type_name)?;
         self.publish(frame.to_cdr())
     }
 
@@ -92,8 +92,8 @@ impl Publisher for ZenohPublisher {
         self.publish(bytes.to_vec())
     }
 
-    /// The tokens of matching ROS subscribers, once messages do reach one of them. A subscriber
-    /// without a token, which is not ROS, counts as one.
+    /// The number of tokens of matching ROS subscribers, once messages reach a subscriber. Subscribers without a token,
+    /// which are not ROS, count as one.
     fn subscribers(&self) -> usize {
         let reached = self.publisher.matching_status().wait();
         if reached.is_ok_and(|status| status.matching()) { self.graph.matching().max(1) } else { 0 }

@@ -1,9 +1,9 @@
-//! Answers the requests of one service.
+//! Answers the requests of a service.
 //!
-//! A request is a query for the service's key, with the request's CDR as its payload and the client's attachment;
-//! the reply has an attachment with the same sequence and GID, by which the client knows it
-//! (`rmw_zenoh_cpp/src/detail/rmw_service_data.cpp`). Queries come on zenoh's threads and are answered on a
-//! thread of the service's own.
+//! A request is a query for the key of the service, with the CDR of the request as payload and the client's attachment;
+//! the attachment of the reply has the same sequence number and GID, which identify it to the client
+//! (`rmw_zenoh_cpp/src/detail/rmw_service_data.cpp`). Queries arrive on Zenoh's threads and are answered on a thread of
+//! the service.
 
 use std::{
     io,
@@ -24,17 +24,17 @@ use super::{ZenohNode, attachment::Attachment, graph, keys::Endpoint, middleware
 use crate::{Handler, Link, Served, TransportError};
 use eddy_frames::clock;
 
-/// Requests that may wait, as rmw_zenoh's services have it.
+/// Capacity of the queue of requests, as in rmw_zenoh.
 pub(super) const DEPTH: usize = 10;
 
-/// A service that is answered as long as this lives.
+/// A service; requests are answered until it is dropped.
 pub(crate) struct ZenohService {
     _token: LivelinessToken,
     queryable: Option<Queryable<()>>,
-    /// `None` ends the thread.
+    /// `None` stops the thread.
     requests: SyncSender<Option<Query>>,
     thread: Option<JoinHandle<()>>,
-    /// The session ends with its last user.
+    /// Keeps the session open.
     _node: Arc<ZenohNode>,
 }
 
@@ -45,19 +45,19 @@ impl ZenohService {
         handler: Handler,
     ) -> Result<Self, TransportError> {
         let Endpoint { link, key, token, .. } = endpoint;
-        let (requests, taken) = sync_channel(DEPTH);
-        let desk = Desk { link: link.clone(), key: key.clone(), handler };
+        let (requests, received) = sync_channel(DEPTH);
+        let worker = Worker { link: link.clone(), key: key.clone(), handler };
         let thread = thread::Builder::new()
             .name("zenoh service".to_owned())
-            .spawn(move || desk.run(&taken))
+            .spawn(move || worker.run(&received))
             .map_err(|error: io::Error| middleware(&link, "offer the service", &error))?;
-        let arrivals = requests.clone();
-        // Clients ask those only that answer for the whole key.
+        let sender = requests.clone();
+        // Clients query complete queryables only.
         let queryable = node
             .session
             .declare_queryable(key)
             .complete(true)
-            .callback(move |query| take(&arrivals, query))
+            .callback(move |query| enqueue(&sender, query))
             .wait()
             .map_err(|error| middleware(&link, "offer the service", &error))?;
         let token = graph::declare(&node.session, &token)
@@ -72,7 +72,7 @@ impl Served for ZenohService {}
 impl Drop for ZenohService {
     fn drop(&mut self) {
         drop(self.queryable.take());
-        // What was asked before is still answered.
+        // Requests in the queue are still answered.
         if self.requests.send(None).is_ok()
             && let Some(thread) = self.thread.take()
         {
@@ -81,21 +81,21 @@ impl Drop for ZenohService {
     }
 }
 
-/// Zenoh's thread waits for nothing: who asks a service that is behind is told so.
-fn take(requests: &SyncSender<Option<Query>>, query: Query) {
+/// Rejects the request if the queue is full, so that Zenoh's thread never waits.
+fn enqueue(requests: &SyncSender<Option<Query>>, query: Query) {
     if let Err(TrySendError::Full(Some(query))) = requests.try_send(Some(query)) {
-        refuse(&query, "busy: too many requests wait to be answered");
+        reject(&query, "busy: too many pending requests");
     }
 }
 
-/// Where requests are answered.
-struct Desk {
+/// Answers requests.
+struct Worker {
     link: Link,
     key: String,
     handler: Handler,
 }
 
-impl Desk {
+impl Worker {
     fn run(mut self, requests: &Receiver<Option<Query>>) {
         while let Ok(Some(query)) = requests.recv() {
             self.answer(&query);
@@ -105,15 +105,15 @@ impl Desk {
     fn answer(&mut self, query: &Query) {
         let request = query.payload().map(|bytes| bytes.to_bytes()).unwrap_or_default();
         let Some(response) = (self.handler)(&request) else {
-            return refuse(
+            return reject(
                 query,
-                "no answer: the payload is no request of this service, or who should answer is busy",
+                "no response: the payload is not a request of this service, or the node is busy",
             );
         };
-        // Who sent none, or one of another form, is not ROS and expects none.
+        // Clients without a valid attachment are not ROS and expect none.
         let attachment = query.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()));
-        let attachment =
-            attachment.map(|asked| Attachment { source_time: clock::wall().0, ..asked }.to_bytes());
+        let attachment = attachment
+            .map(|request| Attachment { source_time: clock::wall().0, ..request }.to_bytes());
         let reply = query.reply(self.key.as_str(), response).attachment(attachment);
         if let Err(error) = reply.wait() {
             tracing::warn!("{}: {error}", self.link);
@@ -121,7 +121,7 @@ impl Desk {
     }
 }
 
-fn refuse(query: &Query, reason: &str) {
+fn reject(query: &Query, reason: &str) {
     if let Err(error) = query.reply_err(reason).wait() {
         tracing::warn!("{}: {error}", query.key_expr());
     }

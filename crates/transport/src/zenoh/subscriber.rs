@@ -17,22 +17,25 @@ use super::{
     attachment::Attachment,
     graph::{self, Graph},
     keys::Endpoint,
-    latched, middleware,
+    middleware, transient_local,
 };
-use crate::{Payload, Subscriber, TransportError, queue::Queue};
+use crate::{
+    Payload, Subscriber, TransportError,
+    queue::{PushError, Queue},
+};
 
-/// Messages that a subscriber may be behind.
+/// Capacity of the queue (messages).
 pub(super) const DEPTH: usize = 64;
-/// Publishers whose gaps are counted at the same time.
+/// Largest number of publishers whose gaps are counted.
 const MAX_PUBLISHERS: usize = 64;
 
 pub(crate) struct ZenohSubscriber {
-    intake: Arc<Intake>,
+    receiver: Arc<Receiver>,
     _graph: Graph,
     _token: LivelinessToken,
     _subscriber: pubsub::Subscriber<()>,
     _kept: pubsub::Subscriber<()>,
-    /// The session ends with its last user.
+    /// Keeps the session open.
     _node: Arc<ZenohNode>,
 }
 
@@ -42,27 +45,28 @@ impl ZenohSubscriber {
         let graph = Graph::watch(session, &endpoint)
             .map_err(|error| middleware(&endpoint.link, "watch the publishers", &error))?;
         let Endpoint { link, key, token, .. } = endpoint;
-        let intake = Arc::new(Intake {
+        let receiver = Arc::new(Receiver {
             queue: Queue::new(DEPTH),
             gaps: Mutex::default(),
             lost: AtomicU64::new(0),
             patience,
         });
-        let callback = Arc::clone(&intake);
+        let callback = Arc::clone(&receiver);
         let subscriber = session
             .declare_subscriber(&key)
             .callback(move |sample| callback.take(&sample))
             .wait()
             .map_err(|error| middleware(&link, "declare the subscriber", &error))?;
-        let callback = Arc::clone(&intake);
-        let kept = latched::collect(node, &key, DEPTH, move |sample| callback.take_kept(sample))
-            .map_err(|error| middleware(&link, "ask for what was kept", &error))?;
-        // After the subscription: whoever sees the token can be sure that messages arrive.
+        let callback = Arc::clone(&receiver);
+        let kept =
+            transient_local::collect(node, &key, DEPTH, move |sample| callback.take_kept(sample))
+                .map_err(|error| middleware(&link, "request the kept messages", &error))?;
+        // After the subscription, so that messages sent after the token is seen arrive.
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;
         let _node = Arc::clone(node);
         Ok(Self {
-            intake,
+            receiver,
             _graph: graph,
             _token: token,
             _subscriber: subscriber,
@@ -74,61 +78,62 @@ impl ZenohSubscriber {
 
 impl Subscriber for ZenohSubscriber {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        Ok(self.intake.queue.pop(timeout).map(Payload::Cdr))
+        Ok(self.receiver.queue.pop(timeout).map(Payload::Cdr))
     }
 
     fn refused(&self) -> u64 {
-        self.intake.queue.dropped() + self.intake.lost.load(Ordering::Relaxed)
+        self.receiver.queue.dropped() + self.receiver.lost.load(Ordering::Relaxed)
     }
 }
 
 impl Drop for ZenohSubscriber {
     fn drop(&mut self) {
-        // Zenoh's thread may be waiting for room.
-        self.intake.queue.close();
+        // Zenoh's thread may be waiting for space in the queue.
+        self.receiver.queue.close();
     }
 }
 
-/// Where zenoh's thread leaves messages.
-struct Intake {
+/// Receives messages on zenoh's thread.
+struct Receiver {
     queue: Queue<Vec<u8>>,
     gaps: Mutex<Gaps>,
     lost: AtomicU64,
     patience: Duration,
 }
 
-impl Intake {
-    /// Takes a message that its publisher kept, unless it came before.
+impl Receiver {
+    /// Receives a message that its publisher kept, unless it was received before.
     fn take_kept(&self, sample: &Sample) {
-        // Who does not number its messages is not ROS: they cannot be told apart.
+        // Publishers without sequence numbers are not ROS: duplicates cannot be detected.
         if attachment(sample).is_none_or(|attachment| self.lock().is_new(&attachment)) {
-            self.queue_up(sample);
+            self.enqueue(sample);
         }
     }
 
-    /// Takes a message that was just published, unless its publisher gave it as a kept one before.
+    /// Receives a newly published message, unless it was received as a kept one before.
     fn take(&self, sample: &Sample) {
         if let Some(attachment) = attachment(sample) {
             let Some(lost) = self.lock().count(&attachment) else { return };
             self.lost.fetch_add(lost, Ordering::Relaxed);
         }
-        self.queue_up(sample);
+        self.enqueue(sample);
     }
 
-    /// Puts a message into the queue. Waiting for room blocks zenoh's thread, that stops the reading of
-    /// the link, and that holds a blocking publisher back; messages sent to be dropped never wait.
-    fn queue_up(&self, sample: &Sample) {
+    /// Puts a message into the queue. Waiting for space blocks zenoh's thread and thereby the link, which holds a
+    /// blocking publisher back. Messages with congestion control `Drop` never wait.
+    fn enqueue(&self, sample: &Sample) {
         let bytes = sample.payload().to_bytes().into_owned();
-        let waited = match sample.congestion_control() {
-            CongestionControl::Drop => Err(bytes),
-            _ => self.queue.push_or_wait(bytes, self.patience),
+        let bytes = match sample.congestion_control() {
+            CongestionControl::Drop => bytes,
+            _ => match self.queue.push_or_wait(bytes, self.patience) {
+                Err(PushError::Full(bytes)) => bytes,
+                Ok(()) | Err(PushError::Closed(_)) => return,
+            },
         };
-        if let Err(bytes) = waited {
-            self.queue.push_or_replace(bytes);
-        }
+        self.queue.push_or_drop_oldest(bytes);
     }
 
-    /// Numbers are never left half changed.
+    /// A panic in another thread leaves the numbers consistent.
     fn lock(&self) -> MutexGuard<'_, Gaps> {
         self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -138,12 +143,12 @@ fn attachment(sample: &Sample) -> Option<Attachment> {
     Attachment::parse(&sample.attachment()?.to_bytes())
 }
 
-/// Which messages of each publisher have come.
+/// The messages received from each publisher.
 #[derive(Default)]
 struct Gaps(HashMap<[u8; 16], Seen>);
 
-/// The messages of one publisher that have come: those from `first` to `last`, and of the ones before, which it had
-/// kept, those up to `kept`. Those in `ahead` came as kept ones before they came as published ones, if ever.
+/// The messages received from a publisher: those from `first` to `last`, and of the kept ones before them those up to
+/// `kept`. Those in `ahead` were received as kept messages before they arrive as published ones, if at all.
 #[derive(Clone)]
 struct Seen {
     first: i64,
@@ -152,11 +157,11 @@ struct Seen {
     ahead: RangeInclusive<i64>,
 }
 
-/// No sequence.
+/// An empty range of sequence numbers.
 const NOTHING: RangeInclusive<i64> = RangeInclusive::new(1, 0);
 
 impl Gaps {
-    /// Messages that were published between the last one and this one, but never came. `None` when this one came
+    /// Number of messages between the last one and this one that did not arrive; `None` when this one was received
     /// before.
     fn count(&mut self, message: &Attachment) -> Option<u64> {
         let (seen, is_first) = self.seen(message);
@@ -171,13 +176,13 @@ impl Gaps {
         Some(u64::try_from(message.sequence.saturating_sub(last).saturating_sub(1)).unwrap_or(0))
     }
 
-    /// Whether a message that its publisher kept has not come before. Notes it.
+    /// Whether a kept message was not received before; marks it as received.
     fn is_new(&mut self, message: &Attachment) -> bool {
         let sequence = message.sequence;
         let (seen, is_first) = self.seen(message);
         if is_first || sequence > seen.last {
-            let goes_on = seen.ahead.end().checked_add(1) == Some(sequence);
-            let first = if goes_on { *seen.ahead.start() } else { sequence };
+            let continues = seen.ahead.end().checked_add(1) == Some(sequence);
+            let first = if continues { *seen.ahead.start() } else { sequence };
             (seen.last, seen.ahead) = (sequence, first..=sequence);
             return true;
         }
@@ -188,7 +193,7 @@ impl Gaps {
         is_new
     }
 
-    /// What is known of a message's publisher, and whether this is the first of its messages.
+    /// The state of a message's publisher, and whether this is its first message.
     fn seen(&mut self, message: &Attachment) -> (&mut Seen, bool) {
         let is_first = !self.0.contains_key(&message.gid);
         if is_first && self.0.len() >= MAX_PUBLISHERS {
@@ -224,13 +229,13 @@ mod tests {
     }
 
     #[test]
-    fn kept_messages_come_once_and_leave_no_gap() {
+    fn kept_messages_are_received_once_and_leave_no_gap() {
         let mut gaps = Gaps::default();
         let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(1, sequence));
         assert_eq!([3, 4, 4, 3].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
         assert_eq!(gaps.count(&message(1, 5)), Some(0));
         assert_eq!([4, 5, 6, 5].map(|n| kept(&mut gaps, n)), [false, false, true, false]);
-        // A message that was just published came first: those before it are still new.
+        // A published message came first: those before it are still new.
         assert_eq!(gaps.count(&message(2, 8)), Some(0));
         let kept = |gaps: &mut Gaps, sequence| gaps.is_new(&message(2, sequence));
         assert_eq!([6, 7, 8, 6].map(|n| kept(&mut gaps, n)), [true, true, false, false]);
@@ -238,14 +243,14 @@ mod tests {
     }
 
     #[test]
-    fn what_came_as_a_kept_message_does_not_come_again_as_a_published_one() {
+    fn a_message_received_as_a_kept_one_is_not_received_again_as_a_published_one() {
         let mut gaps = Gaps::default();
         assert!(gaps.is_new(&message(1, 3)) && gaps.is_new(&message(1, 4)));
         let counts = [3, 4, 5, 7].map(|sequence| gaps.count(&message(1, sequence)));
         assert_eq!(counts, [None, None, Some(0), Some(1)]);
         assert!(gaps.is_new(&message(1, 8)));
         assert_eq!([8, 9].map(|sequence| gaps.count(&message(1, sequence))), [None, Some(0)]);
-        // Those that a kept one has overtaken have not come yet.
+        // Messages overtaken by a kept one have not arrived yet.
         assert_eq!(gaps.count(&message(2, 5)), Some(0));
         assert!(gaps.is_new(&message(2, 8)));
         let counts = [6, 7, 8, 9].map(|sequence| gaps.count(&message(2, sequence)));

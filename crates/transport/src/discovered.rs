@@ -1,24 +1,23 @@
-//! Which topics there are on a transport.
+//! Topics found on a transport.
 
 use super::Link;
 use eddy_messages::{TypeSupport, type_support};
 
-/// A topic that somebody publishes.
+/// A topic with a publisher.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SeenTopic {
-    /// Where it is.
+    /// Transport and name of the topic.
     pub link: Link,
     /// The type of its messages, such as `eddy_msgs/msg/ParticleFrame`.
     pub type_name: String,
-    /// RIHS01 type hash, where the transport tells.
+    /// RIHS01 type hash, if known.
     pub hash: Option<String>,
-    /// How many messages its publishers keep for subscribers that come later (transient local), where the
-    /// transport tells.
+    /// Number of messages that its publishers keep for late-joining subscribers (transient local); 0 if unknown.
     pub kept: usize,
 }
 
 impl SeenTopic {
-    /// What is needed to subscribe to it: our own type if it is the same, else its name and hash.
+    /// The type support for a subscription: that of eddy-messages if the hashes are equal, else name and hash only.
     pub fn type_support(&self) -> TypeSupport {
         match type_support(&self.type_name) {
             Ok(ours) if self.hash.as_ref().is_none_or(|hash| *hash == ours.hash) => ours.clone(),

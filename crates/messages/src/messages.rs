@@ -1,4 +1,4 @@
-//! One struct a message, with the fields of its `.msg` file in the same order.
+//! One struct per message, with the fields of its `.msg` file in the same order.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,12 +13,12 @@ const NANOSECONDS: i64 = 1_000_000_000;
 pub struct Time {
     /// Whole seconds.
     pub sec: i32,
-    /// Nanoseconds past them, below 1e9.
+    /// Nanoseconds, below 1e9.
     pub nanosec: u32,
 }
 
 impl From<Stamp> for Time {
-    /// Saturates at the ends of `sec`: about 68 years.
+    /// Saturates at the limits of `sec`, about 68 years.
     fn from(stamp: Stamp) -> Self {
         let limit = i64::from(i32::MAX) * NANOSECONDS + (NANOSECONDS - 1);
         let clamped = stamp.0.clamp(i64::from(i32::MIN) * NANOSECONDS, limit);
@@ -40,7 +40,7 @@ impl From<Time> for Stamp {
 pub struct Header {
     /// Simulation time.
     pub stamp: Time,
-    /// Coordinate frame: `world` in everything eddy writes.
+    /// Coordinate frame; eddy writes `world`.
     pub frame_id: String,
 }
 
@@ -73,12 +73,12 @@ impl Message for Clock {
     const TYPE: &'static str = "rosgraph_msgs/msg/Clock";
 }
 
-/// `eddy_msgs/msg/ParticleFrame`, as it travels: unchecked. [`eddy_frames::Frame`] is its checked form.
+/// `eddy_msgs/msg/ParticleFrame`, unchecked. [`eddy_frames::Frame`] is its checked form.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParticleFrame {
     /// Stamp and coordinate frame.
     pub header: Header,
-    /// Which trajectory.
+    /// Id of the trajectory.
     pub stream: u64,
     /// Consecutive number within the stream.
     pub sequence: u64,
@@ -100,15 +100,15 @@ impl Message for ParticleFrame {
     const TYPE: &'static str = "eddy_msgs/msg/ParticleFrame";
 }
 
-/// What a node does with a stream; the numbers are those of `eddy_msgs/msg/PredictionStatus`.
+/// State of a stream in a node; the numbers are those of `eddy_msgs/msg/PredictionStatus`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum StreamState {
-    /// Frames are observed, nothing is published yet.
+    /// Frames are observed; nothing is published yet.
     WarmingUp = 0,
-    /// Every observed frame is followed by its prediction.
+    /// A prediction is published for every observed frame.
     Tracking = 1,
-    /// The model is fed with its own output.
+    /// The model predicts from its own output.
     FreeRunning = 2,
 }
 
@@ -117,15 +117,15 @@ pub enum StreamState {
 pub struct PredictionStatus {
     /// Stamp of the predicted instant, coordinate frame.
     pub header: Header,
-    /// Which trajectory.
+    /// Id of the trajectory.
     pub stream: u64,
-    /// Sequence of the last observed frame.
+    /// Sequence number of the last observed frame.
     pub source_sequence: u64,
-    /// Frames predicted ahead of it.
+    /// Number of frames predicted ahead of it.
     pub horizon: u32,
-    /// A [`StreamState`] as its number.
+    /// Number of a [`StreamState`].
     pub state: u8,
-    /// From the frame's arrival to the prediction's publication (s).
+    /// Time from the arrival of the frame to the publication of the prediction (s).
     pub latency: f32,
     /// Digest of the checkpoint.
     pub model: String,
@@ -138,9 +138,9 @@ impl Message for PredictionStatus {
 /// `diagnostic_msgs/msg/KeyValue`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyValue {
-    /// What is reported.
+    /// Name of the value.
     pub key: String,
-    /// Its value, with the unit.
+    /// Value with its unit.
     pub value: String,
 }
 
@@ -149,13 +149,13 @@ pub struct KeyValue {
 pub struct DiagnosticStatus {
     /// 0 OK, 1 WARN, 2 ERROR, 3 STALE.
     pub level: u8,
-    /// Who reports.
+    /// Name of the reporting component.
     pub name: String,
-    /// In a sentence.
+    /// Summary.
     pub message: String,
-    /// Which device: unused, empty.
+    /// Device; unused, empty.
     pub hardware_id: String,
-    /// The details.
+    /// Details.
     pub values: Vec<KeyValue>,
 }
 
@@ -164,7 +164,7 @@ pub struct DiagnosticStatus {
 pub struct DiagnosticArray {
     /// Wall-clock stamp.
     pub header: Header,
-    /// One entry a reporter.
+    /// One entry per component.
     pub status: Vec<DiagnosticStatus>,
 }
 
@@ -175,15 +175,15 @@ impl Message for DiagnosticArray {
 /// `rcl_interfaces/msg/ParameterEvent`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterEvent {
-    /// When it happened.
+    /// Time of the event.
     pub stamp: Time,
     /// Full name of the node.
     pub node: String,
-    /// Parameters it did not have before.
+    /// New parameters.
     pub new_parameters: Vec<Parameter>,
     /// Parameters that were set.
     pub changed_parameters: Vec<Parameter>,
-    /// Parameters it has no more.
+    /// Removed parameters.
     pub deleted_parameters: Vec<Parameter>,
 }
 
@@ -194,13 +194,13 @@ impl Message for ParameterEvent {
 /// `sensor_msgs/msg/PointField`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PointField {
-    /// What it is, such as `x`.
+    /// Name of the field, such as `x`.
     pub name: String,
-    /// Where it begins in a point (bytes).
+    /// Offset in a point (bytes).
     pub offset: u32,
     /// 2 for `uint8`, 7 for `float32`.
     pub datatype: u8,
-    /// How many there are.
+    /// Number of elements.
     pub count: u32,
 }
 
@@ -209,13 +209,13 @@ pub struct PointField {
 pub struct PointCloud2 {
     /// Stamp and coordinate frame.
     pub header: Header,
-    /// Rows; 1 for points in no order.
+    /// Number of rows; 1 for unordered points.
     pub height: u32,
-    /// Points of a row.
+    /// Points per row.
     pub width: u32,
-    /// What a point holds.
+    /// Fields of a point.
     pub fields: Vec<PointField>,
-    /// Whether the most significant byte comes first.
+    /// Whether the data is big-endian.
     pub is_bigendian: bool,
     /// Length of a point (bytes).
     pub point_step: u32,

@@ -1,11 +1,10 @@
-//! Messages for subscribers that come later (transient local): their publisher keeps the last ones and
-//! answers queries for them.
+//! Transient local durability: a publisher keeps its last messages and answers queries of late-joining subscribers.
 //!
-//! The wire is that of zenoh-ext's `AdvancedPublisher` and `AdvancedSubscriber`, which rmw_zenoh uses for such topics
+//! The wire format is that of zenoh-ext's `AdvancedPublisher` and `AdvancedSubscriber`, which rmw_zenoh uses
 //! (`zenoh-ext/src/advanced_publisher.rs`, `advanced_cache.rs`): a queryable and a liveliness token, both at
-//! `<key>/@adv/pub/<zid>/uhlc/_`, for a publisher whose messages are told apart by their timestamps. It replies
-//! under `<key>` itself, with the newest `_max` messages, the oldest first. zenoh-ext itself needs zenoh's features
-//! `unstable` and `internal`; what of it eddy uses takes neither.
+//! `<key>/@adv/pub/<zid>/uhlc/_`, where messages are identified by their timestamps. Replies have the key `<key>` and
+//! hold the newest `_max` messages, oldest first. zenoh-ext needs zenoh's features `unstable` and `internal`, the parts
+//! used here do not.
 
 use std::{
     collections::VecDeque,
@@ -26,10 +25,10 @@ use zenoh::{
 
 use super::{ZenohNode, attachment::LENGTH, graph};
 
-/// How long a publisher may take to give what it kept.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout of a query for kept messages.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The last messages of a publisher, and who gives them away.
+/// The last messages of a publisher, and the queryable that returns them.
 pub(super) struct Kept {
     messages: Arc<Mutex<VecDeque<Message>>>,
     depth: NonZeroUsize,
@@ -47,18 +46,18 @@ struct Message {
 impl Kept {
     /// Keeps the last `depth` messages of the publisher on `key`.
     pub(super) fn open(session: &Session, key: &str, depth: NonZeroUsize) -> zenoh::Result<Self> {
-        let place = format!("{key}/@adv/pub/{}/uhlc/_", session.zid());
+        let key_expr = format!("{key}/@adv/pub/{}/uhlc/_", session.zid());
         let messages = Arc::<Mutex<VecDeque<Message>>>::default();
-        let (asked, key) = (Arc::clone(&messages), key.to_owned());
+        let (kept, key) = (Arc::clone(&messages), key.to_owned());
         let queryable = session
-            .declare_queryable(&place)
-            .callback(move |query| give(&asked, &key, &query))
+            .declare_queryable(&key_expr)
+            .callback(move |query| reply(&kept, &key, &query))
             .wait()?;
-        let token = graph::declare(session, &place)?;
+        let token = graph::declare(session, &key_expr)?;
         Ok(Self { messages, depth, _queryable: queryable, _token: token })
     }
 
-    /// Adds a message, which is published under the same timestamp.
+    /// Adds a message that is published with the same timestamp.
     pub(super) fn keep(&self, payload: ZBytes, attachment: [u8; LENGTH], timestamp: Timestamp) {
         let mut messages = lock(&self.messages);
         if messages.len() >= self.depth.get() {
@@ -68,56 +67,56 @@ impl Kept {
     }
 }
 
-/// Replies with the newest messages, as many as are wanted. A peer that takes them slowly does not keep the
-/// publisher from adding others.
-fn give(kept: &Mutex<VecDeque<Message>>, key: &str, query: &Query) {
+/// Replies with the newest messages, up to the requested number. The messages are copied first, so that a slow peer
+/// does not block the publisher.
+fn reply(kept: &Mutex<VecDeque<Message>>, key: &str, query: &Query) {
     let most = query.parameters().get("_max").and_then(|most| most.parse().ok());
     let mut messages = lock(kept).clone();
     messages.drain(..messages.len().saturating_sub(most.unwrap_or(usize::MAX)));
     for Message { payload, attachment, timestamp } in messages {
         let reply = query.reply(key, payload).attachment(attachment).timestamp(timestamp);
         if let Err(error) = reply.wait() {
-            tracing::warn!("{key}: a kept message is not given: {error}");
+            tracing::warn!("{key}: cannot send a kept message: {error}");
         }
     }
 }
 
-/// Hands over what publishers on `key` have kept, of each when it appears: the newest `most` messages.
+/// Calls `take` for the newest `most` messages that each publisher on `key` has kept, when the publisher appears.
 pub(super) fn collect(
     node: &Arc<ZenohNode>,
     key: &str,
     most: usize,
     take: impl Fn(&Sample) + Clone + Send + Sync + 'static,
 ) -> zenoh::Result<pubsub::Subscriber<()>> {
-    let asking = Arc::downgrade(node);
+    let weak = Arc::downgrade(node);
     node.session
         .liveliness()
         .declare_subscriber(format!("{key}/@adv/pub/**"))
         .history(true)
         .callback(move |token| {
-            let Some(node) = asking.upgrade() else { return };
+            let Some(node) = weak.upgrade() else { return };
             if token.kind() == SampleKind::Put {
-                let place = format!("{}?_max={most}", token.key_expr());
-                if let Err(error) = ask(&node.session, &place, take.clone()) {
-                    tracing::warn!("{place}: what was kept is not asked for: {error}");
+                let selector = format!("{}?_max={most}", token.key_expr());
+                if let Err(error) = request(&node.session, &selector, take.clone()) {
+                    tracing::warn!("{selector}: cannot request kept messages: {error}");
                 }
             }
         })
         .wait()
 }
 
-fn ask(
+fn request(
     session: &Session,
-    place: &str,
+    selector: &str,
     take: impl Fn(&Sample) + Send + Sync + 'static,
 ) -> zenoh::Result<()> {
     session
-        .get(place)
+        .get(selector)
         .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
-        // They come under the key of the topic.
+        // Replies have the key of the topic.
         .accept_replies(ReplyKeyExpr::Any)
-        .timeout(PATIENCE)
+        .timeout(QUERY_TIMEOUT)
         .callback(move |reply| {
             if let Ok(message) = reply.result() {
                 take(message);
@@ -127,6 +126,6 @@ fn ask(
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Never left half changed: every change is one push or pop.
+    // A panic in another thread leaves the messages consistent: every change is one push or pop.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! Opens publishers and subscribers by their links; one session for each middleware.
+//! Opens publishers and subscribers by link, with one session per middleware.
 
 use std::{
     num::NonZeroUsize,
@@ -17,55 +17,53 @@ use eddy_messages::{Message, ParticleFrame, TypeSupport, type_support};
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
 const MAX_DOMAIN: u16 = 232;
 
-/// How this process appears to others, and how long it waits for them.
+/// Options of all transports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TransportOptions {
-    /// Name of this process in the ROS graph: letters, digits and `_`.
+    /// Name of the node in the ROS graph: letters, digits and `_`.
     pub node_name: String,
-    /// Its namespace there [default: `/`], such as `/robot1`.
+    /// Namespace of the node, such as `/robot1` [default: `/`].
     pub namespace: String,
-    /// ROS domain, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Topics of other domains are not seen on Zenoh and DDS.
+    /// ROS domain id, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Zenoh and DDS do not see topics of other domains.
     pub domain_id: u16,
-    /// How long a blocking publisher waits for a subscriber that takes nothing [default: 30 s].
+    /// How long a blocking publisher waits for a subscriber that does not receive [default: 30 s].
     pub patience: Duration,
-    /// How zenoh finds its peers.
+    /// Options of Zenoh.
     pub zenoh: ZenohOptions,
-    /// How DDS finds its peers.
+    /// Options of DDS.
     pub dds: DdsOptions,
 }
 
-/// How DDS finds its peers.
+/// Options of DDS.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DdsOptions {
-    /// How far away they may be [default: this machine, `ROS_AUTOMATIC_DISCOVERY_RANGE`].
+    /// Discovery range [default: this machine, `ROS_AUTOMATIC_DISCOVERY_RANGE`].
     pub range: DiscoveryRange,
 }
 
-/// How far away peers may be that nobody named
-/// (docs.ros.org, "Improved dynamic discovery").
+/// Range of automatic discovery (docs.ros.org, "Improved dynamic discovery").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DiscoveryRange {
-    /// On this machine (`LOCALHOST`).
+    /// This machine (`LOCALHOST`).
     #[default]
     Localhost,
-    /// On the networks that this machine is part of (`SUBNET`).
+    /// The local networks (`SUBNET`).
     Subnet,
-    /// Nowhere (`OFF`): DDS links are refused, as static peers cannot be named here.
+    /// None (`OFF`): DDS links are rejected, since static peers are not supported.
     Off,
 }
 
-/// How zenoh finds its peers.
+/// Options of Zenoh.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ZenohOptions {
-    /// A zenoh configuration that replaces all of eddy's defaults (`ZENOH_SESSION_CONFIG_URI`).
+    /// A Zenoh configuration file that replaces all defaults (`ZENOH_SESSION_CONFIG_URI`).
     pub config_file: Option<PathBuf>,
-    /// Single settings that go last, `key=value;key=value` with values in JSON5
-    /// (`ZENOH_CONFIG_OVERRIDE`), as rmw_zenoh reads them.
+    /// Settings that override all others, `key=value;key=value` with values in JSON5, as in rmw_zenoh
+    /// (`ZENOH_CONFIG_OVERRIDE`).
     pub overrides: String,
-    /// The router's endpoint [default: `tcp/localhost:7447`]; it need not be there.
+    /// Endpoint of an optional router [default: `tcp/localhost:7447`].
     pub router: String,
-    /// Loopback ports on which eddy processes find each other without a router
-    /// [default: 7448..=7463].
+    /// Loopback ports on which eddy processes find each other without a router [default: 7448..=7463].
     pub ports: RangeInclusive<u16>,
 }
 
@@ -81,7 +79,7 @@ impl Default for ZenohOptions {
 }
 
 impl TransportOptions {
-    /// Defaults, whatever the environment says.
+    /// The defaults, without the environment.
     pub fn new(node_name: &str) -> Self {
         Self {
             node_name: node_name.to_owned(),
@@ -93,12 +91,12 @@ impl TransportOptions {
         }
     }
 
-    /// Defaults, with what `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`,
-    /// `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE` say.
+    /// The defaults with the values of `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ZENOH_SESSION_CONFIG_URI`
+    /// and `ZENOH_CONFIG_OVERRIDE`.
     ///
     /// # Errors
-    /// [`TransportError::Environment`] when one of the first two makes no sense. The zenoh variables are
-    /// read when the first zenoh link is opened.
+    /// [`TransportError::Environment`] when one of the first two is invalid. The values of the Zenoh variables are
+    /// checked when the first Zenoh link is opened.
     #[expect(clippy::disallowed_methods, reason = "the one place that reads the environment")]
     pub fn from_env(node_name: &str) -> Result<Self, TransportError> {
         Self::from_variables(node_name, |name| {
@@ -110,7 +108,7 @@ impl TransportOptions {
         node_name: &str,
         variable: impl Fn(&'static str) -> Option<String>,
     ) -> Result<Self, TransportError> {
-        // An empty variable counts as unset, as in ROS 2.
+        // As in ROS 2, an empty variable is the same as an unset one.
         let variable = |name| variable(name).filter(|value| !value.is_empty());
         let mut options = Self::new(node_name);
         if let Some(found) = variable("ROS_DOMAIN_ID") {
@@ -139,7 +137,7 @@ impl TransportOptions {
     }
 }
 
-/// Opens links. Clones share their sessions and the topics within the process.
+/// Opens publishers, subscribers and services. Clones share sessions and the topics within the process.
 #[derive(Clone)]
 pub struct Transports {
     shared: Arc<Shared>,
@@ -147,12 +145,12 @@ pub struct Transports {
 
 struct Shared {
     options: TransportOptions,
-    /// What is open, by the number of its [`TransportKind`].
+    /// The open middlewares, indexed by [`TransportKind`].
     open: [Mutex<Option<Arc<dyn Middleware>>>; TransportKind::ALL.len()],
 }
 
 impl Transports {
-    /// Opens nothing yet: a middleware starts with the first link that needs it.
+    /// Opens no middleware; each is opened with its first link.
     pub fn new(options: TransportOptions) -> Self {
         Self { shared: Arc::new(Shared { options, open: Default::default() }) }
     }
@@ -160,8 +158,7 @@ impl Transports {
     /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
     ///
     /// # Errors
-    /// [`TransportError`] when the type is unknown, the topic carries another one, or the
-    /// middleware cannot be opened.
+    /// [`TransportError`] when the type is unknown, the topic has another type, or the middleware cannot be opened.
     pub fn publisher(
         &self,
         link: &Link,
@@ -171,7 +168,7 @@ impl Transports {
         self.publisher_of(link, type_support(type_name)?, reliability)
     }
 
-    /// A publisher of messages of any type, given as CDR bytes unless they are frames.
+    /// A publisher of messages of any type; messages other than frames are CDR bytes.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
@@ -184,8 +181,8 @@ impl Transports {
         self.keeping_publisher_of(link, support, reliability, None)
     }
 
-    /// A publisher that on Zenoh keeps its last `kept` messages for subscribers that come later, as ROS 2
-    /// has it for topics such as `/tf_static` (transient local). Elsewhere these get what comes after them.
+    /// As [`Transports::publisher_of`]; on Zenoh the publisher keeps its last `kept` messages for late-joining
+    /// subscribers, as in ROS 2 for topics such as `/tf_static` (transient local). Other transports ignore `kept`.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
@@ -199,9 +196,8 @@ impl Transports {
         self.middleware(link)?.publisher(link, support, reliability, kept)
     }
 
-    /// A subscriber to messages of type `type_name`. It keeps the messages it is behind in a
-    /// bounded queue; a full one holds blocking publishers back and is passed over by the others.
-    /// On Zenoh it also gets what publishers have kept for it.
+    /// A subscriber to messages of type `type_name` with a bounded queue. A full queue holds blocking publishers
+    /// back; messages of the others are dropped. On Zenoh it also receives the messages that publishers have kept.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
@@ -213,7 +209,7 @@ impl Transports {
         self.subscriber_of(link, type_support(type_name)?)
     }
 
-    /// A subscriber to messages of any type, which come as CDR bytes unless they are frames.
+    /// A subscriber to messages of any type; messages other than frames are CDR bytes.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
@@ -225,11 +221,11 @@ impl Transports {
         self.middleware(link)?.subscriber(link, support)
     }
 
-    /// Offers a service of type `type_name`, such as `std_srvs/srv/Trigger`, whose requests `handler`
-    /// answers on a thread of its own. `None` on a transport without services: Zenoh and DDS have them.
+    /// Offers a service of type `type_name`, such as `std_srvs/srv/Trigger`. `handler` answers the requests on a
+    /// thread of its own. `None` on transports without services; Zenoh and DDS have them.
     ///
     /// # Errors
-    /// [`TransportError`] when the middleware refuses, or the type is unknown where its hash is needed.
+    /// [`TransportError`] from the middleware, or when the type is unknown and its hash is needed.
     pub fn serve(
         &self,
         link: &Link,
@@ -239,13 +235,13 @@ impl Transports {
         self.middleware(link)?.service(link, type_name, handler)
     }
 
-    /// The topics that are published on a transport now (on DDS also those that are read), as far as it
-    /// knows, in order. Within the process nobody lists them.
+    /// The known topics with a publisher (on DDS also those with a subscriber only), sorted. Topics within the process
+    /// are not listed.
     ///
     /// # Errors
     /// [`TransportError`] when the middleware cannot be opened or asked.
     pub fn topics(&self, transport: TransportKind) -> Result<Vec<SeenTopic>, TransportError> {
-        // Errors need a link to name.
+        // For error messages.
         let link = Link { transport, topic: "/".to_owned() };
         let mut topics = self.middleware(&link)?.topics(&link)?;
         topics.sort();
@@ -272,7 +268,7 @@ impl Transports {
         &self.shared.options
     }
 
-    /// The middleware of a link, opened if it is not.
+    /// The middleware of a link, opened if necessary.
     pub(super) fn middleware(&self, link: &Link) -> Result<Arc<dyn Middleware>, TransportError> {
         let slot = &self.shared.open[link.transport as usize];
         let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
@@ -299,7 +295,7 @@ fn open(link: &Link, options: &TransportOptions) -> Result<Arc<dyn Middleware>, 
     })
 }
 
-/// Frames can be sent only on topics of frames.
+/// Rejects frames on topics of other types.
 pub(super) fn check_frames(link: &Link, type_name: &str) -> Result<(), TransportError> {
     if is_frames(type_name) {
         return Ok(());
@@ -333,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn the_environment_of_rmw_zenoh_counts() {
+    fn the_environment_variables_of_rmw_zenoh_are_used() {
         let options = options(&[
             ("ROS_DOMAIN_ID", "42"),
             ("ZENOH_SESSION_CONFIG_URI", "/etc/zenoh.json5"),
@@ -346,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn the_discovery_range_is_this_machine_unless_told_otherwise() {
+    fn the_default_discovery_range_is_this_machine() {
         let range = |found| options(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", found)]);
         for (found, expected) in [
             ("", DiscoveryRange::Localhost),
@@ -363,12 +359,12 @@ mod tests {
     }
 
     #[test]
-    fn the_port_of_a_router_is_never_ours() {
+    fn the_port_range_excludes_the_router() {
         assert!(!ZenohOptions::default().ports.contains(&7447));
     }
 
     #[test]
-    fn a_bad_domain_names_variable_found_and_expected() {
+    fn an_invalid_domain_is_rejected_with_variable_found_and_expected() {
         for found in ["-1", "233", "one", "70000"] {
             let message = options(&[("ROS_DOMAIN_ID", found)]).unwrap_err().to_string();
             assert_eq!(

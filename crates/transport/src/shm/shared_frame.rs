@@ -18,16 +18,16 @@ use crate::Payload;
 use eddy_frames::{Frame, FrameView, InvalidFrame};
 use eddy_messages::cdr;
 
-/// A frame in the memory of its publisher, which gets it back when this is dropped.
+/// A frame in the memory of its publisher, which is returned when this is dropped.
 ///
-/// Who publishes has promised not to write there meanwhile. One that does nevertheless spoils the numbers
-/// it has sent, and nothing else.
+/// Publishers must not write to it meanwhile. A publisher that does corrupts the numbers of this frame, and nothing
+/// else.
 pub struct SharedFrame {
     sample: FrameSample,
-    /// As it was when it came.
+    /// As received.
     header: FrameHeader,
     checked: bool,
-    /// Behind the sample: what is counted as given back has been given back.
+    /// After the sample, so that the sample is returned before the loan ends.
     _loan: Loan,
 }
 
@@ -37,12 +37,12 @@ impl SharedFrame {
         Self { sample, header, checked: false, _loan: loan }
     }
 
-    /// The stream it says it is of.
+    /// The unchecked stream id.
     pub(crate) fn stream(&self) -> u64 {
         self.header.stream
     }
 
-    /// Checks it, once.
+    /// Checks the frame, once.
     pub(crate) fn check(&mut self) -> Result<(), InvalidFrame> {
         if !self.checked {
             self.read().check()?;
@@ -51,7 +51,7 @@ impl SharedFrame {
         Ok(())
     }
 
-    /// The frame, if it was found to be one.
+    /// The frame; `None` before [`SharedFrame::check`].
     pub(crate) fn view(&self) -> Option<FrameView<'_>> {
         self.checked.then(|| self.read())
     }
@@ -60,22 +60,22 @@ impl SharedFrame {
         layout::view(&self.header, layout::particles(self.sample.payload()))
     }
 
-    /// A frame of its own.
+    /// A checked copy.
     pub(crate) fn to_frame(&self) -> Result<Frame, InvalidFrame> {
         to_frame(&self.sample)
     }
 
-    /// The message it is, frame or not.
+    /// The message, also if it is not a valid frame.
     pub(crate) fn to_cdr(&self) -> Vec<u8> {
         to_cdr(&self.sample)
     }
 
-    /// The same in memory of its own.
+    /// A copy in the memory of the process.
     pub(crate) fn copy(&self) -> Payload {
         copy(&self.sample)
     }
 
-    /// The memory it takes (bytes).
+    /// Size in memory (bytes).
     pub(crate) fn size(&self) -> usize {
         size_of_val(self.sample.payload())
     }
@@ -89,7 +89,7 @@ impl fmt::Debug for SharedFrame {
 
 type FrameSample = Sample<Ipc, [SharedParticle], FrameHeader>;
 
-/// A frame of its own, or bytes if it is none.
+/// A copy: a frame, or bytes if it is not a valid frame.
 pub(super) fn copy(sample: &FrameSample) -> Payload {
     to_frame(sample).map_or_else(|_| Payload::Cdr(to_cdr(sample)), Payload::Frame)
 }
@@ -102,17 +102,17 @@ fn to_cdr(sample: &FrameSample) -> Vec<u8> {
     cdr::encode(&layout::message(sample.user_header(), layout::particles(sample.payload())))
 }
 
-/// How many samples a reader has lent out.
+/// Counts the samples that a subscriber has lent out.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Ledger(Arc<AtomicUsize>);
+pub(super) struct LoanCounter(Arc<AtomicUsize>);
 
-/// One of them.
-pub(super) struct Loan(Ledger);
+/// A sample that is lent out.
+pub(super) struct Loan(LoanCounter);
 
-impl Ledger {
-    /// A loan, unless `most` are out.
+impl LoanCounter {
+    /// A loan, unless `most` samples are lent out.
     pub(super) fn lend(&self, most: usize) -> Option<Loan> {
-        // Only the reader counts up.
+        // Only the subscriber increments.
         let out = self.0.load(Ordering::Acquire);
         (out < most).then(|| {
             self.0.fetch_add(1, Ordering::Relaxed);
