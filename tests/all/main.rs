@@ -3,8 +3,10 @@
 #![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
 mod bad_input;
-mod bag_edit;
-mod bag_recover;
+mod bag_commands;
+#[expect(dead_code, reason = "the tests of eddy-bag use the rest")]
+#[path = "../../crates/bag/tests/bag/support.rs"]
+mod bags;
 mod bench;
 mod book;
 mod client;

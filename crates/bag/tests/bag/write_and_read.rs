@@ -1,5 +1,4 @@
 //! Bags end to end: what is written is read back, also from damaged files.
-#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
 
 use std::{
     collections::BTreeMap,
@@ -13,18 +12,7 @@ use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, cdr};
 use mcap::records::MessageHeader;
 use proptest::prelude::*;
 
-/// The CDR of a string.
-fn word(text: &str) -> Vec<u8> {
-    cdr::encode(&RosString { data: text.into() })
-}
-
-/// Everything that is wrong with a bag.
-fn findings(path: &Path) -> Vec<String> {
-    let bag = BagReader::open(path).unwrap();
-    let mut survey = Survey::of(&bag, |_| ());
-    survey.check_files(&bag);
-    survey.findings
-}
+use crate::support::{findings, word};
 
 const COMPRESSIONS: [Compression; 3] = [Compression::None, Compression::Lz4, Compression::Zstd];
 

@@ -1,22 +1,16 @@
-//! What is damaged, and what is beside the messages: what of it a copy keeps.
+//! Recovering damaged bags, and reindexing.
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::fs;
 
 use eddy_bag::{
     BagError, BagReader, BagWriter, Compression, Recovery, Reindexing, Split, WriterOptions,
 };
 use eddy_frames::Stamp;
 use eddy_messages::{Message, RosString};
-use mcap::records::MessageHeader;
 
-use crate::{
-    bag_edit::{Folder, messages, recover, reindex, small_chunks, write_foreign, write_split},
-    support::{eddy, findings, succeed, word},
+use crate::support::{
+    Folder, about, auxiliary, calibration, findings, messages, recover, reindex, small_chunks,
+    word, write_foreign, write_split, write_with_auxiliary,
 };
 
 /// Where the summary of a whole file starts.
@@ -50,6 +44,123 @@ fn with_a_loose_message(bytes: &[u8]) -> Vec<u8> {
     // No checksum over the summary.
     mixed[footer + 25..footer + 29].fill(0);
     mixed
+}
+
+#[test]
+fn a_bag_truncated_anywhere_gives_back_its_complete_messages() {
+    let folder = Folder::new();
+    let whole = messages(&folder.join("whole.mcap"));
+    let bytes = fs::read(folder.join("whole.mcap")).unwrap();
+    let (cut, saved) = (folder.join("cut.mcap"), folder.join("saved"));
+    let mut most = 0;
+    for length in (0..bytes.len()).step_by(97) {
+        fs::write(&cut, &bytes[..length]).unwrap();
+        match recover(&cut, &saved) {
+            Ok(recovered) => {
+                assert_eq!(recovered.losses.len(), 1, "{:?}", recovered.losses);
+                let kept = messages(&saved);
+                assert_eq!(kept, whole[..kept.len()]);
+                assert!(kept.len() >= most, "{length} bytes");
+                most = kept.len();
+                assert_eq!(findings(&saved), [""; 0]);
+                fs::remove_dir_all(&saved).unwrap();
+            }
+            Err(error) => {
+                assert!(error.to_string().contains("found no message"), "{error}");
+                assert!(most == 0 && !saved.exists());
+            }
+        }
+        assert_eq!(fs::read(&cut).unwrap(), bytes[..length], "the bag itself is not touched");
+    }
+    assert_eq!(most, 60);
+}
+
+#[test]
+fn damage_in_the_middle_costs_its_chunk_and_no_other() {
+    let folder = Folder::new();
+    let whole = messages(&folder.join("whole.mcap"));
+    let mut bytes = fs::read(folder.join("whole.mcap")).unwrap();
+    let middle = bytes.len() / 3;
+    bytes[middle] ^= 0xff;
+    let damaged = folder.join("damaged.mcap");
+    fs::write(&damaged, &bytes).unwrap();
+    let recovered = recover(&damaged, &folder.join("saved")).unwrap();
+    let kept = messages(&folder.join("saved"));
+    assert!((50..60).contains(&kept.len()), "{}", kept.len());
+    assert_eq!(recovered.losses.len(), 2);
+    let counted = format!("found {} messages, expected the 60 declared", kept.len());
+    assert!(recovered.losses[1].ends_with(&counted), "{:?}", recovered.losses);
+    assert!(kept.iter().all(|message| whole.contains(message)));
+    assert_eq!(findings(&folder.join("saved")), [""; 0]);
+}
+
+#[test]
+fn a_split_bag_without_its_metadata_is_reindexed_to_the_same_metadata() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bag");
+    write_split(&path, Split { size: Some(4_000), duration: None });
+    let metadata = path.join("metadata.yaml");
+    let before = fs::read_to_string(&metadata).unwrap();
+    fs::remove_file(&metadata).unwrap();
+    assert!(reindex(&path).unwrap().summarized.is_empty());
+    assert_eq!(fs::read_to_string(&metadata).unwrap(), before);
+    fs::write(&metadata, "rubbish").unwrap();
+    reindex(&path).unwrap();
+    assert_eq!(fs::read_to_string(&metadata).unwrap(), before);
+}
+
+#[test]
+fn files_without_a_summary_get_one_and_keep_their_messages() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    fs::create_dir(&bag).unwrap();
+    let times: Vec<u64> = (0..60).map(|number| number * 1_000).collect();
+    let file = bag.join("bag_0.mcap");
+    let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
+    write_foreign(&file, &times, bare);
+    let (before, size) = (messages(&file), fs::metadata(&file).unwrap().len());
+    assert_eq!(reindex(&bag).unwrap().summarized, std::slice::from_ref(&file));
+    assert_eq!(messages(&bag), before);
+    assert_eq!(findings(&bag), [""; 0]);
+    assert!(fs::metadata(&file).unwrap().len() > size + 1_000);
+    // MCAP's own reader finds in it what we put there.
+    let summary = mcap::Summary::read(&fs::read(&file).unwrap()).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 60);
+    assert_eq!(summary.channels.len(), 4);
+    assert!(summary.chunk_indexes.len() > 5);
+    let indexed =
+        summary.chunk_indexes.iter().filter(|chunk| !chunk.message_index_offsets.is_empty());
+    assert!(indexed.count() > 5);
+    assert!(reindex(&bag).unwrap().summarized.is_empty());
+}
+
+#[test]
+fn damage_between_chunks_without_an_index_costs_what_it_hits() {
+    let folder = Folder::new();
+    let times: Vec<u64> = (0..60).map(|number| number * 1_000).collect();
+    let bare = small_chunks().emit_summary_records(false).emit_summary_offsets(false);
+    write_foreign(&folder.join("bare.mcap"), &times, bare);
+    let whole = messages(&folder.join("bare.mcap"));
+    let bytes = fs::read(folder.join("bare.mcap")).unwrap();
+    let middle = bytes.len() / 2;
+    for name in ["zeros", "ones", "a hole"] {
+        let mut bytes = bytes.clone();
+        match name {
+            "zeros" => bytes[middle..middle + 300].fill(0),
+            "ones" => bytes[middle..middle + 300].fill(0xff),
+            _ => drop(bytes.drain(middle..middle + 300)),
+        }
+        fs::write(folder.join("damaged.mcap"), &bytes).unwrap();
+        let saved = folder.join("saved");
+        let recovered = recover(&folder.join("damaged.mcap"), &saved).unwrap();
+        assert!((1..=3).contains(&recovered.losses.len()), "{name}: {:?}", recovered.losses);
+        let kept = messages(&saved);
+        assert!((50..60).contains(&kept.len()), "{name}: {}", kept.len());
+        assert!(kept.iter().all(|message| whole.contains(message)), "{name}");
+        assert_eq!(kept.last(), whole.last(), "{name}: what comes after the damage is kept");
+        assert_eq!(findings(&saved), [""; 0], "{name}");
+        fs::remove_dir_all(&saved).unwrap();
+    }
 }
 
 #[test]
@@ -123,84 +234,11 @@ fn a_bag_that_states_more_messages_than_it_has_is_not_whole() {
     );
 }
 
-/// A file with chunks of several messages, an attachment and two metadata records, one of them rosbag2's.
-fn write_with_extras(path: &Path, times: std::ops::Range<u64>) {
-    let mut writer = small_chunks().create(fs::File::create(path).unwrap()).unwrap();
-    let channel = writer.add_channel(0, "/a", "cdr", &BTreeMap::new()).unwrap();
-    for (sequence, log_time) in (0..).zip(times) {
-        let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time: 0 };
-        writer.write_to_known_channel(&header, &word("a")).unwrap();
-        if sequence == 20 {
-            writer.attach(&calibration()).unwrap();
-            for name in ["rosbag2", "place"] {
-                writer.write_metadata(&about(name)).unwrap();
-            }
-        }
-    }
-    writer.finish().unwrap();
-}
-
-fn calibration() -> mcap::Attachment<'static> {
-    mcap::Attachment {
-        log_time: 1,
-        create_time: 2,
-        name: "camera.yaml".to_owned(),
-        media_type: "text/yaml".to_owned(),
-        data: b"f: 500".into(),
-    }
-}
-
-fn about(name: &str) -> mcap::records::Metadata {
-    let metadata = [("hall".to_owned(), "3".to_owned())].into();
-    mcap::records::Metadata { name: name.to_owned(), metadata }
-}
-
-/// The attachments and metadata records of a bag of one file, as MCAP's own reader finds them.
-fn extras(bag: &Path) -> (Vec<mcap::Attachment<'static>>, Vec<mcap::records::Metadata>) {
-    let reader = BagReader::open(bag).unwrap();
-    let bytes = fs::read(reader.files().next().unwrap()).unwrap();
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    let attachments = summary.attachment_indexes.iter().map(|index| {
-        let found = mcap::read::attachment(&bytes, index).unwrap();
-        let data = found.data.into_owned().into();
-        mcap::Attachment { data, ..found }
-    });
-    let metadata = summary.metadata_indexes.iter();
-    let metadata = metadata.map(|index| mcap::read::metadata(&bytes, index).unwrap());
-    (attachments.collect(), metadata.collect())
-}
-
-#[test]
-fn attachments_and_metadata_go_with_the_messages() {
-    let folder = Folder::new();
-    write_with_extras(&folder.join("one.mcap"), 0..60);
-    write_with_extras(&folder.join("two.mcap"), 100..160);
-    let expected = (vec![calibration()], vec![about("place")]);
-    for arguments in [
-        vec!["cut", "one.mcap", "--start", "50ns"],
-        vec!["filter", "one.mcap", "--topics", "/a"],
-        vec!["merge", "one.mcap", "two.mcap"],
-        vec!["recover", "one.mcap"],
-    ] {
-        let new = folder.path(&format!("{}ted", arguments[0]));
-        let path = |word: &str| {
-            if word.ends_with("mcap") { folder.path(word) } else { word.to_owned() }
-        };
-        let arguments: Vec<String> = arguments.into_iter().map(path).collect();
-        let arguments =
-            [&["bag".to_owned()], &arguments[..], &["-o".to_owned(), new.clone()]].concat();
-        succeed(&arguments);
-        assert_eq!(extras(Path::new(&new)), expected, "{arguments:?}");
-        let said = succeed(["bag", "info", &new]);
-        assert!(said.contains("attachments  1\nmetadata     1\n"), "{said}");
-    }
-}
-
 #[test]
 fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off() {
     let folder = Folder::new();
     let file = folder.join("bag.mcap");
-    write_with_extras(&file, 0..60);
+    write_with_auxiliary(&file, 0..60);
     let bytes = fs::read(&file).unwrap();
     let chunk = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[0].clone();
     let start = chunk.chunk_start_offset as usize;
@@ -221,11 +259,11 @@ fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off()
 fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
     let folder = Folder::new();
     let file = folder.join("bag.mcap");
-    write_with_extras(&file, 0..60);
+    write_with_auxiliary(&file, 0..60);
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, without_summary(&bytes)).unwrap();
     assert_eq!(reindex(&file).unwrap().summarized, std::slice::from_ref(&file));
-    assert_eq!(extras(&file), (vec![calibration()], vec![about("rosbag2"), about("place")]));
+    assert_eq!(auxiliary(&file), (vec![calibration()], vec![about("rosbag2"), about("place")]));
     assert_eq!(findings(&file), [""; 0]);
 }
 
@@ -378,100 +416,4 @@ fn every_damaged_chunk_is_told_and_of_many_the_first_ten_and_how_many_more() {
             }
         }
     }
-}
-
-/// The limit is on the memory that the process asks for; the attachments together are more.
-#[cfg(target_os = "linux")]
-#[test]
-fn attachments_of_any_size_together_are_saved_one_after_the_other() {
-    const SIZE: usize = 8 << 20;
-    const ATTACHMENTS: u8 = 20;
-    let folder = Folder::new();
-    let file = folder.join("large.mcap");
-    let mut writer = small_chunks().create(fs::File::create(&file).unwrap()).unwrap();
-    let channel_id = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
-    let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
-    writer.write_to_known_channel(&header, b"1").unwrap();
-    for number in 0..ATTACHMENTS {
-        let data = vec![number; SIZE].into();
-        writer.attach(&mcap::Attachment { data, ..calibration() }).unwrap();
-    }
-    writer.finish().unwrap();
-    let saved = folder.join("saved");
-    let mut command = Command::new("sh");
-    command.args(["-c", "ulimit -d 98304; exec \"$@\"", "sh"]).arg(eddy().get_program());
-    command.args(["--quiet", "bag", "recover", file.to_str().unwrap()]);
-    let output = command.args(["-o", saved.to_str().unwrap()]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let bag = BagReader::open(&saved).unwrap();
-    assert_eq!(bag.auxiliary_counts(), [usize::from(ATTACHMENTS), 0]);
-    assert!(bag.size() > SIZE as u64 * u64::from(ATTACHMENTS));
-}
-
-/// Compiles the library that makes a sector of a file unreadable.
-#[cfg(target_os = "linux")]
-fn bad_sector(folder: &Path) -> PathBuf {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/bad_sector.rs");
-    let library = folder.join("bad_sector.so");
-    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let mut command = Command::new(rustc);
-    command.args(["--edition=2024", "--crate-type=cdylib", "-Cpanic=abort", "-o"]);
-    assert!(command.arg(&library).arg(source).status().unwrap().success());
-    library
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn a_sector_that_cannot_be_read_costs_the_chunks_that_it_is_in() {
-    let folder = Folder::new();
-    let library = bad_sector(folder.0.path());
-    let summarized = mcap::WriteOptions::new().chunk_size(Some(5_000)).compression(None);
-    let bare = summarized.clone().emit_summary_records(false).emit_summary_offsets(false);
-    for (name, options) in [("summarized", summarized), ("bare", bare)] {
-        let file = folder.join(&format!("{name}.mcap"));
-        let mut writer = options.create(fs::File::create(&file).unwrap()).unwrap();
-        let channel = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
-        for sequence in 0..400 {
-            let log_time = u64::from(sequence);
-            let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time: 0 };
-            writer.write_to_known_channel(&header, &[b'!'; 1_000]).unwrap();
-        }
-        writer.finish().unwrap();
-        let recover = |start: u64, end: u64| {
-            let saved = folder.join(&format!("{name}_{start}"));
-            let output = eddy()
-                .args(["bag", "recover", file.to_str().unwrap(), "-o", saved.to_str().unwrap()])
-                .env("LD_PRELOAD", &library)
-                .env("BAD_SECTOR_FILE", &file)
-                .env("BAD_SECTOR_START", start.to_string())
-                .env("BAD_SECTOR_END", end.to_string())
-                .output()
-                .unwrap();
-            let said = String::from_utf8(output.stdout).unwrap();
-            assert_eq!(output.status.code(), Some(3), "{name}, byte {start}: {said}");
-            assert!(said.contains("bytes that the disk cannot read"), "{name}: {said}");
-            let numbers: Vec<u32> = messages(&saved).iter().map(|message| message.1).collect();
-            assert_eq!(findings(&saved), [""; 0]);
-            numbers
-        };
-        // In the middle, in the middle of a chunk or over the border of two.
-        for start in [102_400, 204_800] {
-            let numbers = recover(start, start + 4_096);
-            assert!((380..=395).contains(&numbers.len()), "{name}: {}", numbers.len());
-            assert_eq!((numbers[0], numbers[numbers.len() - 1]), (0, 399));
-        }
-    }
-    // The beginning, with magic and topics, is repeated in the summary only.
-    let file = folder.join("summarized.mcap");
-    let saved = folder.join("beginning");
-    let output = eddy()
-        .args(["bag", "recover", file.to_str().unwrap(), "-o", saved.to_str().unwrap()])
-        .env("LD_PRELOAD", &library)
-        .env("BAD_SECTOR_FILE", &file)
-        .env("BAD_SECTOR_START", "0")
-        .env("BAD_SECTOR_END", "4096")
-        .output()
-        .unwrap();
-    assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(messages(&saved).len() >= 390);
 }

@@ -1,0 +1,7 @@
+//! Tests of the library from outside: written bags, read, edited and repaired.
+#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
+
+mod edit;
+mod repair;
+mod support;
+mod write_and_read;
