@@ -13,7 +13,6 @@ use super::{
     DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
     link, next_frame, options,
 };
-use crate::support::{self, talking_eddy, unique};
 
 #[test]
 fn a_killed_subscriber_frees_the_publisher_that_waits_for_it() {
@@ -149,38 +148,6 @@ fn a_subscriber_that_reads_nothing_never_holds_a_dropping_publisher_back() {
     assert!(start.elapsed() < DEADLINE, "{:?}", start.elapsed());
     stalled.kill();
     eventually("the killed subscriber is forgotten", || publisher.subscribers() == 1);
-}
-
-#[test]
-fn a_node_goes_on_when_its_peers_are_killed() {
-    let (options, topics) = (options(), unique("node"));
-    let link = |name: &str| -> Link { format!("shm:/{topics}/{name}").parse().unwrap() };
-    let (input, output) = (link("particles"), link("prediction"));
-    let mut node = talking_eddy();
-    node.args(["node", "--input", &input.to_string(), "--output", &output.to_string()]);
-    let mut node = support::Process::start_until(&mut node, "predicting");
-    assert!(node.line("shm:/").contains(" takes 16.5 MB (1 publishers, 0 subscribers)"));
-    let watch = Transports::new(options.clone());
-    let users = |link| watch.shared_memory(link, ParticleFrame::TYPE).unwrap().unwrap();
-    // More often than a topic has room for either.
-    for _ in 0..10 {
-        let reader = Process::start("subscribe", &output, &options);
-        reader.says("ready");
-        let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
-        let mut source = talking_eddy();
-        source.args(["replay", sample, "--loop", "--reliability", "drop", "--to", "shm"]);
-        source.args(["--remap", &format!("/particles:={}", input.topic)]);
-        let source = support::Process::start_until(&mut source, "publishing");
-        reader.says("frame");
-        reader.kill();
-        source.kill();
-        eventually("the dead are cleared away", || {
-            users(&input).publishers == 0 && users(&output).subscribers == 0
-        });
-        assert!(node.is_running());
-    }
-    node.interrupt();
-    assert!(node.wait().success());
 }
 
 /// The layout that other programs were told, written down again as they would.

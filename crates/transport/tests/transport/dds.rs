@@ -1,4 +1,4 @@
-//! DDS: what RustDDS carries, whom it meets, and what it does not carry.
+//! DDS: what RustDDS transmits, discovery, and limits.
 
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -12,10 +12,9 @@ use ros2_client::dds::rustdds::{
 };
 
 use super::{
-    DEADLINE, child::Process, ends, eventually, expect_frame, frame, frames_publisher,
+    DEADLINE, child::Process, domain, ends, eventually, expect_frame, frame, frames_publisher,
     frames_subscriber, link, next_frame,
 };
-use crate::support::domain;
 
 /// Options in a domain of this test's own.
 fn options() -> TransportOptions {

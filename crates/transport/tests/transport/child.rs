@@ -1,4 +1,4 @@
-//! Other processes: this test binary started again, with one role to play.
+//! Other processes: this test binary started again, with a role.
 
 use std::{
     io::{BufRead, BufReader},
@@ -34,7 +34,7 @@ impl Process {
             options.domain_id
         );
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--ignored", "--exact", "transport::child::main", "--nocapture"])
+            .args(["--ignored", "--exact", "child::main", "--nocapture"])
             .env(VARIABLE, task)
             .stdout(Stdio::piped())
             .spawn()
@@ -65,7 +65,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Killed already, or a test failed: nothing to be done about an error here.
+        // An error means that it was killed already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -84,7 +84,7 @@ fn read_lines(stdout: ChildStdout) -> mpsc::Receiver<String> {
 }
 
 #[test]
-#[ignore = "the other process of tests in this folder; does nothing by itself"]
+#[ignore = "the process that other tests start; does nothing by itself"]
 fn main() {
     let Ok(task) = std::env::var(VARIABLE) else { return };
     let words: Vec<&str> = task.split(' ').collect();
@@ -110,7 +110,7 @@ fn main() {
     }
 }
 
-/// One frame every few milliseconds, for ever.
+/// Publishes a frame every few milliseconds, forever.
 fn publish(transports: &Transports, link: &Link) {
     let mut publisher = frames_publisher(transports, link, Reliability::Block);
     println!("ready");
@@ -120,7 +120,7 @@ fn publish(transports: &Transports, link: &Link) {
     }
 }
 
-/// Says what arrives; after `most` frames reads no more.
+/// Prints the frames that arrive; stops receiving after `most` frames.
 fn subscribe(transports: &Transports, link: &Link, most: u64) {
     let mut subscriber = frames_subscriber(transports, link);
     println!("ready");
@@ -155,7 +155,7 @@ fn frames_go_to_another_process_and_come_back() {
     for transport in ["shm", "zenoh", "dds"] {
         let (mut options, link) = (options(), super::link(transport));
         if transport == "dds" {
-            options.domain_id = crate::support::domain();
+            options.domain_id = super::domain();
         }
         let transports = Transports::new(options.clone());
         let back = link.with_topic(&format!("{}/back", link.topic));

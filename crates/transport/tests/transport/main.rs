@@ -1,9 +1,13 @@
-//! The transports, end to end: one suite for all, then what is particular to each.
+//! The transports, end to end: one suite for all, then tests of each.
 //!
-//! Every test has topics, ports and a DDS domain of its own, so that tests run side by side, and beside other
-//! users of this machine.
+//! Every test has topics, ports and a DDS domain of its own, so that tests can run in parallel, and beside other users of
+//! the machine.
+#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
+#![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
 mod child;
+#[expect(dead_code, reason = "the tests of the program use the rest")]
+mod client;
 mod dds;
 mod shm;
 mod suite;
@@ -11,7 +15,7 @@ mod zenoh;
 
 use std::{
     ops::RangeInclusive,
-    sync::atomic::{AtomicU16, Ordering},
+    sync::atomic::{AtomicU16, AtomicU32, Ordering},
     time::{Duration, Instant},
 };
 
@@ -21,27 +25,35 @@ use eddy_transport::{
     Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
 };
 
-use crate::support::{domain, unique};
-
-/// How long anything may take here before the test fails.
+/// Time limit of anything that a test waits for.
 const DEADLINE: Duration = Duration::from_secs(30);
 
 /// A topic of this test only.
 fn link(transport: &str) -> Link {
-    format!("{transport}:/{}", unique("test")).parse().unwrap()
+    static NUMBER: AtomicU32 = AtomicU32::new(0);
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    format!("{transport}:/test_{}_{number}", std::process::id()).parse().unwrap()
+}
+
+/// A DDS domain that no other test uses. Participants on loopback find the first twelve of a domain only.
+fn domain() -> u16 {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    const DOMAINS: u32 = 100;
+    let next = std::process::id().wrapping_mul(13) + NEXT.fetch_add(1, Ordering::Relaxed);
+    1 + (next % DOMAINS) as u16
 }
 
 /// Loopback ports that no other test uses.
 fn ports() -> RangeInclusive<u16> {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     const BLOCK: u16 = 4;
-    // Below the ports that the system hands out by itself.
+    // Below the ephemeral ports of the system.
     let first = 10_000 + (std::process::id() % 100) as u16 * 200;
     let start = first + NEXT.fetch_add(1, Ordering::Relaxed) * BLOCK;
     start..=start + BLOCK - 1
 }
 
-/// Options that leave everybody else's router and ports alone.
+/// Options that avoid the routers and ports of others.
 fn options() -> TransportOptions {
     let mut options = TransportOptions::new("eddy_test");
     options.zenoh.router = "tcp/127.0.0.1:9".to_owned();
@@ -49,7 +61,7 @@ fn options() -> TransportOptions {
     options
 }
 
-/// The two ends of a transport: but for memory, as two processes would have them.
+/// Two ends of a transport, with sessions like two processes (except within the process).
 fn ends(transport: &str, mut options: TransportOptions) -> [Transports; 2] {
     if transport == "dds" {
         options.domain_id = domain();
@@ -68,6 +80,19 @@ fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
+/// What `client` needs of its surroundings.
+mod support {
+    /// Repeats `answer` until it returns something.
+    pub fn wait_for<T>(what: &str, mut answer: impl FnMut() -> Option<T>) -> T {
+        let mut found = None;
+        super::eventually(what, || {
+            found = answer();
+            found.is_some()
+        });
+        found.unwrap()
+    }
+}
+
 fn frames_publisher(transports: &Transports, link: &Link, mode: Reliability) -> Box<dyn Publisher> {
     transports.publisher(link, ParticleFrame::TYPE, mode).unwrap()
 }
@@ -76,7 +101,7 @@ fn frames_subscriber(transports: &Transports, link: &Link) -> Box<dyn Subscriber
     transports.subscriber(link, ParticleFrame::TYPE).unwrap()
 }
 
-/// The next frame; fails when none comes.
+/// The next frame; fails when none arrives.
 fn next_frame(subscriber: &mut dyn Subscriber) -> Frame {
     let start = Instant::now();
     while start.elapsed() < DEADLINE {
@@ -87,14 +112,14 @@ fn next_frame(subscriber: &mut dyn Subscriber) -> Frame {
     panic!("no frame within {DEADLINE:?}");
 }
 
-/// Fails unless the next frame is this one, bit by bit.
+/// Fails unless the next frame equals `expected` bit by bit.
 fn expect_frame(subscriber: &mut dyn Subscriber, expected: &Frame) {
     let found = next_frame(subscriber);
     assert_eq!((found.sequence, found.len()), (expected.sequence, expected.len()));
     assert!(found == *expected, "frame {} differs", expected.sequence);
 }
 
-/// A frame that tells its sequence number in every particle, with bits that rounding would lose.
+/// A frame with its sequence number in every particle, in bits that rounding would lose.
 fn frame(sequence: u64, particles: usize) -> Frame {
     let value = |index: usize| (sequence as f32 + 1.0) / (index as f32 + 3.0);
     Frame {
