@@ -239,8 +239,8 @@ mod tests {
     #[test]
     fn the_chosen_item_of_a_full_queue_is_dropped_and_returned() {
         let queue = Queue::new(2);
-        assert_eq!(queue.push_or_drop(0, |_| 1), []);
-        assert_eq!(queue.push_or_drop(1, |_| 1), []);
+        assert_eq!(queue.push_or_drop(0, |_| 1), [0; 0]);
+        assert_eq!(queue.push_or_drop(1, |_| 1), [0; 0]);
         assert_eq!(queue.push_or_drop(2, |_| 1), [1]);
         assert_eq!([queue.pop(LONG), queue.pop(LONG)], [Some(0), Some(2)]);
     }
@@ -283,8 +283,9 @@ mod tests {
         assert!(queue.is_ended());
     }
 
-    fn waiting_for_a_full_queue()
-    -> (Arc<Queue<i32>>, thread::JoinHandle<Result<(), PushError<i32>>>) {
+    type Producer = thread::JoinHandle<Result<(), PushError<i32>>>;
+
+    fn waiting_for_a_full_queue() -> (Arc<Queue<i32>>, Producer) {
         let queue = Arc::new(Queue::new(1));
         queue.push_or_drop_oldest(0);
         let waiting = thread::spawn({

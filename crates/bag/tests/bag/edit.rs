@@ -15,7 +15,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn the_parts_of_a_cut_bag_merge_into_the_whole(
+    fn parts_of_a_bag_merge_into_the_whole(
         times in prop::collection::vec(0..40u64, 1..80),
         mut cuts in prop::collection::vec(0..40i64, 0..5),
         chunk_size in 40..2_000u64,
@@ -49,7 +49,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn no_file_of_a_split_bag_is_larger_than_asked_for(
+    fn no_file_of_a_split_bag_exceeds_the_limit(
         messages in prop::collection::vec((0..40usize, 0..3_000usize), 1..120),
         size in 3_000..60_000u64,
         chunk_size in 40..20_000u64,
@@ -62,7 +62,7 @@ proptest! {
         let mut noise = 1_u32;
         for (time, (topic, length)) in messages.iter().enumerate() {
             let topic = bag.topic(&format!("/topic_{topic}"), RosString::TYPE).unwrap();
-            // Bytes that no compression makes smaller.
+            // Incompressible bytes.
             let data: Vec<u8> = (0..*length).map(|_| {
                 noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 (noise >> 24) as u8
@@ -95,7 +95,10 @@ fn a_bag_is_split_by_size_and_by_time_and_read_as_one() {
     for path in [&by_size, &by_time] {
         let found = messages(path);
         assert_eq!(found.len(), 30);
-        assert!((1..).zip(&found).all(|(number, message)| message.1 == number), "numbers go on");
+        assert!(
+            (1..).zip(&found).all(|(number, message)| message.1 == number),
+            "sequence numbers continue"
+        );
         assert_eq!(findings(path), [""; 0]);
     }
     let one = BagReader::open(&by_time.join("by_time_1.mcap")).unwrap();

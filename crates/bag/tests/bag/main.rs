@@ -3,5 +3,6 @@
 
 mod edit;
 mod repair;
+#[expect(dead_code, reason = "the tests of the program use the rest")]
 mod support;
 mod write_and_read;

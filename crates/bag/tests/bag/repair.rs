@@ -13,35 +13,36 @@ use crate::support::{
     word, write_foreign, write_split, write_with_auxiliary,
 };
 
-/// Where the summary of a whole file starts.
+/// Start of the summary section of a finished file (bytes).
 fn summary_start(bytes: &[u8]) -> usize {
     let footer = bytes.len() - 37;
     u64::from_le_bytes(bytes[footer + 9..footer + 17].try_into().unwrap()) as usize
 }
 
-/// A whole file with an end that tells of no summary.
+/// A finished file with a footer that declares no summary section.
 fn without_summary(bytes: &[u8]) -> Vec<u8> {
     let footer = [&[2][..], &20_u64.to_le_bytes(), &[0; 20], b"\x89MCAP0\r\n"].concat();
     [&bytes[..summary_start(bytes)], &footer].concat()
 }
 
-/// A file whose messages lie in chunks, with one more between the last chunk and the end of the data.
-fn with_a_loose_message(bytes: &[u8]) -> Vec<u8> {
+/// A file of chunks with another message outside chunks, at the end of the data section.
+fn with_an_unchunked_message(bytes: &[u8]) -> Vec<u8> {
     let footer = bytes.len() - 37;
     let number = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
     let (summary, offsets) = (number(footer + 9), number(footer + 17));
     // The data end record, before the summary, takes 13 bytes.
     let data_end = summary as usize - 13;
-    let mut loose = vec![5];
-    let body = [&1_u16.to_le_bytes()[..], &99_u32.to_le_bytes(), &[9; 16], &word("loose")].concat();
-    loose.extend_from_slice(&(body.len() as u64).to_le_bytes());
-    loose.extend_from_slice(&body);
-    let mut mixed = [&bytes[..data_end], &loose, &bytes[data_end..]].concat();
-    let shift = loose.len() as u64;
-    let footer = footer + loose.len();
+    let mut record = vec![5];
+    let body =
+        [&1_u16.to_le_bytes()[..], &99_u32.to_le_bytes(), &[9; 16], &word("unchunked")].concat();
+    record.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    record.extend_from_slice(&body);
+    let mut mixed = [&bytes[..data_end], &record, &bytes[data_end..]].concat();
+    let shift = record.len() as u64;
+    let footer = footer + record.len();
     mixed[footer + 9..footer + 17].copy_from_slice(&(summary + shift).to_le_bytes());
     mixed[footer + 17..footer + 25].copy_from_slice(&(offsets + shift).to_le_bytes());
-    // No checksum over the summary.
+    // No checksum of the summary section.
     mixed[footer + 25..footer + 29].fill(0);
     mixed
 }
@@ -123,7 +124,7 @@ fn files_without_a_summary_get_one_and_keep_their_messages() {
     assert_eq!(messages(&bag), before);
     assert_eq!(findings(&bag), [""; 0]);
     assert!(fs::metadata(&file).unwrap().len() > size + 1_000);
-    // MCAP's own reader finds in it what we put there.
+    // mcap's own reader reads it.
     let summary = mcap::Summary::read(&fs::read(&file).unwrap()).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, 60);
     assert_eq!(summary.channels.len(), 4);
@@ -157,20 +158,20 @@ fn damage_between_chunks_without_an_index_costs_what_it_hits() {
         let kept = messages(&saved);
         assert!((50..60).contains(&kept.len()), "{name}: {}", kept.len());
         assert!(kept.iter().all(|message| whole.contains(message)), "{name}");
-        assert_eq!(kept.last(), whole.last(), "{name}: what comes after the damage is kept");
+        assert_eq!(kept.last(), whole.last(), "{name}: messages after the damage are kept");
         assert_eq!(findings(&saved), [""; 0], "{name}");
         fs::remove_dir_all(&saved).unwrap();
     }
 }
 
 #[test]
-fn messages_outside_chunks_count_beside_those_in_chunks() {
+fn messages_outside_chunks_are_read_with_those_in_chunks() {
     let folder = Folder::new();
-    let mixed = with_a_loose_message(&fs::read(folder.join("whole.mcap")).unwrap());
+    let mixed = with_an_unchunked_message(&fs::read(folder.join("whole.mcap")).unwrap());
     fs::write(folder.join("mixed.mcap"), mixed).unwrap();
     let found = messages(&folder.join("mixed.mcap"));
     assert_eq!(found.len(), 61);
-    assert!(found.iter().any(|message| message.1 == 99 && message.4 == word("loose")));
+    assert!(found.iter().any(|message| message.1 == 99 && message.4 == word("unchunked")));
     let recovered = recover(&folder.join("mixed.mcap"), &folder.join("saved")).unwrap();
     assert_eq!((recovered.bag.messages, recovered.losses.len()), (61, 0));
 }
@@ -193,19 +194,23 @@ fn one_wrong_byte_costs_one_chunk_at_most() {
         let kept = messages(&saved);
         assert!(kept.len() + most >= 60, "byte {position}: {} messages", kept.len());
         let right = kept.iter().filter(|message| whole.contains(message)).count();
-        // A name in the summary may be what is wrong: nothing but the data has checksums of its own.
+        // The wrong byte may be in a name in the summary section, which is not covered by the chunk checksums.
         assert!(right == kept.len() || kept.len() == 60, "byte {position}: {right} are right");
         fs::remove_dir_all(&saved).unwrap();
     }
 }
 
 #[test]
-fn a_wrong_length_of_a_loose_message_costs_no_other() {
+fn a_wrong_length_of_a_message_outside_chunks_costs_no_other() {
     let folder = Folder::new();
     let times: Vec<u64> = (0..60).map(|number| number * 1_000).collect();
-    write_foreign(&folder.join("loose.mcap"), &times, mcap::WriteOptions::new().use_chunks(false));
-    let whole = messages(&folder.join("loose.mcap"));
-    let bytes = fs::read(folder.join("loose.mcap")).unwrap();
+    write_foreign(
+        &folder.join("unchunked.mcap"),
+        &times,
+        mcap::WriteOptions::new().use_chunks(false),
+    );
+    let whole = messages(&folder.join("unchunked.mcap"));
+    let bytes = fs::read(folder.join("unchunked.mcap")).unwrap();
     let start = bytes.windows(9).position(|w| w[0] == 5 && w[2..] == [0; 7]).unwrap();
     for (place, wrong) in [(1, 0xff), (2, 0x10), (5, 0x01), (8, 0x80)] {
         let mut bytes = bytes.clone();
@@ -220,7 +225,7 @@ fn a_wrong_length_of_a_loose_message_costs_no_other() {
 }
 
 #[test]
-fn a_bag_that_states_more_messages_than_it_has_is_not_whole() {
+fn a_bag_that_declares_more_messages_than_it_has_is_incomplete() {
     let folder = Folder::new();
     let bag = folder.join("bag");
     write_split(&bag, Split { size: Some(4_000), duration: None });
@@ -235,7 +240,7 @@ fn a_bag_that_states_more_messages_than_it_has_is_not_whole() {
 }
 
 #[test]
-fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off() {
+fn a_wrong_opcode_that_hides_the_rest_is_damage_and_nothing_is_removed() {
     let folder = Folder::new();
     let file = folder.join("bag.mcap");
     write_with_auxiliary(&file, 0..60);
@@ -244,7 +249,7 @@ fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off()
     let start = chunk.chunk_start_offset as usize;
     let after = start + chunk.chunk_length as usize;
     assert_eq!([bytes[start], bytes[after]], [6, 7], "a chunk, a message index");
-    // Without a summary that would tell. 2 ends a file, 15 its data.
+    // Without a summary section that would reveal it. 2 is the footer, 15 the data end.
     for (place, wrong) in [(start, 2), (after, 15)] {
         let mut bytes = without_summary(&bytes);
         bytes[place] = wrong;
@@ -256,7 +261,7 @@ fn a_wrong_kind_of_record_that_hides_the_rest_is_damage_and_nothing_is_cut_off()
 }
 
 #[test]
-fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
+fn a_reindexed_file_lists_its_attachments_and_metadata() {
     let folder = Folder::new();
     let file = folder.join("bag.mcap");
     write_with_auxiliary(&file, 0..60);
@@ -268,7 +273,7 @@ fn a_file_that_is_indexed_again_lists_its_attachments_and_metadata() {
 }
 
 #[test]
-fn work_on_a_file_that_is_read_from_its_start_can_be_ended() {
+fn a_scan_and_a_copy_can_be_interrupted() {
     let folder = Folder::new();
     let bag = folder.join("bag.mcap");
     let times: Vec<u64> = (0..40_000).collect();
@@ -302,7 +307,7 @@ fn work_on_a_file_that_is_read_from_its_start_can_be_ended() {
 }
 
 #[test]
-fn who_ends_the_work_between_two_files_is_told_which_of_them_are_new() {
+fn an_interruption_between_two_files_reports_how_many_are_new() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     fs::create_dir(&bag).unwrap();
@@ -313,25 +318,25 @@ fn who_ends_the_work_between_two_files_is_told_which_of_them_are_new() {
         write_foreign(file, &times, bare);
     }
     let before = files.each_ref().map(|file| fs::read(file).unwrap());
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     let mut once = |bytes| {
-        told.push(bytes);
-        told.len() < 2
+        reported.push(bytes);
+        reported.len() < 2
     };
     let error = Reindexing::open(&bag, &mut |_| true).unwrap().save(&mut once).unwrap_err();
-    assert_eq!(told, before.each_ref().map(|bytes| bytes.len() as u64));
-    let said = "interrupted after 1 of 2 files: these have a summary now, the other files and metadata.yaml \
+    assert_eq!(reported, before.each_ref().map(|bytes| bytes.len() as u64));
+    let expected = "interrupted after 1 of 2 files: these have a summary now, the other files and metadata.yaml \
                 are unchanged";
-    assert!(error.to_string().ends_with(said), "{error}");
+    assert!(error.to_string().ends_with(expected), "{error}");
     assert_eq!(fs::read(&files[1]).unwrap(), before[1]);
     assert!(!bag.join("metadata.yaml").exists());
     assert_eq!(reindex(&bag).unwrap().summarized, [files[1].clone()]);
     assert_eq!(findings(&bag), [""; 0]);
 }
 
-/// Cuts a file of one chunk of words that compress well, a quarter of it after the other.
+/// Truncates a file of one chunk of compressible strings at each quarter.
 #[test]
-fn a_chunk_that_ends_early_is_told_as_that_in_every_compression() {
+fn a_truncated_chunk_is_reported_in_every_compression() {
     let folder = tempfile::tempdir().unwrap();
     for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
         let bag = folder.path().join(format!("{compression:?}"));
@@ -376,19 +381,19 @@ fn a_chunk_that_ends_early_is_told_as_that_in_every_compression() {
 }
 
 #[test]
-fn every_damaged_chunk_is_told_and_of_many_the_first_ten_and_how_many_more() {
+fn every_damaged_chunk_is_reported_up_to_ten_with_the_number_of_the_others() {
     let folder = Folder::new();
     let times: Vec<u64> = (0..100).collect();
     write_foreign(&folder.join("long.mcap"), &times, small_chunks());
     let bytes = fs::read(folder.join("long.mcap")).unwrap();
     let chunks = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
     assert!(chunks.len() > 15, "{}", chunks.len());
-    // With the summary, by which chunks are found, and without, when the whole file is walked through.
+    // With a summary section, from which chunks are located, and without, when the whole file is scanned.
     for bare in [false, true] {
         for damaged in [3, 12] {
             let mut bytes = bytes.clone();
             let mut places = Vec::new();
-            // The first ones hold the channels.
+            // The first chunks hold the channels.
             for chunk in &chunks[chunks.len() - damaged..] {
                 let last = (chunk.chunk_start_offset + chunk.chunk_length) as usize - 5;
                 bytes[last] ^= 0xff;

@@ -28,7 +28,7 @@ pub fn findings(path: &Path) -> Vec<String> {
     survey.findings
 }
 
-/// Everything about a message that must not change: topic, number, both times, data, description.
+/// The properties of a message that must not change: topic, sequence number, both times, data, channel.
 pub type Whole = (String, u32, i64, i64, Vec<u8>, Channel);
 
 pub fn messages(path: &Path) -> Vec<Whole> {
@@ -53,8 +53,8 @@ pub fn reindex(path: &Path) -> Result<Reindexed, BagError> {
     Reindexing::open(path, &mut |_| true)?.save(&mut |_| true)
 }
 
-/// What another program may have recorded: types we do not know, IDL definitions, its own numbers,
-/// its own quality of service, a topic without a message.
+/// A recording of another program: unknown types, IDL definitions, sequence numbers and QoS of its own, a topic without
+/// messages.
 pub fn write_foreign(path: &Path, times: &[u64], options: mcap::WriteOptions) {
     let mut writer = options.create(fs::File::create(path).unwrap()).unwrap();
     let imu = writer.add_schema("acme_msgs/msg/Imu", "ros2idl", b"module acme {};").unwrap();
@@ -166,7 +166,7 @@ pub fn about(name: &str) -> mcap::records::Metadata {
     mcap::records::Metadata { name: name.to_owned(), metadata }
 }
 
-/// The attachments and metadata records of a bag of one file, as MCAP's own reader finds them.
+/// The attachments and metadata records of a bag of one file, read by mcap's own reader.
 pub fn auxiliary(bag: &Path) -> (Vec<mcap::Attachment<'static>>, Vec<mcap::records::Metadata>) {
     let reader = BagReader::open(bag).unwrap();
     let bytes = fs::read(reader.files().next().unwrap()).unwrap();
