@@ -30,7 +30,7 @@ fn frame(sequence: u64) -> Frame {
     }
 }
 
-/// A bag of so many frames on `/particles`, with small chunks.
+/// A bag of `frames` frames on `/particles`, with small chunks.
 fn write_frames(path: &Path, frames: u64, compression: Compression) {
     let options = WriterOptions { compression, chunk_size: 4096, ..WriterOptions::default() };
     let mut bag = BagWriter::create(path, options).unwrap();
@@ -81,7 +81,7 @@ proptest! {
             .collect();
         let mut found = plain(&path);
         prop_assert!(found.is_sorted_by_key(|message| message.1));
-        // Which of two messages of the same time comes first depends on the chunks they are in.
+        // The order of messages with equal times depends on their chunks.
         expected.sort();
         found.sort();
         prop_assert_eq!(found, expected);
@@ -118,7 +118,7 @@ fn the_same_calls_give_the_same_bytes() {
 }
 
 #[test]
-fn frames_come_back_and_nothing_is_wrong_with_them() {
+fn frames_come_back_without_findings() {
     for compression in COMPRESSIONS {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("bag");
@@ -145,7 +145,7 @@ fn a_bag_dropped_before_its_end_is_readable_under_its_unfinished_name() {
 }
 
 #[test]
-fn what_was_flushed_is_readable_while_the_bag_is_written() {
+fn flushed_messages_are_readable_while_the_bag_is_written() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bag");
     let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
@@ -155,13 +155,13 @@ fn what_was_flushed_is_readable_while_the_bag_is_written() {
     bag.flush().unwrap();
     bag.write(topic, Stamp(2), Stamp(2), &word("in memory")).unwrap();
     assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("kept"))]);
-    // As after SIGKILL: nobody finishes the file.
+    // As after SIGKILL: the file is not finished.
     std::mem::forget(bag);
     assert_eq!(plain(&path), [("/words".to_owned(), 1, 1, word("kept"))]);
 }
 
 #[test]
-fn a_bag_cut_anywhere_gives_every_whole_message_and_then_one_error() {
+fn a_bag_truncated_anywhere_gives_every_complete_message_then_one_error() {
     for compression in COMPRESSIONS {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("bag");
@@ -190,7 +190,7 @@ fn a_bag_cut_anywhere_gives_every_whole_message_and_then_one_error() {
 }
 
 #[test]
-fn a_cut_in_a_chunk_keeps_the_messages_before_it_in_the_chunk() {
+fn the_messages_of_a_truncated_chunk_are_kept() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bag");
     let options = WriterOptions { compression: Compression::None, ..WriterOptions::default() };
@@ -201,7 +201,7 @@ fn a_cut_in_a_chunk_keeps_the_messages_before_it_in_the_chunk() {
     }
     bag.finish().unwrap();
     let whole = fs::read(path.join("bag_0.mcap")).unwrap();
-    // All ten messages are in one chunk; this is about the middle of it.
+    // All ten messages are in one chunk; this is near its middle.
     let cut = directory.path().join("cut.mcap");
     fs::write(&cut, &whole[..5_000]).unwrap();
     let bag = BagReader::open(&cut).unwrap();
@@ -217,7 +217,7 @@ fn a_cut_in_a_chunk_keeps_the_messages_before_it_in_the_chunk() {
 }
 
 #[test]
-fn a_damaged_chunk_is_left_out_and_named_at_the_end() {
+fn a_damaged_chunk_is_skipped_and_reported_at_the_end() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bag");
     write_frames(&path, 40, Compression::None);
@@ -265,7 +265,7 @@ fn errors_name_file_topic_found_and_expected() {
 }
 
 #[test]
-fn files_that_are_no_bags_are_refused_by_what_they_are() {
+fn other_files_are_rejected_with_their_kind() {
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
     fs::write(at("text.mcap"), "not a bag at all").unwrap();
@@ -295,7 +295,7 @@ fn write_foreign(path: &Path, times: &[u64], options: mcap::WriteOptions) {
 }
 
 #[test]
-fn files_of_other_writers_are_read_whatever_they_leave_out() {
+fn files_of_other_writers_are_read_without_optional_records() {
     let directory = tempfile::tempdir().unwrap();
     let new = || mcap::WriteOptions::new().chunk_size(Some(40));
     let cases = [
@@ -365,7 +365,7 @@ fn a_selection_takes_topics_and_times() {
 }
 
 #[test]
-fn the_survey_names_what_is_wrong_in_a_stream() {
+fn the_survey_reports_what_is_wrong_in_a_stream() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bag");
     let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();

@@ -49,7 +49,7 @@ impl Process {
         loop {
             let left = DEADLINE.saturating_sub(start.elapsed());
             let line =
-                self.lines.recv_timeout(left).unwrap_or_else(|_| panic!("nobody said `{text}`"));
+                self.lines.recv_timeout(left).unwrap_or_else(|_| panic!("no line with `{text}`"));
             if line.contains(text) {
                 return line;
             }

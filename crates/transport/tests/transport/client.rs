@@ -1,4 +1,4 @@
-//! A client of services on Zenoh, as rmw_zenoh has it, on zenoh alone.
+//! A client of services in the wire format of rmw_zenoh, with plain zenoh.
 
 use std::{cell::Cell, time::Duration};
 
@@ -9,12 +9,12 @@ use zenoh::{
     query::{ConsolidationMode, QueryTarget},
 };
 
-/// How long one request may take.
+/// Timeout of a request.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// XXH3-128 of a token in ROS; services give back whatever it is.
+/// In ROS XXH3-128 of a token; services return it unchanged.
 const GID: [u8; 16] = *b"a client's gid..";
 
-/// A session beside one process, whose port it is told.
+/// A session connected to the port of one process.
 pub struct Client {
     session: Session,
     domain: u16,
@@ -35,7 +35,7 @@ impl Client {
         Self { session: zenoh::open(config).wait().unwrap(), domain, sequence: Cell::new(0) }
     }
 
-    /// Asks a service such as `/eddy_node/reset`, until it is there. Checks that the response names the
+    /// Calls a service such as `/eddy_node/reset`, waiting until it exists. Checks that the response identifies the
     /// request.
     pub fn ask<A: Serialize, B: DeserializeOwned>(
         &self,
@@ -49,7 +49,7 @@ impl Client {
         cdr::decode(&payload.unwrap()).unwrap()
     }
 
-    /// One request: the response, or the reason why there is none; `None` when nobody is there.
+    /// One request: the response, or the error of the service; `None` without a service.
     pub fn request(
         &self,
         name: &str,

@@ -16,7 +16,7 @@ use super::{
     frames_subscriber, link, next_frame,
 };
 
-/// Options in a domain of this test's own.
+/// Options with a domain of this test.
 fn options() -> TransportOptions {
     TransportOptions { domain_id: domain(), ..super::options() }
 }
@@ -37,7 +37,7 @@ fn domains_do_not_mix() {
 }
 
 #[test]
-fn subscribers_take_from_publishers_that_block_and_from_publishers_that_drop() {
+fn subscribers_receive_from_blocking_and_from_dropping_publishers() {
     let ([here, there], link) = (ends("dds", options()), link("dds"));
     let mut subscriber = frames_subscriber(&there, &link);
     let mut blocking = frames_publisher(&here, &link, Reliability::Block);
@@ -54,7 +54,7 @@ fn subscribers_take_from_publishers_that_block_and_from_publishers_that_drop() {
 }
 
 #[test]
-fn a_message_too_large_is_refused_with_its_size_the_limit_and_the_way_out() {
+fn a_message_too_large_is_rejected_with_size_limit_and_alternatives() {
     let (transports, link) = (Transports::new(options()), link("dds"));
     let mut publisher = transports.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
     let bytes = cdr::encode(&RosString { data: "e".repeat(9 << 20) });
@@ -69,7 +69,7 @@ fn a_message_too_large_is_refused_with_its_size_the_limit_and_the_way_out() {
 }
 
 #[test]
-fn what_was_sent_arrives_although_the_publisher_is_gone() {
+fn messages_arrive_after_their_publisher_is_dropped() {
     let ([here, there], link) = (ends("dds", options()), link("dds"));
     let mut subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
@@ -85,7 +85,7 @@ fn what_was_sent_arrives_although_the_publisher_is_gone() {
 }
 
 #[test]
-fn bytes_that_are_no_frame_arrive_for_the_receiver_to_judge() {
+fn bytes_that_are_not_a_frame_are_delivered() {
     let ([here, there], link) = (ends("dds", options()), link("dds"));
     let mut subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
@@ -102,14 +102,14 @@ fn bytes_that_are_no_frame_arrive_for_the_receiver_to_judge() {
 }
 
 #[test]
-fn big_endian_cdr_is_not_sent_under_a_little_endian_name() {
+fn big_endian_cdr_is_not_sent_as_little_endian() {
     let (transports, link) = (Transports::new(options()), link("dds"));
     let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
     let message = publisher.publish_cdr(&[0, 0, 0, 0, 7]).unwrap_err().to_string();
     assert!(message.contains("expected plain little-endian CDR"), "{message}");
 }
 
-/// The client is RustDDS alone, with the names and the identities that a ROS client uses.
+/// The client uses RustDDS directly, with the names and identities of a ROS client.
 #[test]
 fn a_service_answers_each_request_under_its_identity() {
     let (options, link) = (options(), link("dds"));

@@ -1,4 +1,4 @@
-//! Shared memory: killed processes, and services that other programs make.
+//! Shared memory: killed processes, and services created by other programs.
 
 use std::{
     thread,
@@ -55,7 +55,7 @@ fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restart
     let (options, link) = (options(), link("shm"));
     let transports = Transports::new(options.clone());
     let mut subscriber = frames_subscriber(&transports, &link);
-    // More often than a topic has room for publishers.
+    // More often than the largest number of publishers of a topic.
     for _ in 0..10 {
         let publisher = Process::start("publish", &link, &options);
         eventually("the publisher's first frame", || next_frame(&mut *subscriber).sequence == 0);
@@ -88,23 +88,23 @@ fn frames_outlive_the_publisher_that_sent_them() {
 }
 
 #[test]
-fn memory_grows_with_the_frame_and_is_told() {
+fn memory_grows_with_the_frame_and_is_reported() {
     for reliability in [Reliability::Block, Reliability::Drop] {
         let (options, link) = (options(), link("shm"));
         let [here, there] = [Transports::new(options.clone()), Transports::new(options)];
         let mut subscriber = frames_subscriber(&there, &link);
         let mut publisher = frames_publisher(&here, &link, reliability);
         let memory = || there.shared_memory(&link, ParticleFrame::TYPE).unwrap().unwrap();
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for (sequence, particles) in (0..).zip([2_500, 100_000, 2_500, 100_000]) {
             let sent = frame(sequence, particles);
             publisher.publish_frame(&sent).unwrap();
             expect_frame(&mut *subscriber, &sent);
             assert_eq!((memory().publishers, memory().subscribers), (1, 1));
-            told.push(memory().bytes / 1_000_000);
+            reported.push(memory().bytes / 1_000_000);
         }
-        // As many messages of 2,560 particles as readers can hold; 51 of the next power of two.
-        assert_eq!(told, [16, 133, 133, 133]);
+        // As many messages of 2,560 particles as subscribers can hold; 51 of the next power of two.
+        assert_eq!(reported, [16, 133, 133, 133]);
     }
 }
 
@@ -130,7 +130,7 @@ fn frames_are_lent_until_too_many_are_kept_then_copied() {
 }
 
 #[test]
-fn a_subscriber_that_reads_nothing_never_holds_a_dropping_publisher_back() {
+fn a_subscriber_that_receives_nothing_never_blocks_a_dropping_publisher() {
     let (options, link) = (options(), link("shm"));
     let transports = Transports::new(options.clone());
     let mut publisher = frames_publisher(&transports, &link, Reliability::Drop);
@@ -140,7 +140,7 @@ fn a_subscriber_that_reads_nothing_never_holds_a_dropping_publisher_back() {
     eventually("both subscribers are seen", || publisher.subscribers() == 2);
     let start = Instant::now();
     for sequence in 0..500 {
-        // Past what the slots of this size are: the stalled one keeps some of them.
+        // More than there are slots of this size; the stalled subscriber holds some of them.
         let sent = frame(sequence, 50_000);
         publisher.publish_frame(&sent).unwrap();
         assert_eq!(next_frame(&mut *reader).sequence, sequence);
@@ -150,7 +150,7 @@ fn a_subscriber_that_reads_nothing_never_holds_a_dropping_publisher_back() {
     eventually("the killed subscriber is forgotten", || publisher.subscribers() == 1);
 }
 
-/// The layout that other programs were told, written down again as they would.
+/// The documented layout, declared as another program would.
 #[derive(Debug, Clone, Copy, ZeroCopySend)]
 #[type_name("eddy::Particle")]
 #[repr(C)]
@@ -179,10 +179,10 @@ fn service_name(link: &Link) -> ServiceName {
 }
 
 #[test]
-fn a_service_made_by_another_program_is_used_as_it_is() {
+fn a_service_created_by_another_program_is_used_as_it_is() {
     let link = link("shm");
     let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
-    // With that program's defaults: room for two, the oldest overwritten.
+    // With iceoryx2's defaults: a buffer of two, the oldest overwritten.
     let service = node
         .service_builder(&service_name(&link))
         .publish_subscribe::<[Particle]>()
@@ -208,7 +208,7 @@ fn a_service_made_by_another_program_is_used_as_it_is() {
     assert_eq!([particle.vx, particle.vy], sent.velocity[2]);
     assert_eq!(particle.material, 2);
 
-    // That program wakes nobody.
+    // That program sends no wake-ups.
     let mut sample = foreign_publisher.loan_slice_uninit(2).unwrap();
     *sample.user_header_mut() =
         FrameHeader { dt: 0.016, sequence: 77, upper: [1.0; 2], ..Default::default() };
@@ -218,7 +218,7 @@ fn a_service_made_by_another_program_is_used_as_it_is() {
     assert_eq!((received.sequence, received.len()), (77, 2));
     assert_eq!(received.position, [[0.0, 0.25], [1.0, 0.25]]);
 
-    // What is no frame arrives as it is, for the receiver to judge; the next frame arrives too.
+    // An invalid frame arrives as bytes; the next frame arrives too.
     let mut sample = foreign_publisher.loan_slice_uninit(1).unwrap();
     *sample.user_header_mut() = FrameHeader { dt: f32::NAN, upper: [1.0; 2], ..Default::default() };
     sample.write_from_fn(particle).send().unwrap();
@@ -234,7 +234,7 @@ fn a_service_made_by_another_program_is_used_as_it_is() {
 }
 
 #[test]
-fn a_foreign_service_of_another_layout_is_refused_with_both_layouts() {
+fn a_service_of_another_layout_is_rejected_with_both_layouts() {
     let link = link("shm");
     let node = NodeBuilder::new().create::<ipc::Service>().unwrap();
     let _service =

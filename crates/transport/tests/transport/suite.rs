@@ -1,4 +1,4 @@
-//! What every transport promises.
+//! Guarantees of every transport.
 
 use std::{
     thread,
@@ -42,16 +42,16 @@ macro_rules! every_transport {
                 super::a_slow_subscriber_loses_nothing_under_block(NAME);
             }
             #[test]
-            fn a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher() {
-                super::a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher(NAME);
+            fn a_subscriber_that_receives_nothing_never_blocks_a_dropping_publisher() {
+                super::a_subscriber_that_receives_nothing_never_blocks_a_dropping_publisher(NAME);
             }
             #[test]
             fn a_later_subscriber_gets_the_later_frames() {
                 super::a_later_subscriber_gets_the_later_frames(NAME);
             }
             #[test]
-            fn a_subscriber_that_went_is_not_counted_and_not_waited_for() {
-                super::a_subscriber_that_went_is_not_counted_and_not_waited_for(NAME);
+            fn a_dropped_subscriber_is_not_counted_and_does_not_block() {
+                super::a_dropped_subscriber_is_not_counted_and_does_not_block(NAME);
             }
             #[test]
             fn nothing_within_the_timeout_is_none() {
@@ -62,16 +62,16 @@ macro_rules! every_transport {
                 super::frames_of_any_size_share_a_topic(NAME);
             }
             #[test]
-            fn publishers_and_subscribers_outlive_what_opened_them() {
-                super::publishers_and_subscribers_outlive_what_opened_them(NAME);
+            fn publishers_and_subscribers_outlive_their_transports() {
+                super::publishers_and_subscribers_outlive_their_transports(NAME);
             }
             #[test]
-            fn only_topics_of_frames_take_frames() {
-                super::only_topics_of_frames_take_frames(NAME);
+            fn only_topics_of_frames_accept_frames() {
+                super::only_topics_of_frames_accept_frames(NAME);
             }
             #[test]
-            fn an_unknown_type_is_named() {
-                super::an_unknown_type_is_named(NAME);
+            fn an_unknown_type_is_rejected() {
+                super::an_unknown_type_is_rejected(NAME);
             }
         }
     )*};
@@ -113,13 +113,13 @@ fn other_messages_travel_as_cdr(transport: &str) {
     let mut subscriber = there.subscriber(&link, RosString::TYPE).unwrap();
     let mut publisher = here.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
     eventually("the subscriber is seen", || publisher.subscribers() == 1);
-    // From nothing to more than any transport's first buffer.
+    // From empty to larger than the first buffer of any transport.
     let longest = if transport == "dds" { 200_000 } else { 300_000 };
     for length in [0, 1, 2_000, longest] {
         let bytes = cdr::encode(&RosString { data: "e".repeat(length) });
         publisher.publish_cdr(&bytes).unwrap();
         let found = subscriber.receive(DEADLINE).unwrap().unwrap().into_cdr();
-        // DDS fills messages up to a multiple of 4 bytes.
+        // DDS pads messages to a multiple of 4 bytes.
         let (message, filling) = found.split_at(bytes.len());
         assert!(message == bytes, "{length} letters differ");
         assert!(filling.len() < 4 && (transport == "dds" || filling.is_empty()), "{filling:?}");
@@ -155,7 +155,7 @@ fn a_slow_subscriber_loses_nothing_under_block(transport: &str) {
     for sequence in 0..FRAMES {
         assert_eq!(next_frame(&mut *subscriber).sequence, sequence);
         if sequence % 10 == 0 {
-            // Slow on purpose: the publisher fills every buffer in the meantime.
+            // Slow, so that the publisher fills every buffer.
             thread::sleep(Duration::from_millis(10));
         }
     }
@@ -163,7 +163,7 @@ fn a_slow_subscriber_loses_nothing_under_block(transport: &str) {
     drop(publishing.join().unwrap());
 }
 
-fn a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher(transport: &str) {
+fn a_subscriber_that_receives_nothing_never_blocks_a_dropping_publisher(transport: &str) {
     let ([here, there], link) = (ends(transport, options()), link(transport));
     let mut subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Drop);
@@ -174,7 +174,7 @@ fn a_subscriber_that_reads_nothing_never_stops_a_dropping_publisher(transport: &
     }
     let patience = options().patience;
     assert!(start.elapsed() < patience, "waited {:?}", start.elapsed());
-    // What did arrive is in order, with gaps.
+    // The frames that arrive are in order, with gaps.
     let first = next_frame(&mut *subscriber).sequence;
     let second = next_frame(&mut *subscriber).sequence;
     assert!(first < second, "{first} then {second}");
@@ -191,7 +191,7 @@ fn a_later_subscriber_gets_the_later_frames(transport: &str) {
     expect_frame(&mut *subscriber, &frame(1, 10));
 }
 
-fn a_subscriber_that_went_is_not_counted_and_not_waited_for(transport: &str) {
+fn a_dropped_subscriber_is_not_counted_and_does_not_block(transport: &str) {
     let ([here, there], link) = (ends(transport, options()), link(transport));
     let subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
@@ -222,11 +222,11 @@ fn frames_of_any_size_share_a_topic(transport: &str) {
     let mut subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
     eventually("the subscriber is seen", || publisher.subscribers() == 1);
-    // What DDS carries depends on the machine: 12,500 particles at least.
+    // The limit of DDS depends on the machine: at least 12,500 particles.
     let largest = if transport == "dds" { 12_000 } else { 20_000 };
     let sizes = [1, 2_500, 3, 6_000, 1, largest, 100];
-    // All are sent before the first is read; but not on shared memory, where a frame that needs more of it
-    // overtakes those that were sent to a reader that has not looked yet.
+    // All are sent before the first is received; but not on shared memory, where a frame that needs more memory
+    // overtakes those sent before the subscriber has connected.
     let together = if transport == "shm" { 1 } else { sizes.len() };
     let frames: Vec<_> = (0..).zip(sizes).map(|(sequence, size)| frame(sequence, size)).collect();
     for frames in frames.chunks(together) {
@@ -235,7 +235,7 @@ fn frames_of_any_size_share_a_topic(transport: &str) {
     }
 }
 
-fn publishers_and_subscribers_outlive_what_opened_them(transport: &str) {
+fn publishers_and_subscribers_outlive_their_transports(transport: &str) {
     let ([here, there], link) = (ends(transport, options()), link(transport));
     let mut subscriber = frames_subscriber(&there, &link);
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
@@ -245,7 +245,7 @@ fn publishers_and_subscribers_outlive_what_opened_them(transport: &str) {
     expect_frame(&mut *subscriber, &frame(0, 1));
 }
 
-fn only_topics_of_frames_take_frames(transport: &str) {
+fn only_topics_of_frames_accept_frames(transport: &str) {
     let ([here, _], link) = (ends(transport, options()), link(transport));
     let mut publisher = here.publisher(&link, DiagnosticArray::TYPE, Reliability::Drop).unwrap();
     let message = publisher.publish_frame(&frame(0, 1)).unwrap_err().to_string();
@@ -253,7 +253,7 @@ fn only_topics_of_frames_take_frames(transport: &str) {
     assert_eq!(message, format!("{link}: {expected}"));
 }
 
-fn an_unknown_type_is_named(transport: &str) {
+fn an_unknown_type_is_rejected(transport: &str) {
     let error = Transports::new(options())
         .subscriber(&link(transport), "std_msgs/msg/Nothing")
         .err()
@@ -262,10 +262,9 @@ fn an_unknown_type_is_named(transport: &str) {
     assert!(error.to_string().contains("found std_msgs/msg/Nothing"), "{error}");
 }
 
-/// Memory and shared memory know the type of what is there; Zenoh keeps types apart by their keys;
-/// RustDDS goes by the topic's name and leaves the type to the receiver.
+/// Memory and shared memory know the type of a topic. Zenoh has the type in the key; RustDDS ignores the type.
 #[test]
-fn a_topic_of_another_type_is_refused_with_both_types() {
+fn a_topic_of_another_type_is_rejected_with_both_types() {
     for transport in ["memory", "shm"] {
         let ([here, there], link) = (ends(transport, options()), link(transport));
         let _strings = there.subscriber(&link, RosString::TYPE).unwrap();
@@ -277,7 +276,7 @@ fn a_topic_of_another_type_is_refused_with_both_types() {
 }
 
 #[test]
-fn what_is_published_is_listed_with_its_type() {
+fn published_topics_are_listed_with_their_types() {
     for transport in ["shm", "zenoh"] {
         let [here, there] = ends(transport, options());
         let (frames, words) = (link(transport), link(transport));
@@ -300,7 +299,7 @@ fn what_is_published_is_listed_with_its_type() {
 }
 
 #[test]
-fn a_blocking_publisher_gives_up_on_a_stalled_subscriber_when_its_patience_ends() {
+fn a_blocking_publisher_fails_after_its_patience_with_a_stalled_subscriber() {
     for transport in ["memory", "shm"] {
         let mut options = options();
         options.patience = Duration::from_millis(100);

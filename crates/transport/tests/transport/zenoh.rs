@@ -1,4 +1,4 @@
-//! Zenoh: the wire as others see it, and how processes find each other.
+//! Zenoh: the wire format, and discovery.
 
 use std::{
     net::TcpListener,
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::client::Client;
 
-/// A session of zenoh alone, in `mode`, with these endpoints (JSON5).
+/// A plain Zenoh session in `mode` with these endpoints (JSON5).
 fn plain_session(mode: &str, listen: &str, connect: &str) -> Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -35,13 +35,13 @@ fn plain_session(mode: &str, listen: &str, connect: &str) -> Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// A plain session beside the process that took the first port of `options`.
+/// A plain session connected to the process on the first port of `options`.
 fn plain_peer(options: &TransportOptions) -> Session {
     let connect = format!(r#"["tcp/127.0.0.1:{}"]"#, options.zenoh.ports.start());
     plain_session(r#""peer""#, r#"["tcp/127.0.0.1:0"]"#, &connect)
 }
 
-/// A router on a port that the system chooses, and its endpoint.
+/// A router on any free port, and its endpoint.
 fn router() -> (Session, String) {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let endpoint = format!("tcp/{free}");
@@ -116,9 +116,9 @@ fn a_service_answers_each_request_under_its_sequence_and_gid() {
     for number in 0..20 {
         assert_eq!(request(number), Some(Ok(vec![0, 1, 0, 0, 2 * number])));
     }
-    let refused = client.request(&link.topic, TRIGGER, vec![9]);
+    let rejected = client.request(&link.topic, TRIGGER, vec![9]);
     assert_eq!(
-        refused,
+        rejected,
         Some(Err("no response: the payload is not a request of this service, or the node is busy"
             .to_owned()))
     );
@@ -137,7 +137,7 @@ fn a_service_answers_each_request_under_its_sequence_and_gid() {
     eventually("its token is gone", || client.services().is_empty());
 }
 
-/// A publisher of words that keeps so many of them.
+/// A publisher of strings that keeps the last `kept`.
 fn keeping(transports: &Transports, link: &Link, kept: usize) -> Box<dyn Publisher> {
     let words = type_support(RosString::TYPE).unwrap();
     let kept = NonZeroUsize::new(kept);
@@ -153,7 +153,7 @@ fn next_word(subscriber: &mut dyn Subscriber) -> Vec<u8> {
 }
 
 #[test]
-fn who_comes_later_gets_what_was_kept_and_every_message_once() {
+fn a_late_subscriber_receives_the_kept_messages_and_every_message_once() {
     let (options, link) = (options(), link("zenoh"));
     let (here, there) = (Transports::new(options.clone()), Transports::new(options));
     let mut publisher = keeping(&here, &link, 3);
@@ -167,7 +167,7 @@ fn who_comes_later_gets_what_was_kept_and_every_message_once() {
     eventually("the subscriber is seen", || publisher.subscribers() == 1);
     publisher.publish_cdr(&word("5")).unwrap();
     assert_eq!(next_word(&mut *subscriber), word("5"));
-    // One that comes later still.
+    // A subscriber that joins even later.
     let mut another = there.subscriber(&link, RosString::TYPE).unwrap();
     for number in 3..6 {
         assert_eq!(next_word(&mut *another), word(&number.to_string()));
@@ -176,7 +176,7 @@ fn who_comes_later_gets_what_was_kept_and_every_message_once() {
         assert_eq!(subscriber.receive(Duration::from_millis(200)).unwrap(), None);
         assert_eq!(subscriber.refused(), 0);
     }
-    // Who comes first gets what comes, and nothing twice.
+    // The first subscriber receives every message once.
     let elsewhere = link.with_topic(&format!("{}/later", link.topic));
     let mut early = there.subscriber(&elsewhere, RosString::TYPE).unwrap();
     let mut publisher = keeping(&here, &elsewhere, 1);
@@ -189,7 +189,7 @@ fn who_comes_later_gets_what_was_kept_and_every_message_once() {
 }
 
 #[test]
-fn what_is_kept_is_told_and_adds_up_unless_a_publisher_keeps_nothing() {
+fn kept_messages_are_announced_and_add_up_unless_a_publisher_is_volatile() {
     let (options, link) = (options(), link("zenoh"));
     let (here, there) = (Transports::new(options.clone()), Transports::new(options));
     let kept = || {
@@ -204,9 +204,9 @@ fn what_is_kept_is_told_and_adds_up_unless_a_publisher_keeps_nothing() {
     eventually("the third is seen", || kept() == Some(0));
 }
 
-/// As `AdvancedSubscriber` of zenoh-ext finds and asks a publisher.
+/// Queries like those of `AdvancedSubscriber` in zenoh-ext.
 #[test]
-fn what_is_kept_is_found_and_given_as_zenoh_ext_has_it() {
+fn kept_messages_are_found_and_returned_as_in_zenoh_ext() {
     let (options, link) = (options(), link("zenoh"));
     let transports = Transports::new(options.clone());
     let mut publisher = keeping(&transports, &link, 2);
@@ -243,7 +243,7 @@ fn what_is_kept_is_found_and_given_as_zenoh_ext_has_it() {
 }
 
 #[test]
-fn a_service_of_a_type_without_a_hash_is_refused() {
+fn a_service_of_a_type_without_a_hash_is_rejected() {
     let transports = Transports::new(options());
     let served =
         transports.serve(&link("zenoh"), "std_srvs/srv/SetBool", Box::new(|_: &[u8]| None));
@@ -287,7 +287,7 @@ fn a_topic_of_another_type_is_a_warning_with_both_types() {
 }
 
 #[test]
-fn a_busy_port_is_named() {
+fn a_busy_port_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let (mut options, link) = (options(), link("zenoh"));
@@ -336,7 +336,7 @@ fn frames_come_once_when_peers_meet_directly_and_through_a_router() {
     let mut publisher = frames_publisher(&here, &link, Reliability::Block);
     eventually("both know the router", || router.info().peers_zid().wait().count() == 2);
     exactly_once(&mut *publisher, &mut *subscriber);
-    // The router may go, and come.
+    // The router may disappear and return.
     router.close().wait().unwrap();
     publisher.publish_frame(&frame(50, 1)).unwrap();
     expect_frame(&mut *subscriber, &frame(50, 1));
@@ -346,7 +346,7 @@ fn frames_come_once_when_peers_meet_directly_and_through_a_router() {
 fn peers_that_know_only_a_router_exchange_frames_once() {
     let (_router, endpoint) = router();
     let (mut options, link) = (options(), link("zenoh"));
-    // As a ROS node with rmw_zenoh's own settings.
+    // Like a ROS node with the settings of rmw_zenoh.
     options.zenoh.overrides = format!(r#"connect/endpoints=["{endpoint}"]"#);
     let (here, there) = (Transports::new(options.clone()), Transports::new(options));
     let mut subscriber = frames_subscriber(&there, &link);
@@ -366,12 +366,11 @@ fn processes_beyond_the_port_range_find_each_other() {
     exactly_once(&mut *publisher, &mut *subscriber);
 }
 
-/// Printed with `--nocapture`: from the start of a process, which opens its session first, to its
-/// first frame here.
+/// Prints with `--nocapture` the time from the start of a process to its first frame.
 #[test]
-fn processes_find_each_other_without_a_router_whichever_starts_first_and_again_after_a_kill() {
+fn processes_find_each_other_without_a_router_in_any_order_and_again_after_a_kill() {
     let (options, link) = (options(), link("zenoh"));
-    // The publisher starts first and takes the first port; we take the second, and dial it.
+    // The publisher starts first and takes the first port; this process takes the second and connects to it.
     let publisher = Process::start("publish", &link, &options);
     publisher.says("ready");
     let transports = Transports::new(options.clone());
@@ -380,7 +379,7 @@ fn processes_find_each_other_without_a_router_whichever_starts_first_and_again_a
     next_frame(&mut *subscriber);
     println!("a subscriber that starts later: {:?}", start.elapsed());
     publisher.kill();
-    // Started again it takes the same port, which we keep dialling.
+    // Restarted, it takes the same port, to which this process keeps connecting.
     for _ in 0..3 {
         while subscriber.receive(Duration::ZERO).unwrap().is_some() {}
         let start = Instant::now();
