@@ -11,7 +11,7 @@ use toml::Table;
 use crate::documented::spans;
 
 /// External dependencies and the crate that each belongs to.
-const HOMES: [(&str, &str); 15] = [
+const HOMES: [(&str, &str); 16] = [
     ("axum", "node"),
     ("burn", "learning"),
     ("embedded-graphics", "evaluation"),
@@ -23,6 +23,7 @@ const HOMES: [(&str, &str); 15] = [
     ("mcap", "bag"),
     ("npyz", "exchange"),
     ("plotters", "evaluation"),
+    ("plotters-backend", "evaluation"),
     ("ros2-client", "transport"),
     ("strsim", "settings"),
     ("tokio", "node"),

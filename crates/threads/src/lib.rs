@@ -20,19 +20,22 @@ pub use pool::{Barrier, Task, ThreadPool};
 
 use std::{hint, ops::Range, thread};
 
-/// Checks of a flag before a waiting thread yields or parks, about 20 microseconds.
+/// Checks of a flag before a thread that waits for a job parks, or for the end of a stage yields: about 20 microseconds.
 const SPINS: u32 = 500;
+/// Checks of a barrier before a thread yields. Fewer, because all threads of a broadcast must run: on a busy machine, the
+/// one that is missing may be waiting for the processor of one that spins.
+const BARRIER_SPINS: u32 = 100;
 
 /// The part of `0..length` that belongs to one of `threads` threads.
 pub fn share(length: usize, thread: usize, threads: usize) -> Range<usize> {
     length * thread / threads..length * (thread + 1) / threads
 }
 
-/// Spins until the condition holds, then yields between the checks.
-fn wait_until(condition: impl Fn() -> bool) {
+/// Checks a condition until it holds: `most` times spinning, then yielding.
+fn wait_until(most: u32, condition: impl Fn() -> bool) {
     let mut spins = 0;
     while !condition() {
-        if spins < SPINS {
+        if spins < most {
             spins += 1;
             hint::spin_loop();
         } else {

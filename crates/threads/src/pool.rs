@@ -10,7 +10,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use super::{SPINS, wait_until};
+use super::{BARRIER_SPINS, SPINS, wait_until};
 
 /// Bits of `Shared::gate` that count the threads inside the job.
 const INSIDE: u64 = (1 << 32) - 1;
@@ -97,7 +97,7 @@ impl ThreadPool {
             }
         }
         // A thread allocates while it starts: wait until that is over.
-        wait_until(|| shared.ready.load(Ordering::Acquire) == workers.len());
+        wait_until(SPINS, || shared.ready.load(Ordering::Acquire) == workers.len());
         Self {
             shared,
             workers,
@@ -214,7 +214,7 @@ impl Drop for Closing<'_> {
             self.0.broken.store(true, Ordering::Release);
         }
         self.0.gate.fetch_and(!OPEN, Ordering::AcqRel);
-        wait_until(|| self.0.gate.load(Ordering::Acquire) & INSIDE == 0);
+        wait_until(SPINS, || self.0.gate.load(Ordering::Acquire) & INSIDE == 0);
     }
 }
 
@@ -277,7 +277,7 @@ fn run_stages(stages: &[Stage], broken: &AtomicBool, thread: usize, work: &(dyn 
             stage.done.fetch_add(1, Ordering::Release);
         }
         // Acquire pairs with the release above: the next stage sees the writes of this one.
-        wait_until(|| {
+        wait_until(SPINS, || {
             assert!(!broken.load(Ordering::Acquire), "another thread panicked");
             stage.done.load(Ordering::Acquire) == stage.items
         });
@@ -312,7 +312,7 @@ impl<'a> Barrier<'a> {
             self.round.store(round + 1, Ordering::Release);
             return;
         }
-        wait_until(|| {
+        wait_until(BARRIER_SPINS, || {
             assert!(!self.broken.load(Ordering::Acquire), "another thread panicked");
             self.round.load(Ordering::Acquire) != round
         });
@@ -362,7 +362,7 @@ mod tests {
                 pool.run([2], false, &|task: Task| {
                     // Both threads are at work before one of them panics.
                     met.fetch_add(1, Ordering::SeqCst);
-                    wait_until(|| met.load(Ordering::SeqCst) == 2);
+                    wait_until(SPINS, || met.load(Ordering::SeqCst) == 2);
                     assert!(task.thread != culprit, "on purpose");
                 });
             }));

@@ -29,6 +29,8 @@ const MARGIN: f64 = 0.04;
 const TICKS: f64 = 6.0;
 /// Maximum number of decades with ticks at 2 and 5.
 const FINE_DECADES: f64 = 1.6;
+/// Maximum number of decades with ticks at most multiples.
+const FINEST_DECADES: f64 = 0.8;
 /// Maximum number of decades of an axis; smaller values are cut off. A prediction exact up to rounding would compress
 /// everything else.
 const DECADES: f64 = 12.0;
@@ -154,7 +156,13 @@ fn linear([least, most]: [f64; 2]) -> Vec<(f64, String)> {
 /// Powers of ten, and their multiples by 2 and 5 on short axes.
 fn logarithmic([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     let decades = most - least;
-    let factors: &[f64] = if decades <= FINE_DECADES { &[1.0, 2.0, 5.0] } else { &[1.0] };
+    let factors: &[f64] = if decades <= FINEST_DECADES {
+        &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]
+    } else if decades <= FINE_DECADES {
+        &[1.0, 2.0, 5.0]
+    } else {
+        &[1.0]
+    };
     let every = (decades / (TICKS + 2.0)).ceil().max(1.0) as i32;
     let mut ticks = Vec::new();
     for power in least.floor() as i32..=most.ceil() as i32 {
@@ -209,6 +217,7 @@ mod tests {
         let axis = Axis::logarithmic("y");
         assert_eq!(labels(&axis.range([-4.2, -1.8]).ticks), ["10⁻⁴", "10⁻³", "0.01"]);
         assert_eq!(labels(&axis.range([-0.4, 0.8]).ticks), ["0.5", "1", "2", "5"]);
+        assert_eq!(labels(&axis.range([0.03, 0.6]).ticks), ["2", "3"]);
     }
 
     #[test]

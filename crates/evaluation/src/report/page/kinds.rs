@@ -34,7 +34,10 @@ impl Report {
             if let (Role::Model, Some(place)) = (entry.role, place) {
                 let intervals = entry.kinds.iter().map(|kind| kind.skill_intervals.as_ref());
                 let all = intervals.chain([entry.skill_intervals.as_ref()]);
-                table.row("95 % over scenes", all.map(|intervals| between(intervals, place)));
+                if all.clone().any(|intervals| intervals.is_some()) {
+                    let all = all.map(|intervals| between(intervals, place));
+                    table.row("95 % interval over scenes", all);
+                }
             }
         }
         table

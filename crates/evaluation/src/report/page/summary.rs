@@ -73,8 +73,10 @@ impl Report {
             if seeds > 1 {
                 table.row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
             }
-            let intervals = (0..self.shown.len()).map(|at| between(skill_intervals.as_ref(), at));
-            table.row("95 % interval over scenes", intervals);
+            if skill_intervals.is_some() {
+                let at_shown = |at| between(skill_intervals.as_ref(), at);
+                table.row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
+            }
         }
         table
     }
