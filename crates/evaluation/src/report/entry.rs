@@ -181,3 +181,15 @@ fn measures(accumulator: &Accumulator, shown: &[usize]) -> Vec<Measures> {
         .map(|(&frame, sums)| Measures::new(frame, sums))
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Role;
+
+    #[test]
+    fn roles_have_the_names_of_earlier_reports() {
+        let json = serde_json::to_string(&[Role::Model, Role::JoinedLate, Role::Solver]).unwrap();
+        assert_eq!(json, r#"["model","joined_late","rival"]"#);
+        assert_eq!(serde_json::from_str::<Role>("\"rival\"").unwrap(), Role::Solver);
+    }
+}
