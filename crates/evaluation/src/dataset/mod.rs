@@ -17,6 +17,8 @@ pub mod simulate;
 mod split;
 mod statistics;
 mod stream;
+#[cfg(test)]
+mod tests;
 mod trajectory;
 
 use std::path::PathBuf;

@@ -1,0 +1,127 @@
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use super::*;
+use eddy_bag::{BagWriter, Compression, WriterOptions};
+use eddy_frames::{Domain, Stamp};
+use eddy_messages::{FrameCdr, Message, ParticleFrame};
+
+const DT: f32 = 0.016;
+const FRAMES: usize = 40;
+const PARTICLES: usize = 24;
+
+/// Particles that move uniformly.
+fn stream(id: u64) -> Stream {
+    let fraction = |i: usize, step: f32| (0.37 * (i as f32 + 1.0) + step * id as f32).fract();
+    let start = |i| [0.2 + 0.3 * fraction(i, 0.11), 0.3 + 0.3 * fraction(i, 0.23)];
+    let velocity: Vec<[f32; 2]> =
+        (0..PARTICLES).map(|i| [0.4 * fraction(i, 0.31), 0.2 * fraction(i, 0.43)]).collect();
+    let position = |frame: usize| {
+        let time = DT * frame as f32;
+        let moved = |i: usize| [0, 1].map(|axis| start(i)[axis] + time * velocity[i][axis]);
+        (0..PARTICLES).map(moved).collect()
+    };
+    Stream {
+        id,
+        source: "test".into(),
+        dt: DT,
+        domain: Domain::UNIT,
+        material: (0..PARTICLES).map(|i| Material::ALL[i % 2]).collect(),
+        first_sequence: 0,
+        first_stamp: Stamp(0),
+        states: (0..FRAMES)
+            .map(|frame| State { position: position(frame), velocity: velocity.clone() })
+            .collect(),
+    }
+}
+
+fn write_bag(path: &Path, streams: &[Stream]) {
+    let options = WriterOptions {
+        compression: Compression::None,
+        chunk_size: 1 << 14,
+        ..WriterOptions::default()
+    };
+    let mut bag = BagWriter::create(path, options).unwrap();
+    let topic = bag.topic(TRUTH_TOPIC, ParticleFrame::TYPE).unwrap();
+    for index in 0..FRAMES {
+        for stream in streams.iter().filter(|stream| index < stream.states.len()) {
+            let frame = stream.frame(index);
+            bag.write(topic, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+/// Loads bags; frames that take more than `memory` bytes stay on disk.
+fn load(paths: &[PathBuf], memory: u64) -> Result<Dataset, DatasetError> {
+    Dataset::load(paths, memory, &mut |_, _| {})
+}
+
+fn ids(streams: &[Trajectory]) -> Vec<(u64, u64, usize)> {
+    streams.iter().map(|stream| (stream.id, stream.first_sequence, stream.frames)).collect()
+}
+
+#[test]
+fn streams_on_disk_are_split_like_those_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    // A stream with a missing frame, one whose sequence restarts, and a complete one.
+    let mut first = stream(0);
+    first.states.truncate(10);
+    let mut rest = stream(0);
+    rest.first_sequence = 11;
+    rest.first_stamp = rest.first_stamp.advance(DT, 11);
+    let mut again = stream(1);
+    again.first_stamp = again.first_stamp.advance(DT, FRAMES as u32);
+    write_bag(&folder.path().join("cut"), &[first, rest, stream(1), again, stream(2)]);
+    let data = [folder.path().join("cut")];
+    let (held, stored) = (load(&data, u64::MAX).unwrap(), load(&data, 1).unwrap());
+    assert_eq!(held.digest, stored.digest);
+    assert_eq!(held.normalization, stored.normalization);
+    for (held, stored) in [(&held.train, &stored.train), (&held.validation, &stored.validation)] {
+        assert_eq!(ids(held), ids(stored));
+        for (held, stored) in held.iter().zip(stored) {
+            let all = 0..held.frames;
+            assert_eq!(held.bounds, stored.bounds);
+            let (held, stored) = (held.cut(all.clone()).unwrap(), stored.cut(all).unwrap());
+            assert_eq!(held.states, stored.states);
+            assert_eq!(held.first_stamp, stored.first_stamp);
+        }
+    }
+    assert_eq!(ids(&held.train), [(0, 0, 10), (0, 11, 40)]);
+    assert_eq!(ids(&held.validation), [(1, 0, 40), (1, 0, 40)]);
+}
+
+#[test]
+fn a_bag_that_changes_after_loading_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    write_bag(&bag, &[0, 1, 2].map(stream));
+    let stored = load(std::slice::from_ref(&bag), 1).unwrap();
+    fs::remove_dir_all(&bag).unwrap();
+    let mut others = [0, 1, 2].map(stream);
+    for stream in &mut others {
+        stream.states.reverse();
+    }
+    write_bag(&bag, &others);
+    // The cache holds one block, so the first stream has been evicted.
+    let message = stored.train[0].cut(0..10).unwrap_err().to_string();
+    assert!(message.contains("bag") && message.contains("stream 0"), "{message}");
+}
+
+#[test]
+fn one_compressed_stream_does_not_affect_the_spacing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut streams: Vec<_> = (0..5).map(|id| Stream { id, ..stream(1) }).collect();
+    write_bag(&folder.path().join("usual"), &streams);
+    for state in &mut streams[0].states {
+        for position in &mut state.position {
+            *position = position.map(|x| 0.4 + 0.1 * x);
+        }
+    }
+    write_bag(&folder.path().join("compressed"), &streams);
+    let spacing = |name: &str| load(&[folder.path().join(name)], u64::MAX).unwrap().spacing;
+    assert_eq!(spacing("compressed"), spacing("usual"));
+    assert!(spacing("compressed") > 0.0 && spacing("compressed").is_finite());
+}
