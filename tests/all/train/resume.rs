@@ -246,10 +246,10 @@ fn what_is_damaged_or_newer_is_refused_by_name() {
     damaged("last/resume.toml", &half, &["record: found", "expected the record of a run"]);
     damaged("last/resume.toml", &replaced("samples", "sample"), &["sample"]);
     damaged("last/resume.toml", &replaced("key = \"", "key = \"x"), &["64 hexadecimal digits"]);
-    damaged("last/resume.safetensors", &half, &["expected a whole safetensors file"]);
+    damaged("last/resume.safetensors", &half, &["expected a complete safetensors file"]);
     damaged("last/resume.safetensors", &flipped, &["checksum: found"]);
     damaged("last/model.safetensors", &flipped, &["checksum: found"]);
-    damaged("model.safetensors", &half, &["expected a whole safetensors file"]);
+    damaged("model.safetensors", &half, &["expected a complete safetensors file"]);
     fs::remove_file(output.join("last/resume.safetensors")).unwrap();
     let go_on = || resume(&config, &dataset(), output).unwrap_err().to_string();
     refused(output, go_on, &["last/resume.safetensors"]);

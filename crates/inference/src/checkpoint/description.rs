@@ -1,4 +1,4 @@
-//! `model.toml`: what a network is, what it saw, how its numbers are scaled.
+//! `model.toml`: network, training data and normalisation.
 
 use std::path::Path;
 
@@ -8,25 +8,25 @@ use super::{CheckpointError, Rules, rules};
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
 
-/// Version of the checkpoint format that is written. It goes up when a file of the old form would be misread.
+/// Version of the checkpoint format that is written. It increases when older files would be misread.
 ///
-/// Version 1, which is read as well, had no `[rules]`: particle models had [`Rules::STANDARD`] whatever the file said.
+/// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::STANDARD`].
 pub const FORMAT_VERSION: u32 = 2;
 
-/// Which network.
+/// The architecture of a network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Architecture {
-    /// The paper's: one hidden state for the whole frame, a fixed number of particles (Table 1).
+    /// The paper's network: one hidden state per frame, a fixed number of particles (Table 1).
     Frame,
-    /// One hidden state a particle, weights shared, any number of particles.
+    /// One hidden state per particle, shared weights, any number of particles.
     #[default]
     Particle,
 }
 
 impl Architecture {
-    /// The word in files and on the command line.
+    /// Its name in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Frame => "frame",
@@ -35,31 +35,31 @@ impl Architecture {
     }
 }
 
-/// Which core.
+/// The recurrent core of a network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Core {
-    /// No recurrence: a linear layer and the activation, the paper's baseline.
+    /// No recurrence: a linear layer and an activation, the paper's baseline.
     Mlp,
-    /// Long short-term memory (Hochreiter and Schmidhuber 1997), as PyTorch has it.
+    /// Long short-term memory (Hochreiter and Schmidhuber 1997), as in PyTorch.
     Lstm,
-    /// Gated recurrent unit (Cho et al. 2014), as PyTorch has it.
+    /// Gated recurrent unit (Cho et al. 2014), as in PyTorch.
     Gru,
-    /// Forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
+    /// minLSTM: forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
     #[cfg_attr(feature = "clap", value(name = "minlstm"))]
     MinLstm,
-    /// One gate, one candidate (Feng et al. 2024, section 3.1).
+    /// minGRU: one gate, one candidate (Feng et al. 2024, section 3.1).
     #[default]
     #[cfg_attr(feature = "clap", value(name = "mingru"))]
     MinGru,
 }
 
 impl Core {
-    /// Every core, the paper's order.
+    /// All cores, in the paper's order.
     pub const ALL: [Self; 5] = [Self::Mlp, Self::Lstm, Self::Gru, Self::MinLstm, Self::MinGru];
 
-    /// The word in files and on the command line.
+    /// Its name in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mlp => "mlp",
@@ -71,19 +71,19 @@ impl Core {
     }
 }
 
-/// Which form of the minimal recurrences; the other cores have only one.
+/// The form of the minimal recurrences; other cores have only the plain form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
-    /// Candidates enter as they are (the paper's Fig. 6).
+    /// Candidates enter the state unchanged (the paper's Fig. 6).
     #[default]
     Plain,
-    /// Candidates are made positive first, by g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, so that
-    /// the recurrence can be computed in logarithms (Feng et al. 2024, appendix B). Another model.
+    /// Candidates pass through g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, which is positive, so that the recurrence can be
+    /// computed in logarithms (Feng et al. 2024, appendix B). This is a different model.
     Log,
 }
 
-/// How the frame model makes one row of the particles' rows.
+/// How the frame model pools particles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Pooling {
     /// The mean over the particles.
@@ -93,12 +93,12 @@ pub enum Pooling {
     /// The largest value over the particles.
     #[serde(rename = "max")]
     Max,
-    /// Both, side by side.
+    /// Both, concatenated.
     #[serde(rename = "mean+max")]
     MeanMax,
 }
 
-/// What follows the frame model's linear layers.
+/// The activation after the frame model's linear layers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Activation {
@@ -114,10 +114,10 @@ pub enum Activation {
 }
 
 impl Activation {
-    /// Every activation, the order of the paper's Fig. 5.
+    /// All activations, in the order of the paper's Fig. 5.
     pub const ALL: [Self; 4] = [Self::Sigmoid, Self::Tanh, Self::Relu, Self::Elu];
 
-    /// The word in files.
+    /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Sigmoid => "sigmoid",
@@ -128,22 +128,22 @@ impl Activation {
     }
 }
 
-/// How the frame model is told a particle's material.
+/// How a particle's material enters the frame model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MaterialInput {
-    /// A number each, 1 for the particle's material and 0 for the others.
+    /// One input per material: 1 for the particle's material, else 0.
     #[default]
     #[serde(rename = "one-hot")]
     OneHot,
-    /// The paper's: one number, the material's number divided by the largest, 0..1.
+    /// As in the paper: one input, the material's number divided by the largest, 0..1.
     #[serde(rename = "scalar")]
     Scalar,
 }
 
-/// How the frame model's features are scaled, by the statistics of the training split.
+/// How the frame model's features are normalised, with statistics of the training split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FeatureScaling {
-    /// To 0..1 by the smallest and the largest value (the paper's eq. 1).
+    /// To 0..1 by minimum and maximum (the paper's eq. 1).
     #[default]
     #[serde(rename = "min-max")]
     MinMax,
@@ -152,17 +152,17 @@ pub enum FeatureScaling {
     ZScore,
 }
 
-/// What the paper leaves open about the frame model, and what it compares.
+/// Options of the frame model that the paper leaves open or compares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameOptions {
-    /// From particles to a frame.
+    /// Pooling over particles.
     pub pooling: Pooling,
-    /// Of the encoder, of the MLP core and of the mixer.
+    /// Activation of the encoder, the MLP core and the mixer.
     pub activation: Activation,
     /// How materials enter.
     pub material: MaterialInput,
-    /// How the other features are scaled.
+    /// How the other features are normalised.
     pub scaling: FeatureScaling,
 }
 
@@ -172,44 +172,42 @@ impl FrameOptions {
     }
 }
 
-/// How the particle model sees what surrounds a particle: a sparse grid of fixed cells that particles
-/// write to, three levels of convolutions on it, and particles that read from it.
+/// The sparse grid that connects the particle model's particles with their surroundings: particles are summed on its nodes,
+/// three levels of convolutions follow, and particles gather the result. Its table in `model.toml` is `[surroundings]`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GridOptions {
-    /// Width of a cell of the finest level; those of the others are two and four times as wide (domain
-    /// lengths).
+    /// Cell width of the finest level (domain lengths); the coarser levels have cells two and four times as wide.
     pub cell_width: f32,
-    /// Channels of each level, the finest first.
+    /// Channels of each level, finest first.
     pub channels: [usize; 3],
     /// Distance between neighbouring particles at rest (domain lengths).
     pub spacing: f32,
 }
 
-/// Widths of the network's layers.
+/// Sizes of a network's layers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sizes {
-    /// Width of the pointwise encoder's first layer.
+    /// Width of the encoder's first layer.
     pub encoder: usize,
     /// Width of the hidden state.
     pub hidden: usize,
     /// Number of recurrent layers.
     pub layers: usize,
-    /// The frame model's fixed number of particles; absent where any number will do.
+    /// The frame model's number of particles; absent in particle models.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub particles: Option<usize>,
 }
 
-/// Statistics of the training split over the features x, y, vx, vy (domain lengths and domain
-/// lengths per second). No test or validation frame enters.
+/// Statistics of the features x, y, vx, vy over the training split only (domain lengths and domain lengths per second).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Normalization {
-    /// Smallest value of each feature. For x and y this is where the left and lower wall are in
-    /// effect: a solver's walls have a thickness, and no particle goes beyond.
+    /// Smallest value of each feature. For x and y this is the effective left and lower wall: a solver's walls have a
+    /// thickness that no particle enters.
     pub minimum: [f32; 4],
-    /// Largest value of each feature; for x and y the right and upper wall in effect.
+    /// Largest value of each feature; for x and y the effective right and upper wall.
     pub maximum: [f32; 4],
     /// Mean of each feature.
     pub mean: [f32; 4],
@@ -217,77 +215,77 @@ pub struct Normalization {
     pub standard_deviation: [f32; 4],
 }
 
-/// How the weights came about; by default, that they did not yet.
+/// How the network was trained; the default is an untrained network.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSummary {
-    /// The command line that made it.
+    /// The command line.
     pub command: String,
-    /// Seed of initial weights and of the order of the data.
+    /// Seed of the initial weights and of the order of the data.
     pub seed: u64,
-    /// Epochs done.
+    /// Number of epochs.
     pub epochs: u32,
-    /// The epoch these weights are from, counted from 1.
+    /// The epoch of these weights, counted from 1.
     pub best_epoch: u32,
     /// Mean training loss of that epoch.
     pub training_loss: f64,
     /// Validation loss after that epoch.
     pub validation_loss: f64,
-    /// Windows seen by then.
+    /// Training windows up to that epoch.
     pub samples: u64,
-    /// Fingerprints of the streams it was fitted to or chosen by (`Trajectory::fingerprint`), so that they are
-    /// not judged on; none where that is not known.
+    /// Fingerprints of the streams used for training and validation (`Trajectory::fingerprint`), which evaluations exclude;
+    /// empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub seen: Vec<String>,
 }
 
-/// What a network is: everything needed to run it but the weights.
+/// Everything needed to run a network but its weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Description {
     /// [`FORMAT_VERSION`].
     pub format_version: u32,
-    /// Which network.
+    /// Architecture.
     pub architecture: Architecture,
-    /// Which recurrent core.
+    /// Recurrent core.
     pub core: Core,
-    /// Which form of the recurrence.
+    /// Form of the recurrence.
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum, f' = f / (f + i), i' = i / (f + i).
     #[serde(default = "normalized", skip_serializing_if = "is_normalized")]
     pub normalize_gates: bool,
     /// Time between two frames (s).
     pub dt: f32,
-    /// Frames a stream must deliver before its predictions count.
+    /// Number of frames to observe before predictions are published.
     pub warm_up: u32,
     /// Gravity (domain lengths per second squared).
     pub gravity: [f32; 2],
-    /// Materials that occur in the data; others are refused.
+    /// Materials in the training data; others are rejected.
     pub materials: Vec<Material>,
     /// Digest of the training data.
     pub data: String,
-    /// Widths of the layers.
+    /// Sizes of the layers.
     pub sizes: Sizes,
-    /// Choices within the frame model; the particle model has the defaults.
+    /// Options of the frame model; defaults in a particle model.
     #[serde(default, skip_serializing_if = "FrameOptions::is_default")]
     pub frame: FrameOptions,
-    /// How the particle model sees grid; the frame model has none.
+    /// The particle model's grid; absent in a frame model.
     #[serde(default, rename = "surroundings", skip_serializing_if = "Option::is_none")]
     pub grid: Option<GridOptions>,
-    /// Rules that correct the particle model's predictions; the frame model has none.
+    /// Rules that correct the particle model's predictions; empty in a frame model.
     #[serde(default, skip_serializing_if = "Rules::is_empty")]
     pub rules: Rules,
-    /// The box that holds the particles.
+    /// The domain in training.
     pub domain: Domain,
-    /// Scale of the numbers.
+    /// Statistics of the training data.
     pub normalization: Normalization,
-    /// How the weights came about.
+    /// How the network was trained.
     pub training: TrainingSummary,
 }
 
 impl Description {
-    /// An untrained network of the given widths with every choice by default: all rules for the particle model, frames of the paper's 16
-    /// ms in the unit square, velocities up to 1 domain length per second.
+    /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
+    /// interval of 16 ms, the unit square, velocities up to 1 domain length per second.
     pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {
         Self {
             format_version: FORMAT_VERSION,
@@ -320,12 +318,12 @@ impl Description {
     }
 }
 
-/// What is left out of the file.
+/// The value that is omitted from the file.
 fn normalized() -> bool {
     true
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn is_normalized(normalize_gates: &bool) -> bool {
     *normalize_gates
 }
@@ -335,9 +333,8 @@ pub(super) fn render(description: &Description) -> String {
     toml::to_string(description).expect("numbers, words and tables of them are all TOML")
 }
 
-/// Reads `model.toml`. The version goes first, so that a file of a later format is refused for that
-/// and not for a key this version does not know. A description of version 1 becomes one of version 2 with the rules
-/// that it implied.
+/// Reads `model.toml`. The version is checked first, so that a file of a later format is rejected for its version and not for
+/// an unknown key. Version 1 is converted to version 2 with the rules that it implied.
 pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointError> {
     let syntax = |error: toml::de::Error| CheckpointError::Description {
         file: file.to_owned(),
@@ -363,7 +360,7 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointEr
     }
 }
 
-/// Checks the numbers of a description.
+/// Checks the values of a description.
 pub(super) fn check(file: &Path, description: &Description) -> Result<(), CheckpointError> {
     let Description { architecture, dt, warm_up, gravity, materials, sizes, domain, .. } =
         description;
@@ -380,7 +377,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     if materials.is_empty() {
         return Err(field(file, "materials", "[]".to_owned(), "at least one material"));
     }
-    // An upper limit keeps a damaged description from asking for all the memory there is.
+    // The upper limit keeps a damaged description from exhausting the memory.
     let widths = [("encoder", sizes.encoder), ("hidden", sizes.hidden), ("layers", sizes.layers)];
     for (name, width) in widths {
         if !(1..=1 << 16).contains(&width) {

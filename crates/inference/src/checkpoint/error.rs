@@ -1,4 +1,4 @@
-//! Why something is no checkpoint.
+//! Why a checkpoint cannot be read, written or used.
 
 use std::{io, path::PathBuf};
 
@@ -10,26 +10,26 @@ pub enum CheckpointError {
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error.
         reason: io::Error,
     },
     /// A file cannot be written.
     #[error("{}: {reason}", file.display())]
     Write {
-        /// The file, or the directory that should hold it.
+        /// The file, or its directory.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error.
         reason: io::Error,
     },
-    /// The description is no TOML, or lacks a key, or has one too many.
+    /// The description is not valid TOML, or has a missing or unknown key.
     #[error("{}: {reason}", file.display())]
     Description {
         /// The file.
         file: PathBuf,
-        /// Line, key, and what is wrong there.
+        /// Line, key and problem.
         reason: String,
     },
-    /// A value of the description is another one than expected.
+    /// A value of the description is out of range.
     #[error("{}: {field}: found {found}, expected {expected}", file.display())]
     Field {
         /// The file.
@@ -41,15 +41,15 @@ pub enum CheckpointError {
         /// What it should be.
         expected: String,
     },
-    /// The weights file is damaged, or no safetensors file.
-    #[error("{}: found {found}, expected a whole safetensors file", file.display())]
+    /// The weights file is damaged or not a safetensors file.
+    #[error("{}: found {found}, expected a complete safetensors file", file.display())]
     Corrupt {
         /// The file.
         file: PathBuf,
-        /// What the reader stumbled over.
+        /// The parser's error.
         found: String,
     },
-    /// A tensor has another number type than f32.
+    /// A tensor is not of type f32.
     #[error("{}: {tensor}: found numbers of type {found}, expected F32", file.display())]
     NumberType {
         /// The file.
@@ -59,7 +59,7 @@ pub enum CheckpointError {
         /// Its number type.
         found: String,
     },
-    /// A tensor of the described network is not there.
+    /// A tensor of the described network is missing.
     #[error("{}: {tensor}: found nothing, expected a tensor of shape {expected:?}", file.display())]
     Missing {
         /// The file.
@@ -69,7 +69,7 @@ pub enum CheckpointError {
         /// The shape it should have.
         expected: Vec<usize>,
     },
-    /// There is a tensor that the described network does not have.
+    /// A tensor does not belong to the described network.
     #[error(
         "{}: {tensor}: found a tensor of shape {found:?}, expected none of that name in this network",
         file.display()
@@ -82,7 +82,7 @@ pub enum CheckpointError {
         /// Its shape.
         found: Vec<usize>,
     },
-    /// A tensor has another shape than the described network's.
+    /// A tensor does not have the shape of the described network.
     #[error("{}: {tensor}: found shape {found:?}, expected {expected:?}", file.display())]
     Shape {
         /// The file.
@@ -101,9 +101,9 @@ pub enum CheckpointError {
         file: PathBuf,
         /// The tensor.
         tensor: String,
-        /// Index of the first such number, last axis fastest.
+        /// Index of the first such value, last axis fastest.
         index: usize,
-        /// The number.
+        /// The value.
         found: f32,
     },
 }

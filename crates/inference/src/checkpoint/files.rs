@@ -1,14 +1,13 @@
-//! The two files on disk, and how both are replaced at once.
+//! The two files on disk, which are replaced together.
 //!
-//! Two renames are not one. So the new pair is first written whole beside the old one, weights before
-//! description, each under its name with `.new` behind; then the weights are renamed, then the
-//! description. Whoever comes after a crash finds one of three states:
+//! Two renames are not atomic. The new pair is therefore first written beside the old one, weights before description, with
+//! the suffix `.new`; then the weights are renamed, then the description. After a crash, one of three states is found:
 //!
 //! | `model.safetensors.new` | `model.toml.new` | state |
 //! |---|---|---|
-//! | any | none | the old pair counts |
-//! | there | there | not yet decided: the old pair counts |
-//! | none | there | the weights are already the new ones: `model.toml.new` belongs to them |
+//! | any | absent | the old pair is valid |
+//! | present | present | the old pair is valid |
+//! | absent | present | the weights are already new: `model.toml.new` belongs to them |
 
 use std::{
     collections::BTreeMap,
@@ -29,12 +28,12 @@ pub const DESCRIPTION_FILE: &str = "model.toml";
 /// Name of the weights within the directory.
 pub const WEIGHTS_FILE: &str = "model.safetensors";
 
-/// The names under which the new pair is written, weights first.
+/// The temporary names of the new pair, weights first.
 fn incoming(directory: &Path) -> [PathBuf; 2] {
     [WEIGHTS_FILE, DESCRIPTION_FILE].map(|name| directory.join(format!("{name}.new")))
 }
 
-/// Whether a writer was stopped between the two renames.
+/// Whether a writer was interrupted between the two renames.
 fn half_renamed(directory: &Path) -> bool {
     let [weights, description] = incoming(directory);
     description.exists() && !weights.exists()
@@ -91,7 +90,7 @@ pub fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
     safetensors::serialize(views, None).expect("names and shapes are all JSON")
 }
 
-/// The tensors in the bytes of a safetensors file; `file` is named in errors.
+/// The tensors in the bytes of a safetensors file; errors name `file`.
 pub fn parse_weights(
     file: &Path,
     bytes: &[u8],

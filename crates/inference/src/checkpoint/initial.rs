@@ -1,4 +1,4 @@
-//! The weights of a network before training.
+//! The weights of an untrained network.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Architecture, Description, Weights, layout};
 
-/// Initial weights: uniform in +-sqrt(gain / in), biases zero but for the gates of minimal cores, which
-/// start open (sigmoid(1) = .73 of the candidate enters at each frame); the decoder is zero, so that an
-/// untrained network adds nothing to the step it sits on. The gain is 1 for the frame model, as in
-/// PyTorch's layers, and 3 for the narrow particle model, which keeps the variance of its inputs.
+/// Initial weights: uniform in +-sqrt(gain / in). Biases are zero, except that gates of minimal cores start open
+/// (sigmoid(1) = 0.73 of the candidate enters per frame). The decoder is zero, so that an untrained network adds nothing to
+/// the ballistic step. The gain is 1 for the frame model, as in PyTorch's layers, and 3 for the narrow particle model, which
+/// preserves the variance of its inputs.
 pub fn initial_weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let gain = match description.architecture {

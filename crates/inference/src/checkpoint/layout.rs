@@ -1,8 +1,7 @@
 //! Names and shapes of a network's tensors, derived from its description.
 //!
-//! Every layer is linear with a bias, stored as PyTorch does: `NAME.weight` `[out, in]`,
-//! `NAME.bias` `[out]`. `F` is the number of input features, `E`, `H` the widths of encoder and hidden
-//! state, `l` counts the recurrent layers from 0.
+//! Every layer is linear with a bias and stored as in PyTorch: `NAME.weight` `[out, in]`, `NAME.bias` `[out]`. F is the
+//! number of input features, E and H are the widths of encoder and hidden state, and l is the recurrent layer, from 0.
 //!
 //! | layer | widths |
 //! |---|---|
@@ -18,20 +17,19 @@
 //! | `mixer` | H -> H |
 //! | `decoder` | H -> 2 N (frame model), H -> 4 (particle model) |
 //!
-//! GRU and LSTM have the names that PyTorch gives to a stack of layers, `core.weight_ih_l0`,
-//! `core.bias_ih_l0` and so on. Where mean and maximum are pooled, the input of the first layer of the
-//! core is 2 H wide.
+//! GRU and LSTM have PyTorch's names for stacked layers: `core.weight_ih_l0`, `core.bias_ih_l0` and so on. With mean and
+//! maximum pooling, the first layer of the core has 2 H inputs.
 //!
-//! The particle model's grid has three levels of C0, C1 and C2 channels. A convolution is a linear
-//! layer whose input is the nodes around a node, side by side, row by row from the lower left:
+//! The particle model's grid has three levels with C0, C1 and C2 channels. A convolution is a linear layer on the concatenated
+//! rows of the nodes around a node, row by row from the lower left:
 //!
 //! | layer | widths |
 //! |---|---|
 //! | `grid.0.a`, `grid.0.b` | 9 (C0 + 5) -> C0, 9 C0 -> C0 |
 //! | `grid.1.down`, `grid.1.a` | 4 C0 -> C1, 9 C1 -> C1 |
 //! | `grid.2.down`, `grid.2.a`, `grid.2.b` | 4 C1 -> C2, 9 C2 -> C2, 9 C2 -> C2 |
-//! | `grid.1.up`, `grid.1.b` | C2 -> 4 C1 (one map for each child; they share the bias), 9 C1 -> C1 |
-//! | `grid.0.up`, `grid.0.c` | C1 -> 4 C0, likewise, 9 C0 -> C0 |
+//! | `grid.1.up`, `grid.1.b` | C2 -> 4 C1 (one map per child, with a shared bias), 9 C1 -> C1 |
+//! | `grid.0.up`, `grid.0.c` | C1 -> 4 C0 (likewise), 9 C0 -> C0 |
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -40,7 +38,7 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// Input features of the frame model: x, y, vx, vy and the material.
+/// Number of input features of the frame model: x, y, vx, vy and the material.
 pub fn frame_features(material: MaterialInput) -> usize {
     match material {
         MaterialInput::OneHot => 4 + Material::COUNT,
@@ -48,12 +46,12 @@ pub fn frame_features(material: MaterialInput) -> usize {
     }
 }
 
-/// Input features of the particle model; `model/features.rs` says which.
+/// Number of input features of the particle model, listed in `model/features.rs` of `eddy-learning`.
 pub const PARTICLE_FEATURES: usize = 19 + Material::COUNT;
-/// What a node of the grid knows beside the channels: how full it is, and how near each wall is.
+/// Inputs of a node beside the channels: its mass, and its proximity to each wall.
 pub const NODE_FEATURES: usize = 5;
 
-/// A linear layer: its tensors' names and its widths.
+/// Tensor names and sizes of a linear layer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinearLayer {
     /// Name of the matrix, `[output, input]`.
@@ -64,11 +62,11 @@ pub struct LinearLayer {
     pub input: usize,
     /// Rows of the matrix.
     pub output: usize,
-    /// How many numbers of the output share one of the bias.
+    /// Number of outputs that share an element of the bias.
     pub sharing: usize,
 }
 
-/// The linear parts of a layer of the core, and how many gates each computes.
+/// The linear parts of a layer of the core, and the number of gates of each.
 pub fn core_parts(core: Core) -> &'static [(&'static str, usize)] {
     match core {
         Core::Mlp => &[("linear", 1)],
@@ -79,7 +77,7 @@ pub fn core_parts(core: Core) -> &'static [(&'static str, usize)] {
     }
 }
 
-/// Names of weight and bias of a part of a layer of the core.
+/// Names of weight and bias of a part of a core layer.
 pub fn core_names(core: Core, layer: usize, part: &str) -> [String; 2] {
     ["weight", "bias"].map(|tensor| match core {
         Core::Lstm | Core::Gru => format!("core.{tensor}_{part}_l{layer}"),
@@ -92,7 +90,7 @@ pub fn names(layer: &str) -> [String; 2] {
     ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
 }
 
-/// Names, inputs, outputs and sharers of the layers on the grid, in order.
+/// Name, inputs, outputs and bias sharing of the layers on the grid, in order.
 pub fn grid_layers(grid: &GridOptions) -> [(&'static str, usize, usize, usize); 11] {
     let [c0, c1, c2] = grid.channels;
     [
@@ -161,7 +159,7 @@ pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> 
         .collect()
 }
 
-/// Checks that the tensors are exactly those of the network, and finite.
+/// Checks that the tensors are exactly those of the network and finite.
 pub(super) fn check(
     file: &Path,
     description: &Description,

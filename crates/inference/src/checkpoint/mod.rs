@@ -2,13 +2,13 @@
 //!
 //! A checkpoint is a directory with two files:
 //!
-//! 1. `model.toml`, the [`Description`]: what the network is, what it was trained on, how its numbers
-//!    are scaled (`description`), and which rules correct its predictions (`rules`).
-//! 2. `model.safetensors`, the weights: f32, PyTorch's layout `[out, in]`, with the names and shapes
-//!    that `layout` derives from the description.
+//! 1. `model.toml`, the [`Description`]: network, training data, normalisation (`description`), and the rules that correct
+//!    its predictions (`rules`).
+//! 2. `model.safetensors`, the weights: f32 in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
+//!    derives from the description.
 //!
-//! `initial` draws the weights of an untrained network. `files` writes and reads the two so that a crash between any two system calls leaves a whole
-//! checkpoint, the old one or the new one. `error` says why something is no checkpoint.
+//! `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
+//! calls leaves a complete checkpoint, the old one or the new one.
 
 mod description;
 mod error;
@@ -32,10 +32,10 @@ use std::{collections::BTreeMap, path::Path};
 
 use sha2::{Digest, Sha256};
 
-/// A trained network: what it is, and its weights.
+/// A trained network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    /// What the network is and how its numbers are scaled.
+    /// Everything but the weights.
     pub description: Description,
     /// The weights by name, as [`tensor_shapes`] lists them.
     pub tensors: BTreeMap<String, Weights>,
@@ -44,38 +44,37 @@ pub struct Checkpoint {
 /// One tensor of weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
-    /// Length of each axis; `[out, in]` for the matrix of a linear layer.
+    /// Length of each axis: `[out, in]` for the matrix of a linear layer.
     pub shape: Vec<usize>,
-    /// The numbers, last axis fastest.
+    /// The values, last axis fastest.
     pub values: Vec<f32>,
 }
 
 impl Checkpoint {
-    /// Writes the checkpoint into the directory `directory`, which is made if need be. A checkpoint
-    /// already there is replaced at once: a crash leaves it or the new one, never half of each.
+    /// Writes the checkpoint to `directory`, which is created if necessary. An existing checkpoint is replaced atomically: a
+    /// crash leaves the old one or the new one.
     ///
     /// # Errors
-    /// [`CheckpointError::Write`] when a file cannot be written, and what [`Checkpoint::check`] says.
+    /// [`CheckpointError::Write`] if a file cannot be written, and the errors of [`Checkpoint::check`].
     pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
         self.check(directory)?;
         files::write(directory, &self.render_description(), &self.render_weights())
     }
 
-    /// Reads the checkpoint in the directory `directory`.
+    /// Reads the checkpoint in `directory`.
     ///
     /// # Errors
-    /// [`CheckpointError`]: a file cannot be read or is damaged, the format version is another one, a
-    /// key of the description is unknown or missing, or the weights do not fit the description.
+    /// [`CheckpointError`]: a file cannot be read or is damaged, the format version is not supported, a key of the description
+    /// is unknown or missing, or the weights do not match the description.
     pub fn load(directory: &Path) -> Result<Self, CheckpointError> {
         let (description, weights) = files::read(directory)?;
         Self::parse(directory, &description, &weights)
     }
 
-    /// The particle model that ships inside this program; `checkpoints/README.md` says how it was
-    /// made.
+    /// The particle model that is built into this program; `checkpoints/README.md` describes its training.
     ///
     /// # Errors
-    /// As [`Checkpoint::load`]; a test loads it, so only a broken build has any.
+    /// As [`Checkpoint::load`], but only in a broken build: a test loads it.
     pub fn shipped() -> Result<Self, CheckpointError> {
         Self::parse(
             "checkpoints/particle-mingru".as_ref(),
@@ -84,7 +83,7 @@ impl Checkpoint {
         )
     }
 
-    /// The checkpoint at `path`, or [`Checkpoint::shipped`] where there is none.
+    /// The checkpoint at `path`, by default [`Checkpoint::shipped`].
     ///
     /// # Errors
     /// As [`Checkpoint::load`].
@@ -92,7 +91,10 @@ impl Checkpoint {
         path.map_or_else(Self::shipped, Self::load)
     }
 
-    /// The checkpoint in the contents of its two files, which `directory` names in errors.
+    /// Parses the contents of the two files; errors name `directory`.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`].
     pub fn parse(
         directory: &Path,
         description: &str,
@@ -105,8 +107,8 @@ impl Checkpoint {
         Ok(checkpoint)
     }
 
-    /// Checks the description's numbers, and that the weights are those it asks for: no tensor
-    /// missing, none too many, each of its shape and finite. `directory` is named in errors.
+    /// Checks the values of the description, and that the weights match it: no tensor is missing or unexpected, and each is
+    /// finite and has its shape. Errors name `directory`.
     ///
     /// # Errors
     /// [`CheckpointError::Field`], [`CheckpointError::Missing`], [`CheckpointError::Unexpected`],
@@ -116,8 +118,8 @@ impl Checkpoint {
         layout::check(&directory.join(WEIGHTS_FILE), &self.description, &self.tensors)
     }
 
-    /// SHA-256 in hexadecimal over both files as [`Checkpoint::save`] writes them, the description
-    /// first (`cat model.toml model.safetensors | sha256sum`). It passes over all weights: keep it.
+    /// SHA-256, hexadecimal, of both files as [`Checkpoint::save`] writes them (`cat model.toml model.safetensors | sha256sum`).
+    /// It is not cached and reads all weights.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
         hash.update(self.render_description());
@@ -125,14 +127,14 @@ impl Checkpoint {
         format!("{:x}", hash.finalize())
     }
 
-    /// The first twelve digits of [`Checkpoint::digest`], for people.
+    /// The first twelve digits of [`Checkpoint::digest`], for display.
     pub fn short_digest(&self) -> String {
         let mut digest = self.digest();
         digest.truncate(12);
         digest
     }
 
-    /// How many numbers the network has learned.
+    /// Number of trainable parameters.
     pub fn parameters(&self) -> usize {
         self.tensors.values().map(|weights| weights.values.len()).sum()
     }

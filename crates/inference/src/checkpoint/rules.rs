@@ -1,7 +1,5 @@
-//! `[rules]` of `model.toml`: the rules that correct the particle model's predictions, with every constant.
-//!
-//! `engine/rules` says what each rule does. All constants stand here, so that the digest covers everything
-//! that changes a prediction.
+//! `[rules]` of `model.toml`: the constants of the rules that correct the particle model's predictions (`engine/rules`). The
+//! digest so covers everything that changes a prediction.
 
 use std::{fmt, path::Path};
 
@@ -9,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Architecture, CheckpointError, description::field};
 
-/// Rules that correct predictions, in the order in which they run. A rule that is absent is off.
+/// The rules that correct predictions, in the order in which they run. An absent rule is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rules {
@@ -19,67 +17,66 @@ pub struct Rules {
     /// Jelly and rope keep their shape.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shape: Option<ShapeRule>,
-    /// Bodies that touch nothing keep momentum and spin.
+    /// Bodies that touch nothing keep their momentum and angular momentum.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flight: Option<FlightRule>,
-    /// Bodies that touch something and hardly move come to rest.
+    /// Bodies that touch a wall and hardly move come to rest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestRule>,
 }
 
-/// Constants of the rule that liquids keep their area: where predicted liquid is too dense, a pressure pushes it
-/// apart.
+/// Constants of the rule that liquids keep their area: where predicted liquid is too dense, a pressure pushes it apart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaRule {
-    /// Cell width of the grid on which the pressure is solved for (distances between particles at rest), 0.5 to 16.
+    /// Cell width of the grid for the pressure (spacings at rest), 0.5 to 16.
     pub cell_width: f32,
-    /// Fill of a node above which there is pressure, 1 inside a body at rest; with particles in disorder, nodes of the
-    /// truth are at times 1.25.
+    /// Fill of a node above which there is pressure; 1 inside a body at rest. In the ground truth, irregularly placed particles
+    /// reach up to 1.25.
     pub fill_limit: f32,
-    /// Fill of a node below which it lies beyond the surface, where the pressure is zero; at most `fill_limit`.
+    /// Fill of a node below which it is outside the surface and has no pressure; at most `fill_limit`.
     pub surface_fill: f32,
-    /// Sweeps over all nodes that solve for the pressure, 1 to 1000.
+    /// Number of sweeps of the pressure solver, 1 to 1000.
     pub sweeps: usize,
-    /// Factor of successive over-relaxation in each sweep, above 0 and below 2.
+    /// Factor of successive over-relaxation, above 0 and below 2.
     pub relaxation: f32,
-    /// Longest shift of a particle in a frame, along an axis (cells of this grid).
+    /// Largest shift of a particle per frame, along an axis (cells of this grid).
     pub longest_shift: f32,
 }
 
-/// Constants of the rule that jelly and rope keep their shape: each particle goes to where its neighbours and their
-/// shape at rest have it.
+/// Constants of the rule that jelly and rope keep their shape: each particle moves to the position that its neighbours and
+/// the rest shape imply.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ShapeRule {
-    /// Largest strain: stretches of the deformation gradient are limited to 1 - `strain_limit` and 1 + `strain_limit`; at
-    /// least 0, below 1.
+    /// Largest strain: stretches of the deformation gradient are limited to 1 - `strain_limit`..1 + `strain_limit`; at least 0,
+    /// below 1.
     pub strain_limit: f32,
-    /// How often each particle is moved to where its neighbours have it, 1 to 1000.
+    /// Number of relaxation sweeps, 1 to 1000.
     pub sweeps: usize,
 }
 
-/// Constants of the rule that a body in free flight keeps its momentum and its spin.
+/// Constants of the rule that a body in free flight keeps its momentum and angular momentum.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FlightRule {
-    /// Distance from walls that a body in free flight keeps, now and where its mean velocity takes it (cells of the
-    /// network's finest grid level).
+    /// Distance from walls that a body in free flight keeps, now and where its mean velocity takes it (cells of the network's
+    /// finest level).
     pub wall_distance: f32,
 }
 
-/// Constants of the rule that a body at a wall which hardly moves comes to rest. Speeds are those of a body's fastest
-/// cell, as a share of the velocity that gravity adds in a frame.
+/// Constants of the rule that a body which touches a wall and hardly moves comes to rest. The speed of a body is that of its
+/// fastest cell, relative to the velocity that gravity adds per frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RestRule {
-    /// Distance from a wall, now or where its mean velocity takes it, below which a body touches it (cells of the
-    /// network's finest grid level).
+    /// Distance from a wall below which a body touches it, now or where its mean velocity takes it (cells of the network's
+    /// finest level).
     pub wall_distance: f32,
-    /// Speed below which the body does not move (share of the velocity that gravity adds in a frame).
+    /// Speed below which the body does not move (relative to the velocity that gravity adds per frame).
     pub asleep_below: f32,
-    /// Speed from which on the body moves as predicted (share of the velocity that gravity adds in a frame); in
-    /// between its motion is scaled down.
+    /// Speed above which the body moves as predicted (relative to the velocity that gravity adds per frame); in between, its
+    /// motion is scaled down.
     pub awake_from: f32,
 }
 
@@ -97,10 +94,10 @@ pub enum Rule {
 }
 
 impl Rule {
-    /// Every rule, in the order in which they run.
+    /// All rules, in the order in which they run.
     pub const ALL: [Self; 4] = [Self::Area, Self::Shape, Self::Flight, Self::Rest];
 
-    /// The key in `model.toml` and the word on the command line.
+    /// Its key in `model.toml` and name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Area => "area",
@@ -118,7 +115,7 @@ impl fmt::Display for Rule {
 }
 
 impl Rules {
-    /// All rules, with the constants that format version 1 implied and new particle models get.
+    /// All rules with the constants of format version 1, the default of new particle models.
     pub const STANDARD: Self = Self {
         area: Some(AreaRule {
             cell_width: 2.0,
@@ -167,20 +164,20 @@ impl Rules {
     }
 }
 
-/// Checks the constants of rules.
+/// Checks the constants.
 pub(super) fn check(file: &Path, rules: &Rules) -> Result<(), CheckpointError> {
-    let refuse = |key: &str, found: String, expected: &str| {
+    let reject = |key: &str, found: String, expected: &str| {
         Err(field(file, format!("rules.{key}"), found, expected))
     };
     let number = |key: &str, found: f32, fits: bool, expected: &str| match fits {
         true => Ok(()),
-        false => refuse(key, found.to_string(), expected),
+        false => reject(key, found.to_string(), expected),
     };
     let sweeps = |key: &str, found: usize| match found {
         1..=1000 => Ok(()),
-        _ => refuse(key, found.to_string(), "1 to 1000"),
+        _ => reject(key, found.to_string(), "1 to 1000"),
     };
-    // What is not a number is in none of these ranges.
+    // NaN is in none of these ranges.
     let positive = |x: f32| x > 0.0 && x.is_finite();
     let distance = |key: &str, x: f32| number(key, x, (0.0..=64.0).contains(&x), "0 to 64");
     if let Some(area) = rules.area {

@@ -3,7 +3,7 @@ use std::{collections::BTreeMap, fs, path::Path};
 use super::*;
 use eddy_frames::{Domain, Material};
 
-/// A small particle model with made-up weights.
+/// A small particle model with arbitrary weights.
 fn checkpoint() -> Checkpoint {
     let description = Description {
         format_version: FORMAT_VERSION,
@@ -51,8 +51,8 @@ fn checkpoint() -> Checkpoint {
     Checkpoint { description, tensors }
 }
 
-/// Saves a checkpoint, changes a file, and gives the message with which loading fails.
-fn refusal(change: impl FnOnce(&Path)) -> String {
+/// Saves a checkpoint, changes a file, and returns the error message on loading.
+fn rejection(change: impl FnOnce(&Path)) -> String {
     let folder = tempfile::tempdir().unwrap();
     checkpoint().save(folder.path()).unwrap();
     change(folder.path());
@@ -78,7 +78,7 @@ fn edit_weights(change: impl FnOnce(&mut BTreeMap<String, Weights>)) -> impl FnO
 }
 
 #[test]
-fn a_checkpoint_comes_back_as_it_was_saved() {
+fn a_checkpoint_is_loaded_as_it_was_saved() {
     let folder = tempfile::tempdir().unwrap();
     let directory = folder.path().join("a/b");
     let saved = checkpoint();
@@ -87,7 +87,7 @@ fn a_checkpoint_comes_back_as_it_was_saved() {
 }
 
 #[test]
-fn the_digest_is_that_of_the_two_files() {
+fn the_digest_is_the_hash_of_the_two_files() {
     let folder = tempfile::tempdir().unwrap();
     let checkpoint = checkpoint();
     checkpoint.save(folder.path()).unwrap();
@@ -100,37 +100,37 @@ fn the_digest_is_that_of_the_two_files() {
 }
 
 #[test]
-fn a_later_version_is_refused_before_its_keys_are_looked_at() {
+fn a_later_version_is_rejected_before_its_keys_are_parsed() {
     let later = edit_description("format_version = 2", "format_version = 3\nfuture = true");
-    assert_eq!(refusal(later), "x/model.toml: format_version: found 3, expected 1 or 2");
+    assert_eq!(rejection(later), "x/model.toml: format_version: found 3, expected 1 or 2");
 }
 
 #[test]
 fn an_unknown_key_is_named() {
-    let message = refusal(edit_description("hidden = 2", "hidden = 2\nhiden = 3"));
+    let message = rejection(edit_description("hidden = 2", "hidden = 2\nhiden = 3"));
     assert!(message.starts_with("x/model.toml: "), "{message}");
     assert!(message.contains("unknown field `hiden`"), "{message}");
 }
 
 #[test]
-fn sizes_out_of_range_are_refused() {
-    let message = refusal(edit_description("layers = 1", "layers = 0"));
+fn sizes_out_of_range_are_rejected() {
+    let message = rejection(edit_description("layers = 1", "layers = 0"));
     assert_eq!(message, "x/model.toml: sizes.layers: found 0, expected 1 to 65536");
-    let message = refusal(edit_description("layers = 1", "layers = 1\nparticles = 7"));
+    let message = rejection(edit_description("layers = 1", "layers = 1\nparticles = 7"));
     let expected = "expected nothing for the particle model";
     assert_eq!(message, format!("x/model.toml: sizes.particles: found 7, {expected}"));
 }
 
 #[test]
 fn a_missing_tensor_is_named_with_its_shape() {
-    let message = refusal(edit_weights(|tensors| drop(tensors.remove("core.0.gate.weight"))));
+    let message = rejection(edit_weights(|tensors| drop(tensors.remove("core.0.gate.weight"))));
     let expected = "found nothing, expected a tensor of shape [2, 2]";
     assert_eq!(message, format!("x/model.safetensors: core.0.gate.weight: {expected}"));
 }
 
 #[test]
-fn a_tensor_of_another_shape_is_named_with_both() {
-    let message = refusal(edit_weights(|tensors| {
+fn a_tensor_of_another_shape_is_named_with_both_shapes() {
+    let message = rejection(edit_weights(|tensors| {
         let transposed = Weights { shape: vec![3, 2], values: vec![0.0; 6] };
         tensors.insert("encoder.1.weight".to_owned(), transposed);
     }));
@@ -139,8 +139,8 @@ fn a_tensor_of_another_shape_is_named_with_both() {
 }
 
 #[test]
-fn a_tensor_too_many_is_named() {
-    let message = refusal(edit_weights(|tensors| {
+fn an_unexpected_tensor_is_named() {
+    let message = rejection(edit_weights(|tensors| {
         tensors.insert("pooling.weight".to_owned(), Weights { shape: vec![1], values: vec![0.0] });
     }));
     assert!(
@@ -150,8 +150,8 @@ fn a_tensor_too_many_is_named() {
 }
 
 #[test]
-fn a_weight_that_is_no_number_is_named() {
-    let message = refusal(edit_weights(|tensors| {
+fn a_weight_that_is_nan_is_named() {
+    let message = rejection(edit_weights(|tensors| {
         tensors.get_mut("mixer.bias").unwrap().values[1] = f32::NAN;
     }));
     let expected = "mixer.bias[1]: found NaN, expected a finite number";
@@ -159,19 +159,19 @@ fn a_weight_that_is_no_number_is_named() {
 }
 
 #[test]
-fn weights_cut_short_are_refused() {
-    let message = refusal(|folder| {
+fn truncated_weights_are_rejected() {
+    let message = rejection(|folder| {
         let file = folder.join(WEIGHTS_FILE);
         let bytes = fs::read(&file).unwrap();
         fs::write(&file, &bytes[..bytes.len() - 3]).unwrap();
     });
     assert!(message.starts_with("x/model.safetensors: found "), "{message}");
-    assert!(message.ends_with("expected a whole safetensors file"), "{message}");
+    assert!(message.ends_with("expected a complete safetensors file"), "{message}");
 }
 
 #[test]
 fn a_directory_without_a_checkpoint_is_named() {
-    let message = refusal(|folder| fs::remove_file(folder.join(DESCRIPTION_FILE)).unwrap());
+    let message = rejection(|folder| fs::remove_file(folder.join(DESCRIPTION_FILE)).unwrap());
     assert!(message.starts_with("x/model.toml: "), "{message}");
 }
 
@@ -201,7 +201,7 @@ fn a_writer_killed_between_the_renames_leaves_the_new_checkpoint() {
     fs::rename(path(DESCRIPTION_FILE), path("model.toml.new")).unwrap();
     fs::write(path(DESCRIPTION_FILE), checkpoint().render_description()).unwrap();
     assert_eq!(Checkpoint::load(folder.path()).unwrap(), second());
-    // The next writer finishes what that one began before it starts its own.
+    // The next writer completes the interrupted replacement first.
     checkpoint().save(folder.path()).unwrap();
     assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint());
 }
@@ -232,7 +232,7 @@ fn golden(version: u32) -> Checkpoint {
 }
 
 #[test]
-fn a_particle_model_of_version_1_has_the_rules_that_every_one_had_then() {
+fn a_particle_model_of_version_1_has_the_standard_rules() {
     let area = AreaRule {
         cell_width: 2.0,
         fill_limit: 1.25,
@@ -251,13 +251,13 @@ fn a_particle_model_of_version_1_has_the_rules_that_every_one_had_then() {
 }
 
 #[test]
-fn a_checkpoint_of_version_1_is_the_one_of_version_2_with_its_rules_written_down() {
+fn a_checkpoint_of_version_1_equals_version_2_with_explicit_rules() {
     assert_eq!(golden(1), golden(2));
     assert_eq!(golden(1).digest(), golden(2).digest());
 }
 
 #[test]
-fn a_checkpoint_of_version_2_has_the_rules_in_its_file_and_no_others() {
+fn a_checkpoint_of_version_2_has_only_the_rules_in_its_file() {
     let text = include_str!("golden/version_2/model.toml");
     let parse = |text: &str| Checkpoint::parse(Path::new("x"), text, golden_weights()).unwrap();
     let (before, _) = text.split_once("[rules.area]").unwrap();
@@ -306,7 +306,7 @@ fn the_digest_changes_with_every_constant_of_a_rule() {
 }
 
 #[test]
-fn constants_of_rules_out_of_range_are_refused() {
+fn constants_of_rules_out_of_range_are_rejected() {
     for (from, to, expected) in [
         ("cell_width = 2.0", "cell_width = 0.1", "area.cell_width: found 0.1, expected 0.5 to 16"),
         (
@@ -352,11 +352,14 @@ fn constants_of_rules_out_of_range_are_refused() {
             "rest.awake_from: found 0.2, expected above rules.rest.asleep_below",
         ),
     ] {
-        assert_eq!(refusal(edit_description(from, to)), format!("x/model.toml: rules.{expected}"));
+        assert_eq!(
+            rejection(edit_description(from, to)),
+            format!("x/model.toml: rules.{expected}")
+        );
     }
-    let message = refusal(edit_description("strain_limit = 0.03", "strain = 0.03"));
+    let message = rejection(edit_description("strain_limit = 0.03", "strain = 0.03"));
     assert!(message.contains("unknown field `strain`"), "{message}");
     assert!(message.ends_with("did you mean strain_limit?"), "{message}");
-    let message = refusal(edit_description("format_version = 2", "format_version = 1"));
+    let message = rejection(edit_description("format_version = 2", "format_version = 1"));
     assert_eq!(message, "x/model.toml: rules: found a table, expected nothing in format version 1");
 }

@@ -11,8 +11,9 @@ use super::linear::{Linear, add_products, load};
 use crate::{
     checkpoint::{Activation, Core, Description, Form, Weights, layout},
     kernels::{
+        gru,
         math::{elu, positive, relu, sigmoid, tanh},
-        minimal::LEAST_SUM,
+        minimal::MIN_GATE_SUM,
     },
 };
 
@@ -128,51 +129,31 @@ impl CoreLayer {
             Core::MinLstm => {
                 let [forget, input, candidate] = self.gates::<S, 3, R, K>(simd, panel, inputs);
                 for r in 0..R {
-                    let mut kept = sigmoid(simd, forget[r]);
-                    let mut update = sigmoid(simd, input[r]);
-                    if self.normalize_gates {
-                        let sum = simd.add_f32s(kept, update);
-                        let sum = simd.add_f32s(sum, simd.splat_f32s(LEAST_SUM));
-                        update = simd.div_f32s(update, sum);
-                        kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
-                    }
+                    let (kept, update) = self.normalized(simd, forget[r], input[r]);
                     let last = load(simd, &hidden[r][units.clone()]);
                     next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
                 }
             }
             Core::Gru => {
-                let [ir, iz, input] = self.gates::<S, 3, R, K>(simd, panel, inputs);
-                let [hr, hz, hn] = self.biases::<S, 3, R>(simd, panel);
-                let (mut reset, mut update) = (ir, iz);
-                for r in 0..R {
-                    reset[r] = simd.add_f32s(ir[r], hr[r]);
-                    update[r] = simd.add_f32s(iz[r], hz[r]);
-                }
-                let panels = self.recurrent::<3>(panel);
-                let sums = [reset, update, hn];
+                let mut sums = self.gates::<S, 3, R, K>(simd, panel, inputs);
+                let mut biases = self.biases::<S, 3, R>(simd, panel);
+                // The products for n are kept apart: the reset gate scales those of the state only.
+                std::mem::swap(&mut sums[2], &mut biases[2]);
+                let input = biases[2];
+                add_biases(simd, &mut sums[..2], &biases[..2]);
                 let [reset, update, recurrent] =
-                    add_products::<S, 3, R, K>(simd, panels, hidden, sums);
+                    add_products::<S, 3, R, K>(simd, self.recurrent(panel), hidden, sums);
                 for r in 0..R {
-                    let reset = sigmoid(simd, reset[r]);
-                    let update = sigmoid(simd, update[r]);
-                    let sum = simd.mul_add_e_f32s(reset, recurrent[r], input[r]);
-                    let candidate = tanh(simd, sum);
+                    let sums = [reset[r], update[r], input[r], recurrent[r]];
                     let last = load(simd, &hidden[r][units.clone()]);
-                    let change = simd.sub_f32s(last, candidate);
-                    next.hidden[r] = simd.mul_add_e_f32s(update, change, candidate);
+                    next.hidden[r] = gru::cell(simd, sums, last)[3];
                 }
             }
             Core::Lstm => {
                 let mut sums = self.gates::<S, 4, R, K>(simd, panel, inputs);
-                let biases = self.biases::<S, 4, R>(simd, panel);
-                for gate in 0..4 {
-                    for r in 0..R {
-                        sums[gate][r] = simd.add_f32s(sums[gate][r], biases[gate][r]);
-                    }
-                }
-                let panels = self.recurrent::<4>(panel);
+                add_biases(simd, &mut sums, &self.biases::<S, 4, R>(simd, panel));
                 let [input, forget, candidate, output] =
-                    add_products::<S, 4, R, K>(simd, panels, hidden, sums);
+                    add_products::<S, 4, R, K>(simd, self.recurrent(panel), hidden, sums);
                 let mut cell = [simd.splat_f32s(0.0); R];
                 for r in 0..R {
                     let last = load(simd, &cells[r][units.clone()]);
@@ -185,6 +166,19 @@ impl CoreLayer {
             }
         }
         next
+    }
+
+    /// minLSTM's gates f and i, divided by their sum if the checkpoint says so.
+    #[inline(always)]
+    fn normalized<S: Simd>(&self, simd: S, forget: S::f32s, input: S::f32s) -> (S::f32s, S::f32s) {
+        let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
+        if !self.normalize_gates {
+            return (forget, input);
+        }
+        let sum = simd.add_f32s(forget, input);
+        let sum = simd.add_f32s(sum, simd.splat_f32s(MIN_GATE_SUM));
+        let update = simd.div_f32s(input, sum);
+        (simd.sub_f32s(simd.splat_f32s(1.0), update), update)
     }
 
     /// The G sums over the input.
@@ -243,6 +237,19 @@ impl CoreLayer {
             Form::Log => positive(simd, candidate),
         };
         simd.mul_add_e_f32s(kept, last, simd.mul_f32s(update, candidate))
+    }
+}
+
+#[inline(always)]
+fn add_biases<S: Simd, const R: usize>(
+    simd: S,
+    sums: &mut [[S::f32s; R]],
+    biases: &[[S::f32s; R]],
+) {
+    for (sums, biases) in sums.iter_mut().zip(biases) {
+        for r in 0..R {
+            sums[r] = simd.add_f32s(sums[r], biases[r]);
+        }
     }
 }
 

@@ -40,7 +40,7 @@ impl Segments {
         first.clear();
         first.reserve(particles.div_ceil(block) + 1);
         // Each row of cells is the lowest row of its cells' stencils.
-        let most = particles.min(nodes.most_rows() + particles.div_ceil(block));
+        let most = particles.min(nodes.max_rows() + particles.div_ceil(block));
         segments.reserve(most);
         let mut sum = 0;
         for row in nodes.rows() {

@@ -1,4 +1,4 @@
-//! The networks' activations with their slopes.
+//! The networks' activation functions with their derivatives.
 
 use std::borrow::Cow;
 
@@ -9,11 +9,11 @@ use super::{
     vectors::zip,
 };
 
-/// An activation y = f(x), number by number.
+/// An elementwise activation function y = f(x).
 pub trait Activate: Copy + Send + Sync {
     /// y.
     fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s;
-    /// dy/dx, from both.
+    /// dy/dx, from x and y.
     fn slope<S: Simd>(self, simd: S, x: S::f32s, y: S::f32s) -> S::f32s;
 }
 
@@ -78,17 +78,17 @@ impl Activate for Elu {
 }
 
 /// ReLU, in place.
-pub fn rectify(values: &mut [f32]) {
+pub fn relu_in_place(values: &mut [f32]) {
     Arch::new().dispatch(Rectify(values));
 }
 
-/// The gradient before a layer's ReLU from that after it: where its output is positive. The same where
-/// there is none.
-pub fn through<'a>(rectified: bool, output: &[f32], gradient: &'a [f32]) -> Cow<'a, [f32]> {
+/// The gradient before a layer's ReLU from the gradient after it: zero where the output is not positive. Unchanged if the
+/// layer is not `rectified`.
+pub fn relu_gradient<'a>(rectified: bool, output: &[f32], gradient: &'a [f32]) -> Cow<'a, [f32]> {
     if !rectified {
         return Cow::Borrowed(gradient);
     }
-    Cow::Owned(Arch::new().dispatch(Through { output, gradient }))
+    Cow::Owned(Arch::new().dispatch(ReluGradient { output, gradient }))
 }
 
 struct Rectify<'a>(&'a mut [f32]);
@@ -108,7 +108,7 @@ impl WithSimd for Rectify<'_> {
     }
 }
 
-/// The exponential of numbers, in place.
+/// Computes the exponential in place.
 pub struct Exponentials<'a>(pub &'a mut [f32]);
 
 impl WithSimd for Exponentials<'_> {
@@ -126,15 +126,15 @@ impl WithSimd for Exponentials<'_> {
     }
 }
 
-struct Through<'a> {
+struct ReluGradient<'a> {
     output: &'a [f32],
     gradient: &'a [f32],
 }
 
-impl WithSimd for Through<'_> {
+impl WithSimd for ReluGradient<'_> {
     type Output = Vec<f32>;
 
-    // Left to the compiler: it need not fill the list before.
+    // Left to the compiler, which need not initialise the list.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Vec<f32> {
         let pairs = self.gradient.iter().zip(self.output);

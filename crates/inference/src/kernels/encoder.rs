@@ -1,32 +1,30 @@
-//! Particles through a linear layer and an activation to their mean, without a list of what is in
-//! between: mean over particles of f(x W + b).
+//! A linear layer with an activation, and the mean over particles: mean of f(x W + b), without storing the values in between.
 //!
-//! The gradient computes the activations once more rather than reading them from memory, which would
-//! take longer.
+//! The gradient recomputes the activations, which is faster than reading them from memory.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::activation::Activate;
 
-/// Outputs are worked on in so many at once: two of the longest vectors.
+/// Outputs per block: two of the longest vectors.
 const PACK: usize = 32;
 
-/// The layer. `F` features, `E` outputs.
+/// The layer, with F features and E outputs.
 #[derive(Clone, Copy, Debug)]
 pub struct Encoder<'a, const F: usize> {
     /// W, `[F, E]`.
     pub weight: &'a [f32],
     /// b, `[E]`.
     pub bias: &'a [f32],
-    /// Particles that are averaged, N.
+    /// Number of particles to average over, N.
     pub particles: usize,
 }
 
 /// Gradients of the layer.
 #[derive(Clone, Debug, Default)]
 pub struct Gradients {
-    /// By the features, `[B N, F]`; empty if not asked for.
+    /// By the features, `[B N, F]`; empty if not requested.
     pub points: Vec<f32>,
     /// By the weights, `[F, E]`.
     pub weight: Vec<f32>,
@@ -34,7 +32,7 @@ pub struct Gradients {
     pub bias: Vec<f32>,
 }
 
-/// Weights and bias with zeros behind, so that outputs fill whole packs: `[F + 1, P]`, bias last.
+/// Weights and bias, zero-padded to whole packs of outputs: `[F + 1, P]`, bias last.
 struct Padded {
     values: Vec<f32>,
     width: usize,
@@ -54,7 +52,7 @@ impl Padded {
 }
 
 impl<const F: usize> Encoder<'_, F> {
-    /// The means `[B, E]` of the particles `points`, `[B N, F]`.
+    /// The means, `[B, E]`, over the particles `points`, `[B N, F]`.
     pub fn forward<A: Activate>(&self, activation: A, points: &[f32]) -> Vec<f32> {
         let padded = Padded::new(self);
         let outputs = self.bias.len();
@@ -74,7 +72,7 @@ impl<const F: usize> Encoder<'_, F> {
         means
     }
 
-    /// Gradients from `gradient`, that of the means.
+    /// The gradients from `gradient`, that by the means, `[B, E]`.
     pub fn backward<A: Activate>(
         &self,
         activation: A,
@@ -87,7 +85,7 @@ impl<const F: usize> Encoder<'_, F> {
         let (points, _) = points.as_chunks::<F>();
         let windows = points.len() / self.particles;
         let size = padded.values.len();
-        // A part for each window, added up in their order: the same bits for any number of threads.
+        // A partial sum per window, added up in their order: any number of threads gives the same bits.
         let mut parts = vec![0.0; windows * size];
         let mut moved = vec![[0.0; F]; if by_points { points.len() } else { 0 }];
         let moved_parts: Vec<&mut [[f32; F]]> = if by_points {
@@ -144,7 +142,7 @@ impl<A: Activate, const F: usize> WithSimd for Forward<'_, A, F> {
         let (rows, _) = S::as_simd_f32s(&layer.values);
         let (sums, _) = S::as_mut_simd_f32s(sums);
         let width = layer.width / S::F32_LANES;
-        // Two vectors at once: their chains of instructions hide each other's waiting.
+        // Two vectors at once, to hide the latency of their dependency chains.
         for (pair, sums) in sums.chunks_exact_mut(2).enumerate() {
             let column = 2 * pair;
             let mut weight = [[rows[column]; 2]; F];

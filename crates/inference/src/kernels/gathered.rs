@@ -1,28 +1,27 @@
-//! Linear layers whose rows are gathered from other rows by a table: the convolutions on the
-//! [grid](super::nodes)'s nodes.
+//! Linear layers on rows that a table gathers from other rows: the convolutions on the nodes of the
+//! [grid](super::nodes).
 //!
-//! | layer | what a row is gathered from | weight in memory |
+//! | layer | a row is gathered from | weight |
 //! |---|---|---|
 //! | [`Convolution`] by [`Table::Neighbours`] | the 9 neighbours of a node | `[9 I, O]` |
 //! | [`Convolution`] by [`Table::Children`] | the 4 children of a node | `[4 I, O]` |
-//! | [`Up`], the transpose of the latter | the share of the node's parent that is meant for it | `[I, 4 O]` |
+//! | [`TransposedConvolution`] | the part of its parent's outputs for this child | `[I, 4 O]` |
 //!
-//! A neighbour or child that is missing counts as zeros. The products are those of
-//! [`narrow`](super::narrow).
+//! Missing neighbours and children count as zeros. The products are those of [`narrow`](super::narrow).
 
 use super::{
-    activation::through,
+    activation::relu_gradient,
     linear::Gradients,
     matrix::Matrix,
-    narrow::{Panels, Rows, by_matrix, products},
+    narrow::{Panels, Rows, matrix_gradient, products},
 };
 
-/// What a layer's rows are gathered from.
+/// The rows that a layer gathers.
 #[derive(Clone, Copy, Debug)]
 pub enum Table<'a> {
     /// Each node's neighbours, as in [`Level`](super::nodes::Level), `[M]`.
     Neighbours(&'a [[u32; 9]]),
-    /// A coarser level's children.
+    /// The children of a coarser level.
     Children {
         /// Each parent's children, as in [`Level`](super::nodes::Level), `[P]`.
         children: &'a [[u32; 4]],
@@ -31,11 +30,11 @@ pub enum Table<'a> {
     },
 }
 
-/// y = sum over the row's places k of x_k W_k, + b: a 3 x 3 convolution over neighbours, or a 2 x 2 one
-/// with stride 2 from children to parents.
+/// y = sum over k of x_k W_k, + b: a 3 x 3 convolution over neighbours, or a 2 x 2 convolution with stride 2 from children
+/// to parents.
 #[derive(Clone, Copy, Debug)]
 pub struct Convolution<'a> {
-    /// Which rows are where.
+    /// The gathered rows.
     pub table: Table<'a>,
     /// W, `[K I, O]`.
     pub weight: &'a [f32],
@@ -47,7 +46,7 @@ pub struct Convolution<'a> {
 
 /// Transposed 2 x 2 convolution, from parents to children: child k has y = x W_k + b.
 #[derive(Clone, Copy, Debug)]
-pub struct Up<'a> {
+pub struct TransposedConvolution<'a> {
     /// Each parent's children, as in [`Level`](super::nodes::Level), `[P]`.
     pub children: &'a [[u32; 4]],
     /// Each child's place among them, `[M]`.
@@ -93,20 +92,20 @@ impl Convolution<'_> {
         by_weight: bool,
     ) -> Gradients {
         let (inputs, outputs) = (self.inputs(), self.bias.len());
-        let gradient = through(self.rectify, output, gradient);
+        let gradient = relu_gradient(self.rectify, output, gradient);
         let mut by = Gradients::new(&gradient, outputs);
         if by_weight {
-            by.weight = by_matrix(self.table.rows(input, inputs), &gradient, outputs);
+            by.weight = matrix_gradient(self.table.rows(input, inputs), &gradient, outputs);
         }
         if !by_input {
             return by;
         }
         by.input = match self.table {
             Table::Neighbours(neighbours) => {
-                // A node is its neighbour k's neighbour 8 - k.
+                // A node is neighbour 8 - k of its neighbour k.
                 let blocks = self.weight.chunks_exact(inputs * outputs).rev();
                 let turned = |block| Matrix::new(block, inputs, outputs).transposed();
-                let back = Panels::below_each_other(&blocks.map(turned).collect::<Vec<_>>());
+                let back = Panels::stacked(&blocks.map(turned).collect::<Vec<_>>());
                 products(Rows::gathered(&gradient, outputs, neighbours), &back, None, false)
             }
             Table::Children { parent, .. } => {
@@ -129,7 +128,7 @@ impl Convolution<'_> {
     }
 }
 
-impl Up<'_> {
+impl TransposedConvolution<'_> {
     /// y, `[M, O]`, from x, `[P, I]`.
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
         let Self { parent, bias, .. } = *self;
@@ -154,7 +153,7 @@ impl Up<'_> {
         }
         if by_weight {
             let [inputs, _] = self.matrix().shape();
-            by.weight = transposed(&by_matrix(above, input, inputs), inputs);
+            by.weight = transposed(&matrix_gradient(above, input, inputs), inputs);
         }
         by
     }
@@ -166,8 +165,8 @@ impl Up<'_> {
     }
 }
 
-/// Adds to `sums`, `[M, O]`, each row's share of its parent's: row `parent[m]` of the products, in rows
-/// of O, of `input`, `[P, I]`, and the matrix, `[I, 4 O]`.
+/// Adds to each row m of `sums`, `[M, O]`, the part of its parent's products for this child: row `parent[m]`, counted in
+/// rows of O, of the product of `input`, `[P, I]`, and the matrix, `[I, 4 O]`.
 fn add_shares(parent: &[u32], input: &[f32], matrix: Matrix, sums: &mut [f32]) {
     let [inputs, outputs] = matrix.shape();
     let products = products(Rows::plain(input, inputs), &Panels::new(matrix), None, false);
@@ -180,7 +179,7 @@ fn add_shares(parent: &[u32], input: &[f32], matrix: Matrix, sums: &mut [f32]) {
     }
 }
 
-/// Rows and columns of a matrix exchanged.
+/// The transpose of a matrix.
 fn transposed(matrix: &[f32], columns: usize) -> Vec<f32> {
     let rows = matrix.len() / columns;
     let mut turned = vec![0.0; matrix.len()];

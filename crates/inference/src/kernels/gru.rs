@@ -1,5 +1,4 @@
-//! A GRU layer frame by frame, from its inputs' products to its states, and back. The equations are
-//! those of `model/gru.rs`, which computes them by tensor operations.
+//! A GRU layer frame by frame: values and gradients. The equations are those of `model/gru.rs` in `eddy-learning`, which uses tensor operations.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -14,10 +13,10 @@ use super::{
 /// Gates of a cell.
 const GATES: usize = 3;
 
-/// The recurrent part of a layer. `R` rows, `H` wide.
+/// The recurrent part of a layer with R rows and width H.
 #[derive(Clone, Copy, Debug)]
 pub struct Gru<'a> {
-    /// Products of the inputs with their weights, `[T, R, 3 H]`: gates r, z, n.
+    /// Products of the inputs with W_ih, plus b_ih, `[T, R, 3 H]`: gates r, z, n.
     pub inputs: &'a [f32],
     /// W_hh, `[H, 3 H]`.
     pub weight: &'a [f32],
@@ -27,21 +26,21 @@ pub struct Gru<'a> {
     pub hidden: &'a [f32],
 }
 
-/// States of all frames.
+/// Results of all frames.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct States {
     /// `[T, R, H]`.
     pub states: Vec<f32>,
-    /// The gates after their activations, `[T, R, 3 H]`.
+    /// Activated gates, `[T, R, 3 H]`.
     pub gates: Vec<f32>,
-    /// Products of the states with the recurrent weights, `[T, R, 3 H]`.
+    /// Products of the states with W_hh, plus b_hh, `[T, R, 3 H]`.
     pub recurrent: Vec<f32>,
 }
 
 /// Gradients of the layer.
 #[derive(Clone, Debug)]
 pub struct Gradients {
-    /// By the inputs' products, `[T, R, 3 H]`.
+    /// By the products of the inputs, `[T, R, 3 H]`.
     pub inputs: Vec<f32>,
     /// By W_hh, `[H, 3 H]`.
     pub weight: Vec<f32>,
@@ -57,7 +56,7 @@ impl Gru<'_> {
     }
 
     /// The states.
-    pub fn forward(&self) -> Run {
+    pub fn forward(&self) -> States {
         let width = self.width();
         let rows = self.hidden.len() / width;
         let frame = rows * GATES * width;
@@ -88,16 +87,16 @@ impl Gru<'_> {
                     Arch::new().dispatch(Forward { gates, recurrent, before, state });
                 });
         }
-        Run { states, gates, recurrent }
+        States { states, gates, recurrent }
     }
 
-    /// Whether there is nothing to multiply the weights with in the first frame.
+    /// Whether the recurrent product of the first frame is zero.
     fn starts_from_zero(&self) -> bool {
         self.hidden.iter().all(|&h| h == 0.0)
     }
 
-    /// The gradients from `gradient`, that of the `states`, `[T, R, H]`, which `forward` gave with the
-    /// rest; that by the state before the first frame only if asked for.
+    /// The gradients from `gradient`, that by the `states`, `[T, R, H]`. `states`, `gates` and `recurrent` are the results of
+    /// `forward`. The gradient by the state before the first frame is computed only if `by_start`.
     pub fn backward(
         &self,
         states: &[f32],
@@ -110,9 +109,9 @@ impl Gru<'_> {
         let rows = self.hidden.len() / width;
         let frame = rows * GATES * width;
         let mut inputs = vec![0.0; self.inputs.len()];
-        // By the recurrent products: n differs from that of the inputs.
+        // By the recurrent products; only n differs from the products of the inputs.
         let mut products = vec![0.0; self.inputs.len()];
-        // By the state: directly (z h), and through the products.
+        // By the state: directly (z h), and through the recurrent products.
         let (mut direct, mut through) = (vec![0.0; rows * width], vec![0.0; rows * width]);
         let weight = Matrix::new(self.weight, width, GATES * width).transposed();
         let weight = Recurrent::new(weight, inputs.len() / frame);
@@ -163,8 +162,21 @@ impl Gru<'_> {
     }
 }
 
+/// The gates r, z, n and the new state: from the sums of r and z, the products of the input and of the state for n, and the
+/// previous state.
+#[inline(always)]
+pub(crate) fn cell<S: Simd>(
+    simd: S,
+    [r, z, input, recurrent]: [S::f32s; 4],
+    before: S::f32s,
+) -> [S::f32s; 4] {
+    let (r, z) = (sigmoid(simd, r), sigmoid(simd, z));
+    let n = tanh(simd, simd.mul_add_e_f32s(r, recurrent, input));
+    [r, z, n, simd.mul_add_e_f32s(z, simd.sub_f32s(before, n), n)]
+}
+
 struct Forward<'a> {
-    /// The inputs' products before, values after.
+    /// In: products of the inputs; out: activated gates.
     gates: &'a mut [f32],
     recurrent: &'a [f32],
     before: &'a [f32],
@@ -184,10 +196,8 @@ impl WithSimd for Forward<'_> {
             [r, z, n, self.state],
             #[inline(always)]
             |[reset, update, candidate, before], [r, z, n, _]| {
-                let r = sigmoid(simd, simd.add_f32s(r, reset));
-                let z = sigmoid(simd, simd.add_f32s(z, update));
-                let n = tanh(simd, simd.mul_add_e_f32s(r, candidate, n));
-                [r, z, n, simd.mul_add_e_f32s(z, simd.sub_f32s(before, n), n)]
+                let (r, z) = (simd.add_f32s(r, reset), simd.add_f32s(z, update));
+                cell(simd, [r, z, n, candidate], before)
             },
         );
     }
@@ -199,9 +209,9 @@ struct Backward<'a> {
     candidate: &'a [f32],
     before: &'a [f32],
     gradient: &'a [f32],
-    /// By the state through the next frame's products.
+    /// By the state, through the recurrent products of the next frame.
     through: &'a [f32],
-    /// By the state directly from the next frame; by the state before, afterwards.
+    /// In: by the state, directly from the next frame; out: by the previous state.
     direct: &'a mut [f32],
     inputs: &'a mut [f32],
     products: &'a mut [f32],
@@ -225,7 +235,7 @@ impl WithSimd for Backward<'_> {
                 let by_state = simd.add_f32s(simd.add_f32s(direct, through), gradient);
                 let new = simd.mul_f32s(by_state, simd.sub_f32s(one, z));
                 let by_n = simd.mul_f32s(new, simd.sub_f32s(one, simd.mul_f32s(n, n)));
-                // y (1 - y) is the slope of a sigmoid.
+                // The derivative of a sigmoid y is y (1 - y).
                 let slope = |y| simd.mul_f32s(y, simd.sub_f32s(one, y));
                 let by_r = simd.mul_f32s(simd.mul_f32s(by_n, candidate), slope(r));
                 let by_z = simd.mul_f32s(by_state, simd.sub_f32s(before, n));

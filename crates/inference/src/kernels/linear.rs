@@ -1,15 +1,15 @@
-//! A linear layer, y = x W + b, and its gradients. ReLU follows if `rectify` says so.
+//! A linear layer, y = x W + b, optionally followed by ReLU, and its gradients.
 
 use super::{
-    activation::{rectify, through},
+    activation::{relu_gradient, relu_in_place},
     matrix::{Accumulate, Matrix, multiply, product, sum_rows},
-    narrow::{Panels, Rows, add_products, by_matrix, products},
+    narrow::{Panels, Rows, add_products, matrix_gradient, products},
 };
 
-/// Numbers of a weight up to which the products are those of [`narrow`](super::narrow).
-const NARROW: usize = 1 << 13;
+/// Largest size of a weight for the products of [`narrow`](super::narrow).
+const MAX_NARROW: usize = 1 << 13;
 
-/// The layer, from `I` to `O` numbers.
+/// A layer with I inputs and O outputs.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear<'a> {
     /// W, `[I, O]`.
@@ -20,12 +20,12 @@ pub struct Linear<'a> {
     pub rectify: bool,
 }
 
-/// Gradients of a layer; those not asked for are empty.
+/// Gradients of a layer; those that were not requested are empty.
 #[derive(Clone, Debug)]
 pub struct Gradients {
-    /// By x, of its shape.
+    /// By x.
     pub input: Vec<f32>,
-    /// By W, of its shape.
+    /// By W.
     pub weight: Vec<f32>,
     /// By b, `[O]`.
     pub bias: Vec<f32>,
@@ -44,19 +44,19 @@ impl Linear<'_> {
         let mut output = self.bias.repeat(rows);
         multiply(Matrix::new(input, rows, inputs), matrix, &mut output, Accumulate::Add);
         if self.rectify {
-            rectify(&mut output);
+            relu_in_place(&mut output);
         }
         output
     }
 
-    /// Adds x W to y instead of b: for a layer whose inputs are in two lists.
+    /// Adds x W to y, without b: for a layer whose inputs are in two lists.
     pub fn add(&self, input: &[f32], output: &mut [f32]) {
         let matrix = self.matrix();
         let rows = Rows::plain(input, matrix.shape()[0]);
         add_products(rows, &Panels::new(matrix), self.rectify, output);
     }
 
-    /// The gradients from `gradient`, that of y, `[R, O]`.
+    /// The gradients from `gradient`, that by y, `[R, O]`.
     pub fn backward(
         &self,
         input: &[f32],
@@ -65,7 +65,7 @@ impl Linear<'_> {
         by_input: bool,
         by_weight: bool,
     ) -> Gradients {
-        let gradient = through(self.rectify, output, gradient);
+        let gradient = relu_gradient(self.rectify, output, gradient);
         let mut by = Gradients::new(&gradient, self.bias.len());
         let matrix = self.matrix();
         let [inputs, outputs] = matrix.shape();
@@ -75,7 +75,7 @@ impl Linear<'_> {
                 by.input = products(above, &Panels::new(matrix.transposed()), None, false);
             }
             if by_weight {
-                by.weight = by_matrix(Rows::plain(input, inputs), &gradient, outputs);
+                by.weight = matrix_gradient(Rows::plain(input, inputs), &gradient, outputs);
             }
             return by;
         }
@@ -95,12 +95,12 @@ impl Linear<'_> {
     }
 
     fn is_narrow(&self) -> bool {
-        self.weight.len() <= NARROW
+        self.weight.len() <= MAX_NARROW
     }
 }
 
 impl Gradients {
-    /// That by the bias alone, from the gradient of what it is added to, `[R, O]`.
+    /// The gradient by the bias alone, from the gradient by the sums, `[R, O]`.
     pub(super) fn new(gradient: &[f32], outputs: usize) -> Self {
         let mut bias = vec![0.0; outputs];
         sum_rows(gradient, &mut bias);

@@ -1,5 +1,4 @@
-//! An LSTM layer frame by frame, from its inputs' products to its outputs, and back. The equations are
-//! those of `model/lstm.rs`, which computes them by tensor operations.
+//! An LSTM layer frame by frame: values and gradients. The equations are those of `model/lstm.rs` in `eddy-learning`, which uses tensor operations.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -14,10 +13,10 @@ use super::{
 /// Gates of a cell.
 const GATES: usize = 4;
 
-/// The recurrent part of a layer. `R` rows, `H` wide.
+/// The recurrent part of a layer with R rows and width H.
 #[derive(Clone, Copy, Debug)]
 pub struct Lstm<'a> {
-    /// Products of the inputs with their weights, `[T, R, 4 H]`: gates i, f, g, o.
+    /// Products of the inputs with W_ih, plus b_ih, `[T, R, 4 H]`: gates i, f, g, o.
     pub inputs: &'a [f32],
     /// W_hh, `[H, 4 H]`.
     pub weight: &'a [f32],
@@ -29,19 +28,19 @@ pub struct Lstm<'a> {
     pub cell: &'a [f32],
 }
 
-/// Outputs and cells of all frames.
+/// Results of all frames.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct States {
     /// `[T, R, 2 H]`: output, cell.
     pub states: Vec<f32>,
-    /// The gates after their activations, `[T, R, 4 H]`.
+    /// Activated gates, `[T, R, 4 H]`.
     pub gates: Vec<f32>,
 }
 
 /// Gradients of the layer.
 #[derive(Clone, Debug)]
 pub struct Gradients {
-    /// By the inputs' products, `[T, R, 4 H]`.
+    /// By the products of the inputs, `[T, R, 4 H]`.
     pub inputs: Vec<f32>,
     /// By W_hh, `[H, 4 H]`.
     pub weight: Vec<f32>,
@@ -59,7 +58,7 @@ impl Lstm<'_> {
     }
 
     /// Outputs and cells.
-    pub fn forward(&self) -> Run {
+    pub fn forward(&self) -> States {
         let width = self.width();
         let rows = self.hidden.len() / width;
         let frame = rows * GATES * width;
@@ -93,16 +92,16 @@ impl Lstm<'_> {
                     Arch::new().dispatch(Forward { gates, cell, output, next });
                 });
         }
-        Run { states, gates }
+        States { states, gates }
     }
 
-    /// Whether there is nothing to multiply the weights with in the first frame.
+    /// Whether the recurrent product of the first frame is zero.
     fn starts_from_zero(&self) -> bool {
         self.hidden.iter().all(|&h| h == 0.0)
     }
 
-    /// The gradients from `gradient`, that of the `states`, `[T, R, 2 H]`, which `forward` gave with the
-    /// `gates`; those by output and cell before the first frame only if asked for.
+    /// The gradients from `gradient`, that by the `states`, `[T, R, 2 H]`. `states` and `gates` are the results of `forward`.
+    /// The gradients by output and cell before the first frame are computed only if `by_start`.
     pub fn backward(
         &self,
         states: &[f32],
@@ -162,7 +161,7 @@ impl Lstm<'_> {
 }
 
 struct Forward<'a> {
-    /// Sums before, values after.
+    /// In: sums; out: activated gates.
     gates: &'a mut [f32],
     cell: &'a [f32],
     output: &'a mut [f32],
@@ -195,11 +194,11 @@ struct Backward<'a> {
     /// The cell before and after.
     before: &'a [f32],
     cell: &'a [f32],
-    /// By output and cell, from outside the layer.
+    /// By output and cell, from later layers.
     gradient: &'a [f32],
     /// By the output, from the next frame.
     by_hidden: &'a [f32],
-    /// By the cell, from the next frame; by the cell before, afterwards.
+    /// In: by the cell, from the next frame; out: by the previous cell.
     by_cell: &'a mut [f32],
     /// By the gates' sums.
     sums: &'a mut [f32],
@@ -225,7 +224,7 @@ impl WithSimd for Backward<'_> {
                 let flat = simd.sub_f32s(one, simd.mul_f32s(bent, bent));
                 let through = simd.mul_f32s(simd.mul_f32s(by_output, o), flat);
                 let by_cell = simd.add_f32s(simd.add_f32s(by_cell, by_state), through);
-                // y (1 - y) is the slope of a sigmoid.
+                // The derivative of a sigmoid y is y (1 - y).
                 let slope = |y| simd.mul_f32s(y, simd.sub_f32s(one, y));
                 [
                     simd.mul_f32s(by_cell, f),

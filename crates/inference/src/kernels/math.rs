@@ -1,40 +1,39 @@
-//! Exponential, sigmoid, hyperbolic tangent, ELU, ReLU and the log form's g of vectors.
+//! Vectorised exponential, sigmoid, hyperbolic tangent, ELU, ReLU, and g of the log form.
 //!
-//! All but ReLU rest on one reduction: e^x = 2^n e^r with n the integer nearest to x / ln 2, and
+//! All but ReLU use one range reduction: e^x = 2^n e^r with n the integer nearest to x / ln 2, and
 //! e^r = 1 + r + r^2 q(r) for |r| <= ln 2 / 2, where q has the coefficients of Cephes' `expf`
-//! (Moshier 1992). e^x - 1 is 2^n (e^r - 1) + (2^n - 1), which loses no digit near zero; ELU and
-//! tanh come from it. NaN stays NaN everywhere. Sets with a fused multiply-add (AVX2, AVX-512, NEON)
-//! give the same bits, lane by lane; others round products.
+//! (Moshier 1992). e^x - 1 = 2^n (e^r - 1) + (2^n - 1) loses no precision near zero; ELU and tanh use it. NaN stays NaN.
+//! Instruction sets with a fused multiply-add (AVX2, AVX-512, NEON) give the same bits in every lane; others round products.
 
 use pulp::Simd;
 
 /// log2(e).
 const LOG2_E: f32 = std::f32::consts::LOG2_E;
-/// The leading bits of ln 2: few enough that n times it is exact.
+/// The leading bits of ln 2, few enough for n times it to be exact.
 const LN2_HIGH: f32 = 0.693_359_4;
-/// ln 2 minus these.
+/// ln 2 minus [`LN2_HIGH`].
 const LN2_LOW: f32 = -2.121_944_4e-4;
-/// 1.5 * 2^23: a number of that size has no fraction, and its lowest bits count from here.
+/// 1.5 * 2^23: numbers of this size have no fraction; adding it rounds to an integer.
 const ROUNDER: f32 = 12_582_912.0;
 /// Coefficients of q, the highest power first.
 const Q: [f32; 6] =
     [1.987_569_1e-4, 1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5];
-/// Bits of an exponent's zero.
+/// Bias of the exponent.
 const EXPONENT_BIAS: u32 = 127;
-/// Bits of a mantissa.
+/// Bits of the mantissa.
 const MANTISSA_BITS: u32 = 23;
 
-/// Where e^x leaves the normal numbers.
-const LEAST_EXPONENT: f32 = -87.336_54;
+/// The x below which e^x is subnormal.
+const MIN_EXPONENT: f32 = -87.336_54;
 
-/// e^x. At most 1e-7 off, relative to it; infinite from 88.7229 on, 0 below -87.3: numbers below the normal
-/// ones would cost whoever multiplies them a hundred times the time of others.
+/// e^x. Relative error at most 1e-7; infinite from 88.7229 on, 0 below -87.3, since arithmetic on subnormal numbers is a
+/// hundred times slower.
 #[inline(always)]
 pub fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    let vanishes = simd.less_than_f32s(x, simd.splat_f32s(LEAST_EXPONENT));
-    let (n, above_one) = reduce(simd, between(simd, x, LEAST_EXPONENT, 89.0));
+    let vanishes = simd.less_than_f32s(x, simd.splat_f32s(MIN_EXPONENT));
+    let (n, above_one) = reduce(simd, between(simd, x, MIN_EXPONENT, 89.0));
     let fraction = simd.add_f32s(simd.splat_f32s(1.0), above_one);
-    // In two steps, as 2^n itself may have no place among the normal numbers.
+    // In two steps, as 2^n itself may not be a normal number.
     let shifted = simd.add_u32s(n, simd.splat_u32s(256));
     let half = simd.wrapping_dyn_shr_u32s(shifted, simd.splat_u32s(1));
     let half = simd.sub_u32s(half, simd.splat_u32s(128)); // n / 2, rounded down
@@ -44,7 +43,7 @@ pub fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.select_f32s(vanishes, simd.splat_f32s(0.0), power)
 }
 
-/// 1 / (1 + e^-x). At most 1.5e-7 off, relative to it; 0 below -88.4.
+/// 1 / (1 + e^-x). Relative error at most 1.5e-7; 0 below -88.4.
 #[inline(always)]
 pub fn sigmoid<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // At 88.8, 2^n is the bit pattern of infinity; at -88, that of zero.
@@ -57,20 +56,20 @@ pub fn sigmoid<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.div_f32s(one, simd.add_f32s(one, exponential))
 }
 
-/// Hyperbolic tangent, (e^2x - 1) / (e^2x + 1). At most 2e-7 off, relative to it.
+/// Hyperbolic tangent, (e^2x - 1) / (e^2x + 1). Relative error at most 2e-7.
 #[inline(always)]
 pub fn tanh<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    // Beyond 10 it is 1 as far as f32 goes.
+    // Beyond 10 it rounds to 1.
     let x = between(simd, x, -10.0, 10.0);
     let numerator = exp_minus_one(simd, simd.add_f32s(x, x));
     simd.div_f32s(numerator, simd.add_f32s(numerator, simd.splat_f32s(2.0)))
 }
 
-/// x for x > 0, e^x - 1 below (Clevert et al. 2015). At most 1e-7 off, relative to it.
+/// x for x > 0, e^x - 1 below (Clevert et al. 2015). Relative error at most 1e-7.
 #[inline(always)]
 pub fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
-    // Below -30 it is -1 as far as f32 goes.
+    // Below -30 it rounds to -1.
     let below = exp_minus_one(simd, at_least(simd, x, -30.0));
     simd.select_f32s(positive, x, below)
 }
@@ -89,7 +88,7 @@ pub fn positive<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.select_f32s(above, simd.add_f32s(x, simd.splat_f32s(0.5)), sigmoid(simd, x))
 }
 
-/// e^x - 1 for -30 <= x <= 88; anything but NaN beyond.
+/// e^x - 1 for -30 <= x <= 88; an arbitrary number outside this range.
 #[inline(always)]
 fn exp_minus_one<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let (n, above_one) = reduce(simd, x);
@@ -121,15 +120,14 @@ fn power_of_two<S: Simd>(simd: S, n: S::u32s) -> S::f32s {
     simd.transmute_f32s_u32s(bits)
 }
 
-/// x, but no less than `least`. Minima and maxima of the instruction sets differ in what they make of
-/// NaN; a comparison does not.
+/// x, but at least `least`. Comparisons treat NaN the same on all instruction sets, minima and maxima do not.
 #[inline(always)]
 fn at_least<S: Simd>(simd: S, x: S::f32s, least: f32) -> S::f32s {
     let least = simd.splat_f32s(least);
     simd.select_f32s(simd.less_than_f32s(x, least), least, x)
 }
 
-/// x, but no less than `least` and no more than `most`.
+/// x clamped to `least`..`most`.
 #[inline(always)]
 fn between<S: Simd>(simd: S, x: S::f32s, least: f32, most: f32) -> S::f32s {
     let x = at_least(simd, x, least);
@@ -164,7 +162,7 @@ mod tests {
         }
     }
 
-    /// Applies a function to numbers, the last of them in a vector filled up with zeros.
+    /// Applies a function to numbers; the last vector is padded with zeros.
     struct Apply<'a>(Function, &'a [f32]);
 
     impl WithSimd for Apply<'_> {
@@ -189,7 +187,7 @@ mod tests {
         }
     }
 
-    /// Every set of instructions that this processor has; those with a fused multiply-add last.
+    /// The instruction sets of this processor; those with a fused multiply-add last.
     fn sets() -> Vec<Arch> {
         let mut sets = vec![Arch::Scalar];
         #[cfg(target_arch = "x86_64")]
@@ -202,16 +200,14 @@ mod tests {
         sets
     }
 
-    /// Numbers of every size from 1e-30 to 1e3, of both signs, and all between -105 and 90 in small
-    /// steps.
+    /// Numbers of all magnitudes from 1e-30 to 1e3, of both signs, and from -105 to 90 in small steps.
     fn numbers() -> Vec<f32> {
         let sizes = (-300..30).map(|tenth| 10f32.powf(tenth as f32 / 10.0));
         let signed = sizes.flat_map(|size| [size, -size]);
         signed.chain((0..390_000).map(|step| -105.0 + step as f32 * 5.001e-4)).collect()
     }
 
-    /// The largest error, relative to the result, and where. Results below the normal numbers may come
-    /// out as zero.
+    /// The largest relative error and its argument. Subnormal results may be zero.
     fn largest_error(function: Function, set: Arch) -> (f64, f32) {
         let numbers = numbers();
         let results = set.dispatch(Apply(function, &numbers));
@@ -230,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn every_function_is_within_a_few_units_of_the_last_place() {
+    fn every_function_is_accurate_to_a_few_units_in_the_last_place() {
         let bounds = [
             (Function::Exp, 1e-7),
             (Function::Sigmoid, 1.5e-7),
@@ -267,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn sets_with_a_fused_multiply_add_give_the_same_bits() {
+    fn instruction_sets_with_a_fused_multiply_add_give_the_same_bits() {
         let numbers = numbers();
         for function in [Function::Exp, Function::Sigmoid, Function::Tanh, Function::Elu] {
             let bits = |set: &Arch| -> Vec<u32> {

@@ -6,34 +6,37 @@ use std::ops::Range;
 use gemm::Parallelism;
 use pulp::{Arch, Simd, WithSimd};
 
-/// Multiplications and additions that are worth other threads.
+/// Number of multiplications from which several threads are used.
 const LARGE: usize = 1 << 18;
 
-/// A matrix in a list of numbers, which need not lie side by side.
+/// A strided view of a matrix.
 #[derive(Clone, Copy, Debug)]
 pub struct Matrix<'a> {
     values: &'a [f32],
     /// Rows and columns.
     shape: [usize; 2],
-    /// Numbers from one row to the next, and from one column to the next.
+    /// Distance between rows and between columns (numbers).
     strides: [usize; 2],
 }
 
 impl<'a> Matrix<'a> {
-    /// Rows one after the other.
+    /// A matrix with contiguous rows.
     ///
     /// # Panics
-    /// When there are not that many numbers.
+    /// If there are too few values.
     pub fn new(values: &'a [f32], rows: usize, columns: usize) -> Self {
         Self::with_stride(values, rows, columns, columns)
     }
 
-    /// Rows `stride` numbers apart.
+    /// A matrix whose rows are `stride` numbers apart.
     ///
     /// # Panics
-    /// When there are not that many numbers.
+    /// If there are too few values.
     pub fn with_stride(values: &'a [f32], rows: usize, columns: usize, stride: usize) -> Self {
-        assert!(rows == 0 || values.len() >= (rows - 1) * stride + columns, "a matrix too short");
+        assert!(
+            rows == 0 || values.len() >= (rows - 1) * stride + columns,
+            "too few values for the matrix"
+        );
         Self { values, shape: [rows, columns], strides: [stride, 1] }
     }
 
@@ -42,14 +45,13 @@ impl<'a> Matrix<'a> {
         self.shape
     }
 
-    /// One number.
+    /// An element.
     #[inline(always)]
     pub fn at(&self, row: usize, column: usize) -> f32 {
         self.values[row * self.strides[0] + column * self.strides[1]]
     }
 
-    /// Puts some columns, from number `first` on, into `packed`, `[rows, lanes]`; where there are fewer,
-    /// it stays as it is.
+    /// Copies the columns from `first` on to `packed`, `[rows, lanes]`; lanes beyond the last column are unchanged.
     pub(super) fn pack(&self, first: usize, lanes: usize, packed: &mut [f32]) {
         let ([_, columns], [down, across]) = (self.shape, self.strides);
         let end = columns.min(first + lanes);
@@ -69,40 +71,40 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    /// Rows and columns exchanged.
+    /// The transpose.
     pub fn transposed(self) -> Self {
         let ([rows, columns], [row, column]) = (self.shape, self.strides);
         Self { shape: [columns, rows], strides: [column, row], ..self }
     }
 }
 
-/// What happens to the numbers that were there.
+/// What a product does with the previous values of its destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Accumulate {
-    /// They are replaced.
+    /// Replaces them.
     Replace,
-    /// The product is added to them.
+    /// Adds the product to them.
     Add,
 }
 
-/// Puts `a b` into `product`, whose rows lie one after the other.
+/// Writes `a b` to `product`, which has contiguous rows, or adds it.
 ///
 /// # Panics
-/// When the shapes do not fit.
+/// If the shapes do not match.
 pub fn multiply(a: Matrix, b: Matrix, product: &mut [f32], accumulate: Accumulate) {
     assert_eq!(product.len(), a.shape[0] * b.shape[1], "shapes {:?}, {:?}", a.shape, b.shape);
-    // SAFETY: there is a place for each number, and each holds one.
+    // SAFETY: `product` is large enough and initialised.
     unsafe { gemm(a, b, product.as_mut_ptr(), accumulate, parallelism(a, b)) }
 }
 
-/// `a b`, its rows one after the other.
+/// `a b`, with contiguous rows.
 ///
 /// # Panics
-/// When the shapes do not fit.
+/// If the shapes do not match.
 pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
     let length = a.shape[0] * b.shape[1];
     let mut product = Vec::with_capacity(length);
-    // SAFETY: there is a place for each number, each is written, and none is read before.
+    // SAFETY: the capacity suffices, and every element is written before it is read.
     unsafe {
         gemm(a, b, product.as_mut_ptr(), Accumulate::Replace, parallelism(a, b));
         product.set_len(length);
@@ -110,14 +112,14 @@ pub fn product(a: Matrix, b: Matrix) -> Vec<f32> {
     product
 }
 
-/// Other threads only for what is large.
+/// Several threads only for large products.
 fn parallelism(a: Matrix, b: Matrix) -> Parallelism {
     let large = a.shape[0] * a.shape[1] * b.shape[1] >= LARGE;
     if large { Parallelism::Rayon(0) } else { Parallelism::None }
 }
 
 /// # Safety
-/// There is a place for each number of the product; if the product is added, each holds a number.
+/// `product` is large enough and, if the product is added, initialised.
 unsafe fn gemm(
     a: Matrix,
     b: Matrix,
@@ -128,8 +130,7 @@ unsafe fn gemm(
     let ([m, k], [inner, n]) = (a.shape, b.shape);
     assert_eq!(k, inner, "shapes {:?}, {:?}", a.shape, b.shape);
     let stride = |strides: [usize; 2], axis: usize| strides[axis] as isize;
-    // SAFETY: the shapes fit, every matrix was checked to be inside its list, and the caller answers
-    // for the product.
+    // SAFETY: the shapes match, the views were checked against their lists, and the caller guarantees the product.
     unsafe {
         gemm::gemm(
             m,
@@ -155,7 +156,7 @@ unsafe fn gemm(
     }
 }
 
-/// Adds up the rows of a matrix with rows of `sums.len()` numbers.
+/// Adds the rows of a matrix, each of length `sums.len()`, to `sums`.
 pub fn sum_rows(values: &[f32], sums: &mut [f32]) {
     Arch::new().dispatch(SumRows { values, sums });
 }

@@ -1,6 +1,6 @@
-//! minGRU and minLSTM over all frames at once, from the outputs of their linear parts to the states,
-//! and back: one pass over memory each way. Frame by frame within a strip of columns, which are
-//! independent of each other; `model/scan.rs` is the same by tensor operations.
+//! minGRU and minLSTM over all frames: states from the outputs of their linear layers, and gradients, in one pass over
+//! memory each. Columns are independent, so that each thread processes a strip of them frame by frame. `model/scan.rs` of
+//! `eddy-learning` computes the same with tensor operations.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -10,10 +10,10 @@ use super::{
     vectors::{strips, zip},
 };
 
-/// Columns that a thread takes at once.
+/// Columns per task.
 const STRIP: usize = 512;
 
-/// What the recurrence is made of. `M` columns are the rows times the width of the state.
+/// The variant of the recurrence. The M columns are rows times width of the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Minimal {
     /// Whether the candidate c enters as g(c) = c + 1/2 for c >= 0 and sigmoid(c) below: the log form.
@@ -22,27 +22,27 @@ pub struct Minimal {
     pub normalize: bool,
 }
 
-/// Gradients of the recurrence, `[T, M]` but for the last.
+/// Gradients of the recurrence, `[T, M]` except for `initial`.
 #[derive(Clone, Debug)]
 pub struct Gradients<const G: usize> {
-    /// By the linear part of each gate.
+    /// By the linear output of each gate.
     pub gates: [Vec<f32>; G],
-    /// By that of the candidate.
+    /// By the linear output of the candidate.
     pub candidate: Vec<f32>,
     /// By the state before the first frame, `[M]`.
-    pub carried: Vec<f32>,
+    pub initial: Vec<f32>,
 }
 
 impl Minimal {
-    /// The states `[T, M]` from the linear parts of the gates (update; or forget, input) and of the
-    /// candidate, each `[T, M]`, and the state before the first frame, `[M]`.
+    /// The states, `[T, M]`, from the linear outputs of the gates (update; or forget, input) and of the candidate, `[T, M]`
+    /// each, and the state before the first frame, `[M]`.
     pub fn forward<const G: usize>(
         self,
         gates: [&[f32]; G],
         candidate: &[f32],
-        carried: &[f32],
+        initial: &[f32],
     ) -> Vec<f32> {
-        let width = carried.len();
+        let width = initial.len();
         let mut states = vec![0.0; candidate.len()];
         strips(&mut states, width, STRIP).into_par_iter().enumerate().for_each(
             |(strip, states)| {
@@ -51,7 +51,7 @@ impl Minimal {
                     kind: self,
                     gates,
                     candidate,
-                    carried,
+                    initial,
                     columns,
                     states,
                 });
@@ -60,16 +60,16 @@ impl Minimal {
         states
     }
 
-    /// The gradients from `gradient`, that of the states, `[T, M]`.
+    /// The gradients from `gradient`, that by the states, `[T, M]`.
     pub fn backward<const G: usize>(
         self,
         gates: [&[f32]; G],
         candidate: &[f32],
-        carried: &[f32],
+        initial: &[f32],
         states: &[f32],
         gradient: &[f32],
     ) -> Gradients<G> {
-        let width = carried.len();
+        let width = initial.len();
         let zeros = || vec![0.0; candidate.len()];
         let mut by_gates: [Vec<f32>; G] = std::array::from_fn(|_| zeros());
         let mut by_candidate = zeros();
@@ -92,7 +92,7 @@ impl Minimal {
                     kind: self,
                     gates,
                     candidate,
-                    carried,
+                    initial,
                     states,
                     gradient,
                     columns,
@@ -101,12 +101,12 @@ impl Minimal {
                     by_carried,
                 });
             });
-        Gradients { gates: by_gates, candidate: by_candidate, carried: by_carried }
+        Gradients { gates: by_gates, candidate: by_candidate, initial: by_carried }
     }
 
-    /// What enters the state, and its slope.
+    /// The candidate as it enters the state, and its derivative.
     #[inline(always)]
-    fn entering<S: Simd>(self, simd: S, candidate: S::f32s) -> [S::f32s; 2] {
+    fn candidate<S: Simd>(self, simd: S, candidate: S::f32s) -> [S::f32s; 2] {
         let one = simd.splat_f32s(1.0);
         if !self.log {
             return [candidate, one];
@@ -115,6 +115,94 @@ impl Minimal {
         let above = simd.greater_than_f32s(candidate, simd.splat_f32s(0.0));
         let below = simd.mul_f32s(value, simd.sub_f32s(one, value)); // of a sigmoid
         [value, simd.select_f32s(above, one, below)]
+    }
+
+    /// minGRU: h + z (c - h).
+    #[inline(always)]
+    fn mingru<S: Simd>(self, simd: S, gate: S::f32s, c: S::f32s, before: S::f32s) -> S::f32s {
+        let [candidate, _] = self.candidate(simd, c);
+        let change = simd.sub_f32s(candidate, before);
+        simd.mul_add_e_f32s(sigmoid(simd, gate), change, before)
+    }
+
+    /// minGRU: the gradients by the previous state, the gate and the candidate, from that by the state.
+    #[inline(always)]
+    fn mingru_gradients<S: Simd>(
+        self,
+        simd: S,
+        [gate, c, before]: [S::f32s; 3],
+        by_state: S::f32s,
+    ) -> [S::f32s; 3] {
+        let [candidate, derivative] = self.candidate(simd, c);
+        let update = sigmoid(simd, gate);
+        let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
+        let by_update = simd.mul_f32s(by_state, simd.sub_f32s(candidate, before));
+        let by_candidate = simd.mul_f32s(by_state, update);
+        [
+            simd.mul_f32s(by_state, kept),
+            simd.mul_f32s(by_update, simd.mul_f32s(update, kept)),
+            simd.mul_f32s(by_candidate, derivative),
+        ]
+    }
+
+    /// minLSTM: f h + i c, or h + i / (f + i) (c - h) with normalised gates.
+    #[inline(always)]
+    fn minlstm<S: Simd>(
+        self,
+        simd: S,
+        [forget, input]: [S::f32s; 2],
+        c: S::f32s,
+        before: S::f32s,
+    ) -> S::f32s {
+        let [candidate, _] = self.candidate(simd, c);
+        let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
+        if !self.normalize {
+            return simd.mul_add_e_f32s(forget, before, simd.mul_f32s(input, candidate));
+        }
+        let sum = simd.add_f32s(forget, input);
+        let sum = simd.add_f32s(sum, simd.splat_f32s(MIN_GATE_SUM));
+        let change = simd.sub_f32s(candidate, before);
+        simd.mul_add_e_f32s(simd.div_f32s(input, sum), change, before)
+    }
+
+    /// minLSTM: the gradients by the previous state, both gates and the candidate, from that by the state.
+    #[inline(always)]
+    fn minlstm_gradients<S: Simd>(
+        self,
+        simd: S,
+        [forget, input, c, before]: [S::f32s; 4],
+        by_state: S::f32s,
+    ) -> [S::f32s; 4] {
+        let one = simd.splat_f32s(1.0);
+        let [candidate, derivative] = self.candidate(simd, c);
+        let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
+        let forget_slope = simd.mul_f32s(forget, simd.sub_f32s(one, forget));
+        let input_slope = simd.mul_f32s(input, simd.sub_f32s(one, input));
+        let (by_before, by_forget, by_input, by_candidate);
+        if self.normalize {
+            let sum = simd.add_f32s(forget, input);
+            let inverse = simd.div_f32s(one, simd.add_f32s(sum, simd.splat_f32s(MIN_GATE_SUM)));
+            let share = simd.mul_f32s(input, inverse);
+            let kept = simd.sub_f32s(one, share);
+            let change = simd.sub_f32s(candidate, before);
+            // The derivatives of the share i / (f + i) are (1 - share) / (f + i) by i and -share / (f + i) by f.
+            let by_share = simd.mul_f32s(simd.mul_f32s(by_state, change), inverse);
+            by_before = simd.mul_f32s(by_state, kept);
+            by_forget = simd.neg_f32s(simd.mul_f32s(by_share, share));
+            by_input = simd.mul_f32s(by_share, kept);
+            by_candidate = simd.mul_f32s(by_state, share);
+        } else {
+            by_before = simd.mul_f32s(by_state, forget);
+            by_forget = simd.mul_f32s(by_state, before);
+            by_input = simd.mul_f32s(by_state, candidate);
+            by_candidate = simd.mul_f32s(by_state, input);
+        }
+        [
+            by_before,
+            simd.mul_f32s(by_forget, forget_slope),
+            simd.mul_f32s(by_input, input_slope),
+            simd.mul_f32s(by_candidate, derivative),
+        ]
     }
 }
 
@@ -134,14 +222,14 @@ impl Columns {
     }
 }
 
-/// Keeps f + i from zero where both gates are shut as far as f32 goes.
-pub const LEAST_SUM: f32 = 1e-12;
+/// Added to f + i, which is zero in f32 if both gates are closed.
+pub const MIN_GATE_SUM: f32 = 1e-12;
 
 struct Forward<'a, const G: usize> {
     kind: Minimal,
     gates: [&'a [f32]; G],
     candidate: &'a [f32],
-    carried: &'a [f32],
+    initial: &'a [f32],
     columns: Columns,
     states: Vec<&'a mut [f32]>,
 }
@@ -151,13 +239,13 @@ impl<const G: usize> WithSimd for Forward<'_, G> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { kind, gates, candidate, carried, columns, mut states } = self;
+        let Self { kind, gates, candidate, initial, columns, mut states } = self;
         for t in 0..states.len() {
             let (earlier, now) = states.split_at_mut(t);
             let now = &mut *now[0];
             let length = now.len();
             let before = match earlier.last() {
-                None => columns.of(carried, 0, length),
+                None => columns.of(initial, 0, length),
                 Some(before) => before,
             };
             let candidate = columns.of(candidate, t, length);
@@ -169,24 +257,10 @@ impl<const G: usize> WithSimd for Forward<'_, G> {
                 [now],
                 #[inline(always)]
                 |[first, second, candidate, before], _| {
-                    let [entering, _] = kind.entering(simd, candidate);
-                    let first = sigmoid(simd, first);
-                    if G == 1 {
-                        let change = simd.sub_f32s(entering, before);
-                        return [simd.mul_add_e_f32s(first, change, before)];
-                    }
-                    let input = sigmoid(simd, second);
-                    if !kind.normalize {
-                        return [simd.mul_add_e_f32s(
-                            first,
-                            before,
-                            simd.mul_f32s(input, entering),
-                        )];
-                    }
-                    let sum = simd.add_f32s(first, input);
-                    let sum = simd.add_f32s(sum, simd.splat_f32s(LEAST_SUM));
-                    let change = simd.sub_f32s(entering, before);
-                    [simd.mul_add_e_f32s(simd.div_f32s(input, sum), change, before)]
+                    [match G {
+                        1 => kind.mingru(simd, first, candidate, before),
+                        _ => kind.minlstm(simd, [first, second], candidate, before),
+                    }]
                 },
             );
         }
@@ -197,7 +271,7 @@ struct Backward<'a, const G: usize> {
     kind: Minimal,
     gates: [&'a [f32]; G],
     candidate: &'a [f32],
-    carried: &'a [f32],
+    initial: &'a [f32],
     states: &'a [f32],
     gradient: &'a [f32],
     columns: Columns,
@@ -212,15 +286,14 @@ impl<const G: usize> WithSimd for Backward<'_, G> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { kind, gates, candidate, carried, states, gradient, columns, .. } = self;
+        let Self { kind, gates, candidate, initial, states, gradient, columns, .. } = self;
         let (mut by_gates, mut by_candidate) = (self.by_gates, self.by_candidate);
-        // The gradient by the state after the frame at hand, through all later frames.
+        // The gradient by the current frame's state through all later frames.
         let later = self.by_carried;
         let length = later.len();
-        let one = simd.splat_f32s(1.0);
         for t in (0..by_candidate.len()).rev() {
             let before = match t {
-                0 => columns.of(carried, 0, length),
+                0 => columns.of(initial, 0, length),
                 _ => columns.of(states, t - 1, length),
             };
             let inputs = [
@@ -240,17 +313,8 @@ impl<const G: usize> WithSimd for Backward<'_, G> {
                     [&mut *later, by_first, by_candidate],
                     #[inline(always)]
                     |[gate, _, candidate, before, gradient], [later, _, _]| {
-                        let [entering, slope] = kind.entering(simd, candidate);
-                        let update = sigmoid(simd, gate);
                         let by_state = simd.add_f32s(later, gradient);
-                        let kept = simd.sub_f32s(one, update);
-                        let by_update = simd.mul_f32s(by_state, simd.sub_f32s(entering, before));
-                        let by_entering = simd.mul_f32s(by_state, update);
-                        [
-                            simd.mul_f32s(by_state, kept),
-                            simd.mul_f32s(by_update, simd.mul_f32s(update, kept)),
-                            simd.mul_f32s(by_entering, slope),
-                        ]
+                        kind.mingru_gradients(simd, [gate, candidate, before], by_state)
                     },
                 );
                 continue;
@@ -262,40 +326,8 @@ impl<const G: usize> WithSimd for Backward<'_, G> {
                 [&mut *later, by_first, by_second, by_candidate],
                 #[inline(always)]
                 |[forget, input, candidate, before, gradient], [later, _, _, _]| {
-                    let [entering, slope] = kind.entering(simd, candidate);
-                    let forget = sigmoid(simd, forget);
-                    let input = sigmoid(simd, input);
                     let by_state = simd.add_f32s(later, gradient);
-                    let forget_slope = simd.mul_f32s(forget, simd.sub_f32s(one, forget));
-                    let input_slope = simd.mul_f32s(input, simd.sub_f32s(one, input));
-                    if !kind.normalize {
-                        let by_forget = simd.mul_f32s(by_state, before);
-                        let by_input = simd.mul_f32s(by_state, entering);
-                        let by_entering = simd.mul_f32s(by_state, input);
-                        return [
-                            simd.mul_f32s(by_state, forget),
-                            simd.mul_f32s(by_forget, forget_slope),
-                            simd.mul_f32s(by_input, input_slope),
-                            simd.mul_f32s(by_entering, slope),
-                        ];
-                    }
-                    let sum = simd.add_f32s(forget, input);
-                    let inverse =
-                        simd.div_f32s(one, simd.add_f32s(sum, simd.splat_f32s(LEAST_SUM)));
-                    let share = simd.mul_f32s(input, inverse);
-                    let kept = simd.sub_f32s(one, share);
-                    let change = simd.sub_f32s(entering, before);
-                    // The share i / (f + i) grows with i by (1 - share) / (f + i), with f by -share / (f + i).
-                    let by_share = simd.mul_f32s(simd.mul_f32s(by_state, change), inverse);
-                    let by_forget = simd.neg_f32s(simd.mul_f32s(by_share, share));
-                    let by_input = simd.mul_f32s(by_share, kept);
-                    let by_entering = simd.mul_f32s(by_state, share);
-                    [
-                        simd.mul_f32s(by_state, kept),
-                        simd.mul_f32s(by_forget, forget_slope),
-                        simd.mul_f32s(by_input, input_slope),
-                        simd.mul_f32s(by_entering, slope),
-                    ]
+                    kind.minlstm_gradients(simd, [forget, input, candidate, before], by_state)
                 },
             );
         }

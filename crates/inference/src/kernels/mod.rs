@@ -1,28 +1,28 @@
-//! Numbers in vectors: what training and streaming both compute with.
+//! Vectorised building blocks, for training and for streaming.
 //!
-//! Written once for every set of vector instructions (crate `pulp`), which is chosen while the program
-//! runs. A function here takes the set as its first argument and has to be inlined into one that was
-//! compiled for it: only so the compiler uses the instructions.
+//! They are written once for all SIMD instruction sets (crate `pulp`), of which one is selected at run time. A function that
+//! takes the set as its first argument must be inlined into one that is compiled for that set; otherwise the compiler does
+//! not use its instructions.
 //!
 //! 1. [`math`]: exponential, sigmoid, hyperbolic tangent, ELU.
-//! 2. [`vectors`]: the same work on every number of several lists.
-//! 3. [`activation`]: the networks' activations with their slopes.
+//! 2. [`vectors`]: elementwise operations on several lists.
+//! 3. [`activation`]: the networks' activation functions with their derivatives.
 //!
 //! Values and gradients of whole layers, for training:
 //!
-//! 4. [`linear`]: a linear layer; [`matrix`] has the products of large matrices, [`narrow`] those with
-//!    matrices of few columns.
-//! 5. [`encoder`]: particles through a linear layer and an activation to their mean.
-//! 6. [`minimal`]: minGRU and minLSTM over all frames, from their linear parts.
-//! 7. [`gru`], [`lstm`]: frame by frame, with recurrent weights that are [`packed`].
+//! 4. [`linear`]: a linear layer. [`matrix`] has products of large matrices, [`narrow`] products with matrices of few
+//!    columns.
+//! 5. [`encoder`]: a linear layer and an activation on particles, and the mean over them.
+//! 6. [`minimal`]: minGRU and minLSTM over all frames, from the outputs of their linear layers.
+//! 7. [`gru`], [`lstm`]: frame by frame, with [`packed`] recurrent weights.
 //!
-//! The particles' grid, for both:
+//! The sparse grid and the rest shape, for both:
 //!
-//! 8. [`nodes`]: the sparse grid that particles touch, at three cell widths.
-//! 9. [`transfer`]: from particles to nodes and back.
+//! 8. [`nodes`]: the nodes that particles touch, at three cell widths.
+//! 9. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
 //! 10. [`gathered`]: convolutions on nodes.
-//! 11. [`rest_shape`]: strain and bend of bodies that keep their shape.
-//! 12. [`spacing`]: how far apart particles are.
+//! 11. [`rest_shape`]: strain and bend of jelly and rope.
+//! 12. [`spacing`]: the distance between neighbouring particles.
 
 pub mod activation;
 pub mod encoder;

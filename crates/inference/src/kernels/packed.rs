@@ -1,8 +1,7 @@
-//! A matrix that many small ones are multiplied with: the recurrent weights of a layer, once a frame.
+//! A matrix for products with many small ones: the recurrent weights of a layer, once per frame.
 //!
-//! A product of a few rows reads every weight for little arithmetic, so that it takes as long as the
-//! reading. Weights are therefore packed once, in the order in which they are read: in panels as wide
-//! as a vector, each holding its columns for one inner index after the other.
+//! A product with a few rows is bound by reading the weights. They are therefore packed once in the order in which they are
+//! read: in panels as wide as a SIMD vector, each storing its columns for one inner index after the other.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -12,14 +11,13 @@ use super::{
     vectors::Lanes,
 };
 
-/// Rows that are worked on at once, where vectors are as long as a cache line and where not: each needs
-/// a register.
+/// Rows per block, for vectors as long as a cache line and for shorter ones. Each row needs a register.
 const ROWS: [usize; 2] = [16, 8];
 
 /// A packed matrix, `[K, N]`.
 #[derive(Clone, Debug)]
 pub struct Packed {
-    /// `[panel, K, lane]`; zero where the last panel reaches beyond the columns.
+    /// `[panel, K, lane]`; zero in unused lanes of the last panel.
     panels: Vec<f32>,
     inner: usize,
     columns: usize,
@@ -71,22 +69,22 @@ impl Packed {
     }
 }
 
-/// Frames from which on packing pays: it takes about as long as two products of 16 rows.
-const MANY: usize = 4;
+/// Number of frames from which packing pays: it takes about as long as two products of 16 rows.
+const MIN_FRAMES: usize = 4;
 
-/// Recurrent weights, packed if there are frames enough.
+/// Recurrent weights, packed if there are enough frames.
 #[derive(Clone, Debug)]
 pub enum Recurrent<'a> {
-    /// As they are.
+    /// Not packed.
     Plain(Matrix<'a>),
     /// Packed.
     Packed(Packed),
 }
 
 impl<'a> Recurrent<'a> {
-    /// For so many frames.
+    /// Weights for products in `frames` frames.
     pub fn new(weight: Matrix<'a>, frames: usize) -> Self {
-        if frames < MANY { Self::Plain(weight) } else { Self::Packed(Packed::new(weight)) }
+        if frames < MIN_FRAMES { Self::Plain(weight) } else { Self::Packed(Packed::new(weight)) }
     }
 
     /// As [`Packed::add_product`].
@@ -98,7 +96,7 @@ impl<'a> Recurrent<'a> {
     }
 }
 
-/// A panel of a product.
+/// The product with one panel.
 struct Product<'a> {
     /// `[K, lane]`.
     panel: &'a [f32],
@@ -135,7 +133,7 @@ impl WithSimd for Product<'_> {
     }
 }
 
-/// R rows, from number `first` on.
+/// R rows from `first` on.
 #[inline(always)]
 fn block<S: Simd, const R: usize>(
     simd: S,

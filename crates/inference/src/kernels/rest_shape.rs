@@ -1,14 +1,14 @@
-//! How far jelly and rope are strained from their rest shape: where their particles were in the first
-//! frame of a stream.
+//! The strain of jelly and rope relative to their rest shape: the positions of their particles in the first frame of a
+//! stream.
 //!
-//! The deformation gradient F of a particle is the one that carries its neighbours of then, X, to those
-//! of now, x, with the least squares: F = sum over j of (x_j - x) c_j^T, where c_j = k_j A^-1 (X_j - X)
-//! and A = sum of k_j (X_j - X)(X_j - X)^T, with weights k that fall with the distance then. It needs no
-//! history, so that its errors do not add up. The strain is B - 1, B = F F^T (left Cauchy-Green).
+//! The deformation gradient F of a particle is the least-squares map of its neighbours' rest positions X to their current
+//! positions x: F = sum over j of (x_j - x) c_j^T, where c_j = k_j A^-1 (X_j - X) and
+//! A = sum of k_j (X_j - X)(X_j - X)^T, with weights k that decrease with the distance at rest. It needs no history, so that
+//! errors do not accumulate. The strain is B - 1, B = F F^T (left Cauchy-Green).
 //!
-//! What F leaves is the bend: how far a particle is from where its neighbours and F have it,
-//! sum of k_j (x_j - x - F (X_j - X)) / sum of k_j. It is what shows particles that have gone out of line,
-//! one this way, the next that way, of which no F knows.
+//! The residual of the fit is the bend: the distance of a particle from where its neighbours and F put it,
+//! sum of k_j (x_j - x - F (X_j - X)) / sum of k_j. It detects particles that alternate about their line, which F does not
+//! see.
 
 use std::ops::Range;
 
@@ -16,77 +16,76 @@ use rayon::prelude::*;
 
 use eddy_frames::Material;
 
-/// Range of neighbours (distances between particles at rest).
+/// Range of neighbours (spacings at rest).
 const RANGE: f64 = 2.1;
-/// At most so many neighbours: the nearest.
-const MOST: usize = 12;
+/// Largest number of neighbours: the nearest ones.
+const MAX_NEIGHBOURS: usize = 12;
 /// Features of a particle's shape: Bxx - 1, Byy - 1, Bxy, and the bend along x and y.
 pub const SHAPE_FEATURES: usize = 5;
-/// What they are multiplied by, strains and bends (in spacings at rest), so that what is usual is about 1.
+/// Scale of strains and of bends (in spacings at rest), so that usual values are about 1.
 pub const SCALE: [f32; SHAPE_FEATURES] = [10.0, 10.0, 10.0, 60.0, 60.0];
-/// How large they get.
-pub const LARGEST: f32 = 4.0;
-/// With fewer, there is no telling.
-const FEWEST: usize = 3;
-/// The smaller eigenvalue of A, relative to the larger, below which neighbours are in a line.
-const FLATTEST: f64 = 0.05;
-/// Particles of a cell that are looked at. At a distance from each other there are five or so; where all
-/// are in one place, the search still takes a time in proportion to their number.
-const CROWD: usize = 128;
+/// Limit of the scaled features.
+pub const LIMIT: f32 = 4.0;
+/// Smallest number of neighbours that determines a deformation.
+const MIN_NEIGHBOURS: usize = 3;
+/// Ratio of the eigenvalues of A below which the neighbours are considered collinear.
+const MIN_EIGENVALUE_RATIO: f64 = 0.05;
+/// Particles per cell that are searched. Usually there are about five; the limit keeps the time linear if all particles are in
+/// one place.
+const MAX_PER_CELL: usize = 128;
 
-/// The rest shapes of the particles of B windows, R = B N rows one below the other.
+/// The rest shapes of the particles of B windows: R = B N rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestShape {
-    /// Where each particle's links begin, and where the last one's end, `[R + 1]`. Without links it counts
-    /// as not strained.
+    /// First link of each particle, and the end of the last, `[R + 1]`. A particle without links counts as unstrained.
     first: Vec<u32>,
     links: Vec<Link>,
-    /// Of each link, and where the neighbour rests from the particle (domain lengths): lists of their own,
-    /// which are read many times a frame.
+    /// Weight of each link, and the neighbour's rest position relative to the particle (domain lengths). Separate lists, as
+    /// they are read many times per frame.
     neighbours: Vec<WeightedNeighbour>,
     offsets: Vec<[f32; 2]>,
     /// N.
     particles: usize,
 }
 
-/// A neighbour.
+/// A neighbour of a particle at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Its row.
     pub particle: u32,
     /// c (1 / domain lengths).
     pub coefficient: [f32; 2],
-    /// Share in the bend: spacings at rest by domain length.
+    /// Coefficient of the bend (spacings at rest / domain lengths).
     pub share: f32,
 }
 
-/// A neighbour, and how much it counts.
+/// A neighbour and its normalised weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WeightedNeighbour {
     /// Its row.
     pub particle: u32,
-    /// Its share in the weights of the particle's neighbours.
+    /// Its weight divided by the sum over the particle's neighbours.
     pub share: f32,
 }
 
 impl RestShape {
-    /// The shapes of particles at `position` (domain lengths), `[R]`, in so many windows of equally many
-    /// particles; neighbours at rest are `spacing` apart (domain lengths). Only particles of the same
-    /// material and window are neighbours.
+    /// The rest shapes of particles at `position` (domain lengths), `[R]`, in windows of equally many particles; `spacing` is
+    /// the distance between neighbours (domain lengths). Only particles of the same material and window are neighbours.
     ///
     /// # Panics
-    /// When there are not as many materials as positions, or they are not so many windows.
+    /// If the numbers of materials and positions differ, or are not divisible by the number of windows.
     pub fn new(position: &[[f32; 2]], material: &[Material], windows: usize, spacing: f32) -> Self {
         assert_eq!(position.len(), material.len());
         assert!(windows > 0 && position.len().is_multiple_of(windows), "windows: {windows}");
         let range = RANGE * f64::from(spacing);
         if windows == 1 {
-            // A stream's: no other threads are woken for it.
-            return Self::of(position, material, range);
+            // A single stream: not worth waking other threads.
+            return Self::of_window(position, material, range);
         }
         let particles = (position.len() / windows).max(1);
         let places = position.par_chunks(particles).zip(material.par_chunks(particles));
-        let shapes: Vec<_> = places.map(|(x, material)| Self::of(x, material, range)).collect();
+        let shapes: Vec<_> =
+            places.map(|(x, material)| Self::of_window(x, material, range)).collect();
         let mut joined = Self { first: vec![0], particles, ..Self::default() };
         for shape in shapes {
             let (row, link) = (joined.len() as u32, joined.links.len() as u32);
@@ -103,8 +102,8 @@ impl RestShape {
         joined
     }
 
-    /// The shape of one window.
-    fn of(position: &[[f32; 2]], material: &[Material], range: f64) -> Self {
+    /// The rest shape of one window.
+    fn of_window(position: &[[f32; 2]], material: &[Material], range: f64) -> Self {
         let cells = Cells::new(position, material, range);
         let mut shape = Self { first: vec![0], particles: position.len(), ..Self::default() };
         for (particle, material) in material.iter().enumerate() {
@@ -120,10 +119,10 @@ impl RestShape {
         shape
     }
 
-    /// The same shapes in another order of the particles: `order` has the row here of each row there.
+    /// The rest shapes in another order of particles: `order[i]` is the row that becomes row i.
     ///
     /// # Panics
-    /// When `order` is no permutation of the rows.
+    /// If `order` is not a permutation of the rows.
     pub fn permuted(&self, order: &[u32]) -> Self {
         assert_eq!(order.len(), self.len());
         let mut place = vec![0; order.len()];
@@ -154,16 +153,16 @@ impl RestShape {
         self.first.len().saturating_sub(1)
     }
 
-    /// Whether there are no particles.
+    /// Whether there is no particle.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The shape of each particle in each of T frames, `[T R, 5]`, from the positions, `[T R]`: strain
-    /// and bend ([`SHAPE_FEATURES`]), scaled and limited; zeros for what has no rest shape.
+    /// The shape of each particle in T frames, `[T R, 5]`, from the positions, `[T R]`: strain and bend
+    /// ([`SHAPE_FEATURES`]), scaled and limited; zeros for particles without a rest shape.
     ///
     /// # Panics
-    /// When there are not R positions for each frame.
+    /// If the number of positions is not a multiple of R.
     pub fn shape(&self, position: &[[f32; 2]]) -> Vec<f32> {
         let rows = self.rows(position);
         let mut shape = vec![[0.0; SHAPE_FEATURES]; position.len()];
@@ -187,16 +186,16 @@ impl RestShape {
         limited(scaled(f, bend))
     }
 
-    /// The gradient `[T R, 2]` by the positions, `[T R]`, from that of the shape, `[T R, 5]`.
+    /// The gradient by the positions, `[T R, 2]`, from `gradient`, that by the shape, `[T R, 5]`.
     ///
     /// # Panics
-    /// When there are not R positions and rows for each frame.
+    /// If the numbers of positions and gradients differ or are not a multiple of R.
     pub fn backward(&self, position: &[[f32; 2]], gradient: &[f32]) -> Vec<f32> {
         let rows = self.rows(position);
         assert_eq!(gradient.len(), SHAPE_FEATURES * position.len());
         let (gradient, _) = gradient.as_chunks::<SHAPE_FEATURES>();
         let mut sums = vec![[0.0; 2]; position.len()];
-        // A window of a frame is one thread's: its sums are in the order of the particles.
+        // One thread per window and frame: sums are in the order of the particles.
         let parts = sums.par_chunks_mut(self.particles.max(1)).enumerate();
         parts.for_each(|(part, sums)| {
             let begin = part * self.particles;
@@ -211,7 +210,7 @@ impl RestShape {
                 let (f, bend) = deformation(links, position, position[particle]);
                 let mut by = gradient[begin + own];
                 for ((by, shape), scale) in by.iter_mut().zip(scaled(f, bend)).zip(SCALE) {
-                    *by *= if shape.abs() > LARGEST { 0.0 } else { scale };
+                    *by *= if shape.abs() > LIMIT { 0.0 } else { scale };
                 }
                 let [xx, yy, xy, by_bend @ ..] = by;
                 let by_f = [
@@ -233,32 +232,32 @@ impl RestShape {
         sums.into_flattened()
     }
 
-    /// R, or 1 where there are none, with a look at the number of positions.
+    /// R, but at least 1; checks the number of positions.
     fn rows(&self, position: &[[f32; 2]]) -> usize {
         let rows = self.len().max(1);
         assert!(position.len().is_multiple_of(rows), "{} positions, {rows} rows", position.len());
         rows
     }
 
-    /// What a particle is linked to.
+    /// The links of a particle.
     #[inline(always)]
     pub fn links(&self, particle: usize) -> &[Link] {
         &self.links[self.numbers(particle)]
     }
 
-    /// How much each of these counts.
+    /// The weights of these links.
     #[inline(always)]
     pub fn neighbours(&self, particle: usize) -> &[WeightedNeighbour] {
         &self.neighbours[self.numbers(particle)]
     }
 
-    /// Where each of these rests, from the particle (domain lengths).
+    /// The rest positions of the linked particles, relative to the particle (domain lengths).
     #[inline(always)]
     pub fn offsets(&self, particle: usize) -> &[[f32; 2]] {
         &self.offsets[self.numbers(particle)]
     }
 
-    /// Whether any particle has a shape.
+    /// Whether no particle has a rest shape.
     pub fn is_shapeless(&self) -> bool {
         self.links.is_empty()
     }
@@ -269,12 +268,12 @@ impl RestShape {
     }
 }
 
-/// Whether a rest shape means anything for a material.
+/// Whether a material has a rest shape.
 fn keeps_shape(material: Material) -> bool {
     matches!(material, Material::Jelly | Material::Rope)
 }
 
-/// F, by rows, and the bend (spacings at rest).
+/// F, row-major, and the bend (spacings at rest).
 #[inline(always)]
 pub fn deformation(
     links: &[Link],
@@ -295,7 +294,7 @@ pub fn deformation(
     (f, bend)
 }
 
-/// The features, before they are limited.
+/// The features before they are limited.
 #[inline(always)]
 fn scaled([[a, b], [c, d]]: [[f32; 2]; 2], [x, y]: [f32; 2]) -> [f32; SHAPE_FEATURES] {
     let mut shape = [a * a + b * b - 1.0, c * c + d * d - 1.0, a * c + b * d, x, y];
@@ -307,19 +306,19 @@ fn scaled([[a, b], [c, d]]: [[f32; 2]; 2], [x, y]: [f32; 2]) -> [f32; SHAPE_FEAT
 
 #[inline(always)]
 fn limited(mut shape: [f32; SHAPE_FEATURES]) -> [f32; SHAPE_FEATURES] {
-    // A loop: what `map` calls may not be inlined, and so use other instructions.
+    // A loop: the closure of `map` may not be inlined and would lose the SIMD instruction set.
     for number in &mut shape {
-        *number = number.clamp(-LARGEST, LARGEST);
+        *number = number.clamp(-LIMIT, LIMIT);
     }
     shape
 }
 
-/// A neighbour at rest: its row, and where it is from the particle (domain lengths).
-type Near = (u32, [f64; 2]);
+/// A neighbour at rest: its row, and its position relative to the particle (domain lengths).
+type Neighbour = (u32, [f64; 2]);
 
-/// Links to these neighbours; none where they do not tell a deformation.
+/// The links to these neighbours; none if they do not determine a deformation.
 fn coefficients(
-    near: &[Near],
+    near: &[Neighbour],
     range: f64,
 ) -> impl Iterator<Item = (Link, WeightedNeighbour, [f32; 2])> {
     let weight = move |[x, y]: [f64; 2]| (1.0 - (x * x + y * y) / (range * range)).powi(2);
@@ -336,27 +335,28 @@ fn coefficients(
     let determinant = xx * yy - xy * xy;
     let middle = 0.5 * (xx + yy);
     let largest = middle + (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
-    // The smaller eigenvalue is what the larger leaves of the determinant.
-    let told = near.len() >= FEWEST && determinant > FLATTEST * largest * largest;
-    let near = if told { near } else { &[] };
+    // The smaller eigenvalue is the determinant divided by the larger one.
+    let determined =
+        near.len() >= MIN_NEIGHBOURS && determinant > MIN_EIGENVALUE_RATIO * largest * largest;
+    let near = if determined { near } else { &[] };
     let spacing = range / RANGE;
     near.iter().map(move |&(particle, [x, y])| {
         let k = weight([x, y]);
         let c = [(yy * x - xy * y), (xx * y - xy * x)].map(|c| k * c / determinant);
-        // What is left of the weighted mean once F has carried it along.
+        // The weighted mean minus its image under F.
         let share = (k - c[0] * mean[0] - c[1] * mean[1]) / (sum * spacing);
         let link = Link { particle, coefficient: c.map(|c| c as f32), share: share as f32 };
         (link, WeightedNeighbour { particle, share: (k / sum) as f32 }, [x as f32, y as f32])
     })
 }
 
-/// Particles by the square cell they are in, as wide as neighbours range. Cells share the places of a
-/// table as long as there are particles, so that it does not matter how far apart these are.
+/// A hash table of particles by square cells as wide as the range of neighbours. Its size depends on the number of particles,
+/// not on the extent of their positions.
 struct Cells<'a> {
     position: &'a [[f32; 2]],
     material: &'a [Material],
     range: f64,
-    /// Where the particles of each place begin, and where the last one's end.
+    /// First particle of each bucket, and the end of the last.
     first: Vec<u32>,
     order: Vec<u32>,
 }
@@ -366,7 +366,7 @@ impl<'a> Cells<'a> {
         let places = position.len().next_power_of_two();
         let mut cells =
             Self { position, material, range, first: vec![0; places + 2], order: Vec::new() };
-        let place: Vec<_> = position.iter().map(|&x| cells.place(cells.cell(x))).collect();
+        let place: Vec<_> = position.iter().map(|&x| cells.bucket(cells.cell(x))).collect();
         for &place in &place {
             cells.first[place + 2] += 1;
         }
@@ -382,28 +382,28 @@ impl<'a> Cells<'a> {
         cells
     }
 
-    /// The cell at a position; the lowest for what is not a number.
+    /// The cell at a position; NaN is cast to 0.
     fn cell(&self, position: [f32; 2]) -> [i32; 2] {
         position.map(|x| (f64::from(x) / self.range).floor() as i32)
     }
 
-    /// Its place in the table.
-    fn place(&self, [a, b]: [i32; 2]) -> usize {
+    /// The bucket of a cell.
+    fn bucket(&self, [a, b]: [i32; 2]) -> usize {
         let mixed = (a as u32).wrapping_mul(0x9e37_79b1) ^ (b as u32).wrapping_mul(0x85eb_ca77);
         (mixed ^ mixed >> 15) as usize & (self.first.len() - 3)
     }
 
-    /// The nearest particles in range, of the same material.
-    fn nearest(&self, particle: usize) -> Vec<Near> {
+    /// The nearest particles of the same material in range.
+    fn nearest(&self, particle: usize) -> Vec<Neighbour> {
         let (x, range) = (self.position[particle], self.range);
         let [a, b] = self.cell(x);
-        // Squared distance, row, place from here.
-        let mut near: Vec<(f64, u32, [f64; 2])> = Vec::with_capacity(MOST + 1);
+        // Squared distance, row, relative position.
+        let mut near: Vec<(f64, u32, [f64; 2])> = Vec::with_capacity(MAX_NEIGHBOURS + 1);
         for k in 0..9 {
             let cell = [a.wrapping_add(k % 3 - 1), b.wrapping_add(k / 3 - 1)];
-            let place = self.place(cell);
+            let place = self.bucket(cell);
             let there = &self.order[self.first[place] as usize..self.first[place + 1] as usize];
-            for &other in there.iter().take(CROWD) {
+            for &other in there.iter().take(MAX_PER_CELL) {
                 let row = other as usize;
                 let same = self.material[row] == self.material[particle] && row != particle;
                 if !same || self.cell(self.position[row]) != cell {
@@ -416,7 +416,7 @@ impl<'a> Cells<'a> {
                     let nearer = |kept: &(f64, u32, _)| (kept.0, kept.1) < (squared, other);
                     let at = near.partition_point(nearer);
                     near.insert(at, (squared, other, apart));
-                    near.truncate(MOST);
+                    near.truncate(MAX_NEIGHBOURS);
                 }
             }
         }

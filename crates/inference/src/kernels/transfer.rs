@@ -1,18 +1,17 @@
-//! Between particles and the nodes of level 0 of their [grid](super::nodes): sums over the particles
-//! around each node (P2G) and over the nodes around each particle (G2P), by the weights w of the
-//! quadratic spline.
+//! Transfers between particles and the finest nodes of their [grid](super::nodes): sums over the particles around each node
+//! (P2G) and over the nodes around each particle (G2P), with the weights of the quadratic spline.
 //!
-//! P2G and G2P are each other's transposes, so that the gradients by what they sum are these:
+//! P2G and G2P are each other's transposes, which gives their gradients:
 //!
 //! | | P2G, s = [`to_nodes`]`(q)` | G2P, c = [`to_particles`]`(v)` |
 //! |---|---|---|
-//! | by what is summed | `to_particles(by_s)` | `to_nodes(by_c)` |
+//! | by the summed values | `to_particles(by_s)` | `to_nodes(by_c)` |
 //! | by the positions | [`by_position`]`(by_s, q)` | `by_position(v, by_c)` |
 //!
-//! The mass of a node, the sum of its weights, is P2G of one channel of ones.
+//! The mass of a node, the sum of its weights, is P2G of a channel of ones.
 //!
-//! The gradient by a position outside of the domain is that at the nearest place inside.
-//! Sums are in the order of the particles' slots and the same for any number of threads.
+//! The gradient by a position outside of the domain is that at the nearest position inside. Sums are in the order of slots:
+//! any number of threads gives the same bits.
 
 use std::ops::Range;
 
@@ -20,14 +19,14 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{
-    nodes::{Cell, Nodes, Place, Row, range},
+    nodes::{Cell, Nodes, Row, WindowRanges, range},
     vectors::{load, store},
 };
 
-/// P2G: the sums `[M, C]` over particles of their weights times their `channels`, `[R, C]`.
+/// P2G: the sums over particles of their weights times their `channels`, `[R, C]` to `[M, C]`.
 ///
 /// # Panics
-/// When there are not as many rows as particles.
+/// If the numbers of rows and particles differ.
 pub fn to_nodes(nodes: &Nodes, channels: &[f32], width: usize) -> Vec<f32> {
     assert_eq!(channels.len(), nodes.order().len() * width);
     let mut sums = vec![0.0; nodes.level(0).len() * width];
@@ -42,15 +41,15 @@ pub fn to_nodes(nodes: &Nodes, channels: &[f32], width: usize) -> Vec<f32> {
     sums
 }
 
-/// The mass `[M]` of each node: the sum of its particles' weights.
+/// The mass of each node, `[M]`: the sum of its particles' weights.
 pub fn mass(nodes: &Nodes) -> Vec<f32> {
     to_nodes(nodes, &vec![1.0; nodes.order().len()], 1)
 }
 
-/// G2P: the sums `[R, C]` over nodes of their weights times their `field`, `[M, C]`.
+/// G2P: the sums over nodes of their weights times their `field`, `[M, C]` to `[R, C]`.
 ///
 /// # Panics
-/// When there are not as many rows as nodes.
+/// If the numbers of rows and nodes differ.
 pub fn to_particles(nodes: &Nodes, field: &[f32], width: usize) -> Vec<f32> {
     assert_eq!(field.len(), nodes.level(0).len() * width);
     let mut sums = vec![0.0; nodes.order().len() * width];
@@ -61,28 +60,28 @@ pub fn to_particles(nodes: &Nodes, field: &[f32], width: usize) -> Vec<f32> {
     sums
 }
 
-/// The gradient `[R, 2]` by the positions (per domain length) of the sum over particles and channels of
-/// [`to_particles`]`(field)`, `[M, C]`, times `channels`, `[R, C]`: which is that over nodes and channels
-/// of `field` times [`to_nodes`]`(channels)`.
+/// The gradient by the positions, `[R, 2]` (1 / domain lengths), of the sum over particles and channels of
+/// [`to_particles`]`(field)` times `channels`, `[R, C]`, which equals the sum over nodes and channels of `field`, `[M, C]`,
+/// times [`to_nodes`]`(channels)`.
 ///
 /// # Panics
-/// When there are not as many rows as nodes and particles.
+/// If the numbers of rows do not match nodes and particles.
 pub fn by_position(nodes: &Nodes, field: &[f32], channels: &[f32], width: usize) -> Vec<f32> {
     assert_eq!(field.len(), nodes.level(0).len() * width);
     assert_eq!(channels.len(), nodes.order().len() * width);
     let mut gradient = vec![0.0; nodes.order().len() * 2];
     let parts = parts(&mut gradient, nodes, |place| place.particles.len() * 2);
     parts.into_par_iter().zip(nodes.windows()).for_each(|(gradient, place)| {
-        Arch::new().dispatch(Slope { nodes, place, field, channels, width, gradient });
+        Arch::new().dispatch(PositionGradient { nodes, place, field, channels, width, gradient });
     });
     gradient
 }
 
-/// Each window's part of a list.
+/// Splits a list into the parts of the windows.
 fn parts<'a>(
     mut list: &'a mut [f32],
     nodes: &Nodes,
-    length: impl Fn(&Place) -> usize,
+    length: impl Fn(&WindowRanges) -> usize,
 ) -> Vec<&'a mut [f32]> {
     let cut = |place| {
         let (part, rest) = std::mem::take(&mut list).split_at_mut(length(place));
@@ -92,13 +91,13 @@ fn parts<'a>(
     nodes.windows().iter().map(cut).collect()
 }
 
-/// Where some channels of a row are in a list.
+/// The range of some channels of a row.
 #[inline(always)]
 fn of_row(row: usize, width: usize, part: &Range<usize>) -> Range<usize> {
     row * width + part.start..row * width + part.end
 }
 
-/// At most as many numbers as a vector holds, with zeros behind them.
+/// Loads at most a vector of numbers, padded with zeros.
 #[inline(always)]
 fn load_alone<S: Simd>(simd: S, numbers: &[f32]) -> S::f32s {
     match S::as_simd_f32s(numbers) {
@@ -107,7 +106,7 @@ fn load_alone<S: Simd>(simd: S, numbers: &[f32]) -> S::f32s {
     }
 }
 
-/// Ranges of channels that vectors hold.
+/// The channels in ranges of a vector each.
 #[inline(always)]
 fn vectors<S: Simd>(width: usize) -> impl Iterator<Item = Range<usize>> {
     (0..width).step_by(S::F32_LANES).map(move |first| first..(first + S::F32_LANES).min(width))
@@ -119,7 +118,7 @@ struct SumRow<'a> {
     row: &'a Row,
     channels: &'a [f32],
     width: usize,
-    /// Of the row's nodes, `[nodes, C]`; zero before.
+    /// Sums on the row's nodes, `[nodes, C]`, initially zero.
     sums: &'a mut [f32],
 }
 
@@ -133,7 +132,7 @@ impl WithSimd for SumRow<'_> {
             for cell in &nodes.cells()[range(cells)] {
                 let first = (cell.nodes[number] - row.nodes[0]) as usize * width;
                 let sums = &mut sums[first..first + 3 * width];
-                // Two vectors at once where there are: their sums hide each other's waiting.
+                // Two vectors at once, to hide the latency of additions.
                 for first in (0..width).step_by(2 * S::F32_LANES) {
                     let rows = (channels, width);
                     if width - first > S::F32_LANES {
@@ -147,7 +146,7 @@ impl WithSimd for SumRow<'_> {
     }
 }
 
-/// The share of one cell in row `number` of its stencil: V vectors of channels, from channel `first` on.
+/// Adds the contribution of a cell to row `number` of its stencil: V vectors of channels from `first` on.
 #[inline(always)]
 fn sum_cell<S: Simd, const V: usize>(
     simd: S,
@@ -189,7 +188,7 @@ fn sum_cell<S: Simd, const V: usize>(
     }
 }
 
-/// The nine nodes of a cell's stencil: some channels of each.
+/// Some channels of the nine nodes of a cell's stencil.
 #[inline(always)]
 fn stencil<S: Simd>(
     simd: S,
@@ -207,7 +206,7 @@ fn stencil<S: Simd>(
     values
 }
 
-/// The sum of a stencil's nodes by the products of their `columns` and `rows`.
+/// The sum over a stencil's nodes weighted by the products of `columns` and `rows`.
 #[inline(always)]
 fn weigh<S: Simd>(
     simd: S,
@@ -230,10 +229,10 @@ fn weigh<S: Simd>(
 /// G2P for a window.
 struct Gather<'a> {
     nodes: &'a Nodes,
-    place: &'a Place,
+    place: &'a WindowRanges,
     field: &'a [f32],
     width: usize,
-    /// Of the window's particles.
+    /// Sums of the window's particles.
     sums: &'a mut [f32],
 }
 
@@ -257,7 +256,7 @@ impl WithSimd for Gather<'_> {
     }
 }
 
-/// G2P for some slots: into the rows that `place` gives for them.
+/// G2P for a range of slots, whose sums go to the rows that `place` returns.
 #[inline(always)]
 pub fn gather<S: Simd>(
     simd: S,
@@ -289,16 +288,16 @@ pub fn gather<S: Simd>(
 }
 
 /// Gradients by the positions of a window's particles.
-struct Slope<'a> {
+struct PositionGradient<'a> {
     nodes: &'a Nodes,
-    place: &'a Place,
+    place: &'a WindowRanges,
     field: &'a [f32],
     channels: &'a [f32],
     width: usize,
     gradient: &'a mut [f32],
 }
 
-impl WithSimd for Slope<'_> {
+impl WithSimd for PositionGradient<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -312,8 +311,8 @@ impl WithSimd for Slope<'_> {
                     let [columns, rows] = &nodes.weights()[slot];
                     let particle = nodes.order()[slot] as usize;
                     let own = load_alone(simd, &channels[of_row(particle, width, &part)]);
-                    let across = weigh(simd, &values, &slopes(columns), rows);
-                    let up = weigh(simd, &values, columns, &slopes(rows));
+                    let across = weigh(simd, &values, &weight_gradients(columns), rows);
+                    let up = weigh(simd, &values, columns, &weight_gradients(rows));
                     let gradient = &mut gradient[2 * (particle - place.particles.start)..][..2];
                     gradient[0] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, across));
                     gradient[1] += per_length * simd.reduce_sum_f32s(simd.mul_f32s(own, up));
@@ -323,10 +322,10 @@ impl WithSimd for Slope<'_> {
     }
 }
 
-/// Derivatives of the weights of three nodes by the particle's distance from the first (1 / cells), which
-/// is their mean.
+/// Derivatives of the weights of three nodes by the particle's distance from the first (1 / cells). The distance follows from
+/// the weights: it is their mean.
 #[inline(always)]
-fn slopes([_, middle, last]: &[f32; 3]) -> [f32; 3] {
+fn weight_gradients([_, middle, last]: &[f32; 3]) -> [f32; 3] {
     let x = middle + 2.0 * last;
     [x - 1.5, 2.0 - 2.0 * x, x - 0.5]
 }
@@ -377,7 +376,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sums_and_gradients_are_those_over_all_pairs(
+        fn sums_and_gradients_equal_those_over_all_pairs(
             position in proptest::collection::vec([0.01f32..0.99, 0.01f32..1.19], 1..40),
             cut in 0usize..40,
             width in 1usize..40,
@@ -415,8 +414,8 @@ mod tests {
             prop_assert!(close(&to_particles(&nodes, &field, width), &g2p, 2e-5));
             prop_assert!(close(&super::mass(&nodes), &mass, 2e-5));
 
-            // Within a cell the sum is a polynomial of degree 4 in each coordinate; at a cell's border its
-            // second derivative jumps, so that the difference is as good as its step.
+            // Within a cell the sum is a polynomial of degree 4 in each coordinate; at a cell's border its second
+            // derivative jumps, so that the finite difference is accurate to first order.
             let step = 1e-6;
             let gradient = by_position(&nodes, &field, &channels, width);
             for particle in 0..position.len().min(5) {

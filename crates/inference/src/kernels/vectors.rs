@@ -1,10 +1,10 @@
-//! Lists of numbers in vectors, and the same work on every number of several lists.
+//! Lists of numbers as SIMD vectors, and elementwise operations on several lists.
 
 use std::ops::Range;
 
 use pulp::{Simd, WithSimd};
 
-/// Asks a set of instructions how many numbers its vectors hold.
+/// Queries the number of lanes of an instruction set.
 pub struct Lanes;
 
 impl WithSimd for Lanes {
@@ -16,15 +16,15 @@ impl WithSimd for Lanes {
     }
 }
 
-/// Where a vector of a row is, of so many columns in all.
+/// The range of a vector of a row with this number of columns.
 #[inline(always)]
 pub fn lanes<S: Simd>(row: usize, vector: usize, columns: usize) -> Range<usize> {
     let first = vector * S::F32_LANES;
     row * columns + first..row * columns + (first + S::F32_LANES).min(columns)
 }
 
-/// Numbers of a list, as many as a vector holds. Behind `lanes` is whatever follows in the list, or zeros:
-/// to leave something out takes longer than to compute with it and not to keep the result.
+/// Loads a vector from a list. Behind `lanes` it contains whatever follows in the list, or zeros: masking would take longer
+/// than computing with excess lanes and not storing them.
 #[inline(always)]
 pub fn load<S: Simd>(simd: S, list: &[f32], lanes: Range<usize>) -> S::f32s {
     match list.get(lanes.start..lanes.start + S::F32_LANES) {
@@ -33,7 +33,7 @@ pub fn load<S: Simd>(simd: S, list: &[f32], lanes: Range<usize>) -> S::f32s {
     }
 }
 
-/// The inverse; what is behind `lanes` stays as it is.
+/// Stores the part of a vector that `lanes` covers; what follows in the list is unchanged.
 #[inline(always)]
 pub fn store<S: Simd>(simd: S, list: &mut [f32], lanes: Range<usize>, vector: S::f32s) {
     let list = &mut list[lanes];
@@ -44,9 +44,8 @@ pub fn store<S: Simd>(simd: S, list: &mut [f32], lanes: Range<usize>, vector: S:
     }
 }
 
-/// Gives `work` the numbers of `inputs` and `outputs` at each index, in vectors, and puts what comes back
-/// in the places of the outputs. All lists are equally long; numbers that do not fill a vector are
-/// worked on in one that is filled up with zeros.
+/// Calls `work` with the vectors of `inputs` and `outputs` at each index, and stores its result in the outputs. All lists
+/// have the same length; the last vector is padded with zeros.
 #[inline(always)]
 pub fn zip<S: Simd, const N: usize, const M: usize>(
     simd: S,
@@ -89,20 +88,20 @@ pub fn zip<S: Simd, const N: usize, const M: usize>(
     }
 }
 
-/// A row in G parts of equal length: its gates.
+/// A row in G equal parts, such as its gates.
 pub fn parts<const G: usize>(row: &[f32]) -> [&[f32]; G] {
     let width = row.len() / G;
     std::array::from_fn(|part| &row[part * width..(part + 1) * width])
 }
 
-/// The same, to write.
+/// As [`parts`], to write.
 pub fn parts_mut<const G: usize>(row: &mut [f32]) -> [&mut [f32]; G] {
     let mut parts = row.chunks_exact_mut(row.len() / G);
     std::array::from_fn(|_| parts.next().unwrap_or_default())
 }
 
-/// The columns of a matrix with rows of `width` numbers, cut into strips of at most `strip`: for each
-/// strip its part of every row.
+/// Splits the columns of a matrix with rows of length `width` into strips of at most `strip` columns; each strip consists of
+/// its part of every row.
 pub fn strips(values: &mut [f32], width: usize, strip: usize) -> Vec<Vec<&mut [f32]>> {
     let mut strips: Vec<Vec<&mut [f32]>> = Vec::new();
     strips.resize_with(width.div_ceil(strip), Vec::new);
@@ -131,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_is_worked_on_once() {
+    fn every_number_is_processed_once() {
         for length in 0..70 {
             let x: Vec<f32> = (0..length).map(|i| i as f32).collect();
             let mut y = vec![1.0; length];
@@ -141,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_hold_every_column_of_every_row() {
+    fn strips_contain_every_column_of_every_row() {
         let mut values: Vec<f32> = (0..10).map(|i| i as f32).collect();
         let strips = strips(&mut values, 5, 2);
         let expected = [vec![[0.0, 1.0], [5.0, 6.0]], vec![[2.0, 3.0], [7.0, 8.0]]];

@@ -12,7 +12,7 @@ use super::{
 };
 use eddy_inference::{
     checkpoint::Form,
-    kernels::minimal::{LEAST_SUM, Minimal},
+    kernels::minimal::{MIN_GATE_SUM, Minimal},
 };
 
 /// One minLSTM layer.
@@ -48,7 +48,7 @@ impl MinLstm {
         if !self.normalize_gates {
             return (forget, update * candidate);
         }
-        let update = update.clone() / (forget + update).add_scalar(LEAST_SUM);
+        let update = update.clone() / (forget + update).add_scalar(MIN_GATE_SUM);
         (1.0 - update.clone(), update * candidate)
     }
 }

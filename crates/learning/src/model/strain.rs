@@ -5,7 +5,7 @@ use std::sync::Arc;
 use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 
 use super::{fused, sparse::indices, training};
-use eddy_inference::kernels::rest_shape::{LARGEST, Link, RestShape, SCALE};
+use eddy_inference::kernels::rest_shape::{LIMIT, Link, RestShape, SCALE};
 
 /// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 5]`.
 pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<RestShape>) -> Tensor<2> {
@@ -46,5 +46,5 @@ pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<RestShape>) -> Tensor<2> {
     let solid = Tensor::<2>::from_data(TensorData::new(solid, [count, 1]), &device);
     let scale = Tensor::<1>::from_floats(SCALE, &device).unsqueeze::<2>();
     let shape = Tensor::cat(vec![squares - solid, product, bend], 1);
-    (shape * scale).clamp(-LARGEST, LARGEST)
+    (shape * scale).clamp(-LIMIT, LIMIT)
 }

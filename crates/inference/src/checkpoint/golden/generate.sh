@@ -1,10 +1,10 @@
 #!/bin/sh
-# Writes the checkpoint in the folder $1 with the `eddy` that is found first in PATH:
+# Writes a golden checkpoint to the folder $1 with the `eddy` in PATH:
 #
 #     PATH=DIR:$PATH crates/inference/src/checkpoint/golden/generate.sh crates/inference/src/checkpoint/golden/version_2
 #
-# version_1 was written by eddy at 1fb7837, the last commit of format version 1. A new format version gets a folder of its
-# own; those of old versions are never written again.
+# version_1 was written by eddy at 1fb7837, the last commit of format version 1. Each format version has its own folder;
+# those of old versions are never written again.
 set -eu
 output=$(mkdir -p "$1" && cd "$1" && pwd)
 work=$(mktemp -d)

@@ -17,24 +17,24 @@ fn grid(random: &mut ChaCha8Rng) -> Nodes {
     nodes
 }
 
-/// Eighths: products and sums of them have no rounding errors.
+/// Multiples of 1/8, whose products and sums have no rounding errors.
 fn numbers(random: &mut ChaCha8Rng, length: usize) -> Vec<f32> {
     (0..length).map(|_| random.random_range(-8..8) as f32 / 8.0).collect()
 }
 
-/// Beside them, so that no sum is at ReLU's corner.
+/// Not multiples of 1/8, so that no sum is exactly zero, where ReLU has no derivative.
 fn biases(random: &mut ChaCha8Rng, length: usize) -> Vec<f32> {
     numbers(random, length).into_iter().map(|bias| bias + 1.0 / 128.0).collect()
 }
 
-/// Which input row times which block of the weight goes to which output row: (input, block, output).
+/// Which block of the weight connects which rows: (input, block, output).
 type Links = Vec<(usize, usize, usize)>;
 
-/// What the three layers have in common, in plain words: for each link y[output] += x[input] W[block].
+/// The definition of the three layers: for each link, y[output] += x[input] W[block].
 struct Plain {
     links: Links,
     rows: usize,
-    /// Whether blocks lie below each other, `[K I, O]`, or beside each other, `[I, K O]`.
+    /// Whether the blocks of the weight are stacked, `[K I, O]`, or side by side, `[I, K O]`.
     below: bool,
     rectify: bool,
 }
@@ -146,7 +146,7 @@ proptest! {
         let lengths = [coarse.len() * i, 4 * i * o, fine.len() * o];
         let [x, weight, above] = lengths.map(|length| numbers(&mut random, length));
         let bias = biases(&mut random, o);
-        let layer = Up { children, parent, weight: &weight, bias: &bias };
+        let layer = TransposedConvolution { children, parent, weight: &weight, bias: &bias };
         let output = layer.forward(&x);
         let by = layer.backward(&x, &above, true, true);
         let links = links.into_iter().map(|(child, block, parent)| (parent, block, child)).collect();

@@ -1,36 +1,34 @@
-//! Many rows times a matrix of few columns, and the matrix's gradient: the particle model's layers.
+//! Products of many rows with a matrix of few columns, and the gradient by the matrix: the particle model's layers.
 //!
-//! A block of sums stays in registers while rows are read where they lie: they are neither gathered
-//! nor packed before, which for so few columns would take longer than the products. Only the matrix is
-//! packed.
+//! A block of sums stays in registers while rows are read in place: gathering or packing them first would take longer than
+//! the products. Only the matrix is packed.
 //!
-//! 1. `panels`: the matrix, in the order in which it is read.
-//! 2. `sums`: rows times the matrix.
-//! 3. `slopes`: the matrix's gradient.
+//! 1. `panels`: the packed matrix.
+//! 2. `products`: rows times the matrix.
+//! 3. `gradient`: the gradient by the matrix.
 //!
-//! Each sum is one thread's, or made of parts of it in a fixed order: the same bits for any number of
-//! threads.
+//! Each sum is computed by one thread, or from parts in a fixed order: any number of threads gives the same bits.
 
+mod gradient;
 mod panels;
-mod slopes;
-mod sums;
+mod products;
 
+pub use gradient::matrix_gradient;
 pub use panels::Panels;
-pub use slopes::by_matrix;
-pub use sums::{add_products, products};
+pub use products::{add_products, products};
 
 use pulp::Simd;
 
 use super::nodes::MISSING;
 
-/// Rows that are multiplied: lists of numbers, or some of these side by side.
+/// Input rows: lists of numbers, or several lists concatenated.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
     numbers: &'a [f32],
     width: usize,
-    /// How many lists make a row.
+    /// Lists per row.
     places: usize,
-    /// Which they are, row by row; not there where each is a row of its own.
+    /// The lists of each row; none if each list is a row.
     table: Option<&'a [u32]>,
 }
 
@@ -40,8 +38,7 @@ impl<'a> Rows<'a> {
         Self { numbers, width, places: 1, table: None }
     }
 
-    /// Lists of `numbers`, `[.., width]`, side by side: `[M, K width]`. What is [`MISSING`] counts as
-    /// zeros.
+    /// Lists of `numbers`, `[.., width]`, concatenated to rows, `[M, K width]`. Lists that are [`MISSING`] count as zeros.
     pub fn gathered<const K: usize>(
         numbers: &'a [f32],
         width: usize,
@@ -50,7 +47,7 @@ impl<'a> Rows<'a> {
         Self { numbers, width, places: K, table: Some(table.as_flattened()) }
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     pub fn len(&self) -> usize {
         match self.table {
             Some(table) => table.len() / self.places,
@@ -63,12 +60,12 @@ impl<'a> Rows<'a> {
         self.len() == 0
     }
 
-    /// Numbers of a row.
+    /// Length of a row.
     pub fn columns(&self) -> usize {
         self.places * self.width
     }
 
-    /// A list of a row, unless it is missing.
+    /// A list of a row; none if it is missing.
     #[inline(always)]
     fn list(&self, row: usize, place: usize) -> Option<&'a [f32]> {
         let list = match self.table {
@@ -82,14 +79,14 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Numbers of the largest block: 8 rows of 3 vectors.
+/// Length of the largest block: 8 rows of 3 vectors.
 const BLOCK: usize = 8 * 3 * 16;
 
-/// A block on its way to or from a list. What is indexed by numbers that are not known when this is
-/// compiled lies in memory: here, so that the sums themselves stay in registers.
-struct Room([f32; BLOCK]);
+/// A block on its way to or from a list. Arrays that are indexed at run time are placed in memory: with this copy, the sums
+/// themselves stay in registers.
+struct BlockBuffer([f32; BLOCK]);
 
-impl Room {
+impl BlockBuffer {
     fn new() -> Self {
         Self([0.0; BLOCK])
     }

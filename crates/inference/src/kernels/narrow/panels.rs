@@ -1,4 +1,4 @@
-//! A matrix in panels as wide as a vector.
+//! A matrix packed in panels as wide as a SIMD vector.
 
 use pulp::{Arch, Simd};
 
@@ -7,7 +7,7 @@ use crate::kernels::{matrix::Matrix, vectors::Lanes};
 /// A packed matrix, `[I, O]`.
 #[derive(Clone, Debug)]
 pub struct Panels {
-    /// `[panel, I, lane]`; zero where the last panel reaches beyond the columns.
+    /// `[panel, I, lane]`; zero in unused lanes of the last panel.
     numbers: Vec<f32>,
     rows: usize,
     columns: usize,
@@ -16,14 +16,14 @@ pub struct Panels {
 impl Panels {
     /// Packs a matrix.
     pub fn new(matrix: Matrix) -> Self {
-        Self::below_each_other(&[matrix])
+        Self::stacked(&[matrix])
     }
 
-    /// Packs the matrix of these, below each other.
+    /// Packs the rows of several matrices as one matrix.
     ///
     /// # Panics
-    /// When there are none, or they differ in width.
-    pub fn below_each_other(matrices: &[Matrix]) -> Self {
+    /// If there are none, or they differ in width.
+    pub fn stacked(matrices: &[Matrix]) -> Self {
         let [_, columns] = matrices[0].shape();
         let rows = matrices.iter().map(|matrix| matrix.shape()[0]).sum();
         let lanes = Arch::new().dispatch(Lanes);
@@ -31,7 +31,7 @@ impl Panels {
         let mut first = 0;
         for matrix in matrices {
             let [height, width] = matrix.shape();
-            assert_eq!(width, columns, "matrices below each other");
+            assert_eq!(width, columns, "widths of stacked matrices");
             for (panel, numbers) in numbers.chunks_exact_mut(rows * lanes).enumerate() {
                 let packed = &mut numbers[first * lanes..(first + height) * lanes];
                 matrix.pack(panel * lanes, lanes, packed);
@@ -46,7 +46,7 @@ impl Panels {
         [self.rows, self.columns]
     }
 
-    /// The weights of some inputs for the outputs of a vector.
+    /// A panel's weights for a range of inputs.
     #[inline(always)]
     pub(super) fn weights<S: Simd>(&self, panel: usize, first: usize, count: usize) -> &[S::f32s] {
         let (vectors, _) = S::as_simd_f32s(&self.numbers);

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::kernels::matrix::Matrix;
 
-/// Eighths: products and sums of them have no rounding errors.
+/// Multiples of 1/8, whose products and sums have no rounding errors.
 fn numbers(random: &mut ChaCha8Rng, length: usize) -> Vec<f32> {
     (0..length).map(|_| random.random_range(-8..8) as f32 / 8.0).collect()
 }
@@ -60,7 +60,7 @@ proptest! {
         let rows = numbers(&mut random, count * inputs);
         let gradient = numbers(&mut random, count * outputs);
         let expected = product(&rows, &gradient, [count, inputs, outputs]);
-        prop_assert_eq!(by_matrix(Rows::plain(&rows, inputs), &gradient, outputs), expected);
+        prop_assert_eq!(matrix_gradient(Rows::plain(&rows, inputs), &gradient, outputs), expected);
     }
 
     #[test]
@@ -84,6 +84,6 @@ proptest! {
             products(some, &panels, None, false),
             products(all, &panels, None, false)
         );
-        prop_assert_eq!(by_matrix(some, &above, outputs), by_matrix(all, &above, outputs));
+        prop_assert_eq!(matrix_gradient(some, &above, outputs), matrix_gradient(all, &above, outputs));
     }
 }

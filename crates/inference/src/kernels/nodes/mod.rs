@@ -1,20 +1,18 @@
-//! The sparse grid that particles touch, at three cell widths: which nodes there are, who is next to
-//! whom, and which particles are where.
+//! The sparse grid of the nodes that particles touch, at three cell widths: the nodes, their neighbours, and the particles
+//! in each cell.
 //!
-//! Node (a, b) of the finest level, 0, sits at (a w, b w) from the domain's lower corner. Only nodes in
-//! the stencil of a particle exist: the 3 x 3 from floor(x / w - 1/2) on, on each axis, as in the
-//! material point method's quadratic spline. A node of the next level has a cell twice as wide and exists
-//! where one of its four children does.
+//! Node (a, b) of the finest level, 0, is at (a w, b w) from the domain's lower corner. Only nodes in the stencil of a
+//! particle exist: the 3 x 3 from floor(x / w - 1/2) on, on each axis, as for the quadratic spline of the material point
+//! method. A node of the next level has a cell twice as wide and exists if one of its four children does.
 //!
-//! Nodes are numbered window by window, and within a window by b, then a: the order of the particles does
-//! not matter. So the three nodes of a stencil that share b follow each other.
+//! Nodes are numbered window by window, and within a window by b, then a, whatever the order of the particles. The three
+//! nodes of a stencil that share b are therefore consecutive.
 //!
-//! Particles are listed cell by cell, those of a cell (the ones with the same stencil) in the order of
-//! their rows: each has a *slot* in that list, and what is summed in the order of slots has the same bits
-//! for any number of threads.
+//! Particles are listed cell by cell, those of a cell (with the same stencil) in the order of their rows. The position of a
+//! particle in that list is its *slot*; sums in the order of slots have the same bits for any number of threads.
 //!
-//! 1. `window`: one window's tables, through a map of all its cells.
-//! 2. Here: the tables of many windows behind each other.
+//! 1. `window`: the tables of one window, through a map of all its cells.
+//! 2. Here: the concatenated tables of several windows.
 
 mod window;
 
@@ -29,7 +27,7 @@ use window::Maps;
 /// Number of levels.
 pub const LEVELS: usize = 3;
 
-/// In tables: there is no such node.
+/// Marks a node that does not exist.
 pub const MISSING: u32 = u32::MAX;
 
 /// Particles that share a grid: those of one frame of one scene.
@@ -43,10 +41,10 @@ pub struct Window {
     pub upper: [f32; 2],
 }
 
-/// Where a window's parts of the tables are.
+/// The parts of the tables that belong to a window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
-    /// Rows of its particles, and their slots.
+pub struct WindowRanges {
+    /// Rows of its particles, and also their slots.
     pub particles: Range<usize>,
     /// Its cells.
     pub cells: Range<usize>,
@@ -56,12 +54,12 @@ pub struct Place {
     pub nodes: [Range<usize>; LEVELS],
 }
 
-/// The particles that have the same stencil.
+/// The particles with the same stencil.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
-    /// Their slots, first and one behind the last.
+    /// Their slots, first and end.
     pub slots: [u32; 2],
-    /// First node of each row of the stencil, the lowest row first; the other two follow.
+    /// First of the three consecutive nodes of each row of the stencil, lowest row first.
     pub nodes: [u32; 3],
 }
 
@@ -76,41 +74,41 @@ impl Cell {
 /// Nodes of level 0 with the same b, and the cells whose stencils they are in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// The nodes, first and one behind the last.
+    /// The nodes, first and end.
     pub nodes: [u32; 2],
-    /// Cells that have this row as row 0, 1, 2 of their stencil, first and one behind the last.
+    /// Cells that have this row as row 0, 1, 2 of their stencil, first and end.
     pub cells: [[u32; 2]; 3],
 }
 
-/// The two ends as a range.
+/// A range from first and end.
 #[inline(always)]
 pub fn range([first, end]: [u32; 2]) -> Range<usize> {
     first as usize..end as usize
 }
 
-/// The nodes of a level, and who is next to whom.
+/// The nodes of a level and their neighbours.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Level {
     /// Each node's (a, b).
     pub at: Vec<[i32; 2]>,
-    /// Each node's neighbours, number 3 (db + 1) + da + 1 the one at (a + da, b + db), itself as number
-    /// 4; [`MISSING`] where there is none.
+    /// Each node's neighbours: number 3 (db + 1) + da + 1 is at (a + da, b + db), so that number 4 is the node itself;
+    /// [`MISSING`] if there is none.
     pub neighbours: Vec<[u32; 9]>,
-    /// Each node's children in the next finer level, number 2 (b' - 2 b) + a' - 2 a the one at (a', b');
-    /// [`MISSING`] where there is none. Empty in level 0.
+    /// Each node's children in the next finer level: number 2 (b' - 2 b) + a' - 2 a is at (a', b'); [`MISSING`] if there is
+    /// none. Empty in level 0.
     pub children: Vec<[u32; 4]>,
-    /// Each node's place in the flattened `children` of the next coarser level: 4 times its parent and
-    /// the child's number. Empty in the coarsest level.
+    /// Each node's index in the flattened `children` of the next coarser level: 4 times its parent plus the number of the
+    /// child. Empty in the coarsest level.
     pub parent: Vec<u32>,
 }
 
 impl Level {
-    /// How many nodes there are.
+    /// Number of nodes.
     pub fn len(&self) -> usize {
         self.at.len()
     }
 
-    /// For how many nodes there is room: as many as so many particles can ever touch, and no less.
+    /// Number of nodes that can exist without allocating: at least as many as these particles can touch.
     pub fn capacity(&self) -> usize {
         self.at.capacity()
     }
@@ -121,7 +119,7 @@ impl Level {
     }
 }
 
-/// What is known of the nodes and of the particles on them.
+/// The nodes and the particles on them.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Tables {
     order: Vec<u32>,
@@ -131,33 +129,31 @@ struct Tables {
     levels: [Level; LEVELS],
 }
 
-/// The grid of some windows. [`Nodes::rebuild`] needs memory and time in proportion to the particles
-/// and to the domains' areas in cells, and asks for no more memory once it was called with as many
-/// particles in as large a domain.
+/// The grid of one or more windows. [`Nodes::rebuild`] takes memory and time proportional to the number of particles and to
+/// the domains' areas in cells, and allocates nothing once it was called with as many particles in as large a domain.
 #[derive(Debug, Default)]
 pub struct Nodes {
     tables: Tables,
-    windows: Vec<Place>,
+    windows: Vec<WindowRanges>,
     /// Cell width of level 0 (domain lengths).
     width: f32,
-    /// Room to build in, for each window.
+    /// Scratch buffers for each window.
     maps: Vec<Maps>,
     parts: Vec<Tables>,
 }
 
 impl Nodes {
-    /// The grid for the particles at `position` (domain lengths), with cells of the given width (domain
-    /// lengths). The windows follow each other from row 0 on.
+    /// Builds the grid for the particles at `position` (domain lengths), with cells of the given width (domain lengths). The
+    /// windows cover consecutive rows from 0 on.
     ///
-    /// A particle outside its domain counts as one at the nearest place inside, and a coordinate that is
-    /// not a number as the lowest.
+    /// A particle outside its domain is clamped to it, and NaN to its lower corner.
     ///
     /// # Panics
-    /// When the windows do not follow each other or hold more rows than there are.
+    /// If the windows are not consecutive or contain more rows than there are.
     pub fn rebuild(&mut self, position: &[[f32; 2]], windows: &[Window], width: f32) {
-        let follow =
+        let consecutive =
             windows.windows(2).all(|pair| pair[0].particles.end == pair[1].particles.start);
-        assert!(follow && windows.first().is_none_or(|first| first.particles.start == 0));
+        assert!(consecutive && windows.first().is_none_or(|first| first.particles.start == 0));
         self.width = width;
         self.windows.clear();
         self.tables.clear();
@@ -166,15 +162,15 @@ impl Nodes {
         }
         if let [window] = windows {
             self.maps[0].build(position, window, width, &mut self.tables);
-            let place = self.tables.place();
+            let place = self.tables.ranges();
             self.windows.push(place);
             return;
         }
         if self.parts.len() < windows.len() {
             self.parts.resize_with(windows.len(), Tables::default);
         }
-        let room = self.maps.par_iter_mut().zip(&mut self.parts);
-        room.zip(windows).for_each(|((maps, part), window)| {
+        let scratch = self.maps.par_iter_mut().zip(&mut self.parts);
+        scratch.zip(windows).for_each(|((maps, part), window)| {
             part.clear();
             maps.build(position, window, width, part);
         });
@@ -184,8 +180,8 @@ impl Nodes {
         }
     }
 
-    /// Where each window's parts of the tables are.
-    pub fn windows(&self) -> &[Place] {
+    /// The parts of the tables that belong to each window.
+    pub fn windows(&self) -> &[WindowRanges] {
         &self.windows
     }
 
@@ -194,13 +190,13 @@ impl Nodes {
         self.width
     }
 
-    /// The particle in each slot: its row.
+    /// The row of the particle in each slot.
     pub fn order(&self) -> &[u32] {
         &self.tables.order
     }
 
-    /// For the particle in each slot, its weights on the stencil's three columns and three rows: that of
-    /// node (i, j) is the product of `[0][i]` and `[1][j]`.
+    /// The weights of the particle in each slot on the stencil's three columns and three rows: the weight of node (i, j) is
+    /// `[0][i]` times `[1][j]`.
     pub fn weights(&self) -> &[[[f32; 3]; 2]] {
         &self.tables.weights
     }
@@ -215,8 +211,8 @@ impl Nodes {
         &self.tables.rows
     }
 
-    /// For how many rows there is room: as many as particles in such a domain can ever touch.
-    pub fn most_rows(&self) -> usize {
+    /// Number of rows that can exist without allocating: as many as particles in this domain can touch.
+    pub fn max_rows(&self) -> usize {
         self.tables.rows.capacity()
     }
 
@@ -241,9 +237,9 @@ impl Tables {
         }
     }
 
-    /// The place of the only window.
-    fn place(&self) -> Place {
-        Place {
+    /// The ranges of the only window.
+    fn ranges(&self) -> WindowRanges {
+        WindowRanges {
             particles: 0..self.order.len(),
             cells: 0..self.cells.len(),
             rows: 0..self.rows.len(),
@@ -251,15 +247,15 @@ impl Tables {
         }
     }
 
-    /// Puts a window's tables, which count from 0, behind those that are there.
-    fn append(&mut self, part: &Self) -> Place {
+    /// Appends a window's tables, whose indices begin at 0.
+    fn append(&mut self, part: &Self) -> WindowRanges {
         let slot = self.order.len();
         let (cell, row) = (self.cells.len(), self.rows.len());
         let node: [usize; LEVELS] = std::array::from_fn(|level| self.levels[level].len());
         let shift =
             |first: u32, by: usize| if first == MISSING { first } else { first + by as u32 };
 
-        // Rows of particles are those of all windows already.
+        // Rows of particles already refer to all windows.
         self.order.extend_from_slice(&part.order);
         self.weights.extend_from_slice(&part.weights);
         self.cells.extend(part.cells.iter().map(|from| Cell {
@@ -280,7 +276,7 @@ impl Tables {
             let coarser = node.get(number + 1).copied().unwrap_or(0);
             level.parent.extend(from.parent.iter().map(|&place| shift(place, 4 * coarser)));
         }
-        Place {
+        WindowRanges {
             particles: slot..self.order.len(),
             cells: cell..self.cells.len(),
             rows: row..self.rows.len(),

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Places in and around the domain, some of them far out or no numbers.
+/// Positions in and around the domain, some far outside or not finite.
 fn positions() -> impl Strategy<Value = Vec<[f32; 2]>> {
     let coordinate = prop_oneof![
         40 => -0.1f32..2.1,
@@ -13,7 +13,7 @@ fn positions() -> impl Strategy<Value = Vec<[f32; 2]>> {
     proptest::collection::vec([coordinate.clone(), coordinate], 0..60)
 }
 
-/// The first node of a stencil, in plain words.
+/// The first node of a stencil, by definition.
 fn base([x, y]: [f32; 2], window: &Window, width: f32) -> [i32; 2] {
     let axis = |x: f32, axis: usize| {
         let (lower, upper) = (window.lower[axis], window.upper[axis]);
@@ -51,14 +51,14 @@ fn windows(rows: usize, cuts: [usize; 2]) -> Vec<Window> {
 
 proptest! {
     #[test]
-    fn tables_are_those_of_sets_of_cells(
+    fn tables_equal_those_from_sets_of_cells(
         first in positions(),
         second in positions(),
         cuts: [u8; 2],
         width in 0.03f32..0.2,
     ) {
         let mut nodes = Nodes::default();
-        // The second grid is built in the room of the first.
+        // The second grid reuses the memory of the first.
         for (round, position) in [first, second].into_iter().enumerate() {
             let windows = windows(position.len(), cuts.map(|cut| usize::from(cut) % 61));
             nodes.rebuild(&position, &windows, width * (round + 1) as f32);
@@ -67,7 +67,7 @@ proptest! {
     }
 
     #[test]
-    fn one_window_alone_has_the_tables_it_has_among_others(position in positions()) {
+    fn a_window_has_the_same_tables_alone_and_among_others(position in positions()) {
         let window = |rows| Window { particles: rows, lower: [0.0; 2], upper: [2.0, 1.5] };
         let (mut alone, mut two) = (Nodes::default(), Nodes::default());
         let windows = [window(0..position.len()), window(position.len()..position.len())];

@@ -1,36 +1,36 @@
-//! One window's tables, through maps with an entry for every cell of its domain.
+//! The tables of one window, built through maps with an entry for every cell of its domain.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{Cell, LEVELS, Level, MISSING, Row, Tables, Window};
 
-/// Number of node 0 in the maps of level 0. A multiple of 4, so that a parent's number is half of its
-/// child's; and so large that no neighbour's is negative, at any level.
+/// Index of node 0 in the maps of level 0. A multiple of 4, so that a parent's index is half of its child's, and so large
+/// that no neighbour's index is negative at any level.
 const ORIGIN: usize = 8;
 
-/// Maps of one window, row by row.
+/// Maps of one window, row-major.
 #[derive(Debug, Default)]
 pub(super) struct Maps {
-    /// Particles of each cell; later the slot of its next one.
+    /// Number of particles of each cell; later the slot of its next particle.
     particles: Vec<u32>,
     /// Rows of each map.
     down: [usize; LEVELS],
     /// Columns of each map.
     across: [usize; LEVELS],
-    /// Number of each node of each level, or [`MISSING`].
+    /// Index of each node of each level, or [`MISSING`].
     nodes: [Vec<u32>; LEVELS],
-    /// Entry of each particle's cell.
+    /// Each particle's cell (entry of the map).
     cell: Vec<u32>,
     /// Distance of each particle from the lowest node of its stencil (cells), 0.5 to 1.5.
     offset: Vec<[f32; 2]>,
-    /// Entry of each cell with particles.
+    /// The cells with particles (entries of the map).
     occupied: Vec<u32>,
-    /// First of them in each row, and one behind the last.
+    /// First of them in each row, and the end of the last row.
     first: Vec<u32>,
 }
 
 impl Maps {
-    /// Fills the empty `tables` with the window's, all numbers counted from 0 but the particles' rows.
+    /// Fills the empty `tables`. All indices begin at 0 except the rows of particles.
     pub(super) fn build(
         &mut self,
         position: &[[f32; 2]],
@@ -54,9 +54,9 @@ impl Maps {
         }
     }
 
-    /// Empty maps for a domain of that size (cells).
+    /// Clears the maps for a domain of this size (cells).
     fn clear(&mut self, extent: [f32; 2]) {
-        // Nodes go up to one behind the domain's end, and have a neighbour there at each level.
+        // The last node is one beyond the domain's end and has a neighbour at each level.
         let [across, down] = extent.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4);
         for level in 0..LEVELS {
             (self.across[level], self.down[level]) = (across >> level, down >> level);
@@ -67,7 +67,7 @@ impl Maps {
         self.particles.resize(across * down, 0);
     }
 
-    /// Room for all that so many particles can need, wherever they are.
+    /// Reserves as much as this number of particles can need, wherever they are.
     fn reserve(&mut self, particles: usize, tables: &mut Tables) {
         let area = self.particles.len();
         let Self { cell, offset, occupied, first, down, .. } = self;
@@ -92,7 +92,7 @@ impl Maps {
         }
     }
 
-    /// Finds each particle's cell and counts the particles of each.
+    /// Finds each particle's cell and counts the particles of each cell.
     fn locate(&mut self, position: &[[f32; 2]], lower: [f32; 2], extent: [f32; 2], width: f32) {
         self.cell.resize(position.len(), 0);
         self.offset.resize(position.len(), [0.0; 2]);
@@ -104,7 +104,7 @@ impl Maps {
         }
     }
 
-    /// Lists the cells with particles, gives each its slots, and marks the nodes of their stencils.
+    /// Lists the cells with particles, assigns their slots, and marks the nodes of their stencils.
     fn list_cells(&mut self, tables: &mut Tables) {
         let across = self.across[0];
         let mut slot = 0;
@@ -127,7 +127,7 @@ impl Maps {
         self.first.push(tables.cells.len() as u32);
     }
 
-    /// Puts the particles, counted from `row` on, into their cells' slots.
+    /// Assigns slots to the particles, whose rows begin at `row`.
     fn sort(&mut self, row: usize, tables: &mut Tables) {
         tables.order.resize(self.cell.len(), 0);
         tables.weights.resize(self.cell.len(), [[0.0; 3]; 2]);
@@ -140,7 +140,7 @@ impl Maps {
         }
     }
 
-    /// Numbers the marked nodes, and tells rows and cells.
+    /// Numbers the marked nodes and completes rows and cells.
     fn number(&mut self, tables: &mut Tables) {
         let across = self.across[0];
         let level = &mut tables.levels[0];
@@ -154,7 +154,7 @@ impl Maps {
             }
             let end = level.at.len() as u32;
             if end > begun {
-                // Never below row 0: the stencils of row ORIGIN - 1 are the lowest.
+                // Never negative: the lowest stencils are those of row ORIGIN - 1.
                 let cells =
                     [row, row - 1, row - 2].map(|row| [self.first[row], self.first[row + 1]]);
                 tables.rows.push(Row { nodes: [begun, end], cells });
@@ -165,7 +165,7 @@ impl Maps {
         }
     }
 
-    /// Numbers the nodes of a level from those of the next finer one.
+    /// Numbers the nodes of a level from those of the next finer level.
     fn coarsen(&mut self, number: usize, tables: &mut Tables) {
         let [finer, level] = [number - 1, number].map(|number| self.across[number]);
         let origin = (ORIGIN >> number) as i32;
@@ -195,7 +195,7 @@ impl Maps {
         }
     }
 
-    /// Tells each node of a level its neighbours.
+    /// Finds the neighbours of each node of a level.
     fn connect(&self, number: usize, level: &mut Level) {
         let (across, nodes) = (self.across[number], &self.nodes[number]);
         let origin = (ORIGIN >> number) as i32;
@@ -207,13 +207,13 @@ impl Maps {
     }
 }
 
-/// Weights of three nodes at a distance `x` in 0.5 to 1.5 from the first (cells): the quadratic spline.
+/// Weights of three nodes by the quadratic spline, at a distance `x` of 0.5 to 1.5 from the first (cells).
 #[inline(always)]
 pub fn weights(x: f32) -> [f32; 3] {
     [0.5 * (1.5 - x) * (1.5 - x), 0.75 - (x - 1.0) * (x - 1.0), 0.5 * (x - 0.5) * (x - 0.5)]
 }
 
-/// Each particle's cell, and where it is in its stencil.
+/// Computes each particle's cell, and its offset in the stencil.
 struct Locate<'a> {
     position: &'a [[f32; 2]],
     lower: [f32; 2],
@@ -227,14 +227,14 @@ struct Locate<'a> {
 impl WithSimd for Locate<'_> {
     type Output = ();
 
-    // Not in vectors, but with instructions that round down.
+    // Scalar code, but compiled with instructions that round down.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { position, lower, extent, width, across, cell, offset } = self;
         for ((x, cell), offset) in position.iter().zip(cell).zip(offset) {
             let mut number = [0; 2];
             for axis in 0..2 {
-                // `max` also makes a number of what is not one.
+                // `max` also turns NaN into 0.
                 let cells = ((x[axis] - lower[axis]) / width).max(0.0).min(extent[axis]);
                 let base = (cells - 0.5).floor();
                 number[axis] = (base as i32 + ORIGIN as i32) as u32;

@@ -6,7 +6,7 @@ use super::*;
 
 const SPACING: f32 = 0.1;
 
-/// A body of loosely placed particles with some of each material.
+/// A body of irregularly placed particles of several materials.
 fn body(random: &mut ChaCha8Rng, count: usize) -> (Vec<[f32; 2]>, Vec<Material>) {
     let side = SPACING * (count as f32).sqrt();
     let position =
@@ -15,7 +15,7 @@ fn body(random: &mut ChaCha8Rng, count: usize) -> (Vec<[f32; 2]>, Vec<Material>)
     (position, material)
 }
 
-/// A neighbour: its row, its coefficient, its weight, and where it is at rest.
+/// A neighbour: its row, its coefficient, its weight, and its relative rest position.
 type Neighbour = (usize, [f64; 2], f64, [f64; 2]);
 
 /// Neighbours of each particle, from all pairs.
@@ -50,7 +50,7 @@ fn links(position: &[[f32; 2]], material: &[Material]) -> Vec<Vec<Neighbour>> {
     (0..position.len()).map(of).collect()
 }
 
-/// Strain and bend of each particle, in the words of their definitions.
+/// Strain and bend of each particle, from their definitions.
 fn shapes(links: &[Vec<Neighbour>], position: &[[f64; 2]]) -> Vec<f64> {
     let of = |(i, links): (usize, &Vec<Neighbour>)| {
         if links.is_empty() {
@@ -75,7 +75,7 @@ fn shapes(links: &[Vec<Neighbour>], position: &[[f64; 2]]) -> Vec<f64> {
     links.iter().enumerate().flat_map(of).collect()
 }
 
-/// The same links of particles so many rows further down.
+/// The same links, shifted by a number of rows.
 fn moved(mut links: Vec<Vec<Neighbour>>, rows: usize) -> Vec<Vec<Neighbour>> {
     links.iter_mut().flatten().for_each(|link| link.0 += rows);
     links
@@ -87,7 +87,7 @@ fn exact(position: &[[f32; 2]]) -> Vec<[f64; 2]> {
 
 proptest! {
     #[test]
-    fn shapes_and_gradients_are_those_from_all_pairs(seed: u64, count in 1usize..60) {
+    fn shapes_and_gradients_equal_those_from_all_pairs(seed: u64, count in 1usize..60) {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         // Two windows, two frames of each.
         let (mut at_rest, mut material, mut plain) = (Vec::new(), Vec::new(), Vec::new());
@@ -135,7 +135,7 @@ fn square(side: usize) -> Vec<[f32; 2]> {
 }
 
 #[test]
-fn a_stretched_and_turned_square_is_strained_by_its_stretch() {
+fn a_stretched_and_rotated_square_is_strained_by_its_stretch() {
     let at_rest = square(7);
     let rest = RestShape::new(&at_rest, &[Material::Jelly; 49], 1, SPACING);
     let (sin, cos) = 0.4f32.sin_cos();
@@ -148,7 +148,7 @@ fn a_stretched_and_turned_square_is_strained_by_its_stretch() {
 }
 
 #[test]
-fn rows_out_of_line_are_bent_where_nothing_is_strained() {
+fn rows_out_of_line_are_bent_but_not_strained() {
     let at_rest = square(9);
     let rest = RestShape::new(&at_rest, &[Material::Rope; 81], 1, SPACING);
     let odd = |n: usize| if n % 9 % 2 == 1 { 0.01 * SPACING } else { -0.01 * SPACING };
@@ -159,7 +159,7 @@ fn rows_out_of_line_are_bent_where_nothing_is_strained() {
 }
 
 #[test]
-fn places_far_out_or_in_one_point_or_no_numbers_leave_no_links() {
+fn positions_far_out_or_in_one_point_or_nan_have_no_links() {
     for x in [f32::NAN, f32::INFINITY, 1e30, -1e30, 0.3] {
         let position = vec![[x, 0.3]; 100_000];
         let rest = RestShape::new(&position, &vec![Material::Rope; position.len()], 1, SPACING);
@@ -170,7 +170,7 @@ fn places_far_out_or_in_one_point_or_no_numbers_leave_no_links() {
 }
 
 #[test]
-fn shapes_in_another_order_are_those_of_their_particles() {
+fn shapes_in_another_order_belong_to_the_same_particles() {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let (at_rest, material) = body(&mut random, 60);
     let now: Vec<_> = at_rest.iter().map(|[x, y]| [1.05 * x + 0.1 * y, *y]).collect();

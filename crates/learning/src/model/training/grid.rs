@@ -13,7 +13,7 @@ use eddy_inference::{
     checkpoint::layout::NODE_FEATURES,
     engine::scales::{FULL_MASS, MIN_MASS},
     kernels::{
-        gathered::{self, Convolution, Up},
+        gathered::{self, Convolution, TransposedConvolution},
         nodes::Nodes,
         transfer::{by_position, mass, to_nodes, to_particles},
     },
@@ -97,10 +97,10 @@ struct FromParent {
 }
 
 impl FromParent {
-    fn layer<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> Up<'a> {
+    fn layer<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> TransposedConvolution<'a> {
         let children = &self.nodes.level(self.level + 1).children;
         let parent = &self.nodes.level(self.level).parent;
-        Up { children, parent, weight, bias }
+        TransposedConvolution { children, parent, weight, bias }
     }
 }
 

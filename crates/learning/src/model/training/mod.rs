@@ -15,7 +15,7 @@ use super::fused::{Operation, apply, input};
 use eddy_inference::{
     checkpoint::Activation,
     kernels::{
-        activation::{Elu, Relu, Sigmoid, Tanh, through},
+        activation::{Elu, Relu, Sigmoid, Tanh, relu_gradient},
         encoder::{Encoder, Gradients},
         gru::{self, Gru},
         linear::Linear,
@@ -111,7 +111,7 @@ impl Operation<4> for Beside {
         [by_left, by_right, by_weight, _]: [bool; 4],
     ) -> [Vec<f32>; 4] {
         let [first, second] = self.layers(weight, bias);
-        let gradient = through(second.rectify, output, gradient);
+        let gradient = relu_gradient(second.rectify, output, gradient);
         let second = Linear { rectify: false, ..second };
         let left = first.backward(left, output, &gradient, by_left, by_weight);
         let right = second.backward(right, output, &gradient, by_right, by_weight);
@@ -211,7 +211,7 @@ impl Operation<3> for Minimal {
     ) -> [Vec<f32>; 3] {
         let by = Minimal::backward(*self, [gate], candidate, carried, states, gradient);
         let [gate] = by.gates;
-        [gate, by.candidate, by.carried]
+        [gate, by.candidate, by.initial]
     }
 }
 
@@ -243,7 +243,7 @@ impl Operation<4> for Minimal {
     ) -> [Vec<f32>; 4] {
         let by = Minimal::backward(*self, [forget, update], candidate, carried, states, gradient);
         let [forget, update] = by.gates;
-        [forget, update, by.candidate, by.carried]
+        [forget, update, by.candidate, by.initial]
     }
 }
 
@@ -268,7 +268,8 @@ impl Operation<4> for GruLayer {
     type Kept = [Vec<f32>; 2];
 
     fn forward(&self, [inputs, weight, bias, hidden]: [&[f32]; 4]) -> (Vec<f32>, Self::Kept) {
-        let gru::Run { states, gates, recurrent } = Gru { inputs, weight, bias, hidden }.forward();
+        let gru::States { states, gates, recurrent } =
+            Gru { inputs, weight, bias, hidden }.forward();
         (states, [gates, recurrent])
     }
 
@@ -309,7 +310,7 @@ impl Operation<5> for LstmLayer {
 
     fn forward(&self, inputs: [&[f32]; 5]) -> (Vec<f32>, Self::Kept) {
         let [inputs, weight, bias, hidden, cell] = inputs;
-        let lstm::Run { states, gates } = Lstm { inputs, weight, bias, hidden, cell }.forward();
+        let lstm::States { states, gates } = Lstm { inputs, weight, bias, hidden, cell }.forward();
         (states, gates)
     }
 

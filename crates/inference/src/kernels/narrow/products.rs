@@ -1,46 +1,44 @@
 //! Rows times a matrix.
 //!
-//! Sums of some rows and of up to three vectors of columns stay in registers.
+//! The sums of a few rows and up to three vectors of columns stay in registers.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Panels, Room, Rows};
+use super::{BlockBuffer, Panels, Rows};
 use crate::kernels::{
     math::relu,
     vectors::{lanes, load, store},
 };
 
-/// Rows that a thread takes at once.
+/// Rows per task.
 const CHUNK: usize = 1 << 10;
 
-/// What the products are added to.
+/// Initial values of the sums.
 #[derive(Clone, Copy)]
 enum Start<'a> {
-    /// What the sums are.
+    /// Their previous values.
     Sums,
     /// The same numbers in each row.
     Bias(&'a [f32]),
     Zero,
 }
 
-/// The products of the rows, `[M, I]`, with the matrix, `[I, O]`, and the bias, if there is one, `[M, O]`.
-/// What is negative becomes zero if `rectify`.
+/// The products of the rows, `[M, I]`, with the matrix, `[I, O]`, plus the bias, if any: `[M, O]`. Applies ReLU if `rectify`.
 pub fn products(rows: Rows, matrix: &Panels, bias: Option<&[f32]>, rectify: bool) -> Vec<f32> {
     let [_, columns] = matrix.shape();
     let mut sums = vec![0.0; rows.len() * columns];
     let start = bias.map_or(Start::Zero, Start::Bias);
-    work(rows, matrix, start, rectify, &mut sums);
+    compute(rows, matrix, start, rectify, &mut sums);
     sums
 }
 
-/// Adds the products of the rows, `[M, I]`, with the matrix, `[I, O]`, to the sums, `[M, O]`. What is
-/// negative becomes zero if `rectify`.
+/// Adds the products of the rows, `[M, I]`, with the matrix, `[I, O]`, to the sums, `[M, O]`. Applies ReLU if `rectify`.
 pub fn add_products(rows: Rows, matrix: &Panels, rectify: bool, sums: &mut [f32]) {
-    work(rows, matrix, Start::Sums, rectify, sums);
+    compute(rows, matrix, Start::Sums, rectify, sums);
 }
 
-fn work(rows: Rows, matrix: &Panels, start: Start, rectify: bool, sums: &mut [f32]) {
+fn compute(rows: Rows, matrix: &Panels, start: Start, rectify: bool, sums: &mut [f32]) {
     let [inner, columns] = matrix.shape();
     assert_eq!((rows.columns(), rows.len() * columns), (inner, sums.len()), "shapes");
     let missing = vec![0.0; rows.width];
@@ -55,7 +53,7 @@ fn work(rows: Rows, matrix: &Panels, start: Start, rectify: bool, sums: &mut [f3
             start,
             rectify,
             sums,
-            room: Room::new(),
+            buffer: BlockBuffer::new(),
         });
     });
 }
@@ -70,7 +68,7 @@ struct Products<'a> {
     start: Start<'a>,
     rectify: bool,
     sums: &'a mut [f32],
-    room: Room,
+    buffer: BlockBuffer,
 }
 
 impl WithSimd for Products<'_> {
@@ -96,7 +94,7 @@ impl WithSimd for Products<'_> {
 }
 
 impl Products<'_> {
-    /// G vectors of columns, from number `vector` on.
+    /// G vectors of columns from `vector` on.
     #[inline(always)]
     fn pass<S: Simd, const G: usize>(&mut self, simd: S, vector: usize) {
         if S::REGISTER_COUNT >= 32 {
@@ -114,7 +112,7 @@ impl Products<'_> {
         }
     }
 
-    /// R rows from number `row` on; the last of `count` rows again where there are no more.
+    /// R rows from `row` on; beyond `count` rows, the last one is repeated.
     #[inline(always)]
     fn block<S: Simd, const R: usize, const G: usize>(
         &mut self,
@@ -124,7 +122,7 @@ impl Products<'_> {
         count: usize,
     ) {
         let [_, columns] = self.matrix.shape();
-        let begun = self.room.vectors::<S>();
+        let begun = self.buffer.vectors::<S>();
         for r in 0..R {
             for g in 0..G {
                 begun[r * G + g] = match self.start {
@@ -137,12 +135,12 @@ impl Products<'_> {
                 };
             }
         }
-        let sums = self.room.take::<S, R, G>(simd);
+        let sums = self.buffer.take::<S, R, G>(simd);
         let sums = self.add::<S, R, G>(simd, vector, row, count, sums);
-        self.room.put::<S, R, G>(sums);
-        // Row after row: what a vector holds too much is the next row's place, as long as one is to come.
+        self.buffer.put::<S, R, G>(sums);
+        // Stores whole vectors where possible: the excess lanes fall on the next row, which is written afterwards.
         let whole = vector == 0 && G * S::F32_LANES >= columns && row + R <= count;
-        let sums = self.room.vectors::<S>().chunks_exact(G).take(R.min(count - row));
+        let sums = self.buffer.vectors::<S>().chunks_exact(G).take(R.min(count - row));
         for (r, sums) in sums.enumerate() {
             for (g, &sum) in sums.iter().enumerate() {
                 let sum = if self.rectify { relu(simd, sum) } else { sum };

@@ -1,37 +1,36 @@
-//! The gradient by the matrix: the sum over the rows of each one's outer product with its gradient.
+//! The gradient by the matrix: the sum over rows of the outer product of each row with its gradient.
 //!
-//! A block of the sum stays in registers over some rows.
+//! A block of the sum stays in registers over a chunk of rows.
 
 use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Room, Rows};
+use super::{BlockBuffer, Rows};
 use crate::kernels::vectors::{lanes, load, store};
 
-/// Rows whose sums are one part of the whole.
+/// Rows per partial sum.
 const PART: usize = 1 << 10;
-/// Rows over which a block stays: what is read of them stays in the nearest caches.
+/// Rows per chunk: they stay in the nearest caches.
 const CHUNK: usize = 1 << 8;
-/// Inputs of a block.
+/// Inputs per block.
 const BLOCK: usize = 8;
 
-/// The gradient by the matrix, `[I, O]`, that the rows, `[M, I]`, are multiplied with, from the products'
-/// gradient, `[M, O]`.
-pub fn by_matrix(rows: Rows, gradient: &[f32], outputs: usize) -> Vec<f32> {
+/// The gradient by the matrix, `[I, O]`, from its input rows, `[M, I]`, and the gradient of the products, `[M, O]`.
+pub fn matrix_gradient(rows: Rows, gradient: &[f32], outputs: usize) -> Vec<f32> {
     assert_eq!(gradient.len(), rows.len() * outputs, "shapes");
     let size = rows.columns() * outputs;
     let mut sums = vec![0.0; rows.len().div_ceil(PART).max(1) * size];
     let parts = sums.par_chunks_exact_mut(size).zip(gradient.par_chunks(PART * outputs));
     parts.enumerate().for_each(|(part, (sums, gradient))| {
-        Arch::new().dispatch(Slopes {
+        Arch::new().dispatch(MatrixGradient {
             rows,
             first: part * PART,
             gradient,
             outputs,
             sums,
-            room: Room::new(),
+            buffer: BlockBuffer::new(),
         });
     });
     let (whole, parts) = sums.split_at_mut(size);
@@ -42,31 +41,31 @@ pub fn by_matrix(rows: Rows, gradient: &[f32], outputs: usize) -> Vec<f32> {
     sums
 }
 
-struct Slopes<'a> {
+struct MatrixGradient<'a> {
     rows: Rows<'a>,
     /// The row of the first gradient.
     first: usize,
     gradient: &'a [f32],
     outputs: usize,
     sums: &'a mut [f32],
-    room: Room,
+    buffer: BlockBuffer,
 }
 
-/// Where a block is.
+/// A block of the sum.
 #[derive(Clone)]
 struct Block {
-    /// Rows, counted from the first one on.
+    /// Rows, relative to the first.
     rows: Range<usize>,
     place: usize,
     /// The first input.
     input: usize,
-    /// The first input whose sums are not complete yet.
+    /// The first input that no earlier block covered.
     new: usize,
     /// The first vector of outputs.
     vector: usize,
 }
 
-impl WithSimd for Slopes<'_> {
+impl WithSimd for MatrixGradient<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -82,15 +81,15 @@ impl WithSimd for Slopes<'_> {
     }
 }
 
-impl Slopes<'_> {
-    /// All blocks of some rows and of one place.
+impl MatrixGradient<'_> {
+    /// All blocks of a chunk of rows and one list of each row.
     #[inline(always)]
     fn chunk<S: Simd>(&mut self, simd: S, mut block: Block) {
         let width = self.rows.width;
         let mut input = 0;
         while input < width {
             block.new = input;
-            // The last block begins earlier rather than to end beyond the inputs.
+            // The last block overlaps the one before rather than end beyond the inputs.
             let inputs = if width < BLOCK { 1 } else { BLOCK };
             block.input = input.min(width - inputs);
             let vectors = self.outputs.div_ceil(S::F32_LANES);
@@ -115,17 +114,17 @@ impl Slopes<'_> {
         let (outputs, vector) = (self.outputs, block.vector);
         let first = block.place * self.rows.width + block.input;
         let input = |r: usize| first + r;
-        let begun = self.room.vectors::<S>();
+        let begun = self.buffer.vectors::<S>();
         for r in 0..R {
             for g in 0..G {
                 let lanes = lanes::<S>(input(r), vector + g, outputs);
                 begun[r * G + g] = load(simd, self.sums, lanes);
             }
         }
-        let sums = self.room.take::<S, R, G>(simd);
+        let sums = self.buffer.take::<S, R, G>(simd);
         let sums = self.products::<S, R, G>(simd, block, sums);
-        self.room.put::<S, R, G>(sums);
-        let sums = self.room.vectors::<S>().chunks_exact(G).enumerate().take(R);
+        self.buffer.put::<S, R, G>(sums);
+        let sums = self.buffer.vectors::<S>().chunks_exact(G).enumerate().take(R);
         for (r, sums) in sums.skip(block.new - block.input) {
             for (g, &sum) in sums.iter().enumerate() {
                 store(simd, self.sums, lanes::<S>(input(r), vector + g, outputs), sum);
