@@ -100,6 +100,6 @@ pub(crate) fn progress_bar(length: u64, what: &str, quiet: bool) -> ProgressBar 
     } else {
         ProgressBar::new(length)
     };
-    let template = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{eta}} left");
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{eta}} left  {{wide_msg}}");
     bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

@@ -39,6 +39,12 @@ impl Progress for TerminalProgress<'_> {
         }
     }
 
+    fn status(&self, text: &str) {
+        if let Some(bar) = &*self.bar() {
+            bar.set_message(text.to_owned());
+        }
+    }
+
     fn finish(&self) {
         if let Some(bar) = self.bar().take() {
             bar.finish_and_clear();

@@ -13,7 +13,7 @@ use eddy_learning::{
 use eddy_settings::Overrides;
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, pages, progress_bar};
+use super::{Interrupt, TerminalProgress, pages, progress_bar};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
@@ -38,6 +38,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let mut outcomes = Vec::new();
     let mut failure = None;
+    let progress = TerminalProgress::new(quiet, interrupt);
     // Once for all runs: what one of them frees stays with this process, for the next.
     let memory = available_memory();
     for (config, output) in &runs {
@@ -47,8 +48,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             resume: args.resume,
             machine: Machine::with_free_disk(memory, output)?,
             command: std::env::args().collect::<Vec<_>>().join(" "),
-            quiet,
-            interrupted: &|| interrupt.requested(),
+            progress: &progress,
         };
         if !quiet && runs.len() > 1 {
             println!("seed {}", config.seed);

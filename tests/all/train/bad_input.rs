@@ -1,12 +1,17 @@
 //! What training cannot work with is refused before work is lost: the file, the field, what was found
 //! and what was expected.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::Path,
+    sync::atomic::{AtomicUsize, Ordering},
+};
 
+use eddy_frames::progress::Silent;
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, Form, Pooling};
 use eddy_learning::train::{Machine, Run, TrainConfig, train};
 
-use super::{dataset, files, load, run, settings, small, stream, write_bag};
+use super::{BeforeBatch, dataset, files, load, run, settings, small, stream, write_bag};
 use crate::support::fail;
 
 /// Fails if `message` lacks one of `words`.
@@ -161,7 +166,7 @@ fn a_full_disk_is_noticed_at_the_start() {
     let folder = tempfile::tempdir().unwrap();
     let config = small(Architecture::Particle, Core::MinGru);
     let machine = Machine { disk: 1000, ..Machine::UNLIMITED };
-    let run = Run { machine, ..settings(folder.path(), &|| false) };
+    let run = Run { machine, ..settings(folder.path(), &Silent) };
     let message = train(&config, &dataset(), &run).unwrap_err().to_string();
     says(&message, &["disk: found 1000 B free, expected at least", "KiB"]);
     assert!(files(folder.path()).is_empty());
@@ -174,15 +179,14 @@ fn a_disk_that_fills_up_on_the_way_leaves_what_was_there() {
     let mut config = small(Architecture::Particle, Core::MinGru);
     config.epochs = 8;
     let incoming = folder.path().join("model.safetensors.new");
-    let batches = std::cell::Cell::new(0);
+    let batches = AtomicUsize::new(0);
     // From the second epoch on, whatever is written to the new checkpoint meets a full disk.
-    let fills_up = || {
-        batches.set(batches.get() + 1);
-        if batches.get() == config.batches() + 1 {
+    let fills_up = BeforeBatch(|| {
+        if batches.fetch_add(1, Ordering::Relaxed) == config.batches() {
             std::os::unix::fs::symlink("/dev/full", &incoming).unwrap();
         }
         false
-    };
+    });
     let message =
         train(&config, &dataset(), &settings(folder.path(), &fills_up)).unwrap_err().to_string();
     says(&message, &["model.safetensors.new", "No space left on device"]);
@@ -201,7 +205,7 @@ fn a_network_that_does_not_fit_into_memory_is_refused_with_the_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let config = small(Architecture::Frame, Core::MinGru);
     let machine = Machine { memory: 1 << 16, ..Machine::UNLIMITED };
-    let run = Run { machine, ..settings(folder.path(), &|| false) };
+    let run = Run { machine, ..settings(folder.path(), &Silent) };
     let message = train(&config, &dataset(), &run).unwrap_err().to_string();
     says(&message, &["memory: found at least", "needed", "at most the 64.00 KiB that are free"]);
     assert!(files(folder.path()).is_empty());
@@ -210,7 +214,7 @@ fn a_network_that_does_not_fit_into_memory_is_refused_with_the_numbers() {
     let mut config = config;
     config.windows.batch = usize::MAX / 2;
     let machine = Machine { memory: 1 << 40, ..Machine::UNLIMITED };
-    let run = Run { machine, ..settings(folder.path(), &|| false) };
+    let run = Run { machine, ..settings(folder.path(), &Silent) };
     let message = train(&config, &dataset(), &run).unwrap_err().to_string();
     says(&message, &["memory: found at least", "at most the 1.00 TiB that are free"]);
 

@@ -7,15 +7,18 @@ mod resume;
 mod seeds;
 
 use std::{
-    cell::Cell,
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
+    sync::atomic::{AtomicUsize, Ordering},
 };
 
 use eddy_bag::{BagWriter, Compression, WriterOptions};
 use eddy_evaluation::dataset::{Dataset, DatasetError, State, Stream, Trajectory};
-use eddy_frames::{Domain, Material, Stamp};
+use eddy_frames::{
+    Domain, Material, Stamp,
+    progress::{Progress, Silent},
+};
 use eddy_inference::checkpoint::{Architecture, Core, Normalization};
 use eddy_learning::{
     model::DeviceKind,
@@ -101,21 +104,29 @@ pub fn small(architecture: Architecture, core: Core) -> TrainConfig {
 }
 
 /// A run in `output` that nothing limits or stops.
-pub fn settings<'a>(output: &'a Path, interrupted: &'a dyn Fn() -> bool) -> Run<'a> {
+pub fn settings<'a>(output: &'a Path, progress: &'a dyn Progress) -> Run<'a> {
     Run {
         device: DeviceKind::Flex,
         output,
         resume: false,
         machine: Machine::UNLIMITED,
         command: "a test".to_owned(),
-        quiet: true,
-        interrupted,
+        progress,
+    }
+}
+
+/// Calls a function before every batch, which says whether to stop.
+pub struct BeforeBatch<F>(pub F);
+
+impl<F: Fn() -> bool + Sync> Progress for BeforeBatch<F> {
+    fn cancelled(&self) -> bool {
+        (self.0)()
     }
 }
 
 /// A run from beginning to end.
 pub fn run(config: &TrainConfig, dataset: &Dataset, output: &Path) -> Result<Outcome, TrainError> {
-    train(config, dataset, &settings(output, &|| false))
+    train(config, dataset, &settings(output, &Silent))
 }
 
 /// A run that goes on.
@@ -124,7 +135,7 @@ pub fn resume(
     dataset: &Dataset,
     output: &Path,
 ) -> Result<Outcome, TrainError> {
-    train(config, dataset, &Run { resume: true, ..settings(output, &|| false) })
+    train(config, dataset, &Run { resume: true, ..settings(output, &Silent) })
 }
 
 /// A run that is interrupted after so many batches.
@@ -134,8 +145,8 @@ pub fn interrupted(
     output: &Path,
     batches: usize,
 ) -> Outcome {
-    let done = Cell::new(0);
-    let interrupted = || done.replace(done.get() + 1) >= batches;
+    let done = AtomicUsize::new(0);
+    let interrupted = BeforeBatch(|| done.fetch_add(1, Ordering::Relaxed) >= batches);
     train(config, dataset, &settings(output, &interrupted)).unwrap()
 }
 

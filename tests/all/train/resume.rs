@@ -152,7 +152,7 @@ fn another_run_is_refused_by_what_differs() {
     refused(
         output,
         with(|c| c.windows.batch = 4),
-        &["windows.batch: found 4, expected 8 as in the run that is to go on"],
+        &["windows.batch: found 4, expected 8 as in the run to resume"],
     );
     refused(
         output,

@@ -46,10 +46,10 @@ pub enum Core {
     Lstm,
     /// Gated recurrent unit (Cho et al. 2014), as in PyTorch.
     Gru,
-    /// minLSTM: forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
+    /// Forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
     #[cfg_attr(feature = "clap", value(name = "minlstm"))]
     MinLstm,
-    /// minGRU: one gate, one candidate (Feng et al. 2024, section 3.1).
+    /// One gate, one candidate (Feng et al. 2024, section 3.1).
     #[default]
     #[cfg_attr(feature = "clap", value(name = "mingru"))]
     MinGru,
@@ -245,7 +245,7 @@ pub struct TrainingSummary {
 pub struct Description {
     /// [`FORMAT_VERSION`].
     pub format_version: u32,
-    /// Architecture.
+    /// Architecture of the network.
     pub architecture: Architecture,
     /// Recurrent core.
     pub core: Core,

@@ -38,7 +38,7 @@ pub enum CheckpointError {
         field: String,
         /// Its value.
         found: String,
-        /// What it should be.
+        /// The expected value.
         expected: String,
     },
     /// The weights file is damaged or not a safetensors file.

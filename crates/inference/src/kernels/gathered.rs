@@ -82,7 +82,7 @@ impl Convolution<'_> {
         products(rows, &Panels::new(self.matrix()), Some(self.bias), self.rectify)
     }
 
-    /// The gradients from `gradient`, that of the `output`, `[M, O]`.
+    /// The gradients from `gradient`, that by the `output`, `[M, O]`.
     pub fn backward(
         &self,
         input: &[f32],
@@ -137,7 +137,7 @@ impl TransposedConvolution<'_> {
         output
     }
 
-    /// The gradients from `gradient`, that of y, `[M, O]`.
+    /// The gradients from `gradient`, that by y, `[M, O]`.
     pub fn backward(
         &self,
         input: &[f32],

@@ -12,6 +12,7 @@ use eddy_evaluation::{
     dataset::{Dataset, available_memory},
     page::command_line,
 };
+use eddy_frames::progress::Progress;
 use eddy_learning::train::{LAST_FOLDER, Machine, Run, TrainConfig, train};
 
 /// A network with one seed.
@@ -52,6 +53,15 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Trains without output, as several networks are trained at once.
+struct StopSignal<'a>(&'a Work<'a>);
+
+impl Progress for StopSignal<'_> {
+    fn cancelled(&self) -> bool {
+        self.0.stops()
+    }
+}
+
 impl Task {
     /// Trains the network and returns a message; `None` if it was stopped.
     fn run(
@@ -70,8 +80,7 @@ impl Task {
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,
             command: command.clone(),
-            quiet: true,
-            interrupted: &|| work.stops(),
+            progress: &StopSignal(work),
         };
         let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
         if outcome.interrupted {

@@ -1,16 +1,23 @@
-//! The layers of the core, each kind behind the same calls.
+//! A layer of the core, of any kind.
 
 use burn::tensor::Tensor;
 
 use super::{
-    fused, gru::Gru, layers::Linear, lstm::Lstm, mingru::MinGru, minlstm::MinLstm, mlp::Mlp,
+    fused,
+    gru::Gru,
+    linear::Linear,
+    lstm::Lstm,
+    mingru::MinGru,
+    minlstm::MinLstm,
+    mlp::Mlp,
     scan::step,
+    state::{LayerState, at},
 };
 use eddy_inference::checkpoint::{Core, Description};
 
-/// One layer of the core.
+/// A layer of the core.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "a network has a handful of layers")]
+#[expect(clippy::large_enum_variant, reason = "a network has few layers")]
 pub(crate) enum RecurrentLayer {
     Mlp(Mlp),
     Lstm(Lstm),
@@ -19,17 +26,8 @@ pub(crate) enum RecurrentLayer {
     MinGru(MinGru),
 }
 
-/// What a layer carries from frame to frame.
-#[derive(Clone, Debug)]
-pub(crate) struct LayerState {
-    /// Its last output, `[R, H]`.
-    pub(crate) hidden: Tensor<2>,
-    /// The cell of an LSTM, `[R, H]`.
-    pub(crate) cell: Option<Tensor<2>>,
-}
-
 impl RecurrentLayer {
-    /// A layer of the described core; `linear` makes its parts by name.
+    /// A layer of the described core; `linear` creates its parts by name.
     pub(crate) fn new(description: &Description, linear: impl Fn(&str) -> Linear) -> Self {
         let form = description.form;
         match description.core {
@@ -64,7 +62,7 @@ impl RecurrentLayer {
         }
     }
 
-    /// The same, to change them.
+    /// As [`RecurrentLayer::parts`], to change them.
     pub(crate) fn parts_mut(&mut self) -> Vec<&mut Linear> {
         match self {
             Self::Mlp(Mlp { linear, .. }) => vec![linear],
@@ -76,8 +74,8 @@ impl RecurrentLayer {
         }
     }
 
-    /// All outputs `[T, R, H]` for the inputs `[T, R, I]`, and the state after the last, from the state
-    /// before the first (zero if not given).
+    /// All outputs, `[T, R, H]`, for the inputs, `[T, R, I]`, and the state after the last frame, from the state before the
+    /// first (zero if none).
     pub(crate) fn observe(
         &self,
         input: Tensor<3>,
@@ -96,8 +94,7 @@ impl RecurrentLayer {
         (output, LayerState { hidden, cell: None })
     }
 
-    /// The next output `[R, H]`, also in the state, for the input `[R, I]` (from zero if no state is
-    /// given).
+    /// The next state, which includes the output, `[R, H]`, for the input, `[R, I]`, from the previous state (zero if none).
     pub(crate) fn step(&self, input: Tensor<2>, carried: Option<LayerState>) -> LayerState {
         if fused::runs_on(&input.device()) {
             return self.observe(input.unsqueeze(), carried).1;
@@ -118,10 +115,4 @@ impl RecurrentLayer {
         };
         LayerState { hidden, cell: None }
     }
-}
-
-/// Frame `t` of `[T, R, H]`.
-pub(crate) fn at(track: &Tensor<3>, t: usize) -> Tensor<2> {
-    let [_, rows, width] = track.dims();
-    track.clone().slice([t..t + 1, 0..rows, 0..width]).reshape([rows, width])
 }

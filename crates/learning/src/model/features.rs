@@ -1,25 +1,28 @@
-//! From frames to the numbers a network sees.
+//! The networks' input features.
 //!
-//! Frame model: x, y, vx, vy scaled by the training split's smallest and largest values (the paper's
-//! eq. 1) or its means and deviations, and the material, one-hot or as one number.
+//! Frame model: x, y, vx, vy, normalised by minimum and maximum of the training split (the paper's eq. 1) or by mean and
+//! standard deviation, and the material, one-hot or as one number.
 //!
-//! Particle model ([`PARTICLE_FEATURES`]), per axis where there are two numbers:
+//! Particle model ([`PARTICLE_FEATURES`]); pairs are along x and y:
 //!
-//! | numbers | feature |
+//! | inputs | feature |
 //! |---|---|
 //! | 2 | velocity, in units of u |
-//! | 2 | push: velocity minus what the ballistic step foretold one frame ago; 0 at first; likewise |
-//! | 2 | stop: velocity that the coming ballistic step loses at a wall; likewise |
-//! | 8 | nearness exp(-d / s) of the left, lower, right, upper wall at the scales s of [`CONTACT_SCALE`], then of [`BODY_SCALE`] |
+//! | 2 | velocity residual: velocity minus the one that the ballistic step expected one frame ago; 0 at first; likewise |
+//! | 2 | wall impulse: velocity change at a wall in the coming ballistic step; likewise |
+//! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
 //! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
 //!
-//! The push tells a particle at rest on others from one in free fall: it sees what the others just did.
-//! No feature says where a particle is in the domain, which may be larger than the one trained in.
+//! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
+//! in the domain, which may be larger than in training.
 
 use burn::tensor::{Device, Tensor};
 
-use super::{Bodies, ballistic::BallisticTensors, ballistic::Fallen};
+use super::{
+    ballistic::{BallisticMotion, BallisticTensors},
+    state::ParticleState,
+};
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{
@@ -28,13 +31,6 @@ use eddy_inference::{
     engine::scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 
-/// Materials one-hot, `[R, 4]`.
-pub(crate) fn one_hot(material: &[Material]) -> Vec<f32> {
-    let row =
-        |&material: &Material| Material::ALL.map(|kind| f32::from(u8::from(kind == material)));
-    material.iter().flat_map(row).collect()
-}
-
 /// Each material's number divided by the largest, `[4, 1]`.
 fn material_numbers(device: &Device) -> Tensor<2> {
     let largest = (Material::COUNT - 1) as f32;
@@ -42,7 +38,7 @@ fn material_numbers(device: &Device) -> Tensor<2> {
     Tensor::<1>::from_floats(numbers, device).reshape([Material::COUNT, 1])
 }
 
-/// Feature scaling for both networks, as tensors.
+/// The normalisation of both networks, as tensors.
 #[derive(Clone, Debug)]
 pub(crate) struct Scaling {
     /// Smallest x, y, vx, vy, `[1, 4]`.
@@ -75,10 +71,10 @@ impl Scaling {
     pub(crate) fn frame(
         &self,
         options: &FrameOptions,
-        bodies: &Bodies,
+        state: &ParticleState,
         material: Tensor<2>,
     ) -> Tensor<2> {
-        let state = Tensor::cat(vec![bodies.position.clone(), bodies.velocity.clone()], 1);
+        let state = Tensor::cat(vec![state.position.clone(), state.velocity.clone()], 1);
         let state = match options.scaling {
             FeatureScaling::MinMax => (state - self.minimum.clone()) / self.range.clone(),
             FeatureScaling::ZScore => (state - self.mean.clone()) / self.deviation.clone(),
@@ -90,21 +86,21 @@ impl Scaling {
         Tensor::cat(vec![state, material], 1)
     }
 
-    /// Input of the particle model, `[R, F]`. `push` and the ballistic step `fallen` are `[R, 2]`,
-    /// `shape` is `[R, 5]`.
+    /// Input of the particle model, `[R, F]`. `residual` is the velocity residual, `[R, 2]`, and `motion` the coming ballistic
+    /// step; `shape` is `[R, 5]`.
     pub(crate) fn particle(
         &self,
-        bodies: &Bodies,
-        push: Tensor<2>,
-        fallen: &Fallen,
+        state: &ParticleState,
+        residual: Tensor<2>,
+        motion: &BallisticMotion,
         walls: &BallisticTensors,
         shape: Tensor<2>,
         material: Tensor<2>,
     ) -> Tensor<2> {
-        let below = (bodies.position.clone() - walls.lower.clone()).clamp_min(0.0);
-        let above = (walls.upper.clone() - bodies.position.clone()).clamp_min(0.0);
+        let below = (state.position.clone() - walls.lower.clone()).clamp_min(0.0);
+        let above = (walls.upper.clone() - state.position.clone()).clamp_min(0.0);
         let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
-        let velocities = vec![bodies.velocity.clone(), push, fallen.stopped.clone()];
+        let velocities = vec![state.velocity.clone(), residual, motion.wall_impulse.clone()];
         let features = Tensor::cat(
             vec![
                 Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),

@@ -10,27 +10,26 @@
 //! | mixer: Linear, activation | `[B, 1250]` |
 //! | decoder: one Linear | `[B, N, 2]` |
 //!
-//! Table 1 pools after the encoder's second Linear. A mean commutes with a linear map, so pooling
-//! goes first here: the same numbers for a fortieth of the work (a test compares the two orders). A
-//! maximum does not, and keeps the literal order. Both together are `[B, 2500]`, mean first.
-//! The table does not say whether the "MLP(1250 -> 1250)" has an activation; without one it would
-//! fold into the decoder, so it has the encoder's (ELU if nothing else is chosen).
-//! The decoder's output is dv in domain lengths per second: v' = v + dv, x' = x + v' dt.
+//! Table 1 pools after the encoder's second Linear. A mean commutes with a linear map, so that pooling first gives the same
+//! values for a fortieth of the work (a test compares the two orders). A maximum does not commute and keeps the order of the
+//! table. Both poolings together are `[B, 2500]`, mean first. The table does not say whether the "MLP(1250 -> 1250)" has an
+//! activation; without one it would be redundant before the decoder, so it has that of the encoder (ELU by default). The
+//! decoder's output is dv in domain lengths per second: v' = v + dv, x' = x + v' dt.
 
 use burn::tensor::{Device, Tensor};
 
 use super::{
-    Bodies, Matter, Track,
+    dropout::Dropout,
     features::Scaling,
-    fused,
-    layers::{Layers, Linear},
+    fused, fused_layers,
+    layers::Layers,
+    linear::Linear,
     mlp::activate,
-    network::{Dropout, Hidden},
-    training,
+    state::{ParticleState, RecurrentState, StaticInputs, TrajectoryBatch},
 };
 use eddy_inference::checkpoint::{Description, FrameOptions, Pooling};
 
-/// The frame model with its scales.
+/// The frame model with its normalisation.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameModel {
     pub(crate) layers: Layers,
@@ -53,57 +52,55 @@ impl FrameModel {
         }
     }
 
-    /// As [`ParticleModel::observe`](super::particle_model::ParticleModel::observe).
+    /// As [`Network::observe`](super::network::Network::observe).
     pub(crate) fn observe(
         &self,
-        track: &Track,
-        matter: &Matter,
-        hidden: Hidden,
+        trajectory: &TrajectoryBatch,
+        fixed: &StaticInputs,
+        hidden: RecurrentState,
         dropout: &mut Dropout,
-    ) -> (Track, Hidden) {
-        let [frames, rows, _] = track.position.dims();
-        let encoded = (0..frames).map(|t| self.encode(&track.at(t), &matter.material)).collect();
-        let mut signal: Tensor<3> = Tensor::stack(encoded, 0); // [T, B, H]
-        let mut states = Vec::with_capacity(self.layers.core.len());
-        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            let (output, state) = layer.observe(signal, carried);
-            states.push(state);
-            signal = dropout.apply(output);
-        }
+    ) -> (TrajectoryBatch, RecurrentState) {
+        let [frames, rows, _] = trajectory.position.dims();
+        let encoded = (0..frames).map(|t| self.encode(&trajectory.at(t), &fixed.material));
+        let signal = Tensor::stack(encoded.collect(), 0); // [T, B, H]
+        let (signal, layers) = self.layers.observe_core(signal, &hidden.layers, dropout);
         let change = self.decode(signal.flatten(0, 1)).reshape([frames, rows, 2]);
-        let velocity = track.velocity.clone() + change;
-        let position = track.position.clone() + velocity.clone().mul_scalar(self.dt);
-        (Track { position, velocity }, Hidden { states, foretold: None })
+        let velocity = trajectory.velocity.clone() + change;
+        let position = trajectory.position.clone() + velocity.clone().mul_scalar(self.dt);
+        let hidden = RecurrentState { layers, expected_velocity: None };
+        (TrajectoryBatch { position, velocity }, hidden)
     }
 
-    /// As [`ParticleModel::step`](super::particle_model::ParticleModel::step).
+    /// As [`Network::step`](super::network::Network::step).
     pub(crate) fn step(
         &self,
-        bodies: &Bodies,
-        matter: &Matter,
-        hidden: Hidden,
+        state: &ParticleState,
+        fixed: &StaticInputs,
+        hidden: RecurrentState,
         dropout: &mut Dropout,
-    ) -> (Bodies, Hidden) {
-        let mut signal = self.encode(bodies, &matter.material);
-        let mut states = Vec::with_capacity(self.layers.core.len());
-        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            let state = layer.step(signal, carried);
-            signal = dropout.apply(state.hidden.clone());
-            states.push(state);
-        }
-        let velocity = bodies.velocity.clone() + self.decode(signal);
-        let position = bodies.position.clone() + velocity.clone().mul_scalar(self.dt);
-        (Bodies { position, velocity }, Hidden { states, foretold: None })
+    ) -> (ParticleState, RecurrentState) {
+        let signal = self.encode(state, &fixed.material);
+        let (signal, layers) = self.layers.step_core(signal, &hidden.layers, dropout);
+        let velocity = state.velocity.clone() + self.decode(signal);
+        let position = state.position.clone() + velocity.clone().mul_scalar(self.dt);
+        let hidden = RecurrentState { layers, expected_velocity: None };
+        (ParticleState { position, velocity }, hidden)
     }
 
     /// One frame of B windows, `[B N, ..]`, to `[B, H]` (`[B, 2 H]` with both poolings).
-    pub(crate) fn encode(&self, bodies: &Bodies, material: &Tensor<2>) -> Tensor<2> {
-        let points = self.scaling.frame(&self.options, bodies, material.clone()); // [B N, F]
+    pub(crate) fn encode(&self, state: &ParticleState, material: &Tensor<2>) -> Tensor<2> {
+        let points = self.scaling.frame(&self.options, state, material.clone()); // [B N, F]
         let [first, second] = &self.layers.encoder;
         if self.options.pooling == Pooling::Mean && fused::runs_on(&first.weight.device()) {
             let Linear { weight, bias } = first.clone();
             let kind = self.options.activation;
-            return second.forward(training::encode(kind, self.particles, points, weight, bias));
+            return second.forward(fused_layers::encode(
+                kind,
+                self.particles,
+                points,
+                weight,
+                bias,
+            ));
         }
         let points = activate(self.options.activation, first.forward(points)); // [B N, E]
         let windows = |points: Tensor<2>| {

@@ -1,8 +1,8 @@
-//! Operations whose values and gradients are computed by loops over plain numbers rather than by
-//! tensor operations, each of which would pass over memory once.
+//! Operations whose values and gradients are computed by loops over plain lists instead of a sequence of tensor operations,
+//! each of which would pass over memory.
 //!
-//! They run where gradients are recorded on the flex device. On other devices, and where no gradient
-//! is asked for, the tensor operations beside each of them compute the same; tests join the two.
+//! They run where gradients are recorded on the flex device. On other devices, and without gradients, equivalent tensor
+//! operations run; tests compare the two.
 
 use burn::{
     backend::{
@@ -17,17 +17,17 @@ use burn::{
     tensor::{Device, Tensor, TensorData},
 };
 
-/// Values from N inputs, and the inputs' gradients from the values' gradient.
+/// An operation on N inputs with its gradients.
 pub(crate) trait Operation<const N: usize>:
     Clone + std::fmt::Debug + Send + 'static
 {
-    /// What is kept for the gradients beside inputs and values.
+    /// Intermediate results kept for the gradients, beside inputs and values.
     type Kept: Clone + std::fmt::Debug + Send + 'static;
 
     /// The values.
     fn forward(&self, inputs: [&[f32]; N]) -> (Vec<f32>, Self::Kept);
 
-    /// The gradient by each input that is `wanted`, of its length; of the others whatever is at hand.
+    /// The gradients by the inputs, of their lengths; those that are not `wanted` are arbitrary.
     fn backward(
         &self,
         inputs: [&[f32]; N],
@@ -38,12 +38,12 @@ pub(crate) trait Operation<const N: usize>:
     ) -> [Vec<f32>; N];
 }
 
-/// Whether [`apply`] works for tensors on this device.
+/// Whether fused operations run on this device.
 pub(crate) fn runs_on(device: &Device) -> bool {
     device.is_autodiff() && *device == Device::flex()
 }
 
-/// The operation's values, in the given shape, on a device that [`runs_on`] has approved of.
+/// The operation's values with the given shape, on a device for which [`runs_on`] is true.
 pub(crate) fn apply<const N: usize, const D: usize, O: Operation<N>>(
     operation: O,
     inputs: [DispatchTensor; N],
@@ -52,7 +52,9 @@ pub(crate) fn apply<const N: usize, const D: usize, O: Operation<N>>(
     let inputs = inputs.map(|tensor| {
         match <DispatchTensor as DispatchKindConversion<Recorded>>::try_into_backend(tensor) {
             Ok(BackendTensor::Float(tensor)) => tensor,
-            other => unreachable!("tensors of float on the flex device with gradients: {other:?}"),
+            other => {
+                unreachable!("expected a float tensor on the flex device with autodiff: {other:?}")
+            }
         }
     });
     let nodes = inputs.each_ref().map(|tensor| tensor.node());
@@ -71,7 +73,7 @@ pub(crate) fn apply<const N: usize, const D: usize, O: Operation<N>>(
     Tensor::from_dispatch(DispatchTensor::from_backend(output))
 }
 
-/// A tensor as an input.
+/// Converts a tensor to an input.
 pub(crate) fn input<const D: usize>(tensor: Tensor<D>) -> DispatchTensor {
     tensor.autodiff().into_dispatch()
 }

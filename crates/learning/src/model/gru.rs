@@ -1,4 +1,4 @@
-//! GRU as PyTorch has it: with (i_r, i_z, i_n) = W_ih x + b_ih and (h_r, h_z, h_n) = W_hh h + b_hh,
+//! GRU as in PyTorch: with (i_r, i_z, i_n) = W_ih x + b_ih and (h_r, h_z, h_n) = W_hh h + b_hh,
 //! r = sigmoid(i_r + h_r), z = sigmoid(i_z + h_z), n = tanh(i_n + r h_n), h_t = (1 - z) n + z h_{t-1}
 //! (Cho et al. 2014).
 
@@ -7,9 +7,9 @@ use burn::tensor::{
     activation::{sigmoid, tanh},
 };
 
-use super::{core::at, fused, layers::Linear, training};
+use super::{fused, fused_layers, linear::Linear, state::at};
 
-/// One GRU layer.
+/// A GRU layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Gru {
     pub(crate) ih: Linear,
@@ -17,14 +17,14 @@ pub(crate) struct Gru {
 }
 
 impl Gru {
-    /// All states `[T, R, H]` for the inputs `[T, R, I]`.
+    /// All states, `[T, R, H]`, for the inputs, `[T, R, I]`, from the previous state (zero if none).
     pub(crate) fn observe(&self, input: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
         let inputs = self.ih.forward(input); // [T, R, 3 H]
         if fused::runs_on(&inputs.device()) {
             let [_, rows, gates] = inputs.dims();
             let Linear { weight, bias } = self.hh.clone();
             let zero = || Tensor::zeros([rows, gates / 3], &inputs.device());
-            return training::gru(inputs.clone(), weight, bias, carried.unwrap_or_else(zero));
+            return fused_layers::gru(inputs.clone(), weight, bias, carried.unwrap_or_else(zero));
         }
         let mut hidden = carried;
         let mut states = Vec::new();
@@ -36,7 +36,7 @@ impl Gru {
         Tensor::stack(states, 0)
     }
 
-    /// The next state `[R, H]` for the input `[R, I]`.
+    /// The next state, `[R, H]`, for the input, `[R, I]`.
     pub(crate) fn step(&self, input: Tensor<2>, carried: Option<Tensor<2>>) -> Tensor<2> {
         self.cell(self.ih.forward(input), carried)
     }

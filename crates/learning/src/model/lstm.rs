@@ -1,4 +1,4 @@
-//! LSTM as PyTorch has it: (i, f, g, o) = W_ih x + b_ih + W_hh h + b_hh,
+//! LSTM as in PyTorch: (i, f, g, o) = W_ih x + b_ih + W_hh h + b_hh,
 //! c_t = sigmoid(f) c_{t-1} + sigmoid(i) tanh(g), h_t = sigmoid(o) tanh(c_t)
 //! (Hochreiter and Schmidhuber 1997, with the forget gate of Gers et al. 2000).
 
@@ -8,13 +8,12 @@ use burn::tensor::{
 };
 
 use super::{
-    core::{LayerState, at},
-    fused,
-    layers::Linear,
-    training,
+    fused, fused_layers,
+    linear::Linear,
+    state::{LayerState, at},
 };
 
-/// One LSTM layer.
+/// An LSTM layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Lstm {
     pub(crate) ih: Linear,
@@ -22,7 +21,8 @@ pub(crate) struct Lstm {
 }
 
 impl Lstm {
-    /// All outputs `[T, R, H]` for the inputs `[T, R, I]`, and the state after the last.
+    /// All outputs, `[T, R, H]`, for the inputs, `[T, R, I]`, and the state after the last frame, from the previous state (zero
+    /// if none).
     pub(crate) fn observe(
         &self,
         input: Tensor<3>,
@@ -50,7 +50,7 @@ impl Lstm {
         let width = gates / 4;
         let before = self.before(rows, width, carried);
         let Linear { weight, bias } = self.hh.clone();
-        let states = training::lstm(inputs, weight, bias, before); // [T, R, 2 H]
+        let states = fused_layers::lstm(inputs, weight, bias, before); // [T, R, 2 H]
         let last = at(&states, frames - 1);
         let state = LayerState {
             hidden: last.clone().slice([0..rows, 0..width]),
@@ -59,7 +59,7 @@ impl Lstm {
         (states.slice([0..frames, 0..rows, 0..width]), state)
     }
 
-    /// Output and cell before the first frame, zero if not given.
+    /// Output and cell before the first frame (zero if none).
     fn before(&self, rows: usize, width: usize, carried: Option<LayerState>) -> [Tensor<2>; 2] {
         let zero = || Tensor::zeros([rows, width], &self.hh.weight.device());
         match carried {
@@ -68,7 +68,7 @@ impl Lstm {
         }
     }
 
-    /// The next state for the input `[R, I]`.
+    /// The next state for the input, `[R, I]`.
     pub(crate) fn step(&self, input: Tensor<2>, carried: Option<LayerState>) -> LayerState {
         self.cell(self.ih.forward(input), carried)
     }

@@ -1,17 +1,16 @@
 //! minGRU: z = sigmoid(W_z x), c = W_h x, h_t = (1 - z) h_{t-1} + z c
-//! (Feng et al. 2024, section 3.1; the paper's Fig. 6). The log form has g(c) in the place of c.
+//! (Feng et al. 2024, section 3.1; the paper's Fig. 6). The log form has g(c) instead of c.
 
 use burn::tensor::{Tensor, activation::sigmoid};
 
 use super::{
-    fused,
-    layers::Linear,
+    fused, fused_layers,
+    linear::Linear,
     scan::{candidate, scan},
-    training,
 };
 use eddy_inference::{checkpoint::Form, kernels::minimal::Minimal};
 
-/// One minGRU layer.
+/// A minGRU layer.
 #[derive(Clone, Debug)]
 pub(crate) struct MinGru {
     pub(crate) gate: Linear,
@@ -20,7 +19,7 @@ pub(crate) struct MinGru {
 }
 
 impl MinGru {
-    /// All states `[T, R, H]` for the inputs `[T, R, I]`, from the state before (zero if not given).
+    /// All states, `[T, R, H]`, for the inputs, `[T, R, I]`, from the previous state (zero if none).
     pub(crate) fn observe(&self, input: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
         if !fused::runs_on(&self.gate.weight.device()) {
             let (a, b) = self.coefficients(input);
@@ -31,7 +30,7 @@ impl MinGru {
         let [_, rows, width] = gate.dims();
         let carried = carried.unwrap_or_else(|| Tensor::zeros([rows, width], &gate.device()));
         let kind = Minimal { log: self.form == Form::Log, normalize: false };
-        training::mingru(kind, gate, candidate, carried)
+        fused_layers::mingru(kind, gate, candidate, carried)
     }
 
     /// a = 1 - z, b = z c.

@@ -1,21 +1,20 @@
 //! minLSTM: f = sigmoid(W_f x), i = sigmoid(W_i x), c = W_h x, f' = f / (f + i), i' = i / (f + i),
 //! h_t = f' h_{t-1} + i' c (Feng et al. 2024, section 3.2). There is no output gate and no separate
-//! cell. The log form has g(c) in the place of c; without normalised gates f' = f and i' = i.
+//! cell. The log form has g(c) instead of c; without normalised gates f' = f and i' = i.
 
 use burn::tensor::{Tensor, activation::sigmoid};
 
 use super::{
-    fused,
-    layers::Linear,
+    fused, fused_layers,
+    linear::Linear,
     scan::{candidate, scan},
-    training,
 };
 use eddy_inference::{
     checkpoint::Form,
     kernels::minimal::{MIN_GATE_SUM, Minimal},
 };
 
-/// One minLSTM layer.
+/// A minLSTM layer.
 #[derive(Clone, Debug)]
 pub(crate) struct MinLstm {
     pub(crate) forget_gate: Linear,
@@ -26,7 +25,7 @@ pub(crate) struct MinLstm {
 }
 
 impl MinLstm {
-    /// All states `[T, R, H]` for the inputs `[T, R, I]`, from the state before (zero if not given).
+    /// All states, `[T, R, H]`, for the inputs, `[T, R, I]`, from the previous state (zero if none).
     pub(crate) fn observe(&self, input: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
         if !fused::runs_on(&self.candidate.weight.device()) {
             let (a, b) = self.coefficients(input);
@@ -37,10 +36,10 @@ impl MinLstm {
         let [_, rows, width] = candidate.dims();
         let carried = carried.unwrap_or_else(|| Tensor::zeros([rows, width], &candidate.device()));
         let kind = Minimal { log: self.form == Form::Log, normalize: self.normalize_gates };
-        training::minlstm(kind, gates, candidate, carried)
+        fused_layers::minlstm(kind, gates, candidate, carried)
     }
 
-    /// a = f', b = i' c. Normalised, f' is 1 - i', so that a + i' is 1 whatever the rounding.
+    /// a = f', b = i' c. Normalised, f' is 1 - i', so that a + i' is exactly 1.
     pub(crate) fn coefficients<const D: usize>(&self, input: Tensor<D>) -> (Tensor<D>, Tensor<D>) {
         let forget = sigmoid(self.forget_gate.forward(input.clone()));
         let update = sigmoid(self.input_gate.forward(input.clone()));

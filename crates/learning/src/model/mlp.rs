@@ -2,10 +2,10 @@
 
 use burn::tensor::{Tensor, activation};
 
-use super::layers::Linear;
+use super::linear::Linear;
 use eddy_inference::checkpoint::Activation;
 
-/// One layer.
+/// A layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Mlp {
     pub(crate) linear: Linear,
@@ -19,7 +19,7 @@ impl Mlp {
     }
 }
 
-/// The activation, number by number.
+/// Applies an activation function elementwise.
 pub(crate) fn activate<const D: usize>(kind: Activation, signal: Tensor<D>) -> Tensor<D> {
     match kind {
         Activation::Sigmoid => activation::sigmoid(signal),

@@ -1,25 +1,24 @@
-//! The particle model: one hidden state for each particle, weights shared, any number of particles.
+//! The particle model: one hidden state per particle, shared weights, any number of particles.
 //!
-//! features (F) -> Linear -> ReLU -> Linear (C0) -> grid (`grid`) -> context (C0);
-//! features, context -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
-//! The decoder gives a velocity and a position residual on the ballistic step, in units of the
-//! training velocities' deviation u:
-//! v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has a residual of its own because
-//! a frame spans many substeps: what happens early in it moves a particle further than what happens late.
-//! v' is clamped to the training range widened by a quarter on each side, x' to the walls in effect,
-//! so that a rollout stays finite. A zero decoder is the ballistic step.
+//! features (F) -> Linear -> ReLU -> Linear (C0) -> grid -> gathered (C0);
+//! features, gathered -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
+//! The decoder gives a velocity and a position residual on the ballistic step, in units of the standard deviation u of
+//! velocities in training: v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has its own residual because a
+//! frame spans many substeps: an early impulse moves a particle further than a late one. v' is clamped to the range in
+//! training extended by a quarter on each side, x' to the effective walls, so that rollouts stay finite. A zero decoder
+//! gives the ballistic step.
 
 use burn::tensor::{Device, Tensor};
 
 use super::{
-    Bodies, Matter, Track,
     ballistic::BallisticTensors,
+    dropout::Dropout,
     features::Scaling,
-    fused,
-    grid::Ground,
+    fused, fused_layers,
+    grid_context::GridContext,
     layers::Layers,
-    network::{Dropout, Hidden},
-    pairs, strain, training,
+    state::{ParticleState, RecurrentState, StaticInputs, TrajectoryBatch, pairs},
+    strain,
 };
 use eddy_frames::Domain;
 use eddy_inference::{
@@ -27,7 +26,7 @@ use eddy_inference::{
     engine::{Ballistic, scales::velocity_limits},
 };
 
-/// The particle model with its scales.
+/// The particle model with its normalisation.
 #[derive(Clone, Debug)]
 pub(crate) struct ParticleModel {
     pub(crate) layers: Layers,
@@ -46,7 +45,7 @@ impl ParticleModel {
         let grid = description.grid;
         Self {
             layers,
-            grid: grid.expect("a description that was checked has them"),
+            grid: grid.expect("checked descriptions of particle models have one"),
             domain: description.domain,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::new(description), device),
@@ -54,120 +53,118 @@ impl ParticleModel {
         }
     }
 
-    /// Observes T consecutive frames at once. Gives the frame predicted after each, and the state
-    /// after the last.
+    /// As [`Network::observe`](super::network::Network::observe).
     pub(crate) fn observe(
         &self,
-        track: &Track,
-        matter: &Matter,
-        hidden: Hidden,
+        trajectory: &TrajectoryBatch,
+        fixed: &StaticInputs,
+        hidden: RecurrentState,
         dropout: &mut Dropout,
-    ) -> (Track, Hidden) {
-        let [frames, rows, _] = track.position.dims();
+    ) -> (TrajectoryBatch, RecurrentState) {
+        let [frames, rows, _] = trajectory.position.dims();
         let flat = |t: &Tensor<3>| t.clone().reshape([frames * rows, 2]);
-        let bodies = Bodies { position: flat(&track.position), velocity: flat(&track.velocity) };
+        let state = ParticleState {
+            position: flat(&trajectory.position),
+            velocity: flat(&trajectory.velocity),
+        };
 
-        // What each frame was foretold to be by the one before it; the first one what it is.
-        let coming = self.foretell(&bodies); // [T R, 2]
-        let first = hidden.foretold.clone().unwrap_or_else(|| track.at(0).velocity);
+        // Each frame's velocities are compared with those expected one frame earlier, the first frame's with themselves.
+        let coming = self.expected_velocities(&state); // [T R, 2]
+        let first = hidden.expected_velocity.clone().unwrap_or_else(|| trajectory.at(0).velocity);
         let before = coming.clone().slice([0..(frames - 1) * rows, 0..2]);
-        let foretold = if frames == 1 { first } else { Tensor::cat(vec![first, before], 0) };
+        let expected = if frames == 1 { first } else { Tensor::cat(vec![first, before], 0) };
         let last = coming.slice([(frames - 1) * rows..frames * rows, 0..2]);
 
-        let input = self.perceive(&bodies, foretold, matter);
+        let input = self.encode(&state, expected, fixed);
         let [_, width] = input.dims();
-        let mut signal = input.reshape([frames, rows, width]); // [T, R, H]
-        let mut states = Vec::with_capacity(self.layers.core.len());
-        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            let (output, state) = layer.observe(signal, carried);
-            states.push(state);
-            signal = dropout.apply(output);
-        }
-        let next = self.decode(signal.reshape([frames * rows, width]), &bodies);
+        let signal = input.reshape([frames, rows, width]); // [T, R, H]
+        let (signal, layers) = self.layers.observe_core(signal, &hidden.layers, dropout);
+        let next = self.decode(signal.reshape([frames * rows, width]), &state);
         let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
-        let predicted = Track { position: cube(next.position), velocity: cube(next.velocity) };
-        (predicted, Hidden { states, foretold: Some(last) })
+        let predicted =
+            TrajectoryBatch { position: cube(next.position), velocity: cube(next.velocity) };
+        (predicted, RecurrentState { layers, expected_velocity: Some(last) })
     }
 
-    /// Observes one frame, predicts the next.
+    /// As [`Network::step`](super::network::Network::step).
     pub(crate) fn step(
         &self,
-        bodies: &Bodies,
-        matter: &Matter,
-        hidden: Hidden,
+        state: &ParticleState,
+        fixed: &StaticInputs,
+        hidden: RecurrentState,
         dropout: &mut Dropout,
-    ) -> (Bodies, Hidden) {
-        let foretold = hidden.foretold.clone().unwrap_or_else(|| bodies.velocity.clone());
-        let mut signal = self.perceive(bodies, foretold, matter); // [R, H]
-        let mut states = Vec::with_capacity(self.layers.core.len());
-        for (layer, carried) in self.layers.core.iter().zip(hidden.carried(&self.layers)) {
-            let state = layer.step(signal, carried);
-            signal = dropout.apply(state.hidden.clone());
-            states.push(state);
-        }
-        let hidden = Hidden { states, foretold: Some(self.foretell(bodies)) };
-        (self.decode(signal, bodies), hidden)
+    ) -> (ParticleState, RecurrentState) {
+        let expected = hidden.expected_velocity.unwrap_or_else(|| state.velocity.clone());
+        let signal = self.encode(state, expected, fixed); // [R, H]
+        let (signal, layers) = self.layers.step_core(signal, &hidden.layers, dropout);
+        let expected_velocity = Some(self.expected_velocities(state));
+        (self.decode(signal, state), RecurrentState { layers, expected_velocity })
     }
 
-    /// Velocities that the ballistic step foretells, `[rows, 2]`.
-    fn foretell(&self, bodies: &Bodies) -> Tensor<2> {
-        let Bodies { position, velocity } = bodies.clone();
+    /// The velocities that the ballistic step expects in the next frame, `[rows, 2]`.
+    fn expected_velocities(&self, state: &ParticleState) -> Tensor<2> {
+        let ParticleState { position, velocity } = state.clone();
         if self.fused() {
-            return training::foretell(self.ballistic.plain, position, velocity);
+            return fused_layers::expected_velocities(self.ballistic.plain, position, velocity);
         }
         self.ballistic.step(position, velocity).velocity
     }
 
-    /// What the core gets to know of particles, `[T R, H]`, whose velocities were foretold, `[T R, 2]`.
-    fn perceive(&self, bodies: &Bodies, foretold: Tensor<2>, matter: &Matter) -> Tensor<2> {
+    /// The core's input, `[T R, H]`, from particles and their expected velocities, `[T R, 2]`.
+    fn encode(
+        &self,
+        state: &ParticleState,
+        expected_velocity: Tensor<2>,
+        fixed: &StaticInputs,
+    ) -> Tensor<2> {
         let Layers { encoder: [first, second], grid, .. } = &self.layers;
         let grid = grid.as_ref().expect("the particle model's layers have a grid");
-        let shape = strain::shape(&bodies.position, &matter.rest);
-        let features = self.features(bodies, foretold, shape, matter); // [T R, F]
+        let shape = strain::shape(&state.position, &fixed.rest);
+        let features = self.features(state, expected_velocity, shape, fixed); // [T R, F]
         let encoded = second.forward(first.rectified(features.clone())); // [T R, C0]
-        let position = pairs(bodies.position.clone());
-        let windows = position.len() / matter.particles();
-        let ground =
-            Ground::new(&self.grid, &self.ballistic.plain, self.domain, &position, windows);
-        let context = grid.look_around(&ground, encoded, &bodies.position); // [T R, C0]
-        grid.context.beside(features, context)
+        let position = pairs(state.position.clone());
+        let windows = position.len() / fixed.particles();
+        let ballistic = &self.ballistic.plain;
+        let context = GridContext::new(&self.grid, ballistic, self.domain, &position, windows);
+        let gathered = grid.forward(&context, encoded, &state.position); // [T R, C0]
+        grid.context.concatenated(features, gathered)
     }
 
     fn features(
         &self,
-        bodies: &Bodies,
-        foretold: Tensor<2>,
+        state: &ParticleState,
+        expected_velocity: Tensor<2>,
         shape: Tensor<2>,
-        matter: &Matter,
+        fixed: &StaticInputs,
     ) -> Tensor<2> {
-        let Bodies { position, velocity } = bodies.clone();
+        let ParticleState { position, velocity } = state.clone();
         if self.fused() {
             let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
-            let inputs = [position, velocity, foretold, shape];
-            return training::perceive(ballistic, unit, matter.one_hot.clone(), inputs);
+            let inputs = [position, velocity, expected_velocity, shape];
+            return fused_layers::features(ballistic, unit, fixed.one_hot.clone(), inputs);
         }
-        let fallen = self.ballistic.step(position, velocity.clone());
+        let motion = self.ballistic.step(position, velocity.clone());
         let [rows, _] = shape.dims();
-        let material = matter.material.clone();
-        let material = material.repeat(&[rows / matter.rest.len(), 1]);
-        let push = velocity - foretold;
-        self.scaling.particle(bodies, push, &fallen, &self.ballistic, shape, material)
+        let material = fixed.material.clone();
+        let material = material.repeat(&[rows / fixed.rest.len(), 1]);
+        let residual = velocity - expected_velocity;
+        self.scaling.particle(state, residual, &motion, &self.ballistic, shape, material)
     }
 
-    /// `[rows, H]` and where particles are to where they will be.
-    fn decode(&self, signal: Tensor<2>, bodies: &Bodies) -> Bodies {
+    /// The predicted state from the core's output, `[rows, H]`, and the current state.
+    fn decode(&self, signal: Tensor<2>, state: &ParticleState) -> ParticleState {
         let output = self.layers.decoder.forward(self.layers.mixer.rectified(signal)); // [rows, 4]
         let [rows, _] = output.dims();
         let halves = |t: Tensor<2>| [0, 2].map(|k| t.clone().slice([0..rows, k..k + 2]));
-        let Bodies { position, velocity } = bodies.clone();
+        let ParticleState { position, velocity } = state.clone();
         if self.fused() {
             let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
             let inputs = [position, velocity, output];
-            let next = training::move_on(ballistic, unit, self.limits, inputs); // [2 rows, 2]
+            let next = fused_layers::advance(ballistic, unit, self.limits, inputs); // [2 rows, 2]
             let half = |first: usize| next.clone().slice([first..first + rows, 0..2]);
-            return Bodies { position: half(0), velocity: half(rows) };
+            return ParticleState { position: half(0), velocity: half(rows) };
         }
-        let fallen = self.ballistic.step(position, velocity);
+        let motion = self.ballistic.step(position, velocity);
         let [faster, farther] = halves(output.mul_scalar(self.scaling.velocity_unit));
         let farther = farther.mul_scalar(self.ballistic.plain.dt);
         let device = faster.device();
@@ -176,13 +173,13 @@ impl ParticleModel {
         let between =
             |x: Tensor<2>, low: Tensor<2>, high: Tensor<2>| x.max_pair(low).min_pair(high);
         let BallisticTensors { lower, upper, .. } = self.ballistic.clone();
-        Bodies {
-            position: between(fallen.position + farther, lower, upper),
-            velocity: between(fallen.velocity + faster, slowest, fastest),
+        ParticleState {
+            position: between(motion.position + farther, lower, upper),
+            velocity: between(motion.velocity + faster, slowest, fastest),
         }
     }
 
-    /// Whether kernels compute what tensor operations would.
+    /// Whether kernels replace tensor operations.
     fn fused(&self) -> bool {
         fused::runs_on(&self.layers.decoder.weight.device())
     }

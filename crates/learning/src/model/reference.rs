@@ -1,15 +1,14 @@
-//! A checkpoint that predicts frames, one after the other: its network with the operations that trained it, then its
-//! rules.
+//! A checkpoint that predicts frame by frame with its network in burn, followed by its rules.
 //!
-//! What streams is the layer `engine`; this is what it is held against, in tests and in
-//! `eddy bench inference`.
+//! The streaming engine of `eddy-inference` is compared with it in tests and in `eddy bench inference`.
 
 use burn::tensor::{Tensor, TensorData};
 
 use super::{
-    Bodies, DeviceKind, Matter,
-    network::{Dropout, Hidden, Network},
-    pairs,
+    DeviceKind,
+    dropout::Dropout,
+    network::Network,
+    state::{ParticleState, RecurrentState, StaticInputs, pairs},
 };
 use eddy_frames::Frame;
 use eddy_inference::{
@@ -17,10 +16,9 @@ use eddy_inference::{
     engine::Corrector,
 };
 
-/// A network in burn, ready to predict.
+/// A checkpoint's network in burn.
 pub struct Reference {
     network: Network,
-    /// The checkpoint's rules.
     corrector: Corrector,
     device: DeviceKind,
     grid: Option<GridOptions>,
@@ -28,18 +26,18 @@ pub struct Reference {
     dt: f32,
 }
 
-/// The hidden state of one stream: what the network remembers of the frames it observed.
+/// The hidden state of one stream.
 #[derive(Clone)]
 pub struct HiddenState {
-    hidden: Hidden,
-    matter: Matter,
+    recurrent: RecurrentState,
+    fixed: StaticInputs,
 }
 
 impl Reference {
-    /// Puts the checkpoint's network on a device.
+    /// Loads the checkpoint's network on a device.
     ///
     /// # Errors
-    /// [`CheckpointError`] when the weights do not fit the description.
+    /// [`CheckpointError`] if the weights do not match the description.
     pub fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Self, CheckpointError> {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
@@ -48,29 +46,29 @@ impl Reference {
         Ok(Self { network, corrector, device, grid, dt })
     }
 
-    /// An empty memory for the particles of `frame`, as many as the network is for; solids are taken to
-    /// rest as they are there. It has not observed
-    /// `frame`; that is [`Reference::step`]'s part.
+    /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed to
+    /// [`Reference::step`] first. Its shape is taken as the rest shape of solids.
     pub fn start(&self, frame: &Frame) -> HiddenState {
         let grid = self.grid.as_ref();
         let device = self.device.device();
-        let matter = Matter::new(&frame.material, &frame.position, 1, grid, &device);
-        HiddenState { hidden: Hidden::default(), matter }
+        let fixed = StaticInputs::new(&frame.material, &frame.position, 1, grid, &device);
+        HiddenState { recurrent: RecurrentState::default(), fixed }
     }
 
-    /// Observes a frame, true or predicted, of the particles the memory was started for, and
-    /// predicts the next one: its sequence one higher, its stamp `dt` later.
-    pub fn step(&self, memory: &mut HiddenState, frame: &Frame) -> Frame {
+    /// Observes a frame, true or predicted, of the particles that `hidden` was started for, and predicts the next one: its
+    /// sequence is one higher, its stamp `dt` later.
+    pub fn step(&self, hidden: &mut HiddenState, frame: &Frame) -> Frame {
         let device = self.device.device();
         let rows = |values: &[[f32; 2]]| {
             let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);
             Tensor::<2>::from_data(data, &device)
         };
-        let bodies = Bodies { position: rows(&frame.position), velocity: rows(&frame.velocity) };
-        let hidden = std::mem::take(&mut memory.hidden);
-        let (next, hidden) =
-            self.network.step(&bodies, &memory.matter, hidden, &mut Dropout::none());
-        memory.hidden = hidden;
+        let state =
+            ParticleState { position: rows(&frame.position), velocity: rows(&frame.velocity) };
+        let recurrent = std::mem::take(&mut hidden.recurrent);
+        let (next, recurrent) =
+            self.network.step(&state, &hidden.fixed, recurrent, &mut Dropout::none());
+        hidden.recurrent = recurrent;
         let mut next = Frame {
             stream: frame.stream,
             sequence: frame.sequence + 1,
@@ -81,7 +79,7 @@ impl Reference {
             velocity: pairs(next.velocity),
             material: frame.material.clone(),
         };
-        self.corrector.correct(&memory.matter.rest, frame, &mut next);
+        self.corrector.correct(&hidden.fixed.rest, frame, &mut next);
         next
     }
 }

@@ -1,10 +1,9 @@
-//! h_t = a_t h_{t-1} + b_t: over all frames at once, and one frame at a time.
+//! The linear recurrence h_t = a_t h_{t-1} + b_t, over all frames at once or one frame at a time.
 //!
-//! The plain form of minGRU and minLSTM is linear in the state with coefficients 0 <= a_t <= 1 that
-//! do not depend on it, so that pairs (a, b) compose associatively:
-//! (a2, b2) after (a1, b1) is (a2 a1, a2 b1 + b2). [`scan`] composes them by recursive doubling, in
-//! ceil(log2 T) rounds of operations over whole tensors (Hillis and Steele 1986); no product can
-//! overflow. [`step`] is the same recurrence for one frame; a property test joins the two.
+//! minGRU and minLSTM are linear in the state, with coefficients 0 <= a_t <= 1 that do not depend on it. Pairs (a, b)
+//! therefore compose associatively: (a2, b2) after (a1, b1) is (a2 a1, a2 b1 + b2). [`scan`] composes them by recursive
+//! doubling, in ceil(log2 T) rounds of operations over whole tensors (Hillis and Steele 1986); no product can overflow.
+//! [`step`] is the recurrence for one frame; a property test compares the two.
 
 use burn::tensor::{
     Tensor,
@@ -13,8 +12,8 @@ use burn::tensor::{
 
 use eddy_inference::checkpoint::Form;
 
-/// Every h_t, `[T, R, H]`, from the coefficients `a` and `b`, both `[T, R, H]`, and the state before
-/// the first frame, `[R, H]` (zero if not given).
+/// All h_t, `[T, R, H]`, from the coefficients `a` and `b`, `[T, R, H]` each, and the state before the first frame, `[R, H]`
+/// (zero if none).
 pub(crate) fn scan(a: Tensor<3>, b: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
     let [frames, rows, hidden] = b.dims();
     let part = |tensor: &Tensor<3>, range: std::ops::Range<usize>| {
@@ -42,7 +41,7 @@ pub(crate) fn scan(a: Tensor<3>, b: Tensor<3>, carried: Option<Tensor<2>>) -> Te
     b // [T, R, H]
 }
 
-/// The next state, `[R, H]`, from the state before (zero if not given).
+/// The next state, `[R, H]`, from the previous state (zero if none).
 pub(crate) fn step(a: Tensor<2>, b: Tensor<2>, carried: Option<Tensor<2>>) -> Tensor<2> {
     match carried {
         None => b,
@@ -50,9 +49,8 @@ pub(crate) fn step(a: Tensor<2>, b: Tensor<2>, carried: Option<Tensor<2>>) -> Te
     }
 }
 
-/// What enters the state where the gate is open: the candidate itself, or in the log form
-/// g(c) = c + 1/2 for c >= 0 and sigmoid(c) below. In that form too the recurrence is computed as it
-/// stands: 0 <= a <= 1 keeps it from overflowing, and a zero state needs no logarithm.
+/// The candidate as it enters the state: c, or in the log form g(c) = c + 1/2 for c >= 0 and sigmoid(c) below. The recurrence
+/// is computed directly in that form too: with 0 <= a <= 1 it cannot overflow, and a zero state needs no logarithm.
 pub(crate) fn candidate<const D: usize>(form: Form, candidate: Tensor<D>) -> Tensor<D> {
     match form {
         Form::Plain => candidate,
@@ -67,14 +65,14 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::model::{core::at, training};
+    use crate::model::{fused_layers, state::at};
     use eddy_inference::kernels::minimal::Minimal;
 
     const ROWS: usize = 3;
     const HIDDEN: usize = 2;
 
-    /// One way to compute the states `[T, R, H]` from gate, candidate and the state before.
-    type Way = fn(Form, Tensor<3>, Tensor<3>, Option<Tensor<2>>) -> Tensor<3>;
+    /// An implementation of minGRU: the states, `[T, R, H]`, from gate, candidate and previous state.
+    type Implementation = fn(Form, Tensor<3>, Tensor<3>, Option<Tensor<2>>) -> Tensor<3>;
 
     /// Tensor operations, all frames at once.
     fn doubling(
@@ -109,11 +107,11 @@ mod tests {
     fn fused(form: Form, gate: Tensor<3>, c: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
         let carried = carried.unwrap_or_else(|| Tensor::zeros([ROWS, HIDDEN], &gate.device()));
         let kind = Minimal { log: form == Form::Log, normalize: false };
-        training::mingru(kind, gate, c, carried)
+        fused_layers::mingru(kind, gate, c, carried)
     }
 
-    /// What the paper's reference computes for the log form: logarithms, cumulated (Heinsen 2023), with
-    /// the carried state as the first entry. Values only.
+    /// The log form by cumulative sums of logarithms (Heinsen 2023), as in the reference implementation of Feng et al., with the
+    /// carried state as the first entry. Values only.
     fn heinsen(gate: Tensor<3>, c: Tensor<3>, carried: Tensor<2>) -> Tensor<3> {
         let softplus = |x: Tensor<3>| burn::tensor::activation::softplus(x, 1.0);
         let log_g = |c: Tensor<3>| {
@@ -133,9 +131,13 @@ mod tests {
         (a + sums).exp().slice([1..frames + 1, 0..ROWS, 0..HIDDEN])
     }
 
-    /// States, and the gradients of a weighted sum of their squares by gate, candidate and the state
-    /// before.
-    fn run(way: Way, form: Form, numbers: &[(f32, f32)], carried: Option<&[f32]>) -> Vec<Vec<f32>> {
+    /// States, and the gradients of a weighted sum of their squares by gate, candidate and previous state.
+    fn run(
+        implementation: Implementation,
+        form: Form,
+        numbers: &[(f32, f32)],
+        carried: Option<&[f32]>,
+    ) -> Vec<Vec<f32>> {
         let device = Device::flex().autodiff();
         let frames = numbers.len() / ROWS / HIDDEN;
         let cube = |values: Vec<f32>| {
@@ -147,7 +149,7 @@ mod tests {
             let data = TensorData::new(values.to_vec(), [ROWS, HIDDEN]);
             Tensor::<2>::from_data(data, &device).require_grad()
         });
-        let states = way(form, gate.clone(), c.clone(), carried.clone());
+        let states = implementation(form, gate.clone(), c.clone(), carried.clone());
         let weights = (0..numbers.len()).map(|i| ((i * 7919) % 101) as f32 / 101.0).collect();
         let gradients = (states.clone().square() * cube(weights)).sum().backward();
         let values = |t: Tensor<3>| t.into_data().try_to_vec::<f32>().unwrap();
@@ -161,7 +163,7 @@ mod tests {
         found
     }
 
-    /// Lengths from 1 to 1,024, short ones as often as long ones.
+    /// Lengths from 1 to 1,024, log-uniform.
     fn frames() -> impl Strategy<Value = usize> {
         (0u32..=10).prop_flat_map(|power| (1usize << power) / 2 + 1..=1 << power)
     }
@@ -174,7 +176,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
-        /// The state before is nothing, zero, or (carried or learned) any number.
+        /// The previous state is absent, zero, or arbitrary.
         #[test]
         fn all_frames_at_once_equal_single_steps_in_values_and_gradients(
             numbers in numbers(),
@@ -187,8 +189,8 @@ mod tests {
         ) {
             let carried = carried.as_deref();
             let expected = run(sequential, form, &numbers, carried);
-            for way in [doubling as Way, fused] {
-                let found = run(way, form, &numbers, carried);
+            for implementation in [doubling as Implementation, fused] {
+                let found = run(implementation, form, &numbers, carried);
                 prop_assert_eq!(found.len(), expected.len());
                 for (found, expected) in found.iter().flatten().zip(expected.iter().flatten()) {
                     prop_assert!((found - expected).abs() <= 2e-5 * (1.0 + expected.abs()));
@@ -196,9 +198,9 @@ mod tests {
             }
         }
 
-        /// Few frames: sums of exponentials of many lose all digits of the early ones.
+        /// Few frames: over many, sums of exponentials lose the early terms.
         #[test]
-        fn the_log_form_is_what_a_scan_of_logarithms_gives(
+        fn the_log_form_equals_a_scan_of_logarithms(
             numbers in (1usize..=12).prop_flat_map(|frames| {
                 proptest::collection::vec((-4f32..4.0, -2f32..2.0), frames * ROWS * HIDDEN)
             }),

@@ -1,24 +1,14 @@
-//! The sparse grid in tensor operations: the plain form of what [`training`](super::training) has
-//! kernels for.
+//! The layers on the sparse grid in tensor operations; [`fused_layers`](super::fused_layers) has kernels for them.
 
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
 
-use super::grid::Ground;
+use super::grid_context::{GridContext, Table};
 use eddy_inference::{
     engine::scales::{FULL_MASS, MIN_MASS},
     kernels::nodes::{MISSING, Nodes},
 };
 
-/// Which nodes' rows a linear layer on the grid takes side by side.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Table {
-    /// The 3 x 3 around each node of a level.
-    Neighbours(usize),
-    /// The 2 x 2 below each node of a level, in the next finer one.
-    Children(usize),
-}
-
-/// `[M', C']` to `[M, C]`: rows of the table side by side times `weight`, `[k C', C]`, and `bias`, `[C]`.
+/// A convolution, `[M', C']` to `[M, C]`: the table's concatenated rows times `weight`, `[k C', C]`, plus `bias`, `[C]`.
 pub(crate) fn gathered(
     nodes: &Nodes,
     table: Table,
@@ -38,8 +28,8 @@ pub(crate) fn gathered(
     rows.reshape([table.len() * width / inputs, inputs]).matmul(weight) + bias.unsqueeze()
 }
 
-/// `[M', C']` of a level's parents to `[M, C]`: `weight`, `[C', 4 C]`, has a map for each child; `bias`,
-/// `[C]`.
+/// A transposed convolution from a level's parents, `[M', C']` to `[M, C]`: `weight`, `[C', 4 C]`, has a map per child;
+/// `bias` is `[C]`.
 pub(crate) fn spread(
     nodes: &Nodes,
     level: usize,
@@ -54,12 +44,12 @@ pub(crate) fn spread(
     children.select(0, indices(places, &device)) + bias.unsqueeze()
 }
 
-/// `[R, C]` to `[M0, C + 5]`: averages, mass, nearness of the walls.
-pub(crate) fn write(ground: &Ground, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
-    let nodes = &ground.nodes;
+/// `[R, C]` to `[M0, C + 5]`: averages, mass, proximity to walls.
+pub(crate) fn write(context: &GridContext, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+    let nodes = &context.nodes;
     let device = encoded.device();
     let ([rows, width], count) = (encoded.dims(), nodes.level(0).len());
-    let weights = weights(ground, position); // [R 9, 1]
+    let weights = weights(context, position); // [R 9, 1]
     let stencils = indices(stencils(nodes, rows).into_iter().flatten(), &device);
     let add = |values: Tensor<2>| {
         let [_, width] = values.dims();
@@ -68,17 +58,17 @@ pub(crate) fn write(ground: &Ground, encoded: Tensor<2>, position: Tensor<2>) ->
     };
     let nine = encoded.unsqueeze_dim::<3>(1).repeat(&[1, 9, 1]).reshape([rows * 9, width]);
     let (sum, mass) = (add(nine * weights.clone()), add(weights)); // [M0, C], [M0, 1]
-    let walls = ground.walls.as_flattened().to_vec();
+    let walls = context.walls.as_flattened().to_vec();
     let walls = Tensor::from_data(TensorData::new(walls, [count, 4]), &device);
     Tensor::cat(vec![sum / mass.clone().add_scalar(MIN_MASS), mass.div_scalar(FULL_MASS), walls], 1)
 }
 
-/// `[M0, C]` to `[R, C]`.
-pub(crate) fn read(ground: &Ground, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+/// Interpolation at the particles, `[M0, C]` to `[R, C]`.
+pub(crate) fn read(context: &GridContext, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
     let device = rows.device();
     let ([_, width], [particles, _]) = (rows.dims(), position.dims());
-    let stencils = indices(stencils(&ground.nodes, particles).into_iter().flatten(), &device);
-    let nine = rows.select(0, stencils) * weights(ground, position); // [R 9, C]
+    let stencils = indices(stencils(&context.nodes, particles).into_iter().flatten(), &device);
+    let nine = rows.select(0, stencils) * weights(context, position); // [R 9, C]
     nine.reshape([particles, 9, width]).sum_dim(1).reshape([particles, width])
 }
 
@@ -94,12 +84,12 @@ fn stencils(nodes: &Nodes, particles: usize) -> Vec<[u32; 9]> {
     stencils
 }
 
-/// Each particle's weights of its nine nodes, `[R 9, 1]`, with their slopes by the position.
-fn weights(ground: &Ground, position: Tensor<2>) -> Tensor<2> {
+/// Each particle's weights of its nine nodes, `[R 9, 1]`, differentiable by the position.
+fn weights(context: &GridContext, position: Tensor<2>) -> Tensor<2> {
     let device = position.device();
     let [rows, _] = position.dims();
-    let origin = Tensor::<1>::from_floats(ground.origin, &device).unsqueeze::<2>();
-    let place = (position - origin).div_scalar(ground.nodes.width()); // in cells
+    let origin = Tensor::<1>::from_floats(context.origin, &device).unsqueeze::<2>();
+    let place = (position - origin).div_scalar(context.nodes.width()); // in cells
     let base = place.clone().detach().sub_scalar(0.5).floor();
     let offset = place - base; // [R, 2], 0.5..1.5
     let three = [
@@ -115,7 +105,7 @@ fn weights(ground: &Ground, position: Tensor<2>) -> Tensor<2> {
     (columns * rows_of).reshape([rows * 9, 1])
 }
 
-/// Numbers of rows.
+/// Row indices as a tensor.
 pub(crate) fn indices(values: impl Iterator<Item = u32>, device: &Device) -> Tensor<1, Int> {
     let values: Vec<i32> = values.map(|value| value as i32).collect();
     let count = values.len();

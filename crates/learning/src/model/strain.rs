@@ -1,16 +1,16 @@
-//! The shape of solids, strain and bend, against the one they rest in: [`RestShape::shape`] over tensors.
+//! Strain and bend of solids relative to their rest shape: [`RestShape::shape`] over tensors.
 
 use std::sync::Arc;
 
 use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 
-use super::{fused, sparse::indices, training};
+use super::{fused, fused_layers, sparse::indices};
 use eddy_inference::kernels::rest_shape::{LIMIT, Link, RestShape, SCALE};
 
-/// Of particles at `position`, `[T R, 2]`, R of them at rest in `rest`, over T frames: `[T R, 5]`.
+/// The shape features, `[T R, 5]`, of R particles with the rest shape `rest` at `position` over T frames, `[T R, 2]`.
 pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<RestShape>) -> Tensor<2> {
     if fused::runs_on(&position.device()) {
-        return training::shape(rest.clone(), position.clone());
+        return fused_layers::shape(rest.clone(), position.clone());
     }
     let [count, _] = position.dims();
     let frames = count / rest.len().max(1);

@@ -6,10 +6,12 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    core::{LayerState, RecurrentLayer},
+    core::RecurrentLayer,
+    dropout::Dropout,
     frame_model::FrameModel,
     layers::Layers,
-    network::{Dropout, Hidden, Network},
+    network::Network,
+    state::{LayerState, ParticleState, RecurrentState, StaticInputs, TrajectoryBatch},
     *,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
@@ -27,12 +29,12 @@ const DT: f32 = 0.016;
 
 fn description(architecture: Architecture, core: Core) -> Description {
     let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
-    // So wide apart that all are neighbours.
+    // A spacing so large that all particles are neighbours.
     let grid = GridOptions { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
     Description {
         grid: particles.is_none().then_some(grid),
         materials: vec![Material::Liquid, Material::Jelly],
-        // The networks alone.
+        // No rules: the network alone.
         rules: Rules::default(),
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -4.0],
@@ -48,7 +50,7 @@ fn description(architecture: Architecture, core: Core) -> Description {
     }
 }
 
-/// Initial weights, but with a decoder that says something.
+/// Initial weights, but with a decoder that is not zero.
 fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut tensors = initial_weights(description, seed);
@@ -60,7 +62,7 @@ fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     tensors
 }
 
-/// Particles that jump about: no network can tell them from truth.
+/// Particles at random places in every frame.
 fn frames(count: u64) -> Vec<Frame> {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let mut pairs = |low: f32, high: f32| {
@@ -82,21 +84,22 @@ fn frames(count: u64) -> Vec<Frame> {
         .collect()
 }
 
-/// Windows that start with these frames, at rest there.
-fn matter(description: &Description, starts: &[Frame], device: &Device) -> Matter {
+/// The static inputs of windows that start with these frames, which have their rest shape.
+fn fixed(description: &Description, starts: &[Frame], device: &Device) -> StaticInputs {
     let material: Vec<_> = starts.iter().flat_map(|frame| frame.material.clone()).collect();
     let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
-    Matter::new(&material, &rest, starts.len(), description.grid.as_ref(), device)
+    StaticInputs::new(&material, &rest, starts.len(), description.grid.as_ref(), device)
 }
 
-fn track(frames: &[Frame], device: &Device) -> Track {
+fn trajectory(frames: &[Frame], device: &Device) -> TrajectoryBatch {
     let rows = |values: &[[f32; 2]]| {
         let data = TensorData::new(values.as_flattened().to_vec(), [values.len(), 2]);
         Tensor::<2>::from_data(data, device)
     };
-    let bodies =
-        frames.iter().map(|f| Bodies { position: rows(&f.position), velocity: rows(&f.velocity) });
-    Track::stack(bodies.collect())
+    let state = frames
+        .iter()
+        .map(|f| ParticleState { position: rows(&f.position), velocity: rows(&f.velocity) });
+    TrajectoryBatch::stack(state.collect())
 }
 
 fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
@@ -122,19 +125,19 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
             Checkpoint { tensors: weights(&description, 1), description: description.clone() };
         let device = DeviceKind::Flex.device();
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
-        let matter = matter(&description, &frames[..1], &device);
+        let fixed = fixed(&description, &frames[..1], &device);
         let none = &mut Dropout::none();
-        // In two parts, so that the carried state counts as well.
+        // In two parts, to include the carried state.
         let (start, rest) = frames.split_at(4);
         let (first, hidden) =
-            network.observe(&track(start, &device), &matter, Hidden::default(), none);
-        let (second, _) = network.observe(&track(rest, &device), &matter, hidden, none);
+            network.observe(&trajectory(start, &device), &fixed, RecurrentState::default(), none);
+        let (second, _) = network.observe(&trajectory(rest, &device), &fixed, hidden, none);
         let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
 
         let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
-        let mut memory = reference.start(&frames[0]);
+        let mut hidden = reference.start(&frames[0]);
         let streamed: Vec<Frame> =
-            frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
+            frames.iter().map(|frame| reference.step(&mut hidden, frame)).collect();
         let flat = |pick: fn(&Frame) -> &Vec<[f32; 2]>| -> Vec<f32> {
             streamed.iter().flat_map(|f| pick(f).as_flattened()).copied().collect()
         };
@@ -156,8 +159,8 @@ fn flex_and_ndarray_agree() {
         let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
         let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
             let reference = Reference::load(&checkpoint, device).unwrap();
-            let mut memory = reference.start(&frames[0]);
-            let last = frames.iter().map(|frame| reference.step(&mut memory, frame)).last();
+            let mut hidden = reference.start(&frames[0]);
+            let last = frames.iter().map(|frame| reference.step(&mut hidden, frame)).last();
             last.unwrap()
         });
         for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
@@ -167,7 +170,7 @@ fn flex_and_ndarray_agree() {
     }
 }
 
-/// Descriptions that together have every core, form, pooling, activation, scaling and kind of input.
+/// Descriptions that together cover every core, form, pooling, activation, normalisation and kind of input.
 fn every_option() -> Vec<Description> {
     let mut all: Vec<Description> =
         every_network().map(|(architecture, core)| description(architecture, core)).collect();
@@ -189,7 +192,7 @@ fn every_option() -> Vec<Description> {
         frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
         frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
     ]);
-    // So wide that threads share the work.
+    // Wide enough to use several threads.
     all.extend([Core::Lstm, Core::Gru, Core::MinLstm, Core::MinGru].map(|core| {
         frame(core, |d| d.sizes = Sizes { encoder: 40, hidden: 600, ..d.sizes.clone() })
     }));
@@ -201,27 +204,28 @@ fn every_option() -> Vec<Description> {
     all
 }
 
-/// Predictions over a warm-up and two free frames of three windows' particles, and the gradients of
-/// their weighted squares by every tensor.
+/// Predictions of three windows over a warm-up and two free frames, and the gradients of their weighted squares by every tensor.
 fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Vec<f32>> {
     let recorded = device.device().autodiff();
     let mut network = Network::new(description, &weights(description, 3), &recorded);
     let frames = frames(9);
-    let windows: Vec<Track> =
-        frames.chunks(3).map(|frames| track(frames, &device.device())).collect();
-    let side_by_side = |pick: fn(&Track) -> &Tensor<3>| {
-        Tensor::cat(windows.iter().map(|track| pick(track).clone()).collect(), 1)
+    let windows: Vec<TrajectoryBatch> =
+        frames.chunks(3).map(|frames| trajectory(frames, &device.device())).collect();
+    let side_by_side = |pick: fn(&TrajectoryBatch) -> &Tensor<3>| {
+        Tensor::cat(windows.iter().map(|trajectory| pick(trajectory).clone()).collect(), 1)
     };
-    let track =
-        Track { position: side_by_side(|t| &t.position), velocity: side_by_side(|t| &t.velocity) };
+    let trajectory = TrajectoryBatch {
+        position: side_by_side(|t| &t.position),
+        velocity: side_by_side(|t| &t.velocity),
+    };
     let starts: Vec<Frame> = frames.chunks(3).map(|frames| frames[0].clone()).collect();
-    let matter = matter(description, &starts, &device.device());
+    let fixed = fixed(description, &starts, &device.device());
     let none = &mut Dropout::none();
-    let (steps, hidden) = network.observe(&track, &matter, Hidden::default(), none);
-    let (next, hidden) = network.step(&steps.at(2), &matter, hidden, none);
-    let (after, _) = network.step(&next, &matter, hidden, none);
+    let (steps, hidden) = network.observe(&trajectory, &fixed, RecurrentState::default(), none);
+    let (next, hidden) = network.step(&steps.at(2), &fixed, hidden, none);
+    let (after, _) = network.step(&next, &fixed, hidden, none);
     let mut values = vec![numbers(&steps.position), numbers(&steps.velocity)];
-    values.extend([&next, &after].map(|bodies| numbers(&bodies.velocity)));
+    values.extend([&next, &after].map(|state| numbers(&state.velocity)));
     let loss = steps.velocity.square().sum()
         + next.position.square().sum()
         + after.velocity.square().sum().mul_scalar(0.5);
@@ -245,9 +249,8 @@ fn kernels_and_tensor_operations_give_the_same_values_and_gradients() {
     }
 }
 
-/// Outputs of a layer, its state after the last frame, and the gradients of a sum of their squares by
-/// the inputs, by the state before the first (learned, or carried from earlier frames) and by the
-/// weights.
+/// Outputs of a layer, its state after the last frame, and the gradients of the sum of their squares by the inputs, by the state
+/// before the first frame and by the weights.
 fn from_a_state(description: &Description, frames: usize, device: DeviceKind) -> Vec<Vec<f32>> {
     const ROWS: usize = 2;
     let recorded = device.device().autodiff();
@@ -283,7 +286,7 @@ fn from_a_state(description: &Description, frames: usize, device: DeviceKind) ->
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
     #[test]
-    fn layers_go_on_from_a_state_by_kernels_as_by_tensor_operations(
+    fn kernels_and_tensor_operations_continue_a_state_alike(
         frames in (0u32..=10).prop_flat_map(|power| (1usize << power) / 2 + 1..=1 << power),
     ) {
         let cores = every_option().into_iter().filter(|d| d.frame == FrameOptions::default());
@@ -307,9 +310,9 @@ fn an_untrained_particle_model_is_the_ballistic_step() {
     let checkpoint = Checkpoint { tensors: initial_weights(&description, 5), description };
     let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
     let frames = frames(3);
-    let mut memory = reference.start(&frames[0]);
+    let mut hidden = reference.start(&frames[0]);
     for frame in &frames {
-        let next = reference.step(&mut memory, frame);
+        let next = reference.step(&mut hidden, frame);
         let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
         Ballistic::new(&checkpoint.description).step_all(&mut position, &mut velocity);
         let found = [next.position.as_flattened(), next.velocity.as_flattened()].concat();
@@ -325,15 +328,15 @@ fn pooling_before_the_second_linear_is_exact() {
     let layers = Layers::new(&description, &weights(&description, 1), &device);
     let model = FrameModel::new(&description, layers.clone(), &device);
     let frame = &frames(1)[0];
-    let bodies = track(std::slice::from_ref(frame), &device).at(0);
-    let material = matter(&description, std::slice::from_ref(frame), &device).material;
+    let state = trajectory(std::slice::from_ref(frame), &device).at(0);
+    let material = fixed(&description, std::slice::from_ref(frame), &device).material;
 
-    // Table 1, to the letter: both layers for every particle, then the mean.
-    let points = model.scaling.frame(&description.frame, &bodies, material.clone());
+    // Table 1, literally: both layers for every particle, then the mean.
+    let points = model.scaling.frame(&description.frame, &state, material.clone());
     let points = elu(layers.encoder[0].forward(points), 1.0);
     let literal = layers.encoder[1].forward(points).mean_dim(0); // [1, H]
 
-    let pooled = model.encode(&bodies, &material);
+    let pooled = model.encode(&state, &material);
     assert!(largest_difference(&numbers(&pooled), &numbers(&literal)) <= 1e-6);
 }
 

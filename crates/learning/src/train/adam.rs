@@ -1,5 +1,5 @@
-//! Adam (Kingma and Ba 2015), one pass over the numbers of a tensor, and the running average of the
-//! weights (Polyak and Juditsky 1992) that is judged and kept in their place.
+//! Adam (Kingma and Ba 2015) in one pass over each tensor, and the running average of the weights (Polyak and Juditsky 1992)
+//! that is validated and saved instead of the weights.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -7,53 +7,53 @@ use rayon::prelude::*;
 use super::OptimizerConfig;
 use eddy_inference::kernels::vectors::zip;
 
-/// Numbers that a thread takes at once.
+/// Values per task.
 const CHUNK: usize = 1 << 16;
 
-/// Decay of the mean of gradients.
+/// Decay of the first moment.
 const BETA_1: f32 = 0.9;
-/// Decay of the mean of squared gradients.
+/// Decay of the second moment.
 const BETA_2: f32 = 0.999;
 
-/// What is remembered of the gradients of each tensor.
+/// The state of the optimizer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Adam {
-    /// Steps done.
+    /// Number of steps.
     pub(super) steps: u32,
-    /// By the tensor's number; empty before its first step.
+    /// Moments of each tensor; empty before its first step.
     pub(super) moments: Vec<Moments>,
 }
 
-/// Running means of a tensor's gradient, number by number.
+/// Running means of a tensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Moments {
-    /// Of the gradient.
+    /// First moment: of the gradient.
     pub(super) first: Vec<f32>,
-    /// Of its square.
+    /// Second moment: of the squared gradient.
     pub(super) second: Vec<f32>,
-    /// Of the tensor itself; empty where weights are not averaged.
+    /// Of the values; empty if weights are not averaged.
     pub(super) average: Vec<f32>,
 }
 
-/// One step for all tensors.
+/// A step for all tensors.
 pub(super) struct AdamStep<'a> {
     adam: &'a mut Adam,
-    /// Learning rate, corrected for the first moment's start from zero.
+    /// Learning rate with the bias correction of the first moment.
     rate: f32,
-    /// Square root of the second moment's correction.
+    /// Square root of the bias correction of the second moment.
     correction: f32,
     epsilon: f32,
     clip: f32,
-    /// What of the average stays.
+    /// Decay of the average.
     kept: f32,
-    /// Whether norms are computed although nothing is shortened.
+    /// Whether norms are computed even without clipping.
     measured: bool,
     /// Sum of the squared norms of the gradients so far.
     squares: f64,
 }
 
 impl Adam {
-    /// Begins a step.
+    /// Starts a step.
     pub(super) fn step(&mut self, rate: f64, config: &OptimizerConfig) -> AdamStep<'_> {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
@@ -63,7 +63,7 @@ impl Adam {
             correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
-            // The first averages are over few steps: the start is forgotten soon.
+            // A shorter average in the first steps, to forget the initial weights quickly.
             kept: config.average.min((1.0 + steps as f32) / (10.0 + steps as f32)),
             measured: false,
             squares: 0.0,
@@ -72,7 +72,7 @@ impl Adam {
 }
 
 impl AdamStep<'_> {
-    /// Changes one tensor. A gradient whose norm is above the limit is shortened to it.
+    /// Updates a tensor. A gradient whose norm exceeds the limit is clipped.
     pub(super) fn change(&mut self, tensor: usize, values: &mut [f32], gradient: &[f32]) {
         let moments = &mut self.adam.moments;
         if moments.len() <= tensor {
@@ -84,7 +84,7 @@ impl AdamStep<'_> {
         let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
         self.squares += f64::from(norm) * f64::from(norm);
         let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
-        let numbers = Numbers {
+        let constants = Constants {
             scale,
             rate: self.rate,
             inverse: 1.0 / self.correction,
@@ -95,7 +95,7 @@ impl AdamStep<'_> {
             .zip(gradient.par_chunks(CHUNK))
             .zip(first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK)))
             .for_each(|((values, gradient), (first, second))| {
-                Arch::new().dispatch(Change { numbers, values, gradient, first, second });
+                Arch::new().dispatch(Change { constants, values, gradient, first, second });
             });
         if self.kept > 0.0 {
             average.resize(values.len(), 0.0);
@@ -105,30 +105,30 @@ impl AdamStep<'_> {
         }
     }
 
-    /// The same step, with [`AdamStep::gradient_norm`] known whatever the limit is.
+    /// The same step, with [`AdamStep::gradient_norm`] computed even without clipping.
     pub(super) fn measured(self) -> Self {
         Self { measured: true, ..self }
     }
 
-    /// Norm of the gradient by all tensors changed so far, before any was shortened.
+    /// Norm of the gradient by all tensors updated so far, before clipping.
     pub(super) fn gradient_norm(&self) -> f64 {
         self.squares.sqrt()
     }
 }
 
-/// What is the same for all numbers of a tensor.
+/// The constants of a step for a tensor.
 #[derive(Clone, Copy)]
-struct Numbers {
-    /// What gradients are multiplied by.
+struct Constants {
+    /// Factor of the gradient.
     scale: f32,
     rate: f32,
-    /// By which the root of the second moment grows.
+    /// Factor of the square root of the second moment.
     inverse: f32,
     epsilon: f32,
 }
 
 struct Change<'a> {
-    numbers: Numbers,
+    constants: Constants,
     values: &'a mut [f32],
     gradient: &'a [f32],
     first: &'a mut [f32],
@@ -140,7 +140,7 @@ impl WithSimd for Change<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Numbers { scale, rate, inverse, epsilon } = self.numbers;
+        let Constants { scale, rate, inverse, epsilon } = self.constants;
         let [scale, rate, inverse, epsilon] =
             [scale, -rate, inverse, epsilon].map(|number| simd.splat_f32s(number));
         let (to_first, to_second) = (simd.splat_f32s(1.0 - BETA_1), simd.splat_f32s(1.0 - BETA_2));
@@ -156,15 +156,15 @@ impl WithSimd for Change<'_> {
                 let change = simd.sub_f32s(simd.mul_f32s(gradient, gradient), second);
                 let second = simd.mul_add_e_f32s(to_second, change, second);
                 let root = simd.sqrt_f32s(second);
-                let slope = simd.div_f32s(first, simd.mul_add_e_f32s(root, inverse, epsilon));
-                [simd.mul_add_e_f32s(rate, slope, value), first, second]
+                let direction = simd.div_f32s(first, simd.mul_add_e_f32s(root, inverse, epsilon));
+                [simd.mul_add_e_f32s(rate, direction, value), first, second]
             },
         );
     }
 }
 
 /// Euclidean norm. Summed chunk by chunk in a fixed order, so that the number of threads does not
-/// matter.
+/// fixed.
 fn norm(gradient: &[f32]) -> f32 {
     let sums: Vec<f64> = gradient
         .par_chunks(CHUNK)

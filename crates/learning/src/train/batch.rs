@@ -2,29 +2,28 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-use super::{weigh::Scale, window::Window};
-use crate::model::{Bodies, Matter, Track};
+use super::{loss_weights::LossScale, window::Window};
+use crate::model::state::{ParticleState, StaticInputs, TrajectoryBatch};
 use eddy_evaluation::dataset::State;
 use eddy_inference::checkpoint::GridOptions;
 
-/// A batch of B windows of N particles each; `R` = B N rows, window by window.
+/// A batch of B windows with N particles each: R = B N rows, window by window.
 pub(super) struct Batch {
-    /// Windows, materials, shapes at rest.
-    pub(super) matter: Matter,
-    /// The warm-up: W observed frames, `[W, R, 2]`.
-    pub(super) observed: Track,
+    pub(super) fixed: StaticInputs,
+    /// The W frames of the warm-up, `[W, R, 2]`.
+    pub(super) observed: TrajectoryBatch,
     /// The K frames to predict freely, `[K, R, 2]`.
-    pub(super) future: Track,
+    pub(super) future: TrajectoryBatch,
     /// Weights of squared position and velocity errors of the future, `[K, R, 2]`.
-    pub(super) weights: Track,
+    pub(super) weights: TrajectoryBatch,
 }
 
 impl Batch {
-    /// Puts windows of `warm_up` and further frames together.
+    /// A batch of windows whose first `warm_up` frames are observed.
     pub(super) fn new(
         windows: &[Window],
         warm_up: usize,
-        scale: &Scale,
+        scale: &LossScale,
         grid: Option<&GridOptions>,
         device: &Device,
     ) -> Self {
@@ -33,7 +32,7 @@ impl Batch {
         let unroll = windows[0].states.len() - warm_up;
         let weights: Vec<_> = windows.iter().map(|window| scale.weights(window, unroll)).collect();
         let rows: usize = windows.iter().map(|window| window.material.len()).sum();
-        // Windows hold their frames together; a batch holds the windows of a frame together.
+        // From window-major to frame-major order.
         let weight = |part: usize| {
             let mut values: Vec<f32> = Vec::with_capacity(unroll * rows * 2);
             for frame in 0..unroll {
@@ -44,33 +43,33 @@ impl Batch {
             }
             Tensor::from_data(TensorData::new(values, [unroll, rows, 2]), device)
         };
-        let track = |frames: std::ops::Range<usize>| {
-            let bodies = frames.map(|frame| {
+        let trajectory = |frames: std::ops::Range<usize>| {
+            let state = frames.map(|frame| {
                 let join = |pick: fn(&State) -> &Vec<[f32; 2]>| {
                     let values: Vec<f32> = windows
                         .iter()
-                        .flat_map(|window| pick(seen(window, frame, warm_up)).as_flattened())
+                        .flat_map(|window| pick(observed(window, frame, warm_up)).as_flattened())
                         .copied()
                         .collect();
                     Tensor::from_data(TensorData::new(values, [rows, 2]), device)
                 };
-                Bodies { position: join(|s| &s.position), velocity: join(|s| &s.velocity) }
+                ParticleState { position: join(|s| &s.position), velocity: join(|s| &s.velocity) }
             });
-            Track::stack(bodies.collect())
+            TrajectoryBatch::stack(state.collect())
         };
         Self {
-            matter: Matter::new(&material, &rest, windows.len(), grid, device),
-            observed: track(0..warm_up),
-            future: track(warm_up..warm_up + unroll),
-            weights: Track { position: weight(0), velocity: weight(1) },
+            fixed: StaticInputs::new(&material, &rest, windows.len(), grid, device),
+            observed: trajectory(0..warm_up),
+            future: trajectory(warm_up..warm_up + unroll),
+            weights: TrajectoryBatch { position: weight(0), velocity: weight(1) },
         }
     }
 }
 
-/// What the network sees of a window's frame.
-fn seen(window: &Window, frame: usize, warm_up: usize) -> &State {
-    match &window.disturbed {
-        Some(disturbed) if frame + 1 == warm_up => disturbed,
+/// The state that the network observes in a frame of a window.
+fn observed(window: &Window, frame: usize, warm_up: usize) -> &State {
+    match &window.noisy {
+        Some(noisy) if frame + 1 == warm_up => noisy,
         _ => &window.states[frame],
     }
 }

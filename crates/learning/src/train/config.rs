@@ -1,162 +1,160 @@
-//! Everything about a training run that can be chosen, with defaults for each architecture.
+//! The settings of a training run, with defaults for each architecture.
 
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
 use eddy_inference::checkpoint::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes};
 
-/// The largest width a checkpoint may have.
+/// Largest width in a checkpoint.
 const LARGEST_WIDTH: usize = 1 << 16;
 
-/// A training run.
+/// Settings of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Which network.
+    /// Architecture of the network.
     pub architecture: Architecture,
-    /// Which recurrent core.
+    /// Recurrent core.
     pub core: Core,
-    /// Seed of initial weights, of the order of the data, and of dropout.
+    /// Seed of the initial weights, the order of the data, and dropout.
     pub seed: u64,
-    /// Most epochs; one epoch is `windows.per_epoch` windows.
+    /// Maximum number of epochs; an epoch is `windows.per_epoch` windows.
     pub epochs: u32,
-    /// Epochs without a better validation loss after which training stops early; it never does before
-    /// the last stage of `unroll` has begun.
+    /// Number of epochs without a better validation loss after which training stops early, but not before the last stage of
+    /// `unroll` has begun.
     pub patience: u32,
-    /// Gravity of the data (domain lengths per second squared). Bags do not carry it.
+    /// Gravity in the data (domain lengths per second squared). Bags do not contain it.
     pub gravity: [f32; 2],
-    /// Free frames a window, by share of the run: later stages unroll further.
+    /// Number of freely predicted frames per window, by stages of the run: later stages unroll further.
     pub unroll: Vec<UnrollStage>,
-    /// Widths.
+    /// Layers of the network.
     pub network: NetworkConfig,
-    /// What a batch is made of.
+    /// Training windows.
     pub windows: WindowConfig,
-    /// What is minimised.
+    /// Loss.
     pub loss: LossConfig,
-    /// How it is minimised.
+    /// Optimizer.
     pub optimizer: OptimizerConfig,
-    /// What the best epoch is chosen by.
+    /// Validation, which selects the best epoch.
     pub validation: ValidationConfig,
 }
 
-/// A part of the run with one length of unroll.
+/// A part of the run with a constant length of unroll.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnrollStage {
-    /// Share of the run's iterations (any unit: shares are divided by their sum).
+    /// Share of the run's batches (shares are divided by their sum).
     pub share: f32,
     /// Frames the network predicts from its own output after the warm-up.
     pub frames: usize,
 }
 
-/// Widths of the network.
+/// Layers of the network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
-    /// Width of the pointwise encoder's first layer.
+    /// Width of the encoder's first layer.
     pub encoder: usize,
     /// Width of the hidden state.
     pub hidden: usize,
-    /// Recurrent layers.
+    /// Number of recurrent layers.
     pub layers: usize,
-    /// Share of the core's outputs dropped in training, after each layer (0 to below 1).
+    /// Dropout after each layer of the core in training (0 to below 1).
     pub dropout: f32,
     /// Form of the minimal recurrences.
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum.
     pub normalize_gates: bool,
-    /// Choices within the frame model.
+    /// Options of the frame model.
     pub frame: FrameOptions,
-    /// Particle model: width of a cell of its grid's finest level (domain lengths).
+    /// Particle model: cell width of the grid's finest level (domain lengths).
     pub cell_width: f32,
-    /// Particle model: channels of each level of its grid, the finest first.
+    /// Particle model: channels of each level of the grid, finest first.
     pub channels: [usize; 3],
 }
 
-/// What a batch is made of.
+/// Training windows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowConfig {
     /// Observed frames at the start of each window.
     pub warm_up: usize,
-    /// Windows a batch.
+    /// Windows per batch.
     pub batch: usize,
-    /// Windows an epoch.
+    /// Windows per epoch.
     pub per_epoch: usize,
-    /// What is done to the last observed frame.
+    /// Noise on the last observed frame.
     pub noise: NoiseConfig,
-    /// Whether every other window, by chance, is mirrored left to right. Right for data without a
-    /// preferred side: a symmetric box, no sideways gravity.
+    /// Whether to mirror a random half of the windows left to right: for data without a preferred side (a symmetric domain, no
+    /// sideways gravity).
     pub mirror: bool,
 }
 
-/// What an error is divided by before errors are summed.
+/// The normalisation of errors before they are summed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LossKind {
-    /// The range of the feature in the training split: the mean squared error of MinMax-scaled
-    /// features (the paper's eq. 2).
+    /// By the feature's range in the training split: the mean squared error of MinMax-scaled features (the paper's eq. 2).
     Mse,
-    /// The best trivial predictor's error of the same material and frame ahead; square root of the
-    /// sum for each window, since these sums are heavy-tailed.
+    /// By the best trivial predictor's error for the same material and number of frames ahead; the square root of the sum for
+    /// each window, since these sums are heavy-tailed.
     Relative,
 }
 
-/// What is minimised.
+/// The loss.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LossConfig {
-    /// What errors are divided by.
+    /// Normalisation of errors.
     pub kind: LossKind,
     /// Weight of position errors.
     pub position_weight: f32,
     /// Weight of velocity errors.
     pub velocity_weight: f32,
-    /// Weight of the one-step predictions during the warm-up, relative to the unroll's.
+    /// Weight of one-step predictions during the warm-up, relative to those of the unroll.
     pub observed_weight: f32,
-    /// Relative loss: share of the error over all windows in the divisor; the rest is the window's
-    /// own. 1 weighs windows as their errors are, 0 weighs all windows alike.
+    /// Relative loss: exponent of the error over all windows in the divisor; the rest is the error of the window. With 1,
+    /// windows count by their errors; with 0, all windows count alike.
     pub common_share: f32,
-    /// Weight of the density maps' mean squared error (1 = all particles spread evenly).
+    /// Weight of the mean squared error of density maps (whose mean is 1).
     pub density_weight: f32,
-    /// Nodes of the density map along an axis.
+    /// Nodes of the density maps along an axis.
     pub density_grid: usize,
 }
 
-/// What becomes of the learning rate over the run.
+/// The schedule of the learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Schedule {
-    /// It falls to its final share along half a cosine (Loshchilov and Hutter 2017, without restarts).
+    /// Decreases to the final share along half a cosine (Loshchilov and Hutter 2017, without restarts).
     Cosine,
-    /// It stays as it is, the paper's.
+    /// Constant, as in the paper.
     Constant,
 }
 
-/// Adam.
+/// The optimizer, Adam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerConfig {
-    /// The largest learning rate.
+    /// Largest learning rate.
     pub learning_rate: f64,
-    /// Share of the run in which the learning rate rises evenly from 0 to its largest, 0 to below 1.
+    /// Share of the run during which the learning rate increases linearly from 0 to its largest value, 0 to below 1.
     pub warm_up: f64,
-    /// How the learning rate goes on from there.
+    /// Schedule of the learning rate after that.
     pub schedule: Schedule,
-    /// Learning rate at the end of a falling schedule, as a share of the largest.
+    /// Learning rate at the end of a decreasing schedule, relative to the largest.
     pub final_share: f64,
-    /// Largest norm of a tensor's gradient; longer ones are shortened to it, tensor by tensor. `inf`
-    /// leaves all as they are.
+    /// Largest norm of a tensor's gradient; each tensor's gradient is clipped to it. `inf` switches clipping off.
     pub clip: f32,
-    /// Keeps a step finite where gradients vanish.
+    /// Adam's epsilon, which keeps steps finite where gradients vanish.
     pub epsilon: f32,
-    /// Share of the running average of the weights that a step leaves, 0 to below 1. The average is
-    /// what is judged and saved; with 0, that is the weights themselves.
+    /// Decay of the running average of the weights, 0 to below 1. The average is validated and saved; with 0, that is the
+    /// weights themselves.
     pub average: f32,
 }
 
-/// What particles of the last observed frame are moved by, so that a network learns to correct what a
-/// rollout gets wrong (Sanchez-Gonzalez et al. 2020).
+/// Noise on the particles of the last observed frame, from which a network learns to correct the errors of a rollout
+/// (Sanchez-Gonzalez et al. 2020).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseConfig {
@@ -164,22 +162,22 @@ pub struct NoiseConfig {
     pub position: f32,
     /// Standard deviation of velocities (domain lengths per second).
     pub velocity: f32,
-    /// Share of the windows that have any, 0 to 1.
+    /// Share of the windows with noise, 0 to 1.
     pub share: f32,
 }
 
-/// What the best epoch is chosen by.
+/// Validation by free rollouts, which selects the best epoch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ValidationConfig {
     /// Length of the free rollouts (frames).
     pub horizon: usize,
-    /// Rollouts a validation stream.
+    /// Rollouts per validation stream.
     pub starts: usize,
 }
 
 impl NetworkConfig {
-    /// Two layers without dropout; everything else by default.
+    /// Two layers without dropout, other options by default.
     fn of_widths(encoder: usize, hidden: usize) -> Self {
         Self {
             encoder,
@@ -196,7 +194,7 @@ impl NetworkConfig {
 }
 
 impl TrainConfig {
-    /// The defaults for a network.
+    /// The defaults of an architecture.
     pub fn defaults(architecture: Architecture) -> Self {
         match architecture {
             Architecture::Particle => Self::particle(),
@@ -204,7 +202,7 @@ impl TrainConfig {
         }
     }
 
-    /// `docs/src/background/particle_model.md` says what was tried.
+    /// `docs/src/background/particle_model.md` describes the alternatives.
     fn particle() -> Self {
         let stage = |share, frames| UnrollStage { share, frames };
         Self {
@@ -245,8 +243,8 @@ impl TrainConfig {
         }
     }
 
-    /// The paper's widths, window and learning rate. Sixteen windows of 2,500 particles take about
-    /// half a second on two cores, hence the short epoch.
+    /// The paper's widths, window and learning rate. A batch of sixteen windows of 2,500 particles takes about half a second on
+    /// two cores, hence the short epoch.
     fn frame() -> Self {
         Self {
             architecture: Architecture::Frame,
@@ -286,7 +284,7 @@ impl TrainConfig {
         }
     }
 
-    /// Widths of the layers for streams of `particles` particles.
+    /// Sizes of the layers for streams of `particles` particles.
     pub fn sizes(&self, particles: usize) -> Sizes {
         Sizes {
             encoder: self.network.encoder,
@@ -296,7 +294,7 @@ impl TrainConfig {
         }
     }
 
-    /// What the particle model sees of the grid of particles that are `spacing` apart.
+    /// The particle model's grid for particles with this spacing (domain lengths).
     pub fn grid(&self, spacing: f32) -> Option<GridOptions> {
         let NetworkConfig { cell_width, channels, .. } = self.network;
         (self.architecture == Architecture::Particle).then_some(GridOptions {
@@ -306,141 +304,126 @@ impl TrainConfig {
         })
     }
 
-    /// Batches an epoch.
+    /// Batches per epoch.
     pub fn batches(&self) -> usize {
         self.windows.per_epoch.div_ceil(self.windows.batch.max(1))
     }
 
-    /// Checks the numbers.
+    /// Checks the values.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] for the first number that is out of its range.
+    /// [`TrainError::Setting`] for the first value that is out of its range.
     pub fn check(&self) -> Result<(), TrainError> {
-        let at_least_one = [
-            ("epochs", self.epochs as usize),
-            ("network.encoder", self.network.encoder),
-            ("network.hidden", self.network.hidden),
-            ("network.layers", self.network.layers),
-            ("windows.warm_up", self.windows.warm_up),
-            ("windows.batch", self.windows.batch),
-            ("windows.per_epoch", self.windows.per_epoch),
-            ("validation.horizon", self.validation.horizon),
-            ("validation.starts", self.validation.starts),
-            ("unroll", self.unroll.len()),
-            ("unroll.frames", self.unroll.iter().map(|stage| stage.frames).min().unwrap_or(1)),
-        ];
-        for (field, found) in at_least_one {
-            if found == 0 {
-                return Err(setting(field, "0", "at least 1"));
-            }
+        let Self { windows, loss, optimizer, validation, unroll, .. } = self;
+        let largest_seed = "at most 9223372036854775807, TOML's largest";
+        require("seed", self.seed, i64::try_from(self.seed).is_ok(), largest_seed)?;
+        at_least_one("epochs", self.epochs as usize)?;
+        at_least_one("windows.warm_up", windows.warm_up)?;
+        at_least_one("windows.batch", windows.batch)?;
+        at_least_one("windows.per_epoch", windows.per_epoch)?;
+        at_least_one("validation.horizon", validation.horizon)?;
+        at_least_one("validation.starts", validation.starts)?;
+        at_least_one("unroll", unroll.len())?;
+        for stage in unroll {
+            at_least_one("unroll.frames", stage.frames)?;
+            positive("unroll.share", stage.share)?;
         }
-        if i64::try_from(self.seed).is_err() {
-            return Err(setting("seed", self.seed, "at most 9223372036854775807, TOML's largest"));
+        let finite = self.gravity.iter().all(|g| g.is_finite());
+        require("gravity", format!("{:?}", self.gravity), finite, "finite numbers")?;
+        not_negative("windows.noise.position", windows.noise.position)?;
+        not_negative("windows.noise.velocity", windows.noise.velocity)?;
+        share("windows.noise.share", windows.noise.share)?;
+        self.check_network()?;
+        loss.check()?;
+        optimizer.check()
+    }
+
+    fn check_network(&self) -> Result<(), TrainError> {
+        let NetworkConfig { encoder, hidden, layers, dropout, form, channels, .. } = self.network;
+        let widths =
+            [("network.encoder", encoder), ("network.hidden", hidden), ("network.layers", layers)];
+        for (field, width) in widths {
+            at_least_one(field, width)?;
+            require(field, width, width <= LARGEST_WIDTH, "at most 65536")?;
         }
-        let loss = &self.loss;
-        let not_negative = [
-            ("loss.position_weight", loss.position_weight),
-            ("loss.velocity_weight", loss.velocity_weight),
-            ("loss.observed_weight", loss.observed_weight),
-            ("loss.density_weight", loss.density_weight),
-        ];
-        for (field, found) in not_negative {
-            if !(found.is_finite() && found >= 0.0) {
-                return Err(setting(field, found, "a number from 0"));
-            }
-        }
-        let shares = self.unroll.iter().map(|stage| stage.share);
-        if let Some(found) = shares.clone().find(|share| !(share.is_finite() && *share > 0.0)) {
-            return Err(setting("unroll.share", found, "a positive number"));
-        }
-        if loss.position_weight + loss.velocity_weight == 0.0 {
-            let field = "loss.position_weight, loss.velocity_weight";
-            return Err(setting(field, "0, 0", "at least one above 0"));
-        }
-        if loss.density_weight > 0.0 && loss.density_grid < 2 {
-            return Err(setting("loss.density_grid", loss.density_grid, "at least 2"));
-        }
-        if !(0.0..=1.0).contains(&loss.common_share) {
-            return Err(setting("loss.common_share", loss.common_share, "0 to 1"));
-        }
-        if !(0.0..1.0).contains(&self.network.dropout) {
-            return Err(setting("network.dropout", self.network.dropout, "0 to below 1"));
-        }
-        let rate = self.optimizer.learning_rate;
-        if !(rate.is_finite() && rate > 0.0) {
-            return Err(setting("optimizer.learning_rate", rate, "a positive number"));
-        }
-        if !(0.0..=1.0).contains(&self.optimizer.final_share) {
-            return Err(setting("optimizer.final_share", self.optimizer.final_share, "0 to 1"));
-        }
-        let warm_up = self.optimizer.warm_up;
-        if !(0.0..1.0).contains(&warm_up) {
-            return Err(setting("optimizer.warm_up", warm_up, "0 to below 1"));
-        }
-        let average = self.optimizer.average;
-        if !(0.0..1.0).contains(&average) {
-            return Err(setting("optimizer.average", average, "0 to below 1"));
-        }
-        let NoiseConfig { position, velocity, share } = self.windows.noise;
-        for (field, found) in
-            [("windows.noise.position", position), ("windows.noise.velocity", velocity)]
-        {
-            if !(found.is_finite() && found >= 0.0) {
-                return Err(setting(field, found, "a number from 0"));
-            }
-        }
-        if !(0.0..=1.0).contains(&share) {
-            return Err(setting("windows.noise.share", share, "0 to 1"));
-        }
-        let cell_width = self.network.cell_width;
-        if !(cell_width.is_finite() && cell_width > 0.0) {
-            return Err(setting("network.cell_width", cell_width, "a positive number"));
-        }
-        if self.network.channels.iter().any(|channels| !(1..=4096).contains(channels)) {
-            let found = format!("{:?}", self.network.channels);
-            return Err(setting("network.channels", found, "1 to 4096 each"));
-        }
-        let epsilon = self.optimizer.epsilon;
-        if !(epsilon.is_finite() && epsilon > 0.0) {
-            return Err(setting("optimizer.epsilon", epsilon, "a positive number"));
-        }
-        if self.architecture == Architecture::Particle
-            && self.network.frame != FrameOptions::default()
-        {
-            let found = format!("{:?}", self.network.frame);
-            return Err(setting("network.frame", found, "nothing for the particle model"));
-        }
-        if self.network.form == Form::Log && !matches!(self.core, Core::MinGru | Core::MinLstm) {
-            return Err(setting("network.form", "log", "plain: only minGRU and minLSTM have both"));
-        }
-        if !self.network.normalize_gates && self.core != Core::MinLstm {
-            let expected = "true: only minLSTM has gates to divide by their sum";
-            return Err(setting("network.normalize_gates", "false", expected));
-        }
-        let clip = self.optimizer.clip;
-        if clip.is_nan() || clip <= 0.0 {
-            return Err(setting("optimizer.clip", clip, "a positive number"));
-        }
-        if !self.gravity.iter().all(|g| g.is_finite()) {
-            return Err(setting("gravity", format!("{:?}", self.gravity), "finite numbers"));
-        }
-        for (field, found) in [
-            ("network.encoder", self.network.encoder),
-            ("network.hidden", self.network.hidden),
-            ("network.layers", self.network.layers),
-        ] {
-            if found > LARGEST_WIDTH {
-                return Err(setting(field, found, "at most 65536"));
-            }
-        }
-        Ok(())
+        below_one("network.dropout", dropout)?;
+        positive("network.cell_width", self.network.cell_width)?;
+        let valid = channels.iter().all(|channels| (1..=4096).contains(channels));
+        require("network.channels", format!("{channels:?}"), valid, "1 to 4096 each")?;
+        let (frame, default) = (self.network.frame, FrameOptions::default());
+        let valid = self.architecture == Architecture::Frame || frame == default;
+        require("network.frame", format!("{frame:?}"), valid, "nothing for the particle model")?;
+        let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
+        require("network.form", "log", valid, "plain: only minGRU and minLSTM have both")?;
+        let valid = self.network.normalize_gates || self.core == Core::MinLstm;
+        let expected = "true: only minLSTM has gates to divide by their sum";
+        require("network.normalize_gates", "false", valid, expected)
     }
 }
 
-pub(super) fn setting(
+impl LossConfig {
+    fn check(&self) -> Result<(), TrainError> {
+        not_negative("loss.position_weight", self.position_weight)?;
+        not_negative("loss.velocity_weight", self.velocity_weight)?;
+        not_negative("loss.observed_weight", self.observed_weight)?;
+        not_negative("loss.density_weight", self.density_weight)?;
+        let field = "loss.position_weight, loss.velocity_weight";
+        let valid = self.position_weight + self.velocity_weight > 0.0;
+        require(field, "0, 0", valid, "at least one above 0")?;
+        let valid = self.density_weight == 0.0 || self.density_grid >= 2;
+        require("loss.density_grid", self.density_grid, valid, "at least 2")?;
+        share("loss.common_share", self.common_share)
+    }
+}
+
+impl OptimizerConfig {
+    fn check(&self) -> Result<(), TrainError> {
+        positive("optimizer.learning_rate", self.learning_rate)?;
+        share("optimizer.final_share", self.final_share)?;
+        below_one("optimizer.warm_up", self.warm_up)?;
+        below_one("optimizer.average", self.average)?;
+        positive("optimizer.epsilon", self.epsilon)?;
+        // Infinity switches clipping off.
+        require("optimizer.clip", self.clip, self.clip > 0.0, "a positive number")
+    }
+}
+
+fn require(
     field: &'static str,
     found: impl ToString,
+    valid: bool,
     expected: &'static str,
-) -> TrainError {
+) -> Result<(), TrainError> {
+    if valid { Ok(()) } else { Err(setting(field, found, expected)) }
+}
+
+pub(super) fn at_least_one(field: &'static str, found: usize) -> Result<(), TrainError> {
+    require(field, found, found >= 1, "at least 1")
+}
+
+fn not_negative(field: &'static str, found: f32) -> Result<(), TrainError> {
+    require(field, found, found.is_finite() && found >= 0.0, "a number from 0")
+}
+
+pub(super) fn positive<T: Into<f64> + ToString + Copy>(
+    field: &'static str,
+    found: T,
+) -> Result<(), TrainError> {
+    let number = found.into();
+    require(field, found, number.is_finite() && number > 0.0, "a positive number")
+}
+
+fn share<T: Into<f64> + ToString + Copy>(field: &'static str, found: T) -> Result<(), TrainError> {
+    require(field, found, (0.0..=1.0).contains(&found.into()), "0 to 1")
+}
+
+fn below_one<T: Into<f64> + ToString + Copy>(
+    field: &'static str,
+    found: T,
+) -> Result<(), TrainError> {
+    require(field, found, (0.0..1.0).contains(&found.into()), "0 to below 1")
+}
+
+fn setting(field: &'static str, found: impl ToString, expected: &'static str) -> TrainError {
     TrainError::Setting { field, found: found.to_string(), expected }
 }

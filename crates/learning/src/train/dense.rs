@@ -1,6 +1,5 @@
-//! The network of the paper's experiment with activations (supplement B, Fig. 5): dense layers that predict the
-//! next frame from one. Every particle's features are inputs and outputs of their own: there is no pooling,
-//! no recurrence and no base step.
+//! The network of the paper's comparison of activations (supplement B, Fig. 5): dense layers that predict the next frame from
+//! one frame. Each feature of each particle is a separate input and output: no pooling, no recurrence, no ballistic step.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
@@ -10,92 +9,85 @@ use serde::{Deserialize, Serialize};
 use super::{
     NoiseConfig, OptimizerConfig, TrainConfig, TrainError, WindowConfig,
     adam::{Adam, AdamStep},
-    no_constant_feature, same_particles, setting,
-    window::{Sampler, Window},
+    config::{at_least_one, positive},
+    description::{no_constant_feature, same_particles},
+    window::{self, Sampler, Window},
 };
-use crate::model::{DeviceKind, layers::Linear, mlp::activate};
+use crate::model::{DeviceKind, linear::Linear, mlp::activate};
 use eddy_evaluation::dataset::{Dataset, State};
 use eddy_inference::checkpoint::{Activation, Architecture, Normalization};
 
-/// Pairs of frames that the validation loss is computed over.
+/// Pairs of frames for the validation loss.
 const VALIDATION_PAIRS: usize = 512;
-/// What draws them.
+/// Seed that draws them.
 const VALIDATION_SEED: u64 = 0;
 
-/// How the networks are trained.
+/// Settings of the networks and their training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DenseConfig {
-    /// Layers with an activation behind them; the output layer comes after them.
+    /// Number of layers with activation, before the output layer.
     pub layers: usize,
-    /// Width of each.
+    /// Width of each of them.
     pub width: usize,
-    /// Epochs.
+    /// Number of epochs.
     pub epochs: u32,
-    /// Pairs of frames an epoch.
+    /// Pairs of frames per epoch.
     pub per_epoch: usize,
-    /// Pairs of frames a batch.
+    /// Pairs of frames per batch.
     pub batch: usize,
-    /// Learning rate of Adam; it stays as it is.
+    /// Constant learning rate of Adam.
     pub learning_rate: f64,
 }
 
-/// What an epoch came to.
+/// The losses of an epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DenseEpoch {
-    /// The epoch, from 1.
+    /// Number of the epoch, from 1.
     pub epoch: u32,
     /// Mean squared error of the MinMax-scaled features x, y, vx, vy over the epoch's batches.
     pub training_loss: f64,
-    /// The same over pairs of frames of the validation streams, after the epoch.
+    /// The same after the epoch, over pairs of frames of the validation streams.
     pub validation_loss: f64,
 }
 
 /// A learning curve.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DenseCurve {
-    /// The validation loss of who says that the next frame is the last one.
+    /// Validation loss of predicting the last frame again.
     pub persistence: f64,
-    /// The validation loss of who says the mean of every particle's features over the training part.
+    /// Validation loss of predicting the mean of each feature over the training split.
     pub mean: f64,
-    /// Every epoch.
+    /// All epochs.
     pub epochs: Vec<DenseEpoch>,
 }
 
 impl DenseConfig {
-    /// The paper's network and learning rate, for so many epochs of so many pairs of frames.
+    /// The paper's network and learning rate.
     pub fn paper(epochs: u32, per_epoch: usize) -> Self {
         Self { layers: 3, width: 200, epochs, per_epoch, batch: 192, learning_rate: 1e-3 }
     }
 
-    /// Checks the numbers.
+    /// Checks the values.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] for the first number that is out of its range.
+    /// [`TrainError::Setting`] for the first value that is out of its range.
     pub fn check(&self) -> Result<(), TrainError> {
-        let numbers = [
-            ("dense.layers", self.layers),
-            ("dense.width", self.width),
-            ("dense.epochs", self.epochs as usize),
-            ("dense.per_epoch", self.per_epoch),
-            ("dense.batch", self.batch),
-        ];
-        if let Some((field, _)) = numbers.into_iter().find(|&(_, number)| number == 0) {
-            return Err(setting(field, "0", "at least 1"));
-        }
-        if !(self.learning_rate.is_finite() && self.learning_rate > 0.0) {
-            return Err(setting("dense.learning_rate", self.learning_rate, "a positive number"));
-        }
-        Ok(())
+        at_least_one("dense.layers", self.layers)?;
+        at_least_one("dense.width", self.width)?;
+        at_least_one("dense.epochs", self.epochs as usize)?;
+        at_least_one("dense.per_epoch", self.per_epoch)?;
+        at_least_one("dense.batch", self.batch)?;
+        positive("dense.learning_rate", self.learning_rate)
     }
 }
 
-/// Trains the network with one activation, on burn-flex. The same arguments give the same curve. Nothing when it
-/// was `interrupted`, which is asked before every batch.
+/// Trains the network with one activation, on burn-flex. The same arguments give the same curve. Returns none if
+/// `interrupted`, which is called before every batch, returns true.
 ///
 /// # Errors
-/// [`TrainError`]: settings out of range, streams of different numbers of particles or too short, a loss that is
-/// not finite.
+/// [`TrainError`]: settings out of range, streams that differ in the number of particles or are too short, a loss that is not
+/// finite.
 pub fn train_dense(
     config: &DenseConfig,
     activation: Activation,
@@ -114,7 +106,7 @@ pub fn train_dense(
 
     let plain = DeviceKind::Flex.device();
     let scale = Scaling::new(&dataset.normalization);
-    let [shown, wanted] = scale.frames(&validation, &plain);
+    let validation = scale.frames(&validation, &plain);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let features = FEATURES * particles;
     let mut network =
@@ -126,8 +118,12 @@ pub fn train_dense(
     };
     let batches = config.per_epoch.div_ceil(config.batch);
     let mut curve = DenseCurve {
-        persistence: f64::from(error(shown.clone(), wanted.clone()).into_scalar::<f32>()),
-        mean: f64::from(error(scale.mean(&wanted), wanted.clone()).into_scalar::<f32>()),
+        persistence: f64::from(
+            error(validation[0].clone(), validation[1].clone()).into_scalar::<f32>(),
+        ),
+        mean: f64::from(
+            error(scale.mean(&validation[1]), validation[1].clone()).into_scalar::<f32>(),
+        ),
         epochs: Vec::new(),
     };
     for epoch in 1..=config.epochs {
@@ -143,15 +139,16 @@ pub fn train_dense(
                 error(network.forward(Tensor::from_inner(input)), Tensor::from_inner(target));
             let found: f32 = loss.clone().inner().into_scalar();
             if !found.is_finite() {
-                let windows = super::names(&windows);
+                let windows = window::names(&windows);
                 return Err(TrainError::NotFinite { epoch, batch, windows, found });
             }
             let mut step = adam.step(config.learning_rate, &optimizer);
             network.update(&mut loss.backward(), &mut step);
             losses += f64::from(found);
         }
-        let predicted = network.forward(Tensor::from_inner(shown.clone())).inner();
-        let validation_loss = f64::from(error(predicted, wanted.clone()).into_scalar::<f32>());
+        let predicted = network.forward(Tensor::from_inner(validation[0].clone())).inner();
+        let validation_loss =
+            f64::from(error(predicted, validation[1].clone()).into_scalar::<f32>());
         let training_loss = losses / batches as f64;
         curve.epochs.push(DenseEpoch { epoch, training_loss, validation_loss });
     }
@@ -161,7 +158,7 @@ pub fn train_dense(
 /// Features of a particle: x, y, vx, vy.
 const FEATURES: usize = 4;
 
-/// Windows of a frame and the one after it, as they are.
+/// Windows of two consecutive frames, without noise and mirroring.
 fn pairs(config: &DenseConfig) -> WindowConfig {
     WindowConfig {
         warm_up: 1,
@@ -177,7 +174,7 @@ fn error(predicted: Tensor<2>, truth: Tensor<2>) -> Tensor<1> {
     (predicted - truth).square().mean()
 }
 
-/// Features to 0..1 by their range in the training part.
+/// Normalisation of features to 0..1 by their range in the training split.
 struct Scaling {
     minimum: [f32; FEATURES],
     inverse_range: [f32; FEATURES],
@@ -210,7 +207,7 @@ impl Scaling {
         })
     }
 
-    /// Frames of particles that all have mean features, as many as `like`.
+    /// Frames with mean features for all particles, of the shape of `like`.
     fn mean(&self, like: &Tensor<2>) -> Tensor<2> {
         let [rows, width] = like.dims();
         let values: Vec<f32> = self.mean.iter().copied().cycle().take(rows * width).collect();
@@ -225,7 +222,7 @@ struct Dense {
 }
 
 impl Dense {
-    /// Weights and biases uniform in +-1 / sqrt(in), as PyTorch's layers have them.
+    /// Weights and biases uniform in +-1 / sqrt(in), as in PyTorch's layers.
     fn new(
         config: &DenseConfig,
         activation: Activation,

@@ -1,15 +1,15 @@
-//! Density maps: where the particles are, whichever they are.
+//! Density maps: the distribution of particles regardless of their identity.
 
 use burn::tensor::{Tensor, activation::relu};
 
 use eddy_frames::Domain;
 
-/// Spreads each particle bilinearly over the four nearest nodes of a `grid` x `grid` lattice over the
-/// domain (its outermost nodes on the walls). Positions are `[T, R, 2]`; gives `[T B, G, G]`, y first, in
-/// units of particles spread evenly over the nodes.
+/// Distributes each particle bilinearly over the four nearest nodes of a `grid` x `grid` lattice over the domain, whose
+/// outermost nodes are on the boundary. Positions are `[T, R, 2]`; returns `[T B, G, G]`, y first, relative to a uniform
+/// distribution.
 ///
-/// The bilinear weight of node i is hat(x - i) along each axis, so that the map of a window is a
-/// product of two matrices, sum_p hat(y_p - j) hat(x_p - i).
+/// The weight of node i is hat(x - i) along each axis, so that the map of a window is the product of two matrices,
+/// sum_p hat(y_p - j) hat(x_p - i).
 pub(super) fn density_maps(
     position: Tensor<3>,
     windows: usize,
@@ -50,7 +50,7 @@ mod tests {
         Tensor::from_data(TensorData::new(values.to_vec(), [1, 6, 2]), device)
     }
 
-    /// A sum in which every node counts differently.
+    /// A sum with a different weight for each node.
     fn weighted(maps: Tensor<3>) -> Tensor<1> {
         let device = maps.device();
         let weights: Vec<f32> =
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn every_particle_is_deposited_whole() {
+    fn the_mass_of_a_map_is_the_number_of_particles() {
         let maps = density_maps(positions(&POSITIONS, &Device::flex()), 2, GRID, Domain::UNIT);
         let masses: Vec<f32> = maps.sum_dim(2).sum_dim(1).into_data().try_to_vec().unwrap();
         for mass in masses {
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_is_that_of_finite_differences() {
+    fn the_gradient_equals_finite_differences() {
         let device = Device::flex().autodiff();
         let leaf = positions(&POSITIONS, &device).require_grad();
         let gradients = weighted(density_maps(leaf.clone(), 2, GRID, Domain::UNIT)).backward();

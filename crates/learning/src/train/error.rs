@@ -1,4 +1,4 @@
-//! Why a network cannot be trained.
+//! Why a network cannot be trained, or training cannot continue.
 
 use std::{io, path::PathBuf};
 
@@ -7,20 +7,20 @@ use indicatif::HumanBytes;
 use eddy_evaluation::{EvalError, dataset::DatasetError};
 use eddy_inference::{checkpoint::CheckpointError, engine::ModelError};
 
-/// Why a network cannot be trained, or not any further.
+/// Why a network cannot be trained, or training cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// A setting is out of its range.
+    /// A setting is out of range.
     #[error("{field}: found {found}, expected {expected}")]
     Setting {
         /// The setting's name in the file.
         field: &'static str,
         /// Its value.
         found: String,
-        /// What it should be.
+        /// The expected value.
         expected: &'static str,
     },
-    /// There is no training stream with a whole window.
+    /// All training streams are shorter than a window.
     #[error(
         "training streams: the longest has {found} frames, expected at least {expected}: {warm_up} observed and {unroll} predicted"
     )]
@@ -34,7 +34,7 @@ pub enum TrainError {
         /// Predicted frames of a window.
         unroll: usize,
     },
-    /// A feature is the same for all particles at all times: there is no scale to divide it by.
+    /// A feature is constant and cannot be normalised.
     #[error(
         "training streams: {feature}: found {found} everywhere, expected at least two different values"
     )]
@@ -44,9 +44,9 @@ pub enum TrainError {
         /// Its value.
         found: f32,
     },
-    /// The frame model needs the same number of particles everywhere.
+    /// Streams differ in the number of particles, which the frame model does not support.
     #[error(
-        "{}: stream {stream}: particles: found {found}, expected {expected} as in the first stream (the frame model takes one number only)",
+        "{}: stream {stream}: particles: found {found}, expected {expected} as in the first stream (the frame model needs the same number everywhere)",
         source_file.display()
     )]
     Particles {
@@ -59,7 +59,7 @@ pub enum TrainError {
         /// Particles of the first stream.
         expected: usize,
     },
-    /// The loss is no number any more; the best checkpoint so far is kept.
+    /// The loss is not finite; the best checkpoint so far is kept.
     #[error(
         "epoch {epoch}, batch {batch} (windows {windows}): loss: found {found}, expected a finite number"
     )]
@@ -73,75 +73,75 @@ pub enum TrainError {
         /// The loss.
         found: f32,
     },
-    /// The validation streams do not fit.
+    /// The validation streams cannot be used.
     #[error("validation: {0}")]
     Validation(EvalError),
-    /// The network does not fit its own description.
+    /// The network does not match its description.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The checkpoint cannot be written.
+    /// A checkpoint cannot be read or written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// Frames on disk cannot be read again.
+    /// Frames cannot be read from disk.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A file of the run cannot be read or written, or the folder for it cannot be made.
+    /// A file of the run cannot be read or written, or its folder cannot be created.
     #[error("{}: {reason}", file.display())]
     File {
         /// The file or folder.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error.
         reason: io::Error,
     },
-    /// There is a run already, and nobody asked to go on with it.
+    /// The output contains a run, and resuming was not requested.
     #[error(
-        "{}: found {found}, expected a folder without a run (--resume goes on with the run that is there)",
+        "{}: found {found}, expected a folder without a run (use --resume to continue it)",
         output.display()
     )]
     Exists {
         /// The output folder.
         output: PathBuf,
-        /// What is there.
+        /// Its contents.
         found: &'static str,
     },
-    /// The run that is to go on was another one.
-    #[error("{}: {field}: found {found}, expected {expected} as in the run that is to go on", file.display())]
+    /// The run to resume has other data, settings or another device.
+    #[error("{}: {field}: found {found}, expected {expected} as in the run to resume", file.display())]
     OtherRun {
         /// The record of the run.
         file: PathBuf,
-        /// What differs.
+        /// The key that differs.
         field: String,
-        /// What it is now.
+        /// Its value now.
         found: String,
-        /// What it was.
+        /// Its value in the run to resume.
         expected: String,
     },
-    /// The record of a run is damaged, or of another format version.
+    /// The record of a run is damaged, or its format version is not supported.
     #[error("{}: {field}: found {found}, expected {expected}", file.display())]
     Record {
         /// The file.
         file: PathBuf,
-        /// The key, or what else is wrong.
+        /// The key or property.
         field: String,
-        /// What is there.
+        /// Its value.
         found: String,
-        /// What should be there.
+        /// The expected value.
         expected: String,
     },
-    /// The run needs more memory than there is.
+    /// The run needs more memory than is available.
     #[error(
         "memory: found at least {} needed ({} for weights and optimizer, {} for a batch), expected at most the {} that are free; make network, windows.batch or the windows smaller",
         HumanBytes(weights + batch), HumanBytes(*weights), HumanBytes(*batch), HumanBytes(*free)
     )]
     Memory {
-        /// For weights, gradients, optimizer and checkpoints (bytes).
+        /// Needed for weights, gradients, optimizer and checkpoints (bytes).
         weights: u64,
-        /// For the windows of a batch and what is computed from them (bytes).
+        /// Needed for the windows of a batch and their layers' outputs (bytes).
         batch: u64,
-        /// What there is (bytes).
+        /// Available memory (bytes).
         free: u64,
     },
-    /// The run needs more disk than there is.
+    /// The run needs more disk space than is available.
     #[error(
         "{}: disk: found {} free, expected at least {} for the best and the last checkpoint",
         output.display(), HumanBytes(*found), HumanBytes(*expected)
@@ -149,9 +149,9 @@ pub enum TrainError {
     Disk {
         /// The output folder.
         output: PathBuf,
-        /// What is free (bytes).
+        /// Free space (bytes).
         found: u64,
-        /// What is needed (bytes).
+        /// Needed space (bytes).
         expected: u64,
     },
 }

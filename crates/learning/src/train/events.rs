@@ -1,4 +1,4 @@
-//! TensorBoard's event files: records of scalars that are appended while the run goes on.
+//! TensorBoard's event files: records of scalars, appended during a run.
 //!
 //! A file is a sequence of TFRecords, each `u64` length, masked CRC-32C of the length, data, masked
 //! CRC-32C of the data, little-endian (`tensorflow/core/lib/io/record_writer.h`). The data is an
@@ -24,21 +24,20 @@ use std::{
 
 use eddy_frames::Stamp;
 
-/// What the first event of a file says.
+/// The version in the first event of a file.
 const FILE_VERSION: &str = "brain.Event:2";
-/// Added to a rotated checksum.
+/// Added to the rotated checksum.
 const MASK: u32 = 0xa282_ead8;
 /// `SessionLog.SessionStatus.START`.
 const START: u64 = 1;
 
-/// An event file that is being written.
+/// An event file for writing.
 pub(super) struct EventFile {
     file: File,
 }
 
 impl EventFile {
-    /// Makes a new event file in `folder`, named after the time `now` so that later files come later
-    /// in the order of names, which is the order TensorBoard reads them in.
+    /// Creates an event file in `folder`, named after the time `now`: TensorBoard reads files in the order of their names.
     pub(super) fn create(folder: &Path, now: Stamp) -> io::Result<Self> {
         let seconds = now.seconds() as u64;
         let mut number = 0;
@@ -56,7 +55,7 @@ impl EventFile {
         Ok(events)
     }
 
-    /// Adds scalars of one step.
+    /// Appends the scalars of a step.
     pub(super) fn scalars(
         &mut self,
         now: Stamp,
@@ -76,8 +75,8 @@ impl EventFile {
         self.event(now, step, &event)
     }
 
-    /// Says that the run goes on after `step`: what was recorded of later steps no longer counts.
-    pub(super) fn goes_on_after(&mut self, now: Stamp, step: u64) -> io::Result<()> {
+    /// Records that the run resumes after `step`, which invalidates the events of later steps.
+    pub(super) fn resume_after(&mut self, now: Stamp, step: u64) -> io::Result<()> {
         let mut log = vec![1 << 3];
         varint(&mut log, START);
         let mut event = Vec::new();
@@ -128,14 +127,14 @@ fn varint(message: &mut Vec<u8>, mut value: u64) {
 mod tests {
     use super::*;
 
-    /// What TensorBoard 2.21.0's own `RecordWriter` makes of the same three events
+    /// The output of TensorBoard 2.21.0's `RecordWriter` for the same three events
     /// (`tensorboard.summary.writer.record_writer`, `tensorboard.compat.proto.event_pb2`).
     const GOLDEN: &str = "1b000000000000001a0d9e1309000000000000f83f10ac021a0d627261696e2e4576656e74\
         3a320a8dc5e41b000000000000001a0d9e1309000000000000044010ad022a0d0a0b0a046c6f7373150000803e\
         59b88eed100000000000000095fbfe1809000000000000044010ae023a02080194983a3d";
 
     #[test]
-    fn the_bytes_are_those_of_tensorboards_writer() {
+    fn the_bytes_equal_those_of_tensorboards_writer() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("events");
         let mut events = EventFile { file: File::create(&path).unwrap() };
@@ -144,14 +143,14 @@ mod tests {
         events.event(Stamp(1_500_000_000), 300, &version).unwrap();
         let later = Stamp(2_500_000_000);
         events.scalars(later, 301, &[("loss", 0.25)]).unwrap();
-        events.goes_on_after(later, 301).unwrap();
+        events.resume_after(later, 301).unwrap();
         let found: String =
             std::fs::read(&path).unwrap().iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(found, GOLDEN);
     }
 
     #[test]
-    fn a_second_file_of_the_same_second_comes_later() {
+    fn a_second_file_of_the_same_second_sorts_later() {
         let folder = tempfile::tempdir().unwrap();
         EventFile::create(folder.path(), Stamp(7_000_000_000)).unwrap();
         EventFile::create(folder.path(), Stamp(7_900_000_000)).unwrap();

@@ -1,26 +1,25 @@
-//! What a run will need, estimated before it starts: a lower bound, so that what is refused would
-//! really have failed.
+//! The memory and disk space that a run needs, estimated before it starts: a lower bound, so that a rejected run would
+//! certainly have failed.
 
 use super::{Machine, Run, TrainConfig, TrainError};
 use eddy_inference::checkpoint::{
     Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
 };
 
-/// Bytes of a number.
+/// Size of a value (bytes).
 const NUMBER: usize = 4;
 
-/// Copies of the weights in memory: network, gradient, Adam's two moments, best checkpoint. At the end
-/// of an epoch the gradients are gone, and there are the new checkpoint, its network for validation
-/// and its bytes on the way to the disk instead.
+/// Copies of the weights in memory: network, gradient, Adam's two moments, best checkpoint. At the end of an epoch, the
+/// gradient is replaced by the new checkpoint, its network for validation, and its serialised bytes.
 const IN_TRAINING: usize = 5;
 const IN_VALIDATION: usize = 7;
 
-/// Copies of the weights that come to the disk: the best checkpoint, the last one with the moments, and
-/// the next last one before that one goes. A run that goes on has all but the next last one.
+/// Copies of the weights on disk: the best checkpoint, the last one with the moments, and its successor before the last one is
+/// deleted. In a resumed run, all but the successor exist already.
 const ON_DISK: usize = 7;
-const ON_DISK_AGAIN: usize = 3;
+const ON_DISK_RESUMED: usize = 3;
 
-/// Refuses a run that does not fit into what is free. The streams have at least so many `particles`.
+/// Rejects a run that exceeds the available resources. `particles` is the smallest number of particles of a stream.
 pub(super) fn check(
     config: &TrainConfig,
     description: &Description,
@@ -38,7 +37,7 @@ pub(super) fn check(
     if weights.saturating_add(batch) > free {
         return Err(TrainError::Memory { weights, batch, free });
     }
-    let copies = if run.goes_on() { ON_DISK_AGAIN } else { ON_DISK };
+    let copies = if run.resumes() { ON_DISK_RESUMED } else { ON_DISK };
     let expected = bytes(copies * numbers);
     if found < expected {
         return Err(TrainError::Disk { output: run.output.to_owned(), found, expected });
@@ -58,7 +57,7 @@ fn batch_numbers(config: &TrainConfig, description: &Description, particles: usi
     let unroll = config.unroll.iter().map(|stage| stage.frames).max().unwrap_or(1);
     let frames = config.windows.warm_up + unroll;
     let batch = config.windows.batch;
-    // Numbers a frame: in rows of particles, and in rows of windows.
+    // Values per frame: per particle and per window.
     let (particles, of_particle, of_window) = match description.architecture {
         Architecture::Frame => {
             let pooled = match description.frame.pooling {
@@ -67,7 +66,7 @@ fn batch_numbers(config: &TrainConfig, description: &Description, particles: usi
             };
             (particles, encoder + pooled, 2 * hidden + gates + 2 * particles)
         }
-        // Nodes are fewer than particles, and not known.
+        // Without nodes: there are fewer than particles.
         Architecture::Particle => (particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0),
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy

@@ -1,5 +1,5 @@
-//! Networks, losses, gradients and Adam against PyTorch, by the data in `tests/golden/torch`;
-//! `generate.py` there made it and says what each tensor is.
+//! Compares networks, losses, gradients and Adam with PyTorch, using the data in `tests/golden/torch`; its generator,
+//! `generate.py`, documents each tensor.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -8,11 +8,14 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
 use super::{
-    OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, weigh::Scale, window::Window,
+    OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, loss_weights::LossScale,
+    window::Window,
 };
 use crate::model::{
-    DeviceKind, Track,
-    network::{Dropout, Hidden, Network},
+    DeviceKind,
+    dropout::Dropout,
+    network::Network,
+    state::{RecurrentState, TrajectoryBatch},
 };
 use eddy_evaluation::dataset::State;
 use eddy_frames::Material;
@@ -21,15 +24,15 @@ use eddy_inference::{
     engine::Ballistic,
 };
 
-/// Of forward, loss and gradients; like every limit here, of the largest number in the tensor.
-const NEAR: f64 = 1e-5;
-/// Of what ten steps of Adam change.
-const NEAR_AFTER_ADAM: f64 = 1e-3;
+/// Tolerance of forward pass, loss and gradients, relative to the largest value in the tensor.
+const TOLERANCE: f64 = 1e-5;
+/// Tolerance of the changes by ten steps of Adam.
+const TOLERANCE_AFTER_ADAM: f64 = 1e-3;
 const STEPS: u32 = 10;
 const LEARNING_RATE: f64 = 1e-3;
 const EPSILON: f32 = 1e-8;
 
-/// What PyTorch computed with one network.
+/// The results of PyTorch for a network.
 struct Golden {
     name: String,
     description: Description,
@@ -41,14 +44,14 @@ struct Golden {
     loss: f64,
 }
 
-/// What the metadata holds.
+/// The metadata.
 #[derive(Deserialize)]
 struct Row {
     description: Description,
     training: Training,
 }
 
-/// What was minimised; the rest is as [`TrainConfig`] has it.
+/// Settings of the loss; the others are the defaults of [`TrainConfig`].
 #[derive(Deserialize)]
 struct Training {
     warm_up: usize,
@@ -105,7 +108,7 @@ impl Golden {
 
     /// The windows, of which the first `warm_up` frames are observed.
     fn batch(&self, warm_up: usize, device: &Device) -> Batch {
-        let scale = Scale {
+        let scale = LossScale {
             loss: &self.config.loss,
             normalization: &self.description.normalization,
             ballistic: Ballistic::new(&self.description),
@@ -121,30 +124,30 @@ impl Golden {
         loss::loss(&self.config.loss, &batch, &predicted, &steps, self.description.domain)
     }
 
-    /// Holds a track against the golden one, `NAME.position` and `NAME.velocity`.
-    fn compare_track(&self, name: &str, found: Track, device: DeviceKind) {
+    /// Compares a trajectory with the golden one, `NAME.position` and `NAME.velocity`.
+    fn compare_track(&self, name: &str, found: TrajectoryBatch, device: DeviceKind) {
         for (part, found) in [("position", found.position), ("velocity", found.velocity)] {
             let found: Vec<f32> = found.into_data().iter::<f32>().collect();
-            self.compare(&format!("{name}.{part}"), &found, NEAR, device);
+            self.compare(&format!("{name}.{part}"), &found, TOLERANCE, device);
         }
     }
 
-    /// Holds every tensor of a network against the golden one, `PREFIX.NAME`.
+    /// Compares every tensor of a network with the golden one, `PREFIX.NAME`.
     fn compare_layers(
         &self,
         prefix: &str,
         found: &BTreeMap<String, Weights>,
-        near: f64,
+        tolerance: f64,
         device: DeviceKind,
     ) {
         assert_eq!(found.len(), self.weights.len());
         for (name, found) in found {
-            self.compare(&format!("{prefix}.{name}"), &found.values, near, device);
+            self.compare(&format!("{prefix}.{name}"), &found.values, tolerance, device);
         }
     }
 
-    /// Holds numbers against those of the golden tensor `name`: max|a - b| <= `near` max|b|.
-    fn compare(&self, name: &str, found: &[f32], near: f64, device: DeviceKind) {
+    /// Compares values with those of the golden tensor `name`: max|a - b| <= `tolerance` max|b|.
+    fn compare(&self, name: &str, found: &[f32], tolerance: f64, device: DeviceKind) {
         let expected = &self.tensors[name];
         assert_eq!(found.len(), expected.len(), "{}: {name}", self.name);
         let largest = expected.iter().fold(0.0, |largest: f64, b| largest.max(f64::from(b.abs())));
@@ -152,7 +155,7 @@ impl Golden {
         let difference = found.iter().zip(expected).map(apart).fold(0.0, f64::max);
         // Written so that NaN fails.
         assert!(
-            difference <= near * largest,
+            difference <= tolerance * largest,
             "{}, {device:?}: {name}: {difference:.2e} of {largest:.2e}",
             self.name
         );
@@ -178,7 +181,7 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
             material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
             rest: position[window * particles..(window + 1) * particles].to_vec(),
             states: states.collect(),
-            disturbed: None,
+            noisy: None,
         }
     };
     (0..count).map(window).collect()
@@ -200,17 +203,17 @@ fn for_all(check: impl Fn(&Golden, DeviceKind)) {
 }
 
 #[test]
-fn every_network_predicts_what_pytorch_predicts() {
+fn every_network_predicts_the_same_as_pytorch() {
     for_all(|golden, kind| {
         let device = kind.device();
         let network = golden.network(&device);
         let none = &mut Dropout::none();
         let all = golden.batch(golden.windows[0].states.len() - 1, &device);
-        let frames = Track {
+        let frames = TrajectoryBatch {
             position: Tensor::cat(vec![all.observed.position, all.future.position], 0),
             velocity: Tensor::cat(vec![all.observed.velocity, all.future.velocity], 0),
         };
-        let (forward, _) = network.observe(&frames, &all.matter, Hidden::default(), none);
+        let (forward, _) = network.observe(&frames, &all.fixed, RecurrentState::default(), none);
         golden.compare_track("forward", forward, kind);
 
         let batch = golden.batch(golden.config.windows.warm_up, &device);
@@ -220,21 +223,21 @@ fn every_network_predicts_what_pytorch_predicts() {
 }
 
 #[test]
-fn losses_and_gradients_are_those_of_pytorch() {
+fn losses_and_gradients_equal_those_of_pytorch() {
     for_all(|golden, kind| {
         let device = kind.device();
         let mut network = golden.network(&device.clone().autodiff());
         let loss = golden.loss(&network, &device);
         let value = f64::from(loss.clone().inner().into_scalar::<f32>());
         let difference = (value - golden.loss).abs();
-        assert!(difference <= NEAR * golden.loss, "{}: {value} {}", golden.name, golden.loss);
+        assert!(difference <= TOLERANCE * golden.loss, "{}: {value} {}", golden.name, golden.loss);
 
-        // Gradients in the weights' places come out by name and in PyTorch's layout.
+        // Replaces weights by gradients, to get them by name and in PyTorch's layout.
         let mut gradients = loss.backward();
         let put = |_, weight: &mut [f32], gradient: &[f32]| weight.copy_from_slice(gradient);
         network.layers_mut().update(&mut gradients, put);
         let gradients = network.layers().tensors(&golden.description);
-        golden.compare_layers("gradient", &gradients, NEAR, kind);
+        golden.compare_layers("gradient", &gradients, TOLERANCE, kind);
     });
 }
 
@@ -258,6 +261,6 @@ fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
                 *after -= before;
             }
         }
-        golden.compare_layers("change", &changes, NEAR_AFTER_ADAM, kind);
+        golden.compare_layers("change", &changes, TOLERANCE_AFTER_ADAM, kind);
     });
 }

@@ -1,66 +1,62 @@
-//! What a batch costs, and how that changes with every weight.
+//! The loss of a batch and its gradients.
 //!
-//! Windows of the particle model have nothing in common but the weights: each goes through a network of
-//! its own with the same weights, so that threads have a window each and what a layer hands on to the
-//! next stays near them. Their gradients are added in the order of the windows. The frame model's windows
-//! go together: its weights are many times larger than a window.
+//! In the particle model, each window goes through its own copy of the network, with the same weights: threads process
+//! windows independently, and the data of a window stays in nearby caches. Gradients are added in the order of the windows. In
+//! the frame model, all windows go through the network together, since its weights are much larger than a window.
 
 use rayon::prelude::*;
 
-use super::{TrainConfig, batch::Batch, loss, weigh::Scale, window::Window};
-use crate::model::{
-    DeviceKind,
-    network::{Dropout, Network},
-};
+use super::{TrainConfig, batch::Batch, loss, loss_weights::LossScale, window::Window};
+use crate::model::{DeviceKind, dropout::Dropout, network::Network};
 use eddy_inference::checkpoint::{Architecture, Description};
 
-/// The loss of a batch, and its gradient by every tensor in the order of the layers' update; empty where
-/// the loss does not depend on a tensor.
-pub(super) struct Slope {
+/// The loss of a batch and its gradient by each tensor, in the order of the layers' update; empty if the loss does not depend on
+/// a tensor.
+pub(super) struct BatchGradient {
     pub(super) loss: f32,
     pub(super) gradients: Vec<Vec<f32>>,
 }
 
-/// What loss and gradients are computed from.
-pub(super) struct Task<'a> {
+/// Computes losses and gradients.
+pub(super) struct GradientTask<'a> {
     pub(super) config: &'a TrainConfig,
     pub(super) description: &'a Description,
-    pub(super) scale: &'a Scale<'a>,
+    pub(super) scale: &'a LossScale<'a>,
     pub(super) device: DeviceKind,
 }
 
-impl Task<'_> {
-    /// The mean over the windows.
-    pub(super) fn slope(
+impl GradientTask<'_> {
+    /// The means over the windows.
+    pub(super) fn compute(
         &self,
         network: &Network,
         windows: &[Window],
         dropout: &mut Dropout,
-    ) -> Slope {
+    ) -> BatchGradient {
         let together = match self.config.architecture {
             Architecture::Frame => windows.len(),
             Architecture::Particle => 1,
         };
         let groups: Vec<_> =
             windows.chunks(together).map(|group| (group, dropout.fork())).collect();
-        let slopes: Vec<(f32, Slope)> = groups
+        let parts: Vec<(f32, BatchGradient)> = groups
             .into_par_iter()
             .map(|(group, mut dropout)| {
                 let share = group.len() as f32 / windows.len() as f32;
-                (share, self.of(network.apart(), group, &mut dropout))
+                (share, self.group(network.detached(), group, &mut dropout))
             })
             .collect();
-        let mut slopes = slopes.into_iter();
-        let Some((share, mut sum)) = slopes.next() else {
-            return Slope { loss: 0.0, gradients: Vec::new() };
+        let mut parts = parts.into_iter();
+        let Some((share, mut sum)) = parts.next() else {
+            return BatchGradient { loss: 0.0, gradients: Vec::new() };
         };
         if share < 1.0 {
             sum.loss *= share;
             sum.gradients.iter_mut().flatten().for_each(|number| *number *= share);
         }
-        for (share, slope) in slopes {
-            sum.loss += share * slope.loss;
-            for (sum, gradient) in sum.gradients.iter_mut().zip(slope.gradients) {
+        for (share, part) in parts {
+            sum.loss += share * part.loss;
+            for (sum, gradient) in sum.gradients.iter_mut().zip(part.gradients) {
                 sum.resize(gradient.len().max(sum.len()), 0.0);
                 sum.iter_mut().zip(gradient).for_each(|(sum, number)| *sum += share * number);
             }
@@ -68,8 +64,8 @@ impl Task<'_> {
         sum
     }
 
-    /// Of windows that go through the network together.
-    fn of(&self, network: Network, windows: &[Window], dropout: &mut Dropout) -> Slope {
+    /// The means over windows that go through the network together.
+    fn group(&self, network: Network, windows: &[Window], dropout: &mut Dropout) -> BatchGradient {
         let Self { config, description, scale, .. } = self;
         let (warm_up, grid) = (config.windows.warm_up, description.grid.as_ref());
         let batch = Batch::new(windows, warm_up, scale, grid, &self.device.device());
@@ -77,11 +73,10 @@ impl Task<'_> {
         let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
         let value = loss.clone().inner().into_scalar();
         let mut gradients = network.layers().gradients(&mut loss.backward());
-        // A window that the network throws far about can have a slope beyond all numbers. It tells no
-        // direction.
+        // The gradient of a window whose prediction diverges can overflow. It contains no direction and is dropped.
         if !gradients.iter().flatten().all(|number| number.is_finite()) {
             gradients.iter_mut().flatten().for_each(|number| *number = 0.0);
         }
-        Slope { loss: value, gradients }
+        BatchGradient { loss: value, gradients }
     }
 }

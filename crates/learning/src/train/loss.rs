@@ -1,53 +1,57 @@
-//! What is minimised: weighted squared errors of a free unroll, and density maps.
+//! The loss: weighted squared errors of a free unroll, and of density maps.
 
 use burn::tensor::Tensor;
 
 use super::{LossConfig, LossKind, batch::Batch, density::density_maps};
 use crate::model::{
-    Track,
-    network::{Dropout, Hidden, Network},
+    dropout::Dropout,
+    network::Network,
+    state::{RecurrentState, TrajectoryBatch},
 };
 use eddy_frames::Domain;
 
-/// Keeps the square root's slope finite where a window has no error.
-const SMALLEST: f32 = 1e-8;
+/// Added to squared errors to keep the derivative of the square root finite.
+const EPSILON: f32 = 1e-8;
 
-/// The network observes the warm-up, then predicts the rest from its own output. Gives the predicted
-/// future, and the one-step predictions made during the warm-up (W - 1 frames; the last one is the
-/// first of the future).
-pub(super) fn unroll(network: &Network, batch: &Batch, dropout: &mut Dropout) -> (Track, Track) {
+/// The network observes the warm-up and predicts the rest from its own output. Returns the predicted future and the one-step
+/// predictions during the warm-up, of which the last is the first frame of the future.
+pub(super) fn unroll(
+    network: &Network,
+    batch: &Batch,
+    dropout: &mut Dropout,
+) -> (TrajectoryBatch, TrajectoryBatch) {
     let [warm_up, _, _] = batch.observed.position.dims();
     let [frames, _, _] = batch.future.position.dims();
     let (steps, mut hidden) =
-        network.observe(&batch.observed, &batch.matter, Hidden::default(), dropout);
+        network.observe(&batch.observed, &batch.fixed, RecurrentState::default(), dropout);
     let mut future = vec![steps.at(warm_up - 1)];
     while future.len() < frames {
-        let (next, after) = network.step(&future[future.len() - 1], &batch.matter, hidden, dropout);
+        let (next, after) = network.step(&future[future.len() - 1], &batch.fixed, hidden, dropout);
         hidden = after;
         future.push(next);
     }
-    (Track::stack(future), steps)
+    (TrajectoryBatch::stack(future), steps)
 }
 
-/// The loss of predicted against true frames, averaged over the windows of the batch, `[1]`.
+/// The loss of predicted frames, averaged over the windows of the batch, `[1]`.
 pub(super) fn loss(
     config: &LossConfig,
     batch: &Batch,
-    predicted: &Track,
-    steps: &Track,
+    predicted: &TrajectoryBatch,
+    steps: &TrajectoryBatch,
     domain: Domain,
 ) -> Tensor<1> {
-    let Track { position, velocity } = predicted.clone();
+    let TrajectoryBatch { position, velocity } = predicted.clone();
     let squares = (position - batch.future.position.clone()).square()
         * batch.weights.position.clone()
         + (velocity - batch.future.velocity.clone()).square() * batch.weights.velocity.clone();
-    let mut loss = over_windows(config.kind, squares, batch.matter.windows);
+    let mut loss = over_windows(config.kind, squares, batch.fixed.windows);
     if config.observed_weight > 0.0 {
         loss = loss + observed(config, batch, steps).mul_scalar(config.observed_weight);
     }
     if config.density_weight > 0.0 {
         let maps = |position: &Tensor<3>| {
-            density_maps(position.clone(), batch.matter.windows, config.density_grid, domain)
+            density_maps(position.clone(), batch.fixed.windows, config.density_grid, domain)
         };
         let difference = maps(&predicted.position) - maps(&batch.future.position);
         loss = loss + difference.square().mean().mul_scalar(config.density_weight);
@@ -55,8 +59,8 @@ pub(super) fn loss(
     loss
 }
 
-/// One-step predictions of the warm-up's own frames, weighed as the first free frame is.
-fn observed(config: &LossConfig, batch: &Batch, steps: &Track) -> Tensor<1> {
+/// The loss of one-step predictions during the warm-up, with the weights of the first free frame.
+fn observed(config: &LossConfig, batch: &Batch, steps: &TrajectoryBatch) -> Tensor<1> {
     let [warm_up, rows, _] = batch.observed.position.dims();
     let [unroll, _, _] = batch.future.position.dims();
     if warm_up < 2 {
@@ -71,10 +75,10 @@ fn observed(config: &LossConfig, batch: &Batch, steps: &Track) -> Tensor<1> {
     let squares = squares(&steps.position, &batch.observed.position, &batch.weights.position)
         + squares(&steps.velocity, &batch.observed.velocity, &batch.weights.velocity);
     let even = unroll as f32 / (warm_up - 1) as f32;
-    over_windows(config.kind, squares.mul_scalar(even), batch.matter.windows)
+    over_windows(config.kind, squares.mul_scalar(even), batch.fixed.windows)
 }
 
-/// Sums `[T, R, 2]` for each window, takes the root if the loss is relative, and averages.
+/// Sums `[T, R, 2]` over each window, takes the square root for the relative loss, and averages over windows.
 fn over_windows(kind: LossKind, squares: Tensor<3>, windows: usize) -> Tensor<1> {
     let [frames, rows, axes] = squares.dims();
     let sums = squares
@@ -84,6 +88,6 @@ fn over_windows(kind: LossKind, squares: Tensor<3>, windows: usize) -> Tensor<1>
         .reshape([windows]);
     match kind {
         LossKind::Mse => sums.mean(),
-        LossKind::Relative => sums.add_scalar(SMALLEST).sqrt().mean(),
+        LossKind::Relative => sums.add_scalar(EPSILON).sqrt().mean(),
     }
 }

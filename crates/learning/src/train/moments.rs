@@ -1,4 +1,4 @@
-//! Adam's moments by name, and checksums of tensors.
+//! Adam's moments by tensor name, and checksums of tensors.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -11,7 +11,7 @@ use super::{
 };
 use eddy_inference::checkpoint::{Description, Weights, layout};
 
-/// XXH3 over names and numbers, hexadecimal.
+/// XXH3 of names and values, hexadecimal.
 pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
     let mut hash = Xxh3::new();
     for (name, weights) in tensors {
@@ -23,7 +23,7 @@ pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
     format!("{:032x}", hash.digest128())
 }
 
-/// Names and sizes of the network's tensors, by their number in the optimizer.
+/// Names and sizes of the network's tensors, in the order of the optimizer.
 fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
     layout::linear_layers(description).into_iter().flat_map(|layer| {
         let biases = layer.output / layer.sharing;
@@ -31,7 +31,7 @@ fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
     })
 }
 
-/// Adam's moments by name. A tensor without a step yet has none.
+/// Adam's moments by name; none for tensors without a step.
 pub(super) fn moments_by_name(adam: &Adam, description: &Description) -> BTreeMap<String, Weights> {
     let known = adam.moments.iter().zip(tensors(description));
     let held = known.filter(|(moments, _)| !moments.first.is_empty());
@@ -43,7 +43,7 @@ pub(super) fn moments_by_name(adam: &Adam, description: &Description) -> BTreeMa
 }
 
 /// The inverse of [`moments_by_name`].
-pub(super) fn moments_by_number(
+pub(super) fn moments_in_order(
     file: &Path,
     mut named: BTreeMap<String, Weights>,
     description: &Description,
@@ -56,8 +56,8 @@ pub(super) fn moments_by_number(
                 None => Ok(Vec::new()),
                 Some(weights) if weights.values.len() == size => Ok(weights.values),
                 Some(weights) => {
-                    let found = format!("{} numbers", weights.values.len());
-                    Err(damaged(file, &name, found, format!("{size} numbers")))
+                    let found = format!("{} values", weights.values.len());
+                    Err(damaged(file, &name, found, format!("{size} values")))
                 }
             }
         };
@@ -84,7 +84,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn moments_are_found_again_by_their_names(
+        fn moments_are_restored_by_name(
             core in prop::sample::select(Core::ALL.to_vec()),
             layers in 1..4usize,
             absent in prop::collection::btree_set(0..20usize, 0..5),
@@ -105,14 +105,14 @@ mod tests {
                 .collect();
             let adam = Adam { steps: 3, moments };
             let named = moments_by_name(&adam, &description);
-            let read = moments_by_number("moments".as_ref(), named.clone(), &description).unwrap();
+            let read = moments_in_order("moments".as_ref(), named.clone(), &description).unwrap();
             prop_assert_eq!(read, adam.moments);
 
             let mut other = named;
             if let Some((name, weights)) = other.first_key_value() {
                 let (name, weights) = (format!("{name}x"), weights.clone());
                 other.insert(name.clone(), weights);
-                let error = moments_by_number("moments".as_ref(), other, &description);
+                let error = moments_in_order("moments".as_ref(), other, &description);
                 prop_assert!(error.unwrap_err().to_string().contains(&name));
             }
         }

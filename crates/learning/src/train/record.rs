@@ -1,4 +1,4 @@
-//! `resume.toml`: everything about a run but its numbers in bulk.
+//! `resume.toml`: the state of a run except its tensors.
 
 use std::{fs, path::Path};
 
@@ -7,13 +7,13 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Epoch, LossKind, Run, TrainConfig, TrainError, weigh::TrivialErrors};
+use super::{Epoch, LossKind, Run, TrainConfig, TrainError, loss_weights::TrivialErrors};
 use eddy_inference::checkpoint::Description;
 
-/// Version of the record's format. It goes up when a record of the old form would be misread.
+/// Version of the format. It increases when older records would be misread.
 pub(super) const RECORD_VERSION: u32 = 1;
 
-/// What may differ from the run that goes on.
+/// Settings that may differ from those of the run to resume.
 const MAY_DIFFER: [&str; 2] = ["epochs", "patience"];
 
 /// `resume.toml`.
@@ -24,44 +24,44 @@ pub(super) struct Record {
     pub(super) format_version: u32,
     /// Digest of the data.
     pub(super) data: String,
-    /// What computed.
+    /// Compute device.
     pub(super) device: String,
-    /// Checksum of the checkpoint beside it.
+    /// Checksum of the checkpoint in the same folder.
     pub(super) weights: String,
-    /// Checksum of the moments beside it.
+    /// Checksum of the moments in the same folder.
     pub(super) moments: String,
-    /// Adam's steps.
+    /// Number of steps of Adam.
     pub(super) steps: u32,
     pub(super) samples: u64,
     pub(super) since_best: u32,
     pub(super) unroll: usize,
-    /// Time spent so far (s).
+    /// Training time (s).
     pub(super) seconds: f64,
     pub(super) common: TrivialErrors,
-    pub(super) order: Generator,
+    pub(super) order: GeneratorState,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) dropout: Option<Generator>,
+    pub(super) dropout: Option<GeneratorState>,
     pub(super) config: TrainConfig,
     pub(super) epochs: Vec<Epoch>,
 }
 
-/// Where a random generator is.
+/// The state of a random generator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Generator {
+pub(super) struct GeneratorState {
     /// Its key, hexadecimal.
     key: String,
-    /// How many words of 32 bits it has given.
+    /// Number of 32-bit words generated.
     position: String,
 }
 
-impl Generator {
+impl GeneratorState {
     pub(super) fn of(random: &ChaCha8Rng) -> Self {
         let key = random.get_seed().iter().map(|byte| format!("{byte:02x}")).collect();
         Self { key, position: random.get_word_pos().to_string() }
     }
 
-    /// The generator, unless something is wrong with the words.
+    /// The generator; none if the fields are invalid.
     pub(super) fn generator(&self) -> Option<ChaCha8Rng> {
         let mut key = [0; 32];
         if self.key.len() != 64 || !self.key.is_ascii() {
@@ -83,7 +83,7 @@ impl Record {
     }
 }
 
-/// Reads the record. The version goes first, so that a record of a later format is refused for that.
+/// Reads the record. The version is checked first, so that a record of a later format is rejected for its version.
 pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
     let text = fs::read_to_string(file)
         .map_err(|reason| TrainError::File { file: file.to_owned(), reason })?;
@@ -111,7 +111,7 @@ pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
     Ok(record)
 }
 
-/// Refuses to go on with other data, settings or on another device.
+/// Rejects other data, settings or devices than those of the run to resume.
 pub(super) fn same_run(
     file: &Path,
     config: &TrainConfig,
@@ -119,12 +119,12 @@ pub(super) fn same_run(
     run: &Run,
     record: &Record,
 ) -> Result<(), TrainError> {
-    let other = |field: &str, found: String, expected: String| {
+    let differs = |field: &str, found: String, expected: String| {
         let (file, field) = (file.to_owned(), field.to_owned());
         Err(TrainError::OtherRun { file, field, found, expected })
     };
     if record.data != description.data {
-        return other("data", description.data.clone(), record.data.clone());
+        return differs("data", description.data.clone(), record.data.clone());
     }
     let settings = |config: &TrainConfig| {
         Value::try_from(config).expect("settings are tables of TOML's own types")
@@ -132,20 +132,20 @@ pub(super) fn same_run(
     if let Some((field, found, expected)) =
         difference("", &settings(config), &settings(&record.config))
     {
-        return other(&field, found, expected);
+        return differs(&field, found, expected);
     }
     let device = run.device.name().to_owned();
     if record.device != device {
-        return other("device", device, record.device.clone());
+        return differs("device", device, record.device.clone());
     }
     let done = record.epochs.len();
     if (config.epochs as usize) < done {
-        return other("epochs", config.epochs.to_string(), format!("at least {done}"));
+        return differs("epochs", config.epochs.to_string(), format!("at least {done}"));
     }
     Ok(())
 }
 
-/// The first key at which two tables differ, and both values there.
+/// The first key at which two tables differ, with both values.
 fn difference(path: &str, a: &Value, b: &Value) -> Option<(String, String, String)> {
     match (a, b) {
         (Value::Table(a), Value::Table(b)) => a.iter().find_map(|(key, a)| {
@@ -163,7 +163,7 @@ fn difference(path: &str, a: &Value, b: &Value) -> Option<(String, String, Strin
     }
 }
 
-/// That `field` of a file is not what it should be.
+/// The error that a `field` of a file is invalid.
 pub(super) fn damaged(
     file: &Path,
     field: &str,
@@ -178,7 +178,6 @@ pub(super) fn damaged(
     }
 }
 
-/// The word for a device on the command line.
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -186,7 +185,7 @@ mod tests {
     use super::*;
     use eddy_inference::checkpoint::Architecture;
 
-    /// Any number but NaN, which equals nothing.
+    /// Any number but NaN, which is not equal to itself.
     fn number() -> impl Strategy<Value = f64> {
         any::<f64>().prop_filter("a number", |number| !number.is_nan())
     }
@@ -215,12 +214,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_generator_goes_on_with_the_same_numbers(seed: u64, drawn in 0..5000usize) {
+        fn a_restored_generator_continues_with_the_same_numbers(seed: u64, drawn in 0..5000usize) {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             (0..drawn).for_each(|_| {
                 random.next_u32();
             });
-            let mut read = Generator::of(&random).generator().unwrap();
+            let mut read = GeneratorState::of(&random).generator().unwrap();
             for _ in 0..40 {
                 prop_assert_eq!(read.next_u64(), random.next_u64());
             }
@@ -234,7 +233,7 @@ mod tests {
             seed: u64,
             drops: bool,
         ) {
-            let generator = Generator::of(&ChaCha8Rng::seed_from_u64(seed));
+            let generator = GeneratorState::of(&ChaCha8Rng::seed_from_u64(seed));
             let mut config = TrainConfig::defaults(Architecture::Frame);
             config.optimizer.clip = f32::INFINITY;
             config.loss.kind = LossKind::Relative;

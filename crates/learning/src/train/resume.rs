@@ -1,19 +1,18 @@
-//! A run on disk, so that it can go on where it stopped, bit for bit.
+//! Saves a run so that it can be resumed bit for bit.
 //!
-//! After every epoch the folder `last` in the output is replaced whole. It holds
+//! After every epoch, the folder `last` in the output is replaced. It contains
 //!
 //! | file | content |
 //! |---|---|
 //! | `model.toml`, `model.safetensors` | the checkpoint of the last epoch |
-//! | `resume.toml` | the settings, the random generators, every epoch so far, counters, checksums |
-//! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, its numbers in the order `[in, out]`; where the checkpoint holds averaged weights, the weights themselves, `weight.NAME`, as checkpoints have them |
+//! | `resume.toml` | settings, random generators, all epochs, counters, checksums |
+//! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, `[in, out]`; if the checkpoint contains averaged weights, also the weights themselves, `weight.NAME`, in the layout of checkpoints |
 //!
-//! The new folder is written whole as `last.new`; then `last` becomes `last.old`, `last.new` becomes
-//! `last`, and `last.old` goes. Whoever finds `last.old` without `last` finishes that.
+//! The new folder is written as `last.new`; then `last` is renamed to `last.old` and `last.new` to `last`, and `last.old` is
+//! deleted. If only `last.old` is found, the replacement is completed.
 //!
-//! Everything that decides what comes next must be as it was: data, settings, device. Only `epochs` and
-//! `patience` may be others. With other `epochs` the schedules of learning rate and unroll are from
-//! then on those of the new number, as if it had been asked for from the start.
+//! Data, settings and device must be unchanged, except `epochs` and `patience`. With another number of `epochs`, the schedules
+//! of learning rate and unroll continue as if it had been chosen from the start.
 
 use std::{
     collections::BTreeMap,
@@ -24,28 +23,24 @@ use std::{
 use super::{
     METRICS_FILE, Run, TrainConfig, TrainError,
     adam::Adam,
-    moments::{checksum, moments_by_name, moments_by_number},
-    record::{self, Generator, RECORD_VERSION, Record, damaged, same_run},
-    state::State,
+    moments::{checksum, moments_by_name, moments_in_order},
+    record::{self, GeneratorState, RECORD_VERSION, Record, damaged, same_run},
+    state::RunState,
 };
-use crate::model::{
-    layers::Layers,
-    network::{Dropout, Network},
-};
+use crate::model::{dropout::Dropout, layers::Layers, network::Network};
 use eddy_inference::checkpoint::{self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE};
 use eddy_settings::atomic;
 
 /// Name of the folder with the last epoch, within the output.
 pub const LAST_FOLDER: &str = "last";
-/// Name of the record of the run, within [`LAST_FOLDER`].
+/// Name of the record, within [`LAST_FOLDER`].
 const RECORD_FILE: &str = "resume.toml";
-/// What the name of a weight begins with there.
+/// Prefix of the names of weights in [`MOMENTS_FILE`].
 const WEIGHT: &str = "weight.";
 /// Name of the file with Adam's moments, within [`LAST_FOLDER`].
 const MOMENTS_FILE: &str = "resume.safetensors";
 
-/// Refuses an output folder that nothing can be written to, or that holds a run when none is to go
-/// on. Leaves it as it was.
+/// Rejects an output folder that cannot be written to, or that contains a run unless `resume`. The folder is left unchanged.
 ///
 /// # Errors
 /// [`TrainError::Exists`], [`TrainError::File`].
@@ -60,8 +55,8 @@ pub fn check_output(output: &Path, resume: bool) -> Result<(), TrainError> {
         .collect();
     fs::create_dir_all(output).map_err(failed)?;
     let probe = output.join(".eddy-was-here");
-    let outcome = atomic::write_synced(&probe, b"whether anything can be written\n");
-    // What cannot be taken away again does no harm.
+    let outcome = atomic::write_synced(&probe, b"write test\n");
+    // A leftover does no harm.
     let _ = fs::remove_file(&probe);
     for folder in missing {
         let _ = fs::remove_dir(folder);
@@ -69,7 +64,7 @@ pub fn check_output(output: &Path, resume: bool) -> Result<(), TrainError> {
     outcome.map_err(failed)
 }
 
-/// What of a run is in a folder.
+/// What a folder contains of a run.
 fn run_in(output: &Path) -> Option<&'static str> {
     let rows = |text: String| text.lines().count() > 1;
     if output.join(LAST_FOLDER).exists() || folders(output)[2].exists() {
@@ -82,13 +77,12 @@ fn run_in(output: &Path) -> Option<&'static str> {
     }
 }
 
-/// The run to go on with, or a new one. In a run that goes on unchanged, the description keeps the
-/// command that began it.
+/// The run to resume, or a new one. If a run is resumed with the same settings, the description keeps its original command.
 pub(super) fn begin(
     config: &TrainConfig,
     description: &mut Description,
     run: &Run,
-) -> Result<State, TrainError> {
+) -> Result<RunState, TrainError> {
     check_output(run.output, run.resume)?;
     if run.resume {
         settle(run.output)?;
@@ -104,14 +98,14 @@ pub(super) fn begin(
             });
         }
     }
-    Ok(State::new(config, description, run.device))
+    Ok(RunState::new(config, description, run.device))
 }
 
-/// Replaces the last epoch on disk. `seconds` is the time spent so far, `last` the checkpoint.
+/// Replaces the last epoch on disk. `seconds` is the training time, `last` the checkpoint.
 pub(super) fn save(
     run: &Run,
     config: &TrainConfig,
-    state: &State,
+    state: &RunState,
     last: &Checkpoint,
     seconds: f64,
 ) -> Result<(), TrainError> {
@@ -132,8 +126,8 @@ pub(super) fn save(
         unroll: state.unroll,
         seconds,
         common: state.common.clone(),
-        order: Generator::of(&state.order),
-        dropout: state.dropout.random().map(Generator::of),
+        order: GeneratorState::of(&state.order),
+        dropout: state.dropout.random().map(GeneratorState::of),
         config: config.clone(),
         epochs: state.epochs.clone(),
     };
@@ -159,7 +153,7 @@ fn folders(output: &Path) -> [PathBuf; 3] {
     ["", ".new", ".old"].map(|end| output.join(format!("{LAST_FOLDER}{end}")))
 }
 
-/// Finishes a replacement that was cut short between its two renames.
+/// Completes a replacement that was interrupted between its two renames.
 fn settle(output: &Path) -> Result<(), TrainError> {
     let [folder, new, old] = folders(output);
     if !folder.exists() && old.exists() {
@@ -181,8 +175,8 @@ fn remove(folder: &Path) -> Result<(), TrainError> {
     }
 }
 
-/// The checkpoint with the smallest validation loss. A process that ended between its two writes has left
-/// it in [`LAST_FOLDER`] only; then it is put where it belongs.
+/// The checkpoint with the smallest validation loss. If a process ended before writing it to the output, it is copied from
+/// [`LAST_FOLDER`].
 fn best(output: &Path, record: &Record, last: &Checkpoint) -> Result<Checkpoint, TrainError> {
     let newest = record.epochs.last().filter(|epoch| epoch.best);
     let none = ![DESCRIPTION_FILE, WEIGHTS_FILE].iter().any(|file| output.join(file).exists());
@@ -203,49 +197,15 @@ fn load(
     config: &TrainConfig,
     description: &mut Description,
     run: &Run,
-) -> Result<State, TrainError> {
+) -> Result<RunState, TrainError> {
     let folder = run.output.join(LAST_FOLDER);
     let file = folder.join(RECORD_FILE);
     let record = record::read(&file)?;
     same_run(&file, config, description, run, &record)?;
     let last = Checkpoint::load(&folder)?;
-    let moments_file = folder.join(MOMENTS_FILE);
-    let bytes = fs::read(&moments_file)
-        .map_err(|reason| TrainError::File { file: moments_file.clone(), reason })?;
-    let moments = checkpoint::parse_weights(&moments_file, &bytes)?;
-    for (file, tensors, expected) in [
-        (folder.join(WEIGHTS_FILE), &last.tensors, &record.weights),
-        (moments_file.clone(), &moments, &record.moments),
-    ] {
-        let found = checksum(tensors);
-        if found != *expected {
-            return Err(damaged(&file, "checksum", found, expected));
-        }
-    }
-    let mut weights = BTreeMap::new();
-    let mut named = BTreeMap::new();
-    for (name, tensor) in moments {
-        match name.strip_prefix(WEIGHT) {
-            Some(name) => weights.insert(name.to_owned(), tensor),
-            None => named.insert(name, tensor),
-        };
-    }
-    let mut adam = Adam {
-        steps: record.steps,
-        moments: moments_by_number(&moments_file, named, description)?,
-    };
-    let device = run.device.device().autodiff();
-    let network = if config.optimizer.average > 0.0 {
-        let mut averaged = Layers::new(description, &last.tensors, &device);
-        averaged.exchange(|tensor, values| adam.moments[tensor].average = values.to_vec());
-        let weights = Checkpoint { description: last.description.clone(), tensors: weights };
-        weights.check(&moments_file)?;
-        Network::new(description, &weights.tensors, &device)
-    } else {
-        Network::new(description, &last.tensors, &device)
-    };
+    let (network, adam) = tensors(&folder, config, description, run, &record, &last)?;
     let best = best(run.output, &record, &last)?;
-    let random = |field: &str, generator: &Generator| {
+    let random = |field: &str, generator: &GeneratorState| {
         generator.generator().ok_or_else(|| {
             damaged(&file, field, format!("{generator:?}"), "64 hexadecimal digits and a number")
         })
@@ -260,7 +220,7 @@ fn load(
     if record.config == *config {
         description.training.command = last.description.training.command.clone();
     }
-    Ok(State {
+    Ok(RunState {
         network,
         adam,
         order: random("order", &record.order)?,
@@ -273,4 +233,47 @@ fn load(
         since_best: record.since_best,
         seconds: record.seconds,
     })
+}
+
+/// The network and the state of the optimizer, after their checksums are verified.
+fn tensors(
+    folder: &Path,
+    config: &TrainConfig,
+    description: &Description,
+    run: &Run,
+    record: &Record,
+    last: &Checkpoint,
+) -> Result<(Network, Adam), TrainError> {
+    let file = folder.join(MOMENTS_FILE);
+    let bytes =
+        fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;
+    let moments = checkpoint::parse_weights(&file, &bytes)?;
+    for (file, tensors, expected) in [
+        (&folder.join(WEIGHTS_FILE), &last.tensors, &record.weights),
+        (&file, &moments, &record.moments),
+    ] {
+        let found = checksum(tensors);
+        if found != *expected {
+            return Err(damaged(file, "checksum", found, expected));
+        }
+    }
+    let (mut weights, mut named) = (BTreeMap::new(), BTreeMap::new());
+    for (name, tensor) in moments {
+        match name.strip_prefix(WEIGHT) {
+            Some(name) => weights.insert(name.to_owned(), tensor),
+            None => named.insert(name, tensor),
+        };
+    }
+    let moments = moments_in_order(&file, named, description)?;
+    let mut adam = Adam { steps: record.steps, moments };
+    let device = run.device.device().autodiff();
+    if config.optimizer.average == 0.0 {
+        return Ok((Network::new(description, &last.tensors, &device), adam));
+    }
+    // The checkpoint contains the running average of the weights.
+    let mut averaged = Layers::new(description, &last.tensors, &device);
+    averaged.exchange(|tensor, values| adam.moments[tensor].average = values.to_vec());
+    let weights = Checkpoint { description: last.description.clone(), tensors: weights };
+    weights.check(&file)?;
+    Ok((Network::new(description, &weights.tensors, &device), adam))
 }

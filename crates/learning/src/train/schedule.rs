@@ -1,8 +1,8 @@
-//! Which learning rate and which length of unroll at which moment of the run.
+//! Learning rate and length of unroll over the run.
 
 use super::{OptimizerConfig, Schedule, TrainConfig, UnrollStage};
 
-/// The learning rate; `progress` runs from 0 to 1.
+/// The learning rate at `progress`, 0 to 1.
 pub(super) fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
     let OptimizerConfig { learning_rate, warm_up, schedule, final_share, .. } = *config;
     if progress < warm_up {
@@ -18,7 +18,7 @@ pub(super) fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
     }
 }
 
-/// The stage that holds at `progress`, 0 to 1.
+/// The stage at `progress`, 0 to 1.
 pub(super) fn stage(stages: &[UnrollStage], progress: f64) -> usize {
     let total: f32 = stages.iter().map(|stage| stage.share).sum();
     let mut end = 0.0;
@@ -31,14 +31,14 @@ pub(super) fn stage(stages: &[UnrollStage], progress: f64) -> usize {
         .unwrap_or(stages.len() - 1)
 }
 
-/// How much of the run is done before a batch of an epoch, both from 1: 0 at the first.
+/// The completed share of the run before a batch of an epoch, both counted from 1.
 pub(super) fn progress(config: &TrainConfig, epoch: u32, batch: usize) -> f64 {
     let per_epoch = config.batches();
     let all = per_epoch * config.epochs as usize;
     ((epoch as usize - 1) * per_epoch + batch - 1) as f64 / all as f64
 }
 
-/// The batches of an epoch, from `batch` on, for which the stage stays the same.
+/// Number of batches of an epoch, from `batch` on, in the same stage.
 pub(super) fn batches_of_stage(config: &TrainConfig, epoch: u32, batch: usize) -> usize {
     let stage_of = |batch| stage(&config.unroll, progress(config, epoch, batch));
     let now = stage_of(batch);
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn the_learning_rate_falls_from_the_first_to_the_last() {
+    fn the_learning_rate_decreases_to_its_final_share() {
         let config = config(Schedule::Cosine, 0.0);
         assert_eq!(learning_rate(&config, 0.0), 1e-3);
         assert!((learning_rate(&config, 0.5) - 5.5e-4).abs() < 1e-12);
@@ -71,14 +71,14 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_learning_rate_stays() {
+    fn a_constant_learning_rate_does_not_change() {
         for progress in [0.0, 0.3, 1.0] {
             assert_eq!(learning_rate(&config(Schedule::Constant, 0.0), progress), 1e-3);
         }
     }
 
     #[test]
-    fn a_warm_up_rises_evenly_to_where_the_schedule_begins() {
+    fn a_warm_up_increases_linearly_to_the_start_of_the_schedule() {
         for schedule in [Schedule::Cosine, Schedule::Constant] {
             let config = config(schedule, 0.2);
             assert_eq!(learning_rate(&config, 0.0), 0.0);
@@ -89,14 +89,14 @@ mod tests {
     }
 
     #[test]
-    fn stages_take_their_shares_of_the_run() {
+    fn stages_have_their_shares_of_the_run() {
         let stages = [UnrollStage { share: 1.0, frames: 2 }, UnrollStage { share: 3.0, frames: 6 }];
         let found = [0.0, 0.24, 0.26, 0.99, 1.0].map(|progress| stage(&stages, progress));
         assert_eq!(found, [0, 0, 1, 1, 1]);
     }
 
     #[test]
-    fn batches_ahead_end_with_the_stage_and_with_the_epoch() {
+    fn batches_of_a_stage_end_with_the_stage_and_the_epoch() {
         let mut config = TrainConfig::defaults(Architecture::Particle);
         config.epochs = 2;
         (config.windows.batch, config.windows.per_epoch) = (1, 10);

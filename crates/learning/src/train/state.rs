@@ -1,4 +1,4 @@
-//! Everything a run carries from batch to batch.
+//! The state of a run between two batches.
 
 use std::collections::BTreeMap;
 
@@ -8,40 +8,37 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     Epoch, TrainConfig,
     adam::{Adam, Moments},
+    loss_weights::TrivialErrors,
     schedule,
-    weigh::TrivialErrors,
 };
-use crate::model::{
-    DeviceKind,
-    network::{Dropout, Network},
-};
+use crate::model::{DeviceKind, dropout::Dropout, network::Network};
 use eddy_inference::checkpoint::{Checkpoint, Description, Weights, initial_weights};
 
-/// A run between two batches.
-pub(super) struct State {
+/// The state of a run between two batches.
+pub(super) struct RunState {
     pub(super) network: Network,
     pub(super) adam: Adam,
-    /// Which windows come next.
+    /// Draws the windows.
     pub(super) order: ChaCha8Rng,
     pub(super) dropout: Dropout,
-    /// Free frames a window in the stage at hand; 0 before the first.
+    /// Freely predicted frames per window in the current stage; 0 before the first.
     pub(super) unroll: usize,
-    /// Trivial errors over many windows of that length.
+    /// Errors of the best trivial predictor over many windows of that length.
     pub(super) common: TrivialErrors,
-    /// Windows seen.
+    /// Training windows.
     pub(super) samples: u64,
-    /// Epochs done.
+    /// Completed epochs.
     pub(super) epochs: Vec<Epoch>,
     /// The checkpoint with the smallest validation loss.
     pub(super) best: Option<Checkpoint>,
-    /// Epochs since then.
+    /// Epochs since the best one.
     pub(super) since_best: u32,
-    /// Time spent on it (s), by earlier processes.
+    /// Training time in earlier processes (s).
     pub(super) seconds: f64,
 }
 
-impl State {
-    /// Before the first batch.
+impl RunState {
+    /// The state before the first batch.
     pub(super) fn new(config: &TrainConfig, description: &Description, device: DeviceKind) -> Self {
         let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
         let order = ChaCha8Rng::seed_from_u64(seeds.next_u64());
@@ -62,7 +59,7 @@ impl State {
         }
     }
 
-    /// What is judged and saved, by name: the average of the weights where there is one.
+    /// The weights to validate and save, by name: their running average, if there is one.
     pub(super) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
         let mut layers = self.network.layers().clone();
         layers.exchange(|tensor, values| match self.adam.moments.get(tensor) {
@@ -72,7 +69,7 @@ impl State {
         layers.tensors(description)
     }
 
-    /// The epochs done.
+    /// Number of completed epochs.
     pub(super) fn epoch(&self) -> u32 {
         self.epochs.len() as u32
     }
@@ -82,7 +79,7 @@ impl State {
         Some(self.epochs.iter().rfind(|epoch| epoch.best)?.validation_loss)
     }
 
-    /// Whether all epochs are done, or validation has not become better for too long.
+    /// Whether all epochs are done, or the validation loss has not improved for too long.
     pub(super) fn is_over(&self, config: &TrainConfig) -> bool {
         let epoch = self.epoch();
         if epoch == 0 || epoch >= config.epochs {

@@ -1,17 +1,14 @@
-//! Training steps on made-up numbers, to be timed: the paper's network, or its core alone.
+//! Training steps on synthetic data, for benchmarks: the paper's network, or its core alone.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    LossConfig, OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, weigh::Scale,
-    window::Window,
+    LossConfig, OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss,
+    loss_weights::LossScale, window::Window,
 };
-use crate::model::{
-    DeviceKind,
-    network::{Dropout, Network},
-};
+use crate::model::{DeviceKind, dropout::Dropout, network::Network};
 use eddy_evaluation::dataset::State;
 use eddy_frames::{Domain, Material};
 use eddy_inference::{
@@ -19,21 +16,20 @@ use eddy_inference::{
     engine::Ballistic,
 };
 
-/// Particles of the paper's scenes.
+/// Number of particles of the paper's scenes.
 pub const PARTICLES: usize = 2500;
 
-/// What takes a step.
+/// The part of the network to train.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
-    /// The whole frame model: it observes the frames, predicts the next one, and learns from the mean
-    /// squared error.
+    /// The whole frame model: observes the frames, predicts the next one, and minimises the mean squared error.
     Frame,
-    /// The core alone on made-up encodings; its mean squared output is made smaller.
+    /// The core alone, on random encodings: minimises its mean squared output.
     Core,
 }
 
-/// A network with a batch.
+/// A network with a batch of data.
 pub struct StepBenchmark {
     network: Network,
     task: Task,
@@ -52,7 +48,7 @@ enum Task {
 }
 
 impl StepBenchmark {
-    /// The paper's widths, and windows of so many frames.
+    /// A network with the paper's widths, and `windows` windows of `frames` observed frames.
     pub fn new(part: Part, core: Core, frames: usize, windows: usize, device: DeviceKind) -> Self {
         let mut config = TrainConfig::defaults(Architecture::Frame);
         config.loss.density_weight = 0.0;
@@ -62,7 +58,7 @@ impl StepBenchmark {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let plain = device.device();
         let recorded = plain.clone().autodiff();
-        // A decoder of zeros would leave the other layers without gradients.
+        // With the initial decoder of zeros, other layers would have no gradients.
         let mut tensors = initial_weights(&description, 1);
         for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
             *weight = random.random_range(-0.03..0.03);
@@ -77,7 +73,7 @@ impl StepBenchmark {
             Part::Frame => {
                 let windows: Vec<Window> =
                     (0..windows).map(|_| window(frames + 1, description.dt, &mut random)).collect();
-                let scale = Scale {
+                let scale = LossScale {
                     loss: &config.loss,
                     normalization: &description.normalization,
                     ballistic: Ballistic::new(&description),
@@ -91,7 +87,7 @@ impl StepBenchmark {
         Self { network, task, adam: Adam::default(), optimizer: config.optimizer }
     }
 
-    /// Forward, loss, backward, Adam. Gives the loss before the step.
+    /// Forward pass, loss, backward pass and optimizer step. Returns the loss before the step.
     pub fn step(&mut self) -> f32 {
         let (value, mut gradients) = self.gradients();
         let mut step = self.adam.step(self.optimizer.learning_rate, &self.optimizer);
@@ -125,7 +121,7 @@ fn encodings(shape: [usize; 3], device: &Device, random: &mut ChaCha8Rng) -> Ten
     Tensor::from_data(TensorData::new(values, shape), device).require_grad()
 }
 
-/// Particles that move evenly.
+/// Particles that move uniformly.
 fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
     let mut pairs = |low: f32, high: f32| -> Vec<[f32; 2]> {
         (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
@@ -144,6 +140,6 @@ fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
         material: vec![Material::Liquid; PARTICLES],
         rest: start.clone(),
         states: states.collect(),
-        disturbed: None,
+        noisy: None,
     }
 }

@@ -1,4 +1,4 @@
-//! How good a network is on streams it is not fitted to: free rollouts against trivial predictors.
+//! Validation: free rollouts over streams that are not trained on, compared with trivial predictors.
 
 use std::num::NonZeroUsize;
 
@@ -15,10 +15,10 @@ use eddy_inference::{
     engine::Surrogate,
 };
 
-/// What free rollouts came to.
+/// The result of a validation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Score {
-    /// 1 - skill, averaged over kinds of scenes and frames ahead; what the best epoch is chosen by.
+    /// 1 - skill, averaged over kinds of scenes and frames ahead; it selects the best epoch.
     pub(super) loss: f64,
     /// Skill one frame ahead, averaged over kinds of scenes.
     pub(super) first_skill: f64,
@@ -26,22 +26,20 @@ pub(super) struct Score {
     pub(super) last_skill: f64,
 }
 
-/// Rolls out over every stream, of which each thread has one in memory at a time.
+/// Rolls out over every stream; each thread has one stream in memory at a time.
 pub(super) fn validate(
     config: &ValidationConfig,
     checkpoint: &Checkpoint,
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
-    // A thread a stream: all streams take more threads than a network has work for.
-    let surrogate = || Surrogate::load(checkpoint, NonZeroUsize::new(1));
-    surrogate()?;
-    let surrogate = || surrogate().expect("the same checkpoint was loaded just now");
+    // One thread per stream, which is more efficient than several threads per frame.
+    let surrogate = Surrogate::load(checkpoint, NonZeroUsize::new(1))?;
     let context = context(config, &checkpoint.description, streams);
     context.check(longest(streams)).map_err(TrainError::Validation)?;
     let baselines = Baseline::ALL.map(Predictor::Baseline);
     let predictors = 1 + baselines.len();
-    let scenes = streams.par_iter().map_init(surrogate, |surrogate, stream| {
-        let model = Predictor::Model(surrogate);
+    let scenes = streams.par_iter().map(|stream| {
+        let model = Predictor::Model(&surrogate);
         let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
         let whole = stream.cut(0..stream.frames)?;
         evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
@@ -50,15 +48,14 @@ pub(super) fn validate(
     let skill = Skills::of(&scenes, 1..predictors, config.horizon).mean(0);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
-    // The errors of a rollout that diverged are those of its last finite frame; it must lose against any
-    // that did not.
+    // A diverged rollout repeats its last finite frame; it must lose against any finite one.
     let diverged = scenes.iter().any(|scene| scene.accumulators[0].blow_ups.diverged > 0);
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;
     let loss = if mean.is_finite() && !diverged { 1.0 - mean } else { f64::INFINITY };
     Ok(Score { loss, first_skill, last_skill })
 }
 
-/// Where rollouts are compared: of the particles' spacing nothing is asked.
+/// The context of the comparison, without measures that use the spacing of particles.
 fn context(
     config: &ValidationConfig,
     description: &Description,
@@ -71,7 +68,7 @@ fn context(
     Context::new(settings, description, warm_up, description.domain, walls, f32::INFINITY)
 }
 
-/// Refuses streams that are all too short for one rollout, before a network is fitted for nothing.
+/// Rejects streams that are all too short for a rollout, before training starts.
 pub(super) fn check(
     config: &ValidationConfig,
     warm_up: usize,

@@ -1,4 +1,4 @@
-//! Which pieces of which streams a batch is made of.
+//! The pieces of streams that make up a batch.
 
 use std::collections::VecDeque;
 
@@ -9,12 +9,12 @@ use super::{NoiseConfig, TrainError, WindowConfig};
 use eddy_evaluation::dataset::{State, Trajectory};
 use eddy_frames::Material;
 
-/// A piece of a stream: its particles over consecutive frames.
+/// A piece of a stream: all particles over consecutive frames.
 #[derive(Clone, Debug)]
 pub(super) struct Window {
-    /// The stream it is from.
+    /// Its stream.
     pub(super) stream: u64,
-    /// Its first frame in that stream.
+    /// Its first frame in the stream.
     pub(super) start: usize,
     /// Materials, `[N]`.
     pub(super) material: Vec<Material>,
@@ -22,34 +22,33 @@ pub(super) struct Window {
     pub(super) rest: Vec<[f32; 2]>,
     /// The states, `warm_up + unroll` of them.
     pub(super) states: Vec<State>,
-    /// What the network is shown in place of the last observed one, if it is to learn to correct it.
-    pub(super) disturbed: Option<State>,
+    /// The last observed state with noise, if any, which the network observes instead.
+    pub(super) noisy: Option<State>,
 }
 
-/// Draws windows from streams, each window alike.
+/// Draws windows from streams with equal probability.
 ///
-/// Which windows a seed draws does not depend on where the frames are. What does is when they are
-/// read: of streams on disk, the windows of many batches are drawn at once and cut out in the order of
-/// their streams, so that a block is read once for all of them.
+/// The windows that a seed draws do not depend on where the frames are stored. For streams on disk, the windows of many
+/// batches are drawn at once and read in the order of their streams, so that each block is read once.
 pub(super) struct Sampler<'a> {
     streams: &'a [Trajectory],
-    /// Number of windows up to and with each stream.
+    /// Number of windows up to and including each stream.
     ends: Vec<usize>,
-    /// Frames a window.
+    /// Frames per window.
     frames: usize,
     config: &'a WindowConfig,
-    /// Windows that were drawn ahead.
+    /// Windows drawn ahead.
     ahead: VecDeque<Window>,
 }
 
-/// A window that was drawn, but not yet cut out.
+/// A window that was drawn but not read yet.
 struct Draw {
-    /// Number of the stream.
+    /// Index of the stream.
     stream: usize,
     /// First frame.
     start: usize,
     mirrored: bool,
-    /// Seed of what the last observed frame is disturbed by.
+    /// Seed of the noise.
     noise: Option<u64>,
 }
 
@@ -75,7 +74,7 @@ impl<'a> Sampler<'a> {
         Ok(Self { streams, ends, frames, config, ahead: VecDeque::new() })
     }
 
-    /// The next batch of `size` windows, of which at least `left` batches are still to come.
+    /// The next batch of `size` windows; at least `left` such batches are still needed.
     pub(super) fn batch(
         &mut self,
         size: usize,
@@ -89,8 +88,7 @@ impl<'a> Sampler<'a> {
         Ok(self.ahead.drain(..size).collect())
     }
 
-    /// How many batches are drawn at once: one from memory; from disk as many as fit into a third of
-    /// what the store may hold.
+    /// Number of batches that are drawn at once: one from memory; from disk as many as fit into a third of the cache.
     fn batches_ahead(&self, size: usize) -> usize {
         let Some(store) = self.streams[0].frame_store() else { return 1 };
         let counts = self.streams.iter().map(|stream| stream.material.len());
@@ -148,14 +146,21 @@ impl<'a> Sampler<'a> {
             start,
             material: stream.material.clone(),
             rest: turn(&stream.rest, sides),
-            disturbed: noise.map(|seed| disturb(last, &self.config.noise, seed)),
+            noisy: noise.map(|seed| add_noise(last, &self.config.noise, seed)),
             states,
         })
     }
 }
 
-/// A state with noise: evenly distributed numbers of the given standard deviations.
-fn disturb(state: &State, noise: &NoiseConfig, seed: u64) -> State {
+/// Stream and first frame of each window, to identify a batch.
+pub(super) fn names(windows: &[Window]) -> String {
+    let names: Vec<_> =
+        windows.iter().map(|window| format!("{}:{}", window.stream, window.start)).collect();
+    names.join(" ")
+}
+
+/// A state with uniformly distributed noise of the given standard deviations.
+fn add_noise(state: &State, noise: &NoiseConfig, seed: u64) -> State {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut moved = |values: &[[f32; 2]], deviation: f32| {
         let half = 3f32.sqrt() * deviation;

@@ -67,7 +67,7 @@ pub(super) trait BodyRule: Copy + Debug {
     type CellSums: Copy + Debug + Default + Send + Sync;
     /// Sums over the cells of a body.
     type BodySums: Copy + Debug + Default + Send + Sync;
-    /// What a body's particles are corrected by.
+    /// The correction of a body.
     type Correction: Copy + Debug + Send + Sync;
 
     /// Distance from walls (cells).

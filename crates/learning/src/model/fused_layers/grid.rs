@@ -1,4 +1,4 @@
-//! What is on the sparse grid: [`sparse`](crate::model::sparse) by kernels.
+//! The layers on the sparse grid, as in [`sparse`](crate::model::sparse).
 
 use std::sync::Arc;
 
@@ -6,8 +6,7 @@ use burn::tensor::Tensor;
 
 use crate::model::{
     fused::{Operation, apply, input},
-    grid::Ground,
-    sparse::Table,
+    grid_context::{GridContext, Table},
 };
 use eddy_inference::{
     checkpoint::layout::NODE_FEATURES,
@@ -19,7 +18,7 @@ use eddy_inference::{
     },
 };
 
-/// [`sparse::gathered`](crate::model::sparse::gathered), with a ReLU behind it or without.
+/// [`sparse::gathered`](crate::model::sparse::gathered), optionally with ReLU.
 pub(crate) fn gathered(
     nodes: &Arc<Nodes>,
     table: Table,
@@ -125,21 +124,21 @@ impl Operation<3> for FromParent {
 }
 
 /// [`sparse::write`](crate::model::sparse::write): `[R, C]` and positions `[R, 2]` to `[M0, C + 5]`.
-pub(crate) fn write(ground: &Ground, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+pub(crate) fn write(context: &GridContext, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
     let width = encoded.dims()[1] + NODE_FEATURES;
-    let shape = [ground.nodes.level(0).len(), width];
-    apply(Write(ground.clone()), [input(encoded), input(position)], shape)
+    let shape = [context.nodes.level(0).len(), width];
+    apply(Write(context.clone()), [input(encoded), input(position)], shape)
 }
 
 #[derive(Clone, Debug)]
-struct Write(Ground);
+struct Write(GridContext);
 
 impl Operation<2> for Write {
-    /// Mass of each node.
+    /// The mass of each node.
     type Kept = Vec<f32>;
 
     fn forward(&self, [encoded, _]: [&[f32]; 2]) -> (Vec<f32>, Vec<f32>) {
-        let Ground { nodes, walls, .. } = &self.0;
+        let GridContext { nodes, walls, .. } = &self.0;
         let width = encoded.len() / nodes.order().len();
         let (sums, mass) = (to_nodes(nodes, encoded, width), mass(nodes));
         let mut written = Vec::with_capacity(mass.len() * (width + NODE_FEATURES));
@@ -184,9 +183,9 @@ impl Operation<2> for Write {
 }
 
 /// [`sparse::read`](crate::model::sparse::read): `[M0, C]` and positions `[R, 2]` to `[R, C]`.
-pub(crate) fn read(ground: &Ground, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+pub(crate) fn read(context: &GridContext, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
     let shape = [position.dims()[0], rows.dims()[1]];
-    apply(Read(ground.nodes.clone()), [input(rows), input(position)], shape)
+    apply(Read(context.nodes.clone()), [input(rows), input(position)], shape)
 }
 
 #[derive(Clone, Debug)]

@@ -1,40 +1,39 @@
-//! How much each particle's squared error counts.
+//! The weight of each particle's squared error.
 //!
 //! Mean squared error: 1 / range^2 of each feature, averaged over particles, frames and features.
 //!
-//! Relative error: divided by what the best trivial predictor gets wrong for the same material and
-//! frame ahead, so that 1 means "no better than trivial" for every frame ahead. The divisor is between
-//! the window's own and the mean over all windows; with the window's own alone, windows at rest, where
-//! nothing is left to learn, would count as much as a splash, with the mean alone they would not
-//! count at all. Errors below [`RESOLUTION`] are not worth distinguishing.
+//! Relative error: divided by the error of the best trivial predictor for the same material and number of frames ahead, so
+//! that 1 means "no better than trivial" for every frame. The divisor is between the error of the window and the mean over all
+//! windows: with the former alone, windows at rest, where nothing remains to be learned, would count as much as a splash;
+//! with the latter alone, they would hardly count. Errors below [`RESOLUTION`] are not distinguished.
 
 use super::{LossConfig, LossKind, window::Window};
 use eddy_evaluation::{Baseline, dataset::State};
 use eddy_frames::Material;
 use eddy_inference::{checkpoint::Normalization, engine::Ballistic};
 
-/// Position error below which nothing is gained (domain lengths): a thirtieth of a cell.
+/// Position error below which accuracy is irrelevant (domain lengths): a thirtieth of a cell.
 const RESOLUTION: f64 = 5e-4;
 
-/// Squared errors of one material: position, velocity.
+/// Squared errors of a material: position, velocity.
 type Pair = [f64; 2];
 
 /// Mean squared errors of the best trivial predictor, by frame ahead and material.
 pub(super) type TrivialErrors = Vec<[Pair; Material::COUNT]>;
 
-/// What the weights are computed from.
-pub(super) struct Scale<'a> {
+/// Computes the weights.
+pub(super) struct LossScale<'a> {
     pub(super) loss: &'a LossConfig,
     pub(super) normalization: &'a Normalization,
-    /// What the trivial predictors know.
+    /// For the trivial predictors.
     pub(super) ballistic: Ballistic,
     /// Trivial errors over many windows.
     pub(super) common: TrivialErrors,
 }
 
-impl Scale<'_> {
-    /// Weights of squared position and velocity errors for the last `unroll` frames of a window,
-    /// `[K, N, 2]` each. A particle that is everywhere as wrong as the divisor gives the sum 1.
+impl LossScale<'_> {
+    /// Weights of squared position and velocity errors for the last `unroll` frames of a window, `[K, N, 2]` each. Errors equal
+    /// to the divisors give the sum 1.
     pub(super) fn weights(&self, window: &Window, unroll: usize) -> [Vec<f32>; 2] {
         let particles = window.material.len();
         let sums = [self.loss.position_weight, self.loss.velocity_weight].map(f64::from);
@@ -78,13 +77,13 @@ impl Scale<'_> {
         weights
     }
 
-    /// The smallest squared error worth distinguishing, of positions and velocities.
+    /// The smallest relevant squared error, of positions or velocities.
     fn floor(&self, part: usize) -> f64 {
         let unit = if part == 0 { 1.0 } else { f64::from(self.ballistic.dt) };
         (RESOLUTION / unit).powi(2)
     }
 
-    /// What the best trivial predictor gets wrong over the last `unroll` frames of a window.
+    /// Errors of the best trivial predictor over the last `unroll` frames of a window.
     fn trivial(&self, window: &Window, unroll: usize) -> TrivialErrors {
         let mut sums = TrivialSums::new(unroll);
         sums.add(window, &self.ballistic);
@@ -92,21 +91,21 @@ impl Scale<'_> {
     }
 }
 
-/// Squared errors of the trivial predictors over the last frames of windows, added up.
+/// Sums of the trivial predictors' squared errors over the last frames of windows.
 pub(super) struct TrivialSums {
     baselines: [TrivialErrors; Baseline::ALL.len()],
-    /// Particles of each material.
+    /// Number of particles of each material.
     particles: [f64; Material::COUNT],
 }
 
 impl TrivialSums {
-    /// Of no window yet; of so many frames of each.
+    /// Empty sums for the last `unroll` frames of each window.
     pub(super) fn new(unroll: usize) -> Self {
         let zero = vec![[[0.0; 2]; Material::COUNT]; unroll];
         Self { baselines: Baseline::ALL.map(|_| zero.clone()), particles: [0.0; Material::COUNT] }
     }
 
-    /// Adds a window's.
+    /// Adds the errors of a window.
     pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
         for (baseline, sums) in Baseline::ALL.into_iter().zip(&mut self.baselines) {
             let unroll = sums.len();
@@ -121,7 +120,7 @@ impl TrivialSums {
         }
     }
 
-    /// Means of the predictor that is best for each material and frame.
+    /// Mean errors of the best predictor for each material and frame.
     pub(super) fn best(self) -> TrivialErrors {
         let Self { baselines, particles } = self;
         let mut best = vec![[[f64::INFINITY; 2]; Material::COUNT]; baselines[0].len()];

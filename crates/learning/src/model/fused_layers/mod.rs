@@ -1,13 +1,11 @@
-//! The networks' parts as [`fused`](super::fused) operations: which kernel computes which.
-//!
-//! Here are the layers; `grid` has what is on the particle model's grid, `motion` what is before the
-//! encoder and behind the decoder.
+//! The networks' layers as [`fused`](super::fused) operations of the kernels. `grid` has the layers on the particle model's
+//! grid, `particles` its features and predicted motion.
 
 mod grid;
-mod motion;
+mod particles;
 
 pub(crate) use grid::{gathered, read, spread, write};
-pub(crate) use motion::{foretell, move_on, perceive, shape};
+pub(crate) use particles::{advance, expected_velocities, features, shape};
 
 use burn::tensor::Tensor;
 
@@ -24,8 +22,7 @@ use eddy_inference::{
     },
 };
 
-/// A linear layer, with a ReLU behind it or without: `input` `[R, I]`, `weight` `[I, O]` and `bias`
-/// `[O]` to `[R, O]`.
+/// A linear layer, optionally with ReLU: `input` `[R, I]`, `weight` `[I, O]` and `bias` `[O]` to `[R, O]`.
 pub(crate) fn linear(
     rectify: bool,
     input: Tensor<2>,
@@ -63,26 +60,26 @@ impl Operation<3> for LinearLayer {
     }
 }
 
-/// A linear layer with a ReLU behind it whose inputs are side by side: `left` `[R, I]`, `right` `[R, J]`,
-/// `weight` `[I + J, O]` and `bias` `[O]` to `[R, O]`.
-pub(crate) fn beside(
+/// A linear layer with ReLU on two concatenated inputs: `left` `[R, I]`, `right` `[R, J]`, `weight` `[I + J, O]` and `bias`
+/// `[O]` to `[R, O]`.
+pub(crate) fn concatenated(
     [left, right]: [Tensor<2>; 2],
     weight: Tensor<2>,
     bias: Tensor<1>,
 ) -> Tensor<2> {
     let [rows, width] = left.dims();
     let shape = [rows, bias.dims()[0]];
-    apply(Beside { width }, [input(left), input(right), input(weight), input(bias)], shape)
+    apply(Concatenated { width }, [input(left), input(right), input(weight), input(bias)], shape)
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Beside {
+struct Concatenated {
     /// I.
     width: usize,
 }
 
-impl Beside {
-    /// The layers of the two inputs; the second one's output, added to the first one's, is the whole's.
+impl Concatenated {
+    /// The layers of the two inputs, whose outputs are added.
     fn layers<'a>(&self, weight: &'a [f32], bias: &'a [f32]) -> [Linear<'a>; 2] {
         let (left, right) = weight.split_at(self.width * bias.len());
         [
@@ -92,7 +89,7 @@ impl Beside {
     }
 }
 
-impl Operation<4> for Beside {
+impl Operation<4> for Concatenated {
     type Kept = ();
 
     fn forward(&self, [left, right, weight, bias]: [&[f32]; 4]) -> (Vec<f32>, ()) {
@@ -119,7 +116,7 @@ impl Operation<4> for Beside {
     }
 }
 
-/// Mean over the particles of the activated linear layer: `points` `[B N, F]`, `weight` `[F, E]` and
+/// The mean over particles of a linear layer with activation: `points` `[B N, F]`, `weight` `[F, E]` and
 /// `bias` `[E]` to `[B, E]`. `F` is 5 or 8.
 pub(crate) fn encode(
     activation: Activation,
@@ -135,7 +132,7 @@ pub(crate) fn encode(
     match features {
         5 => apply(EncodeOf::<5>(kind), inputs, shape),
         8 => apply(EncodeOf::<8>(kind), inputs, shape),
-        other => unreachable!("{other} features: materials enter as one number or as four"),
+        other => unreachable!("{other} features: the material is one input or four"),
     }
 }
 
@@ -183,7 +180,7 @@ impl<const F: usize> Operation<3> for EncodeOf<F> {
     }
 }
 
-/// The states of minGRU: gate and candidate `[T, R, H]`, the state before `[R, H]`, to `[T, R, H]`.
+/// The states of minGRU: gate and candidate `[T, R, H]`, previous state `[R, H]`, to `[T, R, H]`.
 pub(crate) fn mingru(
     kind: Minimal,
     gate: Tensor<3>,
@@ -215,7 +212,7 @@ impl Operation<3> for Minimal {
     }
 }
 
-/// The states of minLSTM: gates and candidate `[T, R, H]`, the state before `[R, H]`, to `[T, R, H]`.
+/// The states of minLSTM: gates and candidate `[T, R, H]`, previous state `[R, H]`, to `[T, R, H]`.
 pub(crate) fn minlstm(
     kind: Minimal,
     [forget, update]: [Tensor<3>; 2],
@@ -248,7 +245,7 @@ impl Operation<4> for Minimal {
 }
 
 /// The states of a GRU layer: products of the inputs `[T, R, 3 H]`, recurrent weights `[H, 3 H]` and
-/// bias `[3 H]`, the state before `[R, H]`, to `[T, R, H]`.
+/// bias `[3 H]`, previous state `[R, H]`, to `[T, R, H]`.
 pub(crate) fn gru(
     inputs: Tensor<3>,
     weight: Tensor<2>,
@@ -287,8 +284,8 @@ impl Operation<4> for GruLayer {
     }
 }
 
-/// Outputs and cells of an LSTM layer, side by side: products of the inputs `[T, R, 4 H]`, recurrent
-/// weights `[H, 4 H]` and bias `[4 H]`, output and cell before, `[R, H]`, to `[T, R, 2 H]`.
+/// Outputs and cells of an LSTM layer, concatenated: products of the inputs `[T, R, 4 H]`, recurrent
+/// weights `[H, 4 H]` and bias `[4 H]`, previous output and cell `[R, H]`, to `[T, R, 2 H]`.
 pub(crate) fn lstm(
     inputs: Tensor<3>,
     weight: Tensor<2>,

@@ -1,4 +1,4 @@
-//! What is before the particle model's encoder and behind its decoder.
+//! The particle model's features, and the predicted motion from its decoder.
 
 use std::sync::Arc;
 
@@ -19,12 +19,12 @@ use eddy_inference::{
     },
 };
 
-/// Rows that a thread takes at once.
+/// Rows per task.
 const ROWS: usize = 1 << 10;
-/// Nearness of four walls at two scales.
-const NEARNESSES: usize = 8;
-/// Features before the shape.
-const BEFORE: usize = 6 + NEARNESSES;
+/// Proximity to four walls at two scales.
+const PROXIMITIES: usize = 8;
+/// Number of features before the shape.
+const BEFORE: usize = 6 + PROXIMITIES;
 
 /// [`strain::shape`](crate::model::strain::shape): positions `[T R, 2]` to `[T R, 5]`.
 pub(crate) fn shape(rest: Arc<RestShape>, position: Tensor<2>) -> Tensor<2> {
@@ -54,32 +54,32 @@ impl Operation<1> for Shape {
     }
 }
 
-/// Velocities that the ballistic step foretells, `[R, 2]`, from positions and velocities, `[R, 2]` each.
-pub(crate) fn foretell(
+/// The velocities that the ballistic step expects, `[R, 2]`, from positions and velocities, `[R, 2]` each.
+pub(crate) fn expected_velocities(
     ballistic: Ballistic,
     position: Tensor<2>,
     velocity: Tensor<2>,
 ) -> Tensor<2> {
     let shape = velocity.dims();
-    apply(Foretell(ballistic), [input(position), input(velocity)], shape)
+    apply(ExpectedVelocities(ballistic), [input(position), input(velocity)], shape)
 }
 
 #[derive(Clone, Debug)]
-struct Foretell(Ballistic);
+struct ExpectedVelocities(Ballistic);
 
-impl Operation<2> for Foretell {
+impl Operation<2> for ExpectedVelocities {
     type Kept = ();
 
     fn forward(&self, [position, velocity]: [&[f32]; 2]) -> (Vec<f32>, ()) {
         let (x, v) = (pairs(position).par_iter(), pairs(velocity));
-        let foretold: Vec<_> = x.zip(v).map(|(x, v)| self.0.step(*x, *v).1).collect();
-        (foretold.into_flattened(), ())
+        let expected_velocity: Vec<_> = x.zip(v).map(|(x, v)| self.0.step(*x, *v).1).collect();
+        (expected_velocity.into_flattened(), ())
     }
 
     fn backward(
         &self,
         [position, velocity]: [&[f32]; 2],
-        _foretold: &[f32],
+        _expected: &[f32],
         (): (),
         gradient: &[f32],
         _wanted: [bool; 2],
@@ -95,70 +95,74 @@ impl Operation<2> for Foretell {
     }
 }
 
-/// Whether a particle moves on freely, by axis.
+/// Whether no wall stops a particle, by axis.
 fn moving(ballistic: &Ballistic, x: &[f32; 2], v: &[f32; 2]) -> [bool; 2] {
     let free = ballistic.free(*x, *v);
-    let held = ballistic.step(*x, *v).0;
-    [0, 1].map(|axis| free.0[axis] == held[axis])
+    let clamped = ballistic.step(*x, *v).0;
+    [0, 1].map(|axis| free.0[axis] == clamped[axis])
 }
 
-/// [`Scaling::particle`](crate::model::features::Scaling::particle): positions, velocities and foretold
-/// velocities `[R, 2]`, shapes `[R, 5]` to features `[R, F]`. `material` is one-hot, `[R' 4]`, for every
-/// R' rows.
-pub(crate) fn perceive(
+/// [`Scaling::particle`](crate::model::features::Scaling::particle): positions, velocities and expected velocities, `[R, 2]`,
+/// and shapes, `[R, 5]`, to features, `[R, F]`. `material` is one-hot, `[R', 4]`, and repeats every R' rows.
+pub(crate) fn features(
     ballistic: Ballistic,
     velocity_unit: f32,
     material: Arc<Vec<f32>>,
-    [position, velocity, foretold, shape]: [Tensor<2>; 4],
+    [position, velocity, expected_velocity, shape]: [Tensor<2>; 4],
 ) -> Tensor<2> {
     let size = [position.dims()[0], PARTICLE_FEATURES];
-    let inputs = [input(position), input(velocity), input(foretold), input(shape)];
-    apply(Perceive { ballistic, velocity_unit, material }, inputs, size)
+    let inputs = [input(position), input(velocity), input(expected_velocity), input(shape)];
+    apply(Features { ballistic, velocity_unit, material }, inputs, size)
 }
 
 #[derive(Clone, Debug)]
-struct Perceive {
+struct Features {
     ballistic: Ballistic,
     velocity_unit: f32,
     material: Arc<Vec<f32>>,
 }
 
-impl Perceive {
-    /// Distances of the left, lower, right and upper wall; negative beyond.
+impl Features {
+    /// Distances from the left, lower, right and upper wall, negative beyond them.
     fn distances(&self, [x, y]: [f32; 2]) -> [f32; 4] {
         let Ballistic { lower, upper, .. } = self.ballistic;
         [x - lower[0], y - lower[1], upper[0] - x, upper[1] - y]
     }
 }
 
-impl Operation<4> for Perceive {
+impl Operation<4> for Features {
     type Kept = ();
 
-    fn forward(&self, [position, velocity, foretold, shape]: [&[f32]; 4]) -> (Vec<f32>, ()) {
-        let (position, velocity, foretold) = (pairs(position), pairs(velocity), pairs(foretold));
+    fn forward(
+        &self,
+        [position, velocity, expected_velocity, shape]: [&[f32]; 4],
+    ) -> (Vec<f32>, ()) {
+        let (position, velocity, expected_velocity) =
+            (pairs(position), pairs(velocity), pairs(expected_velocity));
         let (shape, _) = shape.as_chunks::<SHAPE_FEATURES>();
         let (material, _) = self.material.as_chunks::<4>();
         let mut features = vec![[0.0; PARTICLE_FEATURES]; position.len()];
         features.par_chunks_mut(ROWS).enumerate().for_each(|(part, rows)| {
             let first = part * ROWS;
-            let mut nearness = vec![[0.0; NEARNESSES]; rows.len()];
-            for (nearness, x) in nearness.iter_mut().zip(&position[first..]) {
+            let mut proximity = vec![[0.0; PROXIMITIES]; rows.len()];
+            for (proximity, x) in proximity.iter_mut().zip(&position[first..]) {
                 for (wall, distance) in self.distances(*x).into_iter().enumerate() {
-                    nearness[wall] = distance.max(0.0) * (-1.0 / CONTACT_SCALE);
-                    nearness[4 + wall] = distance.max(0.0) * (-1.0 / BODY_SCALE);
+                    proximity[wall] = distance.max(0.0) * (-1.0 / CONTACT_SCALE);
+                    proximity[4 + wall] = distance.max(0.0) * (-1.0 / BODY_SCALE);
                 }
             }
-            Arch::new().dispatch(Exponentials(nearness.as_flattened_mut()));
+            Arch::new().dispatch(Exponentials(proximity.as_flattened_mut()));
             for (row, features) in rows.iter_mut().enumerate() {
                 let (at, v) = (first + row, velocity[first + row]);
                 let free = self.ballistic.free(position[at], v).1;
-                let held = self.ballistic.step(position[at], v).1;
+                let stopped = self.ballistic.step(position[at], v).1;
                 for axis in 0..2 {
                     features[axis] = v[axis] / self.velocity_unit;
-                    features[2 + axis] = (v[axis] - foretold[at][axis]) / self.velocity_unit;
-                    features[4 + axis] = (held[axis] - free[axis]) / self.velocity_unit;
+                    features[2 + axis] =
+                        (v[axis] - expected_velocity[at][axis]) / self.velocity_unit;
+                    features[4 + axis] = (stopped[axis] - free[axis]) / self.velocity_unit;
                 }
-                features[6..BEFORE].copy_from_slice(&nearness[row]);
+                features[6..BEFORE].copy_from_slice(&proximity[row]);
                 features[BEFORE..BEFORE + SHAPE_FEATURES].copy_from_slice(&shape[at]);
                 features[BEFORE + SHAPE_FEATURES..].copy_from_slice(&material[at % material.len()]);
             }
@@ -178,45 +182,47 @@ impl Operation<4> for Perceive {
         let unit = 1.0 / self.velocity_unit;
         let mut by_position = vec![[0.0; 2]; rows];
         let mut by_velocity = vec![[0.0; 2]; rows];
-        let mut by_foretold = vec![[0.0; 2]; rows];
+        let mut by_expected = vec![[0.0; 2]; rows];
         let mut by_shape = vec![[0.0; SHAPE_FEATURES]; shape.len() / SHAPE_FEATURES];
         let (features, _) = features.as_chunks::<PARTICLE_FEATURES>();
         let (gradient, _) = gradient.as_chunks::<PARTICLE_FEATURES>();
         let states = pairs(position).par_iter().zip(pairs(velocity));
         let above = states.zip(features.par_iter().zip(gradient));
         let below = by_position.par_iter_mut().zip(&mut by_velocity);
-        let below = below.zip(by_foretold.par_iter_mut().zip(&mut by_shape));
+        let below = below.zip(by_expected.par_iter_mut().zip(&mut by_shape));
         let all = above.zip(below).with_min_len(ROWS);
-        all.for_each(|(((x, v), (features, g)), ((position, velocity), (foretold, shape)))| {
-            let moving = moving(&self.ballistic, x, v);
-            for axis in 0..2 {
-                let stop = if moving[axis] { 0.0 } else { g[4 + axis] };
-                velocity[axis] = unit * (g[axis] + g[2 + axis] - stop);
-                foretold[axis] = -unit * g[2 + axis];
-            }
-            for (wall, distance) in self.distances(*x).into_iter().enumerate() {
-                // The features fall with the distance, which the right and upper walls count downwards.
-                let side = if wall < 2 { -1.0 } else { 1.0 };
-                if distance > 0.0 {
-                    position[wall % 2] += side
-                        * (g[6 + wall] * features[6 + wall] / CONTACT_SCALE
-                            + g[10 + wall] * features[10 + wall] / BODY_SCALE);
+        all.for_each(
+            |(((x, v), (features, g)), ((position, velocity), (expected_velocity, shape)))| {
+                let moving = moving(&self.ballistic, x, v);
+                for axis in 0..2 {
+                    let wall_impulse = if moving[axis] { 0.0 } else { g[4 + axis] };
+                    velocity[axis] = unit * (g[axis] + g[2 + axis] - wall_impulse);
+                    expected_velocity[axis] = -unit * g[2 + axis];
                 }
-            }
-            shape.copy_from_slice(&g[BEFORE..BEFORE + SHAPE_FEATURES]);
-        });
+                for (wall, distance) in self.distances(*x).into_iter().enumerate() {
+                    // The features decrease with the distance, which decreases with x and y for the right and upper wall.
+                    let side = if wall < 2 { -1.0 } else { 1.0 };
+                    if distance > 0.0 {
+                        position[wall % 2] += side
+                            * (g[6 + wall] * features[6 + wall] / CONTACT_SCALE
+                                + g[10 + wall] * features[10 + wall] / BODY_SCALE);
+                    }
+                }
+                shape.copy_from_slice(&g[BEFORE..BEFORE + SHAPE_FEATURES]);
+            },
+        );
         [
             by_position.into_flattened(),
             by_velocity.into_flattened(),
-            by_foretold.into_flattened(),
+            by_expected.into_flattened(),
             by_shape.into_flattened(),
         ]
     }
 }
 
-/// The next positions and below them the next velocities, `[2 R, 2]`, from these and the decoder's
-/// output, `[R, 4]`.
-pub(crate) fn move_on(
+/// The predicted positions, followed by the predicted velocities, `[2 R, 2]`, from the current ones and the decoder's output,
+/// `[R, 4]`.
+pub(crate) fn advance(
     ballistic: Ballistic,
     velocity_unit: f32,
     limits: [[f32; 2]; 2],
@@ -224,26 +230,26 @@ pub(crate) fn move_on(
 ) -> Tensor<2> {
     let [rows, _] = output.dims();
     let inputs = [input(position), input(velocity), input(output)];
-    apply(MoveOn { ballistic, velocity_unit, limits }, inputs, [2 * rows, 2])
+    apply(Advance { ballistic, velocity_unit, limits }, inputs, [2 * rows, 2])
 }
 
 #[derive(Clone, Debug)]
-struct MoveOn {
+struct Advance {
     ballistic: Ballistic,
     velocity_unit: f32,
-    /// The smallest and the largest velocities.
+    /// Smallest and largest velocities.
     limits: [[f32; 2]; 2],
 }
 
-impl MoveOn {
-    /// The next position and velocity before they are limited.
+impl Advance {
+    /// The predicted position and velocity before clamping.
     fn unlimited(&self, x: &[f32; 2], v: &[f32; 2], o: &[f32; 4]) -> [f32; 4] {
         let (x, v) = self.ballistic.step(*x, *v);
         let (unit, step) = (self.velocity_unit, self.velocity_unit * self.ballistic.dt);
         [x[0] + step * o[2], x[1] + step * o[3], v[0] + unit * o[0], v[1] + unit * o[1]]
     }
 
-    /// The limits of both.
+    /// Limits of position and velocity.
     fn bounds(&self) -> [[f32; 4]; 2] {
         let Ballistic { lower, upper, .. } = self.ballistic;
         let [slowest, fastest] = self.limits;
@@ -252,7 +258,7 @@ impl MoveOn {
     }
 }
 
-impl Operation<3> for MoveOn {
+impl Operation<3> for Advance {
     type Kept = ();
 
     fn forward(&self, [position, velocity, output]: [&[f32]; 3]) -> (Vec<f32>, ()) {

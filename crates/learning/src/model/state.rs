@@ -1,0 +1,108 @@
+//! Particles, trajectories and hidden states as tensors.
+
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use eddy_frames::Material;
+use eddy_inference::{checkpoint::GridOptions, kernels::rest_shape::RestShape};
+
+/// Positions and velocities of particles at one instant, `[R, 2]` each (domain lengths and domain lengths per second).
+#[derive(Clone, Debug)]
+pub(crate) struct ParticleState {
+    pub(crate) position: Tensor<2>,
+    pub(crate) velocity: Tensor<2>,
+}
+
+/// Inputs that do not change from frame to frame.
+#[derive(Clone, Debug)]
+pub(crate) struct StaticInputs {
+    /// Materials, one-hot, `[R, 4]`.
+    pub(crate) material: Tensor<2>,
+    /// The same as a list.
+    pub(crate) one_hot: Arc<Vec<f32>>,
+    /// B; all windows have the same number of particles.
+    pub(crate) windows: usize,
+    /// The rest shapes of solids.
+    pub(crate) rest: Arc<RestShape>,
+}
+
+impl StaticInputs {
+    /// The inputs of B windows, from materials and rest positions, `[R]` each. The grid options are those of the particle model,
+    /// which uses the spacing of particles.
+    pub(crate) fn new(
+        material: &[Material],
+        rest: &[[f32; 2]],
+        windows: usize,
+        grid: Option<&GridOptions>,
+        device: &Device,
+    ) -> Self {
+        let spacing = grid.map_or(0.0, |grid| grid.spacing);
+        let rest = Arc::new(RestShape::new(rest, material, windows, spacing));
+        let one_hot: Vec<f32> = material
+            .iter()
+            .flat_map(|material| Material::ALL.map(|kind| f32::from(u8::from(kind == *material))))
+            .collect();
+        let data = TensorData::new(one_hot.clone(), [material.len(), Material::COUNT]);
+        let material = Tensor::from_data(data, device);
+        Self { material, one_hot: Arc::new(one_hot), windows, rest }
+    }
+
+    /// N.
+    pub(crate) fn particles(&self) -> usize {
+        self.rest.len() / self.windows
+    }
+}
+
+/// `[R, 2]` as a list of pairs.
+pub(crate) fn pairs(tensor: Tensor<2>) -> Vec<[f32; 2]> {
+    let numbers: Vec<f32> = tensor.inner().into_data().iter::<f32>().collect();
+    numbers.as_chunks::<2>().0.to_vec()
+}
+
+/// Positions and velocities over time, `[T, R, 2]` each.
+#[derive(Clone, Debug)]
+pub(crate) struct TrajectoryBatch {
+    pub(crate) position: Tensor<3>,
+    pub(crate) velocity: Tensor<3>,
+}
+
+impl TrajectoryBatch {
+    /// The particles at frame `t`.
+    pub(crate) fn at(&self, t: usize) -> ParticleState {
+        ParticleState { position: at(&self.position, t), velocity: at(&self.velocity, t) }
+    }
+
+    /// The trajectory of consecutive frames.
+    pub(crate) fn stack(frames: Vec<ParticleState>) -> Self {
+        let (position, velocity) = frames.into_iter().map(|s| (s.position, s.velocity)).unzip();
+        Self {
+            position: Tensor::stack::<3>(position, 0),
+            velocity: Tensor::stack::<3>(velocity, 0),
+        }
+    }
+}
+
+/// Frame `t` of `[T, R, width]`.
+pub(crate) fn at(frames: &Tensor<3>, t: usize) -> Tensor<2> {
+    let [_, rows, width] = frames.dims();
+    frames.clone().slice([t..t + 1, 0..rows, 0..width]).reshape([rows, width])
+}
+
+/// The state that a layer of the core carries from frame to frame.
+#[derive(Clone, Debug)]
+pub(crate) struct LayerState {
+    /// Its last output, `[R, H]`.
+    pub(crate) hidden: Tensor<2>,
+    /// The cell of an LSTM, `[R, H]`.
+    pub(crate) cell: Option<Tensor<2>>,
+}
+
+/// The state that a network carries from frame to frame; empty before the first frame.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RecurrentState {
+    /// The state of each layer of the core: one row per window in the frame model, one per particle in the particle model.
+    pub(crate) layers: Vec<LayerState>,
+    /// Particle model: the velocities that the ballistic step expects in the coming frame, `[R, 2]`.
+    pub(crate) expected_velocity: Option<Tensor<2>>,
+}

@@ -1,0 +1,84 @@
+//! The description of the network to train, from settings and data.
+
+use std::collections::BTreeSet;
+
+use super::{TrainConfig, TrainError};
+use eddy_evaluation::dataset::Dataset;
+use eddy_frames::Material;
+use eddy_inference::checkpoint::{
+    Architecture, Description, FORMAT_VERSION, Rules, TrainingSummary,
+};
+
+/// The description of the untrained network.
+pub(super) fn describe(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    command: &str,
+) -> Result<Description, TrainError> {
+    let Some(first) = dataset.train.first() else {
+        let (warm_up, unroll) = (config.windows.warm_up, 1);
+        return Err(TrainError::TooShort { found: 0, expected: warm_up + 1, warm_up, unroll });
+    };
+    let particles = first.material.len();
+    if config.architecture == Architecture::Frame {
+        same_particles(dataset, particles)?;
+    }
+    no_constant_feature(dataset)?;
+    // Of all splits: in a small data set, a material may occur in the validation split only.
+    let splits = [&dataset.train, &dataset.validation, &dataset.test];
+    let streams = splits.into_iter().flatten();
+    let materials: BTreeSet<Material> =
+        streams.flat_map(|stream| stream.material.iter().copied()).collect();
+    Ok(Description {
+        format_version: FORMAT_VERSION,
+        architecture: config.architecture,
+        core: config.core,
+        form: config.network.form,
+        normalize_gates: config.network.normalize_gates,
+        dt: first.dt,
+        warm_up: config.windows.warm_up as u32,
+        gravity: config.gravity,
+        materials: materials.into_iter().collect(),
+        data: dataset.digest.clone(),
+        sizes: config.sizes(particles),
+        frame: config.network.frame,
+        grid: config.grid(dataset.spacing),
+        rules: Rules::standard(config.architecture),
+        domain: first.domain,
+        normalization: dataset.normalization.clone(),
+        training: TrainingSummary {
+            command: command.to_owned(),
+            seed: config.seed,
+            validation_loss: f64::MAX,
+            seen: dataset.seen()?,
+            ..TrainingSummary::default()
+        },
+    })
+}
+
+/// Rejects streams that differ in the number of particles.
+pub(super) fn same_particles(dataset: &Dataset, particles: usize) -> Result<(), TrainError> {
+    let mut streams = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
+    match streams.find(|stream| stream.material.len() != particles) {
+        None => Ok(()),
+        Some(other) => Err(TrainError::Particles {
+            source_file: other.source.clone(),
+            stream: other.id,
+            found: other.material.len(),
+            expected: particles,
+        }),
+    }
+}
+
+/// Rejects constant features, which cannot be normalised.
+pub(super) fn no_constant_feature(dataset: &Dataset) -> Result<(), TrainError> {
+    let scale = &dataset.normalization;
+    let constant = |&feature: &usize| scale.minimum[feature] >= scale.maximum[feature];
+    match (0..4).find(constant) {
+        None => Ok(()),
+        Some(feature) => {
+            let found = scale.minimum[feature];
+            Err(TrainError::Constant { feature: ["x", "y", "vx", "vy"][feature], found })
+        }
+    }
+}
