@@ -54,7 +54,10 @@ pub use shm::{SharedFrame, SharedMemory};
 pub use discovered::SeenTopic;
 pub use transports::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 
-use std::time::Duration;
+use std::{
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
 
 use serde::Deserialize;
 
@@ -148,6 +151,11 @@ pub enum TransportError {
     /// The middleware reports an error.
     #[error("{link}: {action}: {reason}")]
     Middleware { link: Link, action: &'static str, reason: String },
+}
+
+/// Locks a mutex. A panic in another thread leaves its contents consistent: every change is one operation.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The example of the README, which a test runs.

@@ -3,12 +3,12 @@
 use std::{
     collections::HashMap,
     num::NonZeroUsize,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{Arc, Mutex, Weak},
     time::Duration,
 };
 
 use super::{
-    Link, Payload, Publisher, Reliability, Subscriber, TransportError,
+    Link, Payload, Publisher, Reliability, Subscriber, TransportError, lock,
     middleware::Middleware,
     queue::{PushError, Queue},
     transports,
@@ -145,9 +145,4 @@ impl Drop for MemorySubscriber {
     fn drop(&mut self) {
         self.queue.close();
     }
-}
-
-/// A panic in another thread leaves the contents consistent.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

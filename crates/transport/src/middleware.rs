@@ -58,3 +58,13 @@ pub(crate) trait Middleware: Send + Sync {
         Ok(None)
     }
 }
+
+/// An error of a middleware on `link`.
+#[cfg(any(feature = "shm", feature = "zenoh", feature = "dds"))]
+pub(crate) fn error(
+    link: &Link,
+    action: &'static str,
+    reason: &dyn std::fmt::Display,
+) -> TransportError {
+    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
+}

@@ -4,13 +4,13 @@ use std::{
     num::NonZeroUsize,
     ops::RangeInclusive,
     path::PathBuf,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, memory::Broker, middleware::Middleware,
+    TransportKind, lock, memory::Broker, middleware::Middleware,
 };
 use eddy_messages::{Message, ParticleFrame, TypeSupport, type_support};
 
@@ -271,7 +271,7 @@ impl Transports {
     /// The middleware of a link, opened if necessary.
     pub(super) fn middleware(&self, link: &Link) -> Result<Arc<dyn Middleware>, TransportError> {
         let slot = &self.shared.open[link.transport as usize];
-        let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = lock(slot);
         let opened = match slot.take() {
             Some(opened) => opened,
             None => open(link, &self.shared.options)?,

@@ -7,11 +7,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
-    sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
-    thread::{self, JoinHandle},
+    sync::{Arc, Mutex},
 };
 
 use ros2_client::{
@@ -19,33 +15,26 @@ use ros2_client::{
     dds::rustdds::{
         self, DomainParticipant, DomainParticipantStatusEvent as Event,
         DomainParticipantStatusListener, GUID, RTPSEntity, StatusEvented, TopicKind,
-        mio1::{Events, Interest, Poll, Token, Waker},
+        mio1::{Interest, Token, Waker},
         no_key::DataWriterCdr,
     },
     entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo},
 };
 
-use super::middleware;
-use crate::{Link, TransportError, TransportOptions};
+use super::{event_loop::EventLoop, middleware};
+use crate::{Link, TransportError, TransportOptions, lock};
 
 /// Largest number of incompatible writers per reader. They are kept when they disappear, since their last messages may not
 /// have been received yet.
 const MAX_MISMATCHED: usize = 1_024;
 
 pub(super) struct Graph {
-    shared: Arc<Shared>,
+    state: Arc<Mutex<State>>,
     announcer: Mutex<Announcer>,
-    waker: Waker,
-    thread: Option<JoinHandle<()>>,
+    _events: EventLoop,
 }
 
 /// Shared by the thread and the endpoints.
-#[derive(Default)]
-struct Shared {
-    stop: AtomicBool,
-    state: Mutex<State>,
-}
-
 #[derive(Default)]
 struct State {
     /// Readers matched with each local writer.
@@ -72,11 +61,10 @@ impl Graph {
         options: &TransportOptions,
     ) -> Result<Self, TransportError> {
         let announcer = Announcer::open(link, participant, publisher, options)?;
-        let shared = Arc::<Shared>::default();
-        let failed = |error| middleware(link, "watch the graph", &error);
-        let (waker, thread) =
-            watch(participant.status_listener(), Arc::clone(&shared)).map_err(failed)?;
-        let graph = Self { shared, announcer: Mutex::new(announcer), waker, thread: Some(thread) };
+        let state = Arc::<Mutex<State>>::default();
+        let events = watch(participant.status_listener(), Arc::clone(&state))
+            .map_err(|error| middleware(link, "watch the graph", &error))?;
+        let graph = Self { state, announcer: Mutex::new(announcer), _events: events };
         graph.announce(|_| {});
         Ok(graph)
     }
@@ -92,7 +80,7 @@ impl Graph {
         self.announce(|announcer| {
             announcer.writers.remove(&writer);
         });
-        lock(&self.shared.state).readers.remove(&writer);
+        lock(&self.state).readers.remove(&writer);
     }
 
     /// Announces a local reader.
@@ -106,42 +94,30 @@ impl Graph {
         self.announce(|announcer| {
             announcer.readers.remove(&reader);
         });
-        let mut state = lock(&self.shared.state);
+        let mut state = lock(&self.state);
         state.mismatched.remove(&reader);
         state.wakers.remove(&reader);
     }
 
     /// Wakes `waker` whenever an incompatible writer for `reader` appears.
     pub(super) fn watch(&self, reader: GUID, waker: &Arc<Waker>) {
-        lock(&self.shared.state).wakers.insert(reader, Arc::clone(waker));
+        lock(&self.state).wakers.insert(reader, Arc::clone(waker));
     }
 
     /// Writers with a QoS that is incompatible with `reader`.
     pub(super) fn mismatched(&self, reader: GUID) -> BTreeSet<GUID> {
-        lock(&self.shared.state).mismatched.get(&reader).cloned().unwrap_or_default()
+        lock(&self.state).mismatched.get(&reader).cloned().unwrap_or_default()
     }
 
     /// Number of readers matched with a local writer.
     pub(super) fn matched(&self, writer: GUID) -> usize {
-        lock(&self.shared.state).readers.get(&writer).map_or(0, BTreeSet::len)
+        lock(&self.state).readers.get(&writer).map_or(0, BTreeSet::len)
     }
 
     fn announce(&self, change: impl FnOnce(&mut Announcer)) {
         let mut announcer = lock(&self.announcer);
         change(&mut announcer);
         announcer.announce();
-    }
-}
-
-impl Drop for Graph {
-    fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not joined.
-        if self.waker.wake().is_ok()
-            && let Some(thread) = self.thread.take()
-        {
-            let _ = thread.join();
-        }
     }
 }
 
@@ -179,56 +155,40 @@ impl Announcer {
 /// Starts the thread that reads the events of RustDDS.
 fn watch(
     mut listener: DomainParticipantStatusListener,
-    shared: Arc<Shared>,
-) -> io::Result<(Waker, JoinHandle<()>)> {
-    const EVENTS: Token = Token(0);
-    const WAKE: Token = Token(1);
-    let mut poll = Poll::new()?;
-    poll.registry().register(&mut listener, EVENTS, Interest::READABLE)?;
-    let waker = Waker::new(poll.registry(), WAKE)?;
-    let thread = thread::Builder::new().name("dds graph".to_owned()).spawn(move || {
-        let mut events = Events::with_capacity(4);
-        while !shared.stop.load(Ordering::Relaxed) {
-            while let Some(event) = listener.try_recv_status() {
-                shared.handle(event);
-            }
-            match poll.poll(&mut events, None) {
-                Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("watching the DDS graph stopped: {error}");
-                    return;
-                }
-                _ => {}
-            }
+    state: Arc<Mutex<State>>,
+) -> io::Result<EventLoop> {
+    let wait = EventLoop::poll()?;
+    wait.0.registry().register(&mut listener, Token(1), Interest::READABLE)?;
+    EventLoop::start("dds graph", "DDS graph", wait, move |_| {
+        while let Some(event) = listener.try_recv_status() {
+            lock(&state).handle(event);
         }
-    })?;
-    Ok((waker, thread))
+    })
 }
 
-impl Shared {
-    fn handle(&self, event: Event) {
+impl State {
+    fn handle(&mut self, event: Event) {
         match event {
             Event::RemoteReaderMatched { local_writer, remote_reader } => {
-                lock(&self.state).readers.entry(local_writer).or_default().insert(remote_reader);
+                self.readers.entry(local_writer).or_default().insert(remote_reader);
             }
             Event::ReaderLost { guid, .. } => {
-                lock(&self.state).readers.values_mut().for_each(|readers| {
+                self.readers.values_mut().for_each(|readers| {
                     readers.remove(&guid);
                 });
             }
             Event::ParticipantLost { id, .. } => {
-                lock(&self.state)
-                    .readers
+                self.readers
                     .values_mut()
                     .for_each(|readers| readers.retain(|reader| reader.prefix != id));
             }
             Event::RemoteWriterQosIncompatible { local_reader, remote_writer, .. } => {
-                let mut state = lock(&self.state);
-                let writers = state.mismatched.entry(local_reader).or_default();
+                let writers = self.mismatched.entry(local_reader).or_default();
                 writers.insert(remote_writer);
                 if writers.len() > MAX_MISMATCHED {
                     writers.pop_first();
                 }
-                if let Some(Err(error)) = state.wakers.get(&local_reader).map(|w| w.wake()) {
+                if let Some(Err(error)) = self.wakers.get(&local_reader).map(|w| w.wake()) {
                     tracing::warn!("cannot wake a DDS subscriber: {error}");
                 }
             }
@@ -243,9 +203,4 @@ impl Shared {
             _ => {}
         }
     }
-}
-
-/// A panic in another thread leaves the state consistent.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

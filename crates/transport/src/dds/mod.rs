@@ -2,10 +2,11 @@
 //!
 //! 1. [`participant`]: the DDS participant and its networks.
 //! 2. [`graph`]: the node and its endpoints in the ROS graph; matched endpoints.
-//! 3. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
-//! 4. [`qos`]: QoS of the endpoints; largest message size.
-//! 5. [`publisher`], [`subscriber`]: messages.
-//! 6. [`service`]: requests and responses.
+//! 3. [`event_loop`]: a thread that handles events of RustDDS.
+//! 4. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
+//! 5. [`qos`]: QoS of the endpoints; largest message size.
+//! 6. [`publisher`], [`subscriber`]: messages.
+//! 7. [`service`]: requests and responses.
 //!
 //! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
 //! (<https://design.ros2.org/articles/topic_and_service_names.html>).
@@ -26,6 +27,7 @@
 //! counts the oldest. A killed subscriber is detected after its lease of 50 s.
 
 mod cdr;
+mod event_loop;
 mod graph;
 mod participant;
 mod publisher;
@@ -33,7 +35,7 @@ mod qos;
 mod service;
 mod subscriber;
 
-use std::{fmt::Display, num::NonZeroUsize, sync::Arc, time::Duration};
+use std::{num::NonZeroUsize, sync::Arc, time::Duration};
 
 use ros2_client::dds::rustdds::{
     self, DomainParticipant, Topic, TopicKind, discovery::DiscoveredTopicData,
@@ -41,7 +43,8 @@ use ros2_client::dds::rustdds::{
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, TransportOptions, middleware::Middleware,
+    TransportKind, TransportOptions,
+    middleware::{Middleware, error as middleware},
 };
 use eddy_messages::{TypeSupport, dds_type, ros_type};
 use graph::Graph;
@@ -127,11 +130,6 @@ impl Middleware for DdsNode {
 /// `std_srvs/srv/Trigger` has the types `std_srvs::srv::dds_::Trigger_Request_` and `..._Response_`.
 fn service_types(name: &str) -> [String; 2] {
     ["Request", "Response"].map(|part| dds_type(&format!("{name}_{part}")))
-}
-
-/// An error of DDS on `link`.
-fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> TransportError {
-    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
 }
 
 #[cfg(test)]

@@ -3,39 +3,27 @@
 //! Requests arrive on the topic `rq<service>Request`; responses are published on `rr<service>Reply` with the sample
 //! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
 
-use std::{
-    io,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    thread::{self, JoinHandle},
-    time::Duration,
-};
+use std::{io, sync::Arc, time::Duration};
 
 use ros2_client::dds::rustdds::{
     RTPSEntity, SampleIdentity, SequenceNumber, TopicKind, WriteOptionsBuilder,
-    mio1::{Events, Interest, Poll, Token, Waker},
+    mio1::{Interest, Token},
     no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader},
 };
 
 use super::{
     DdsNode,
     cdr::{Body, PassThrough},
+    event_loop::EventLoop,
     middleware,
     qos::{self, PublisherQos},
     service_types,
 };
 use crate::{Handler, Link, Served, TransportError};
 
-const WAKE: Token = Token(0);
-const REQUESTS: Token = Token(1);
-
 /// A service; requests are answered until it is dropped.
 pub(crate) struct DdsService {
-    stop: Arc<AtomicBool>,
-    waker: Waker,
-    thread: Option<JoinHandle<()>>,
+    _events: EventLoop,
 }
 
 impl DdsService {
@@ -46,35 +34,18 @@ impl DdsService {
         handler: Handler,
     ) -> Result<Self, TransportError> {
         let failed = |error: io::Error| middleware(link, "offer the service", &error);
-        let poll = Poll::new().map_err(failed)?;
-        let waker = Waker::new(poll.registry(), WAKE).map_err(failed)?;
+        let wait = EventLoop::poll().map_err(failed)?;
         let mut worker = Worker::open(node, link, type_name, handler)?;
-        poll.registry()
-            .register(&mut worker.requests, REQUESTS, Interest::READABLE)
+        wait.0
+            .registry()
+            .register(&mut worker.requests, Token(1), Interest::READABLE)
             .map_err(failed)?;
-        let stop = Arc::<AtomicBool>::default();
-        let stopped = Arc::clone(&stop);
-        let thread = thread::Builder::new()
-            .name("dds service".to_owned())
-            .spawn(move || worker.run(poll, &stopped))
-            .map_err(failed)?;
-        Ok(Self { stop, waker, thread: Some(thread) })
+        let events = EventLoop::start("dds service", link.clone(), wait, move |_| worker.respond());
+        Ok(Self { _events: events.map_err(failed)? })
     }
 }
 
 impl Served for DdsService {}
-
-impl Drop for DdsService {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not joined.
-        if self.waker.wake().is_ok()
-            && let Some(thread) = self.thread.take()
-        {
-            let _ = thread.join();
-        }
-    }
-}
 
 /// Receives requests and publishes responses.
 struct Worker {
@@ -116,28 +87,19 @@ impl Worker {
         Ok(Self { link: link.clone(), requests, responses, handler, node: Arc::clone(node) })
     }
 
-    fn run(mut self, mut poll: Poll, stop: &AtomicBool) {
-        let mut events = Events::with_capacity(4);
-        while !stop.load(Ordering::Relaxed) {
-            self.requests.drain_read_notifications();
-            loop {
-                match self.requests.try_take_one() {
-                    Ok(Some(request)) => self.respond(request),
-                    Ok(None) => break,
-                    Err(error) => tracing::warn!("{}: {error}", self.link),
-                }
-            }
-            match poll.poll(&mut events, None) {
-                Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("{}: the service stopped: {error}", self.link);
-                    return;
-                }
-                _ => {}
+    /// Answers all requests that have arrived.
+    fn respond(&mut self) {
+        self.requests.drain_read_notifications();
+        loop {
+            match self.requests.try_take_one() {
+                Ok(Some(request)) => self.respond_to(request),
+                Ok(None) => break,
+                Err(error) => tracing::warn!("{}: {error}", self.link),
             }
         }
     }
 
-    fn respond(&mut self, request: DeserializedCacheChange<Vec<u8>>) {
+    fn respond_to(&mut self, request: DeserializedCacheChange<Vec<u8>>) {
         let identity = identity(&request);
         let response = (self.handler)(&request.into_value()).and_then(Body::of);
         let Some(response) = response else { return };

@@ -5,23 +5,22 @@
 //! best-effort reader receives their messages, and no others.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     io,
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicU64, Ordering},
     },
-    thread::{self, JoinHandle},
     time::Duration,
 };
 
 use ros2_client::dds::rustdds::{
     GUID, Topic,
-    mio1::{Events, Interest, Poll, Registry, Token, Waker},
+    mio1::{Interest, Registry, Token},
     no_key::SimpleDataReader,
 };
 
-use super::{DdsNode, cdr::PassThrough, middleware, qos};
+use super::{DdsNode, cdr::PassThrough, event_loop::EventLoop, middleware, qos};
 use crate::{Link, Payload, Subscriber, TransportError, queue::Queue};
 use eddy_messages::TypeSupport;
 
@@ -36,8 +35,7 @@ type Reader = SimpleDataReader<Vec<u8>, PassThrough>;
 
 pub(crate) struct DdsSubscriber {
     shared: Arc<Shared>,
-    waker: Arc<Waker>,
-    thread: Option<JoinHandle<()>>,
+    _events: EventLoop,
 }
 
 struct Shared {
@@ -45,7 +43,6 @@ struct Shared {
     queue: Queue<Vec<u8>>,
     /// Messages that did not arrive.
     lost: AtomicU64,
-    stop: AtomicBool,
 }
 
 impl DdsSubscriber {
@@ -56,19 +53,17 @@ impl DdsSubscriber {
     ) -> Result<Self, TransportError> {
         let failed = |error: io::Error| middleware(link, "create the subscriber", &error);
         let ours = Arc::new(Shared::new(link.clone()));
-        let poll = Poll::new().map_err(failed)?;
-        let waker = Arc::new(Waker::new(poll.registry(), WAKE).map_err(failed)?);
+        let wait = EventLoop::poll().map_err(failed)?;
         let topic = node.topic(link, &support.name)?;
         let (shared, node) = (Arc::clone(&ours), Arc::clone(node));
-        let reliable = open(&node, link, &topic, RELIABLE, poll.registry())?;
-        node.graph.watch(reliable.guid(), &waker);
+        let reliable = open(&node, link, &topic, RELIABLE, wait.0.registry())?;
+        node.graph.watch(reliable.guid(), &wait.1);
         let gaps = Gaps::default();
-        let receiver = Receiver { topic, reliable, best_effort: None, gaps, shared, node };
-        let thread = thread::Builder::new()
-            .name("dds subscriber".to_owned())
-            .spawn(move || receiver.run(poll))
-            .map_err(failed)?;
-        Ok(Self { shared: ours, waker, thread: Some(thread) })
+        let mut receiver = Receiver { topic, reliable, best_effort: None, gaps, shared, node };
+        let events = EventLoop::start("dds subscriber", link.clone(), wait, move |registry| {
+            receiver.receive(registry);
+        });
+        Ok(Self { shared: ours, _events: events.map_err(failed)? })
     }
 }
 
@@ -82,26 +77,13 @@ impl Subscriber for DdsSubscriber {
     }
 }
 
-impl Drop for DdsSubscriber {
-    fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Relaxed);
-        // A thread that cannot be woken is not joined.
-        if self.waker.wake().is_ok()
-            && let Some(thread) = self.thread.take()
-        {
-            let _ = thread.join();
-        }
-    }
-}
-
 impl Shared {
     fn new(link: Link) -> Self {
         let queue = Queue::with_cost(DEPTH, MAX_BYTES, Vec::len);
-        Self { link, queue, lost: AtomicU64::new(0), stop: AtomicBool::new(false) }
+        Self { link, queue, lost: AtomicU64::new(0) }
     }
 }
 
-const WAKE: Token = Token(0);
 const RELIABLE: Token = Token(1);
 const BEST_EFFORT: Token = Token(2);
 
@@ -135,30 +117,16 @@ fn open(
 }
 
 impl Receiver {
-    fn run(mut self, mut poll: Poll) {
-        let mut events = Events::with_capacity(4);
-        while !self.shared.stop.load(Ordering::Relaxed) {
-            let unreliable = self.node.graph.mismatched(self.reliable.guid());
-            if self.best_effort.is_none() && !unreliable.is_empty() {
-                let Self { node, shared, topic, .. } = &self;
-                match open(node, &shared.link, topic, BEST_EFFORT, poll.registry()) {
-                    Ok(reader) => self.best_effort = Some(reader),
-                    Err(error) => tracing::warn!("{error}"),
-                }
-            }
-            self.receive(&unreliable);
-            match poll.poll(&mut events, None) {
-                Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                    tracing::warn!("{}: receiving stopped: {error}", self.shared.link);
-                    return;
-                }
-                _ => {}
+    /// Opens the second reader if it is needed, and receives all available messages: from each reader those of its
+    /// writers, since both readers see the whole topic.
+    fn receive(&mut self, registry: &Registry) {
+        let unreliable = self.node.graph.mismatched(self.reliable.guid());
+        if self.best_effort.is_none() && !unreliable.is_empty() {
+            match open(&self.node, &self.shared.link, &self.topic, BEST_EFFORT, registry) {
+                Ok(reader) => self.best_effort = Some(reader),
+                Err(error) => tracing::warn!("{error}"),
             }
         }
-    }
-
-    /// Receives all available messages, from each reader those of its writers: both readers see the whole topic.
-    fn receive(&mut self, unreliable: &BTreeSet<GUID>) {
         let Self { reliable, best_effort, gaps, shared, .. } = self;
         for (reader, repairs) in [(Some(&*reliable), true), (best_effort.as_ref(), false)] {
             let Some(reader) = reader else { continue };

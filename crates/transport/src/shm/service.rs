@@ -2,7 +2,7 @@
 
 use std::{
     fmt::{self, Debug, Display},
-    sync::{Mutex, PoisonError, mpsc},
+    sync::{Mutex, mpsc},
     thread,
     time::Duration,
 };
@@ -22,7 +22,8 @@ use iceoryx2::{
 };
 
 use super::layout::SharedParticle;
-use crate::{Link, SeenTopic, TransportError, TransportKind};
+pub(super) use crate::middleware::error as middleware;
+use crate::{Link, SeenTopic, TransportError, TransportKind, lock};
 use eddy_messages::{Message, ParticleFrame, topic_type};
 
 /// The iceoryx2 variant whose ports may move between threads.
@@ -89,7 +90,7 @@ impl Services {
         H: Debug + ZeroCopySend,
     {
         let name = service_name(link)?;
-        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let node = lock(&self.node);
         let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
         let mut last = String::new();
         for _ in 0..ATTEMPTS {
@@ -128,7 +129,7 @@ impl Services {
 
     /// The topics that have a service. A missing type is inferred from the memory layout and the name.
     pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
-        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let node = lock(&self.node);
         let mut topics = Vec::new();
         Ipc::list(node.config(), |service| {
             topics.extend(discovered(&service.static_details));
@@ -141,7 +142,7 @@ impl Services {
     /// The service that wakes the subscribers of a topic.
     pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
         let name = service_name(link)?;
-        let node = self.node.lock().unwrap_or_else(PoisonError::into_inner);
+        let node = lock(&self.node);
         let mut last = String::new();
         for _ in 0..ATTEMPTS {
             match node.service_builder(&name).event().open_or_create() {
@@ -313,13 +314,4 @@ fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
         }
     })?;
     Ok(keep)
-}
-
-/// An error of iceoryx2 on `link`.
-pub(super) fn middleware(
-    link: &Link,
-    action: &'static str,
-    reason: &dyn Display,
-) -> TransportError {
-    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
 }

@@ -3,13 +3,13 @@
 use std::{
     collections::{BTreeMap, HashSet},
     num::NonZeroUsize,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
 };
 
 use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
 use super::keys::{Endpoint, kept_in, publishers, topic_in, type_in};
-use crate::{SeenTopic, TransportKind};
+use crate::{SeenTopic, TransportKind, lock};
 
 /// The endpoints on the other side of a topic with the same type.
 pub(super) struct Graph {
@@ -84,9 +84,4 @@ pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<See
 /// Announces a node or an endpoint until the token is dropped.
 pub(super) fn declare(session: &Session, token: &str) -> zenoh::Result<LivelinessToken> {
     session.liveliness().declare_token(token.to_owned()).wait()
-}
-
-/// A panic in another thread leaves the sets consistent.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

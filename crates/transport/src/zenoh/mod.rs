@@ -28,7 +28,6 @@ mod subscriber;
 mod transient_local;
 
 use std::{
-    fmt::Display,
     num::NonZeroUsize,
     sync::{
         Arc,
@@ -41,7 +40,8 @@ use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportOptions, middleware::Middleware,
+    TransportOptions,
+    middleware::{Middleware, error as middleware},
 };
 use eddy_messages::{TypeSupport, service_hash};
 use keys::{Endpoint, Node, Side};
@@ -115,9 +115,4 @@ impl Middleware for ZenohNode {
         let endpoint = Endpoint::new(&self.node, self.id(), Side::Service, link, &support, &qos);
         Ok(Some(Box::new(ZenohService::open(&self, endpoint, handler)?)))
     }
-}
-
-/// An error of Zenoh on `link`.
-fn middleware(link: &Link, action: &'static str, reason: &dyn Display) -> TransportError {
-    TransportError::Middleware { link: link.clone(), action, reason: reason.to_string() }
 }

@@ -4,7 +4,7 @@ use std::{
     collections::HashMap,
     ops::RangeInclusive,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
     time::Duration,
@@ -20,7 +20,7 @@ use super::{
     middleware, transient_local,
 };
 use crate::{
-    Payload, Subscriber, TransportError,
+    Payload, Subscriber, TransportError, lock,
     queue::{PushError, Queue},
 };
 
@@ -105,7 +105,7 @@ impl Receiver {
     /// Receives a message that its publisher kept, unless it was received before.
     fn take_kept(&self, sample: &Sample) {
         // Publishers without sequence numbers are not ROS: duplicates cannot be detected.
-        if attachment(sample).is_none_or(|attachment| self.lock().is_new(&attachment)) {
+        if attachment(sample).is_none_or(|attachment| lock(&self.gaps).is_new(&attachment)) {
             self.enqueue(sample);
         }
     }
@@ -113,7 +113,7 @@ impl Receiver {
     /// Receives a newly published message, unless it was received as a kept one before.
     fn take(&self, sample: &Sample) {
         if let Some(attachment) = attachment(sample) {
-            let Some(lost) = self.lock().count(&attachment) else { return };
+            let Some(lost) = lock(&self.gaps).count(&attachment) else { return };
             self.lost.fetch_add(lost, Ordering::Relaxed);
         }
         self.enqueue(sample);
@@ -131,11 +131,6 @@ impl Receiver {
             },
         };
         self.queue.push_or_drop_oldest(bytes);
-    }
-
-    /// A panic in another thread leaves the numbers consistent.
-    fn lock(&self) -> MutexGuard<'_, Gaps> {
-        self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

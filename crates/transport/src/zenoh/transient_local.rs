@@ -9,7 +9,7 @@
 use std::{
     collections::VecDeque,
     num::NonZeroUsize,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -24,6 +24,7 @@ use zenoh::{
 };
 
 use super::{ZenohNode, attachment::LENGTH, graph};
+use crate::lock;
 
 /// Timeout of a query for kept messages.
 const QUERY_TIMEOUT: Duration = Duration::from_secs(10);
@@ -123,9 +124,4 @@ fn request(
             }
         })
         .wait()
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic in another thread leaves the messages consistent: every change is one push or pop.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
