@@ -1,4 +1,4 @@
-//! What waits to be written: a queue between several receivers and one writer, bounded in bytes.
+//! A queue from several producers to one consumer, bounded in bytes.
 
 use std::{
     collections::VecDeque,
@@ -8,37 +8,37 @@ use std::{
 
 /// A first-in-first-out queue of bounded size.
 pub struct Cache<T> {
-    state: Mutex<State<T>>,
+    contents: Mutex<Contents<T>>,
     arrived: Condvar,
     freed: Condvar,
-    /// Bytes it may hold.
+    /// Bytes.
     capacity: usize,
 }
 
-struct State<T> {
+struct Contents<T> {
     items: VecDeque<(T, usize)>,
     bytes: usize,
     producers: usize,
     closed: bool,
 }
 
-/// What a look into the queue gave.
+/// The result of [`Cache::pop`].
 #[derive(Debug, PartialEq, Eq)]
-pub enum Taken<T> {
+pub enum Pop<T> {
     /// The oldest item.
     Item(T),
-    /// None came in time.
-    Nothing,
-    /// None will come any more: the producers are gone, and what they left is taken.
+    /// No item arrived in time.
+    Timeout,
+    /// The queue is empty and all producers are gone.
     Ended,
 }
 
 impl<T> Cache<T> {
-    /// A queue for so many bytes. A longer item has it for itself.
+    /// A queue for `capacity` bytes. A larger item is accepted when the queue is empty.
     pub fn new(capacity: usize) -> Arc<Self> {
-        let state = State { items: VecDeque::new(), bytes: 0, producers: 0, closed: false };
+        let contents = Contents { items: VecDeque::new(), bytes: 0, producers: 0, closed: false };
         let (arrived, freed) = (Condvar::new(), Condvar::new());
-        Arc::new(Self { state: Mutex::new(state), arrived, freed, capacity })
+        Arc::new(Self { contents: Mutex::new(contents), arrived, freed, capacity })
     }
 
     /// One more producer; the queue ends with the last of them.
@@ -47,90 +47,89 @@ impl<T> Cache<T> {
         Producer { cache: Arc::clone(self) }
     }
 
-    /// The oldest item, waiting `timeout` for it at most.
-    pub fn take(&self, timeout: Duration) -> Taken<T> {
-        let waits = |state: &mut State<T>| state.items.is_empty() && state.producers > 0;
-        let (mut state, _) = self
+    /// The oldest item; waits for it up to `timeout`.
+    pub fn pop(&self, timeout: Duration) -> Pop<T> {
+        let waits =
+            |contents: &mut Contents<T>| contents.items.is_empty() && contents.producers > 0;
+        let (mut contents, _) = self
             .arrived
             .wait_timeout_while(self.lock(), timeout, waits)
             .unwrap_or_else(PoisonError::into_inner);
-        match state.items.pop_front() {
+        match contents.items.pop_front() {
             Some((item, bytes)) => {
-                state.bytes -= bytes;
+                contents.bytes -= bytes;
                 self.freed.notify_all();
-                Taken::Item(item)
+                Pop::Item(item)
             }
-            None if state.producers == 0 => Taken::Ended,
-            None => Taken::Nothing,
+            None if contents.producers == 0 => Pop::Ended,
+            None => Pop::Timeout,
         }
     }
 
-    /// Bytes that wait now.
+    /// Bytes in the queue.
     pub fn bytes(&self) -> usize {
         self.lock().bytes
     }
 
-    /// Frees whoever waits for room, now and later: what they bring vanishes. Gives what waited here.
+    /// Closes the queue: producers no longer wait and their items are discarded. Returns the items that were queued.
     pub fn close(&self) -> Vec<T> {
-        let mut state = self.lock();
-        state.closed = true;
-        state.bytes = 0;
+        let mut contents = self.lock();
+        contents.closed = true;
+        contents.bytes = 0;
         self.freed.notify_all();
-        state.items.drain(..).map(|(item, _)| item).collect()
+        contents.items.drain(..).map(|(item, _)| item).collect()
     }
 
-    /// A panic elsewhere cannot leave the state half changed: every change is one push or pop.
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    /// A panic in another thread leaves the contents consistent: every change is one push or pop.
+    fn lock(&self) -> MutexGuard<'_, Contents<T>> {
+        self.contents.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// What became of an item.
+/// The result of [`Producer::push`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Brought {
-    /// It waits.
+pub enum Push {
+    /// The item is in the queue.
     Queued,
-    /// There never was room for it: it is given up.
-    NoRoom,
-    /// Nobody takes anything any more: it is given up.
-    Unwanted,
+    /// The queue stayed full; the item was discarded.
+    Full,
+    /// The queue is closed; the item was discarded.
+    Closed,
 }
 
-/// What an item takes at least, beside its own bytes: its place here and what it is kept in.
-const LEAST: usize = 256;
+/// Memory that an item takes beside its own bytes: its slot in the queue and its allocation.
+const ITEM_OVERHEAD: usize = 256;
 
-/// Brings items.
+/// The sending end of a [`Cache`].
 pub struct Producer<T> {
     cache: Arc<Cache<T>>,
 }
 
 impl<T> Producer<T> {
-    /// Adds an item of so many bytes when there is room, waiting `patience` for it at most.
-    pub fn bring(&self, item: T, bytes: usize, patience: Duration) -> Brought {
+    /// Adds an item of `bytes` bytes; waits up to `timeout` while the queue is full.
+    pub fn push(&self, item: T, bytes: usize, timeout: Duration) -> Push {
         let Cache { arrived, freed, capacity, .. } = &*self.cache;
-        let bytes = bytes + LEAST;
-        let full = |state: &mut State<T>| {
-            !state.closed && !state.items.is_empty() && state.bytes + bytes > *capacity
+        let bytes = bytes + ITEM_OVERHEAD;
+        let full = |contents: &mut Contents<T>| {
+            !contents.closed && !contents.items.is_empty() && contents.bytes + bytes > *capacity
         };
-        let (mut state, _) = freed
-            .wait_timeout_while(self.cache.lock(), patience, full)
+        let (mut contents, _) = freed
+            .wait_timeout_while(self.cache.lock(), timeout, full)
             .unwrap_or_else(PoisonError::into_inner);
-        if state.closed {
-            return Brought::Unwanted;
+        if contents.closed {
+            return Push::Closed;
         }
-        if full(&mut state) {
-            return Brought::NoRoom;
+        if full(&mut contents) {
+            return Push::Full;
         }
-        state.items.push_back((item, bytes));
-        state.bytes += bytes;
+        contents.items.push_back((item, bytes));
+        contents.bytes += bytes;
         arrived.notify_one();
-        Brought::Queued
+        Push::Queued
     }
-}
 
-impl<T> Producer<T> {
-    /// Whether the queue was closed: nobody takes anything any more.
-    pub fn is_unwanted(&self) -> bool {
+    /// Whether the queue was closed.
+    pub fn is_closed(&self) -> bool {
         self.cache.lock().closed
     }
 }
@@ -154,52 +153,52 @@ mod tests {
     fn items_come_out_in_order_and_the_queue_ends_with_its_producers() {
         let cache = Cache::new(10_000);
         let (first, second) = (cache.producer(), cache.producer());
-        assert_eq!(first.bring('a', 4_000, LONG), Brought::Queued);
-        assert_eq!(second.bring('b', 4_000, LONG), Brought::Queued);
-        assert_eq!(cache.bytes(), 8_000 + 2 * LEAST);
+        assert_eq!(first.push('a', 4_000, LONG), Push::Queued);
+        assert_eq!(second.push('b', 4_000, LONG), Push::Queued);
+        assert_eq!(cache.bytes(), 8_000 + 2 * ITEM_OVERHEAD);
         drop(first);
-        assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('b')]);
-        assert_eq!(cache.take(Duration::ZERO), Taken::Nothing);
-        second.bring('c', 0, LONG);
+        assert_eq!([cache.pop(LONG), cache.pop(LONG)], [Pop::Item('a'), Pop::Item('b')]);
+        assert_eq!(cache.pop(Duration::ZERO), Pop::Timeout);
+        second.push('c', 0, LONG);
         drop(second);
-        assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('c'), Taken::Ended]);
+        assert_eq!([cache.pop(LONG), cache.pop(LONG)], [Pop::Item('c'), Pop::Ended]);
     }
 
     #[test]
-    fn what_finds_no_room_in_time_is_given_up_and_said_so() {
+    fn an_item_is_discarded_when_the_queue_stays_full() {
         let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert_eq!(producer.bring('a', 7_000, LONG), Brought::Queued);
-        assert_eq!(producer.bring('b', 4_000, Duration::from_millis(1)), Brought::NoRoom);
-        assert_eq!(producer.bring('c', 2_000, Duration::ZERO), Brought::Queued);
-        assert_eq!([cache.take(LONG), cache.take(LONG)], [Taken::Item('a'), Taken::Item('c')]);
+        assert_eq!(producer.push('a', 7_000, LONG), Push::Queued);
+        assert_eq!(producer.push('b', 4_000, Duration::from_millis(1)), Push::Full);
+        assert_eq!(producer.push('c', 2_000, Duration::ZERO), Push::Queued);
+        assert_eq!([cache.pop(LONG), cache.pop(LONG)], [Pop::Item('a'), Pop::Item('c')]);
     }
 
     #[test]
-    fn a_longer_item_than_the_queue_has_it_for_itself() {
+    fn an_item_larger_than_the_queue_is_accepted_alone() {
         let cache = Cache::new(10_000);
         let producer = cache.producer();
-        assert_eq!(producer.bring('a', 100_000, Duration::ZERO), Brought::Queued);
-        assert_eq!(producer.bring('b', 1, Duration::ZERO), Brought::NoRoom);
-        assert_eq!(cache.take(LONG), Taken::Item('a'));
-        assert_eq!(producer.bring('b', 1, Duration::ZERO), Brought::Queued);
+        assert_eq!(producer.push('a', 100_000, Duration::ZERO), Push::Queued);
+        assert_eq!(producer.push('b', 1, Duration::ZERO), Push::Full);
+        assert_eq!(cache.pop(LONG), Pop::Item('a'));
+        assert_eq!(producer.push('b', 1, Duration::ZERO), Push::Queued);
     }
 
     #[test]
-    fn room_or_closing_frees_the_one_who_waits() {
+    fn a_waiting_producer_is_released_by_free_space_or_by_closing() {
         for close in [false, true] {
             let cache = Cache::new(1);
             let producer = cache.producer();
-            producer.bring(0, 1, LONG);
-            let waiting = thread::spawn(move || producer.bring(1, 1, LONG));
+            producer.push(0, 1, LONG);
+            let waiting = thread::spawn(move || producer.push(1, 1, LONG));
             let expected = if close {
-                // The one that waited in the queue comes back; the other may have come before it.
+                // The queued item is returned; the waiting one may have been queued before.
                 let left = cache.close();
                 assert_eq!(left[0], 0);
-                if left.len() == 1 { Brought::Unwanted } else { Brought::Queued }
+                if left.len() == 1 { Push::Closed } else { Push::Queued }
             } else {
-                assert_eq!(cache.take(LONG), Taken::Item(0));
-                Brought::Queued
+                assert_eq!(cache.pop(LONG), Pop::Item(0));
+                Push::Queued
             };
             assert_eq!(waiting.join().unwrap(), expected);
         }

@@ -1,4 +1,4 @@
-//! Requests that wait for who answers them, on another thread.
+//! Requests to a thread that answers them when it has time.
 
 use std::{
     sync::{
@@ -14,84 +14,85 @@ use eddy_transport::Queue;
 /// Requests that may wait.
 const DEPTH: usize = 16;
 
-/// The way to somebody who answers requests `R` with answers `A` when there is time for it.
+/// Carries requests `Q` to a thread that answers with `R`.
 #[derive(Debug)]
-pub struct Requests<R, A> {
-    waiting: Queue<Pending<R, A>>,
+pub struct RequestChannel<Q, R> {
+    waiting: Queue<PendingRequest<Q, R>>,
 }
 
-/// A request, and who waits for its answer.
+/// A request that nobody has accepted yet.
 #[derive(Debug)]
-pub struct Pending<R, A> {
-    request: R,
-    asker: Option<Asker<A>>,
+pub struct PendingRequest<Q, R> {
+    request: Q,
+    caller: Option<Caller<R>>,
 }
 
 #[derive(Debug)]
-struct Asker<A> {
-    sender: SyncSender<A>,
-    /// Raised once, by the asker who gives up or by who begins to answer.
+struct Caller<R> {
+    sender: SyncSender<R>,
+    /// Raised once: by the caller on timeout, or by the thread that accepts the request.
     settled: Arc<AtomicBool>,
 }
 
-/// Tells the asker, if there is one who waits.
+/// Sends the response to the caller, if there is one.
 #[derive(Debug)]
-pub struct Reply<A>(Option<SyncSender<A>>);
+pub struct Responder<R>(Option<SyncSender<R>>);
 
-impl<R, A> Default for Requests<R, A> {
+impl<Q, R> Default for RequestChannel<Q, R> {
     fn default() -> Self {
         Self { waiting: Queue::new(DEPTH) }
     }
 }
 
-impl<R, A> Requests<R, A> {
-    /// Asks, and waits `patience` for somebody to begin with it, then for the answer. `None` when nobody began, or
-    /// there was no room for one more: then it is not done later. Also when who had begun ended without an answer.
-    pub fn ask(&self, request: R, patience: Duration) -> Option<A> {
+impl<Q, R> RequestChannel<Q, R> {
+    /// Sends a request, waits `timeout` for it to be accepted, then for the response. `None` when it was not accepted
+    /// in time or the channel was full, and then it is not carried out later; also when the thread that accepted it
+    /// ended without a response.
+    pub fn call(&self, request: Q, timeout: Duration) -> Option<R> {
         let (sender, receiver) = sync_channel(1);
         let settled = Arc::new(AtomicBool::new(false));
-        let asker = Some(Asker { sender, settled: Arc::clone(&settled) });
-        self.waiting.push_or_wait(Pending { request, asker }, Duration::ZERO).ok()?;
-        match receiver.recv_timeout(patience) {
-            Ok(answer) => Some(answer),
+        let caller = Some(Caller { sender, settled: Arc::clone(&settled) });
+        self.waiting.push_or_wait(PendingRequest { request, caller }, Duration::ZERO).ok()?;
+        match receiver.recv_timeout(timeout) {
+            Ok(response) => Some(response),
             Err(_) if settled.swap(true, Ordering::AcqRel) => receiver.recv().ok(),
             Err(_) => None,
         }
     }
 
     /// The oldest request.
-    pub fn next(&self) -> Option<Pending<R, A>> {
+    pub fn next(&self) -> Option<PendingRequest<Q, R>> {
         self.waiting.pop(Duration::ZERO)
     }
 
-    /// No more requests: who waits for an answer is told that there will be none.
+    /// Rejects all requests, now and later: their callers return at once.
     pub fn close(&self) {
         self.waiting.close();
     }
 }
 
-impl<R, A> Pending<R, A> {
-    /// The request, and the way to tell what became of it; `None` when nobody waits for it any more.
-    pub fn begin(self) -> Option<(R, Reply<A>)> {
-        match self.asker {
-            Some(asker) if asker.settled.swap(true, Ordering::AcqRel) => None,
-            asker => Some((self.request, Reply(asker.map(|asker| asker.sender)))),
+impl<Q, R> PendingRequest<Q, R> {
+    /// The request, and where to send the response; `None` when its caller has given up.
+    pub fn accept(self) -> Option<(Q, Responder<R>)> {
+        match self.caller {
+            Some(caller) if caller.settled.swap(true, Ordering::AcqRel) => None,
+            caller => Some((self.request, Responder(caller.map(|caller| caller.sender)))),
         }
     }
 }
 
-impl<R, A> From<R> for Pending<R, A> {
-    /// A request of somebody who sees what becomes of it.
-    fn from(request: R) -> Self {
-        Self { request, asker: None }
+impl<Q, R> From<Q> for PendingRequest<Q, R> {
+    /// A request without a caller, such as a key press.
+    fn from(request: Q) -> Self {
+        Self { request, caller: None }
     }
 }
 
-impl<A> Reply<A> {
-    /// Tells who asked.
-    pub fn send(self, answer: A) {
-        // An asker whose request was begun waits until the answer comes; one may be gone with its thread.
-        let _ = self.0.map(|asker| asker.send(answer));
+impl<R> Responder<R> {
+    /// Sends the response.
+    pub fn send(self, response: R) {
+        // A caller whose request was accepted waits for the response, unless its thread has ended.
+        let _ = self.0.map(|caller| caller.send(response));
     }
 }
 
@@ -103,7 +104,7 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(60);
 
-    fn first<R, A>(requests: &Requests<R, A>) -> Pending<R, A> {
+    fn first<Q, R>(requests: &RequestChannel<Q, R>) -> PendingRequest<Q, R> {
         loop {
             if let Some(pending) = requests.next() {
                 break pending;
@@ -113,48 +114,48 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_hears_the_answer() {
-        let requests = Requests::default();
+    fn a_caller_receives_the_response() {
+        let requests = RequestChannel::default();
         thread::scope(|scope| {
-            let asker = scope.spawn(|| requests.ask(2, LONG));
-            let (request, reply) = first(&requests).begin().unwrap();
+            let caller = scope.spawn(|| requests.call(2, LONG));
+            let (request, responder) = first(&requests).accept().unwrap();
             assert_eq!(request, 2);
-            reply.send(3);
-            assert_eq!(asker.join().unwrap(), Some(3));
+            responder.send(3);
+            assert_eq!(caller.join().unwrap(), Some(3));
         });
     }
 
     #[test]
-    fn who_ends_lets_nobody_wait() {
-        let requests = Requests::<i32, i32>::default();
+    fn closing_releases_all_callers() {
+        let requests = RequestChannel::<i32, i32>::default();
         thread::scope(|scope| {
-            let asker = scope.spawn(|| requests.ask(1, LONG));
+            let caller = scope.spawn(|| requests.call(1, LONG));
             requests.close();
-            assert_eq!(asker.join().unwrap(), None);
+            assert_eq!(caller.join().unwrap(), None);
         });
-        assert_eq!(requests.ask(1, LONG), None);
+        assert_eq!(requests.call(1, LONG), None);
     }
 
     #[test]
-    fn a_request_that_was_given_up_is_not_begun() {
-        let requests = Requests::<i32, i32>::default();
-        assert_eq!(requests.ask(1, Duration::ZERO), None);
-        assert!(requests.next().unwrap().begin().is_none());
+    fn a_request_that_timed_out_is_not_accepted() {
+        let requests = RequestChannel::<i32, i32>::default();
+        assert_eq!(requests.call(1, Duration::ZERO), None);
+        assert!(requests.next().unwrap().accept().is_none());
     }
 
     #[test]
-    fn what_is_done_is_told_however_late_and_what_is_not_told_is_not_done() {
-        let requests = Requests::default();
+    fn a_request_is_carried_out_exactly_when_its_caller_gets_a_response() {
+        let requests = RequestChannel::default();
         for pause in 0..20 {
             thread::scope(|scope| {
-                let asker = scope.spawn(|| requests.ask(1, Duration::from_millis(2)));
+                let caller = scope.spawn(|| requests.call(1, Duration::from_millis(2)));
                 thread::sleep(Duration::from_micros(200 * pause));
-                let answer = first(&requests).begin().map(|(request, reply)| {
+                let response = first(&requests).accept().map(|(request, responder)| {
                     thread::sleep(Duration::from_millis(5));
-                    reply.send(request + 1);
+                    responder.send(request + 1);
                     2
                 });
-                assert_eq!(asker.join().unwrap(), answer);
+                assert_eq!(caller.join().unwrap(), response);
             });
         }
     }

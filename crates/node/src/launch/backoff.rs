@@ -1,10 +1,10 @@
-//! Whether and when a process that failed starts again.
+//! Whether and when to restart a failed process.
 
 use std::time::Duration;
 
 use super::RestartPlan;
 
-/// The failures of one process in a row.
+/// Consecutive failures of one process.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Backoff {
     plan: RestartPlan,
@@ -21,13 +21,12 @@ impl Backoff {
         self.failures > 0
     }
 
-    /// Restarts in a row that are allowed.
+    /// Maximum number of consecutive restarts.
     pub(super) fn limit(&self) -> u32 {
         self.plan.limit
     }
 
-    /// How long to wait before the process, which failed after it had been `running`, is started again;
-    /// `None` when it has failed too often.
+    /// Delay before the restart of a process that failed after `running`; `None` when it has failed too often.
     pub(super) fn failed(&mut self, running: Duration) -> Option<Duration> {
         if running.as_secs_f64() >= self.plan.calm {
             self.failures = 0;
@@ -52,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn each_restart_in_a_row_waits_twice_as_long_up_to_the_longest() {
+    fn each_consecutive_restart_waits_twice_as_long_up_to_the_longest() {
         let mut backoff = Backoff::new(PLAN);
         let delays: Vec<_> =
             (0..6).map(|_| seconds(backoff.failed(Duration::from_secs(1)))).collect();
@@ -60,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_calm_time_makes_failures_forgotten() {
+    fn failures_are_forgotten_after_a_calm_time() {
         let mut backoff = Backoff::new(PLAN);
         for _ in 0..100 {
             assert_eq!(seconds(backoff.failed(Duration::from_secs(30))), Some(0.5));

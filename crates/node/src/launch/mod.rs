@@ -1,12 +1,12 @@
-//! Several processes of eddy from one file: started together, restarted when they fail, ended together.
+//! Several eddy processes from one file: started together, restarted on failure, shut down together.
 //!
-//! 1. [`plan`](Plan): the file.
-//! 2. `backoff`: whether and when what failed starts again.
-//! 3. `process`: one process, its lines, its end.
-//! 4. [`supervise`]: all of them.
+//! 1. [`plan`](Plan): the launch file.
+//! 2. `backoff`: whether and when to restart a failed process.
+//! 3. `process`: one process and its output.
+//! 4. [`supervise`]: all processes, from start to shutdown.
 //!
-//! Each process has a process group of its own, so that Ctrl-C reaches it once, through here; and is told
-//! by the system when this one is killed (on Linux).
+//! Each process has its own process group, so that Ctrl-C reaches it once, through the supervisor. On Linux the system
+//! interrupts it when the supervisor is killed.
 
 mod backoff;
 mod plan;
@@ -16,44 +16,23 @@ mod supervise;
 use std::io;
 
 pub use plan::{InvalidPlan, OnExit, Plan, ProcessPlan, RestartPlan};
-pub use process::Said;
-pub use supervise::{Outcome, supervise};
+pub use process::OutputLine;
+pub use supervise::{LaunchSummary, supervise};
 
-/// Why a plan came to a bad end.
+/// Why a launch failed.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum LaunchError {
-    /// A process cannot be started or looked after.
-    #[error("{name}: {action}: {reason}")]
-    System {
-        /// Its name.
-        name: String,
-        /// What was tried.
-        action: &'static str,
-        /// What the system said.
-        reason: io::Error,
-    },
-    /// A process does not understand its arguments; to start it again would change nothing.
-    #[error("{name}: found wrong usage (exit code 2), expected the arguments of an eddy command")]
-    Usage {
-        /// Its name.
-        name: String,
-    },
-    /// A process did not end well, and is not started again.
-    #[error("{name}: found {found}, expected it to end well")]
-    Ended {
-        /// Its name.
-        name: String,
-        /// How it ended.
-        found: String,
-    },
+    /// A process cannot be started or controlled.
+    #[error("{name}: cannot {action}: {reason}")]
+    System { name: String, action: &'static str, reason: io::Error },
+    /// A process rejects its arguments, so that a restart is useless.
+    #[error("{name}: wrong usage (exit code 2); check its `run` arguments")]
+    Usage { name: String },
+    /// A process failed and is not restarted.
+    #[error("{name}: failed: {found}")]
+    Ended { name: String, found: String },
     /// A process has failed too often.
-    #[error("{name}: found {found}, expected no more than {limit} restarts in a row")]
-    Failed {
-        /// Its name.
-        name: String,
-        /// How it ended last.
-        found: String,
-        /// How often it was started again.
-        limit: u32,
-    },
+    #[error("{name}: failed again after {limit} consecutive restarts: {found}")]
+    Failed { name: String, found: String, limit: u32 },
 }

@@ -1,4 +1,4 @@
-//! What runs, and what happens when it ends.
+//! The launch file: what runs, and what happens when a process ends.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -8,13 +8,12 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// What runs; all of it starts at once.
+    /// The processes; all start at once.
     pub process: Vec<ProcessPlan>,
-    /// How what fails is started again.
+    /// How failed processes are restarted.
     #[serde(default)]
     pub restart: RestartPlan,
-    /// Seconds that processes have to end after they were asked to (SIGINT), before they are killed; 0 to
-    /// 3,600 [default: 10].
+    /// Time for a process to shut down after SIGINT before it is killed (s), 0 to 3,600 [default: 10].
     #[serde(default = "ten")]
     pub grace: f64,
     /// Environment variables of all processes.
@@ -22,49 +21,48 @@ pub struct Plan {
     pub environment: BTreeMap<String, String>,
 }
 
-/// A process.
+/// A process of a launch file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessPlan {
-    /// What its lines begin with; no other process has it.
+    /// Unique name, the prefix of its output lines.
     pub name: String,
     /// An eddy command and its arguments.
     pub run: Vec<String>,
-    /// Whether it is started again when it fails [default: true]; otherwise its failure ends all others. What
-    /// ends well is never started again.
+    /// Whether to restart it when it fails [default: true]; otherwise its failure shuts down all others. A process that
+    /// exits successfully is not restarted.
     #[serde(default = "yes")]
     pub restart: bool,
-    /// What happens once it has ended well [default: nothing].
+    /// What to do when it exits successfully [default: nothing].
     #[serde(default)]
     pub on_exit: OnExit,
-    /// Its own environment variables.
+    /// Additional environment variables of this process.
     #[serde(default)]
     pub environment: BTreeMap<String, String>,
 }
 
-/// What happens to the others when a process has ended well.
+/// What to do with the other processes when one exits successfully.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnExit {
-    /// They go on.
+    /// Keep them running.
     #[default]
     Nothing,
-    /// They are asked to end.
+    /// Shut them down.
     Shutdown,
 }
 
-/// How what fails is started again.
+/// How failed processes are restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RestartPlan {
-    /// Seconds before the first restart; each one in a row waits twice as long as the one before. 0 to 3,600
-    /// [default: 0.5].
+    /// Delay before the first restart (s); each consecutive restart waits twice as long. 0 to 3,600 [default: 0.5].
     pub delay: f64,
-    /// Seconds that no restart waits longer than; 0 to 3,600 [default: 8].
+    /// Longest delay before a restart (s), 0 to 3,600 [default: 8].
     pub longest: f64,
-    /// Restarts in a row after which a process counts as failed; up to 1,000 [default: 5].
+    /// Maximum number of consecutive restarts, up to 1,000 [default: 5].
     pub limit: u32,
-    /// Seconds of running after which a process's failures are forgotten; 0 to 86,400 [default: 30].
+    /// Time after which a running process counts as recovered (s), 0 to 86,400 [default: 30].
     pub calm: f64,
 }
 
@@ -82,15 +80,15 @@ fn yes() -> bool {
     true
 }
 
-/// A plan that cannot be carried out.
+/// A launch file that cannot be carried out.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: found {found}, expected {expected}")]
 pub struct InvalidPlan {
-    /// The field.
+    /// The key.
     pub field: String,
     /// Its value.
     pub found: String,
-    /// What it should be.
+    /// The values allowed.
     pub expected: &'static str,
 }
 
@@ -98,7 +96,7 @@ impl Plan {
     /// Checks what the types leave open.
     ///
     /// # Errors
-    /// [`InvalidPlan`] with the first field that makes no sense.
+    /// [`InvalidPlan`] with the first invalid key.
     pub fn check(&self) -> Result<(), InvalidPlan> {
         let wrong = |field: &str, found: String, expected| {
             Err(InvalidPlan { field: field.to_owned(), found, expected })
@@ -112,12 +110,12 @@ impl Plan {
                 return wrong("process.name", format!("{name:?}"), "a word");
             }
             if self.process[..number].iter().any(|other| other.name == *name) {
-                return wrong("process.name", format!("`{name}` twice"), "names that differ");
+                return wrong("process.name", format!("`{name}` twice"), "unique names");
             }
             if process.run.is_empty() {
                 return wrong(&format!("{name}.run"), "[]".to_owned(), "an eddy command");
             }
-            // It would start itself again and again.
+            // It would start itself recursively.
             if process.run.iter().any(|argument| argument == "launch") {
                 return wrong(&format!("{name}.run"), "launch".to_owned(), "another eddy command");
             }
@@ -130,7 +128,7 @@ impl Plan {
             ("restart.limit", f64::from(limit), 1000.0, "0 to 1000"),
             ("restart.calm", calm, 86400.0, "0 to 86400 (s)"),
         ] {
-            // What is not a number is in no range.
+            // Also rejects NaN.
             if !(0.0..=most).contains(&found) {
                 return wrong(field, found.to_string(), expected);
             }
@@ -157,11 +155,11 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_sense_is_named() {
+    fn invalid_keys_are_named() {
         let one = "[[process]]\nname = 'node'\nrun = ['node']\n";
         for (text, expected) in [
             ("process = []".to_owned(), "process: found none"),
-            (one.repeat(2), "process.name: found `node` twice, expected names that differ"),
+            (one.repeat(2), "process.name: found `node` twice, expected unique names"),
             (one.replace("['node']", "[]"), "node.run: found [], expected an eddy command"),
             (one.replace("['node']", "['launch']"), "node.run: found launch"),
             (one.replace("'node'\n", "' '\n"), "process.name: found \" \", expected a word"),

@@ -1,4 +1,4 @@
-//! One process: its start, its lines, its end.
+//! One process and its output.
 #![expect(unsafe_code, reason = "sets the parent-death signal between fork and exec")]
 
 use std::{
@@ -16,37 +16,36 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::{LaunchError, Plan, ProcessPlan};
 use eddy_frames::clock::Clock;
 
-/// Bytes of a line after which it is cut, so that a process without line ends fills no memory.
-const LONGEST_LINE: u64 = 1 << 16;
+/// Longest line (bytes), after which it is split: bounds the memory for output without line ends.
+const MAX_LINE: u64 = 1 << 16;
 
-/// How long a process that is dropped has to end after it was asked to.
-const LAST_PATIENCE: Duration = Duration::from_secs(2);
-/// Between two looks whether it has.
-const NAP: Duration = Duration::from_millis(20);
+/// Time for a process to end after SIGINT when it is dropped.
+const DROP_TIMEOUT: Duration = Duration::from_secs(2);
+/// Interval between checks whether it has ended.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// A line, with the name of its process before it, and where it was said.
+/// A line of output, with the name of its process as prefix.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Said {
-    /// On standard output, or by the supervision.
-    Output(String),
-    /// On standard error.
-    Error(String),
+pub enum OutputLine {
+    /// From standard output, or from the supervisor.
+    Stdout(String),
+    /// From standard error.
+    Stderr(String),
 }
 
-/// A process under way.
+/// A running process.
 pub(super) struct Process {
     name: String,
     child: Child,
 }
 
 impl Process {
-    /// Starts `program` with the arguments of the plan's process; its lines, with the name before them, go to
-    /// `lines`.
+    /// Starts `program` with the arguments of `process` and sends its lines to `lines`.
     pub(super) fn start(
         program: &Path,
         plan: &Plan,
         process: &ProcessPlan,
-        lines: &SyncSender<Said>,
+        lines: &SyncSender<OutputLine>,
     ) -> Result<Self, LaunchError> {
         let mut command = Command::new(program);
         command
@@ -57,7 +56,7 @@ impl Process {
             .stderr(Stdio::piped())
             .process_group(0);
         #[cfg(target_os = "linux")]
-        // SAFETY: between fork and exec only one system call is made, which allocates nothing.
+        // SAFETY: between fork and exec only one system call is made, and nothing is allocated.
         unsafe {
             command.pre_exec(|| {
                 let with_parent = Some(Signal::INT);
@@ -71,31 +70,31 @@ impl Process {
             reason,
         })?;
         if let Some(output) = child.stdout.take() {
-            forward(&name, output, Said::Output, lines.clone());
+            forward(&name, output, OutputLine::Stdout, lines.clone());
         }
         if let Some(errors) = child.stderr.take() {
-            forward(&name, errors, Said::Error, lines.clone());
+            forward(&name, errors, OutputLine::Stderr, lines.clone());
         }
         Ok(Self { name, child })
     }
 
-    /// How it ended, if it has.
-    pub(super) fn ended(&mut self) -> Result<Option<ExitStatus>, LaunchError> {
-        self.child.try_wait().map_err(|reason| self.error("wait for it", reason))
+    /// The exit status, if it has ended.
+    pub(super) fn exit_status(&mut self) -> Result<Option<ExitStatus>, LaunchError> {
+        self.child.try_wait().map_err(|reason| self.error("wait", reason))
     }
 
-    /// Asks it to end.
+    /// Sends SIGINT.
     pub(super) fn interrupt(&self) -> Result<(), LaunchError> {
         let Some(id) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw) else {
             return Ok(());
         };
-        // It has not been waited for, so the number is still its own.
-        kill_process(id, Signal::INT).map_err(|reason| self.error("interrupt it", reason.into()))
+        // The process has not been waited for, so that its id cannot have been reused.
+        kill_process(id, Signal::INT).map_err(|reason| self.error("interrupt", reason.into()))
     }
 
-    /// Ends it without asking.
+    /// Sends SIGKILL.
     pub(super) fn kill(&mut self) -> Result<(), LaunchError> {
-        self.child.kill().map_err(|reason| self.error("kill it", reason))
+        self.child.kill().map_err(|reason| self.error("kill", reason))
     }
 
     fn error(&self, action: &'static str, reason: io::Error) -> LaunchError {
@@ -104,25 +103,25 @@ impl Process {
 }
 
 impl Drop for Process {
-    /// Nothing outlives the supervision, whatever ends it.
+    /// No process outlives the supervisor, however that ends.
     fn drop(&mut self) {
-        // All of these fail where it has ended before.
+        // Each of these fails if the process has already ended.
         let clock = Clock::start();
         let _ = self.interrupt();
-        while clock.now() < LAST_PATIENCE && matches!(self.child.try_wait(), Ok(None)) {
-            thread::sleep(NAP);
+        while clock.now() < DROP_TIMEOUT && matches!(self.child.try_wait(), Ok(None)) {
+            thread::sleep(POLL_INTERVAL);
         }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Hands on lines until the process closes its end or nobody listens.
+/// Forwards lines until either end is closed.
 fn forward(
     name: &str,
     from: impl Read + Send + 'static,
-    said: fn(String) -> Said,
-    lines: SyncSender<Said>,
+    line_of: fn(String) -> OutputLine,
+    lines: SyncSender<OutputLine>,
 ) {
     let prefix = format!("[{name}] ");
     thread::spawn(move || {
@@ -130,11 +129,11 @@ fn forward(
         let mut line = Vec::new();
         loop {
             line.clear();
-            match from.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line) {
+            match from.by_ref().take(MAX_LINE).read_until(b'\n', &mut line) {
                 Ok(0) | Err(_) => return,
                 Ok(_) => {
                     let text = String::from_utf8_lossy(&line);
-                    if lines.send(said(format!("{prefix}{}", text.trim_end()))).is_err() {
+                    if lines.send(line_of(format!("{prefix}{}", text.trim_end()))).is_err() {
                         return;
                     }
                 }

@@ -1,4 +1,4 @@
-//! All processes of a plan, from their start to their end.
+//! All processes of a plan, from start to shutdown.
 
 use std::{
     os::unix::process::ExitStatusExt as _,
@@ -11,150 +11,144 @@ use std::{
     time::Duration,
 };
 
-use super::{LaunchError, OnExit, Plan, ProcessPlan, Said, backoff::Backoff, process::Process};
+use super::{
+    LaunchError, OnExit, OutputLine, Plan, ProcessPlan, backoff::Backoff, process::Process,
+};
 use eddy_frames::clock::Clock;
 
-/// How often processes and the stop flag are looked at.
-const INTERVAL: Duration = Duration::from_millis(20);
-/// How long the last lines of processes that have ended are waited for.
-const LAST_LINES: Duration = Duration::from_secs(1);
-/// Lines that wait to be handed on, and that are handed on before processes are looked after again.
-const LINES: usize = 1024;
-/// Exit code of wrong usage, and of a process that a signal ended.
+/// Interval between checks of processes and the stop flag.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// How long to wait for the last lines of processes that have ended.
+const LAST_LINES_TIMEOUT: Duration = Duration::from_secs(1);
+/// Capacity of the queue of lines, and number of lines forwarded between two checks of the processes.
+const MAX_LINES: usize = 1024;
+/// Exit code of wrong usage.
 const USAGE: i32 = 2;
+/// Exit code of an eddy process that was interrupted twice.
 const INTERRUPTED: i32 = 130;
 
-/// How a plan ended.
+/// Counts of a launch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Outcome {
-    /// How often processes were started again.
+pub struct LaunchSummary {
+    /// Number of restarts.
     pub restarts: u32,
-    /// Processes that did not end within the grace time and were killed.
+    /// Processes that did not shut down within the grace time and were killed.
     pub killed: u32,
 }
 
-/// Runs a plan's processes, each `program` with its arguments, until all have ended for good, one of them
-/// asks for the end of all, or `stop` is raised; then they are asked to end one after the other, in the
-/// order of the plan. Lines of the processes, with their names before them, and what happens to them go to
-/// `say`.
+/// Runs the processes of a plan, each `program` with its arguments, until all have ended for good, one with
+/// `on_exit = "shutdown"` has ended, or `stop` is raised. Then shuts them down one after the other, in the order of the
+/// plan. Passes output lines and state changes to `print`.
 ///
 /// # Errors
-/// [`LaunchError`] when a process cannot be started, does not understand its arguments or fails too often;
-/// all have ended by then.
+/// [`LaunchError`] when a process cannot be started, rejects its arguments, fails too often or does not shut down. All
+/// processes have ended when this returns.
 pub fn supervise(
     plan: &Plan,
     program: &Path,
     stop: &AtomicBool,
-    say: impl FnMut(Said),
-) -> Result<Outcome, LaunchError> {
-    let (sender, lines) = mpsc::sync_channel(LINES);
+    print: impl FnMut(OutputLine),
+) -> Result<LaunchSummary, LaunchError> {
+    let (sender, lines) = mpsc::sync_channel(MAX_LINES);
     let clock = Clock::start();
-    let lives = plan.process.iter().map(|process| Life {
+    let processes = plan.process.iter().map(|process| Supervised {
         plan: process,
         backoff: Backoff::new(plan.restart),
-        state: State::Waiting { until: clock.now() },
+        state: ProcessProcessState::Waiting { until: clock.now() },
     });
-    let lives = lives.collect();
-    let outcome = Outcome::default();
-    let mut work = Work { plan, program, clock, lives, outcome, sender, lines, say };
+    let processes = processes.collect();
+    let summary = LaunchSummary::default();
+    let mut supervisor =
+        Supervisor { plan, program, clock, processes, summary, sender, lines, print };
 
-    let mut end = Ok(Turn::GoOn);
-    while matches!(end, Ok(Turn::GoOn)) && !stop.load(Ordering::Relaxed) {
-        end = work.turn();
-        work.listen(INTERVAL);
+    let mut running = Ok(true);
+    while matches!(running, Ok(true)) && !stop.load(Ordering::Relaxed) {
+        running = supervisor.check();
+        supervisor.forward_lines(POLL_INTERVAL);
     }
-    let closed = work.shut_down();
-    let outcome = work.outcome;
-    work.last_lines();
-    end?;
-    closed?;
-    Ok(outcome)
+    let shut_down = supervisor.shut_down();
+    let summary = supervisor.summary;
+    supervisor.forward_last_lines();
+    running?;
+    shut_down?;
+    Ok(summary)
 }
 
-/// Whether it is time to end.
-#[derive(Clone, Copy)]
-enum Turn {
-    GoOn,
-    End,
-}
-
-/// Where a process is in its life.
-enum State {
+enum ProcessState {
     Waiting { until: Duration },
     Running { process: Process, since: Duration },
     Ended,
 }
 
-struct Life<'a> {
+struct Supervised<'a> {
     plan: &'a ProcessPlan,
     backoff: Backoff,
-    state: State,
+    state: ProcessState,
 }
 
-struct Work<'a, F> {
+struct Supervisor<'a, F> {
     plan: &'a Plan,
     program: &'a Path,
     clock: Clock,
-    lives: Vec<Life<'a>>,
-    outcome: Outcome,
-    sender: SyncSender<Said>,
-    lines: Receiver<Said>,
-    say: F,
+    processes: Vec<Supervised<'a>>,
+    summary: LaunchSummary,
+    sender: SyncSender<OutputLine>,
+    lines: Receiver<OutputLine>,
+    print: F,
 }
 
-impl<F: FnMut(Said)> Work<'_, F> {
-    /// Starts what is due, and looks after what has ended.
-    fn turn(&mut self) -> Result<Turn, LaunchError> {
+impl<F: FnMut(OutputLine)> Supervisor<'_, F> {
+    /// Starts processes that are due and handles those that have ended. Returns whether to keep running.
+    fn check(&mut self) -> Result<bool, LaunchError> {
         let now = self.clock.now();
-        for life in &mut self.lives {
-            match &mut life.state {
-                State::Waiting { until } if now >= *until => {
-                    let process = Process::start(self.program, self.plan, life.plan, &self.sender)?;
-                    self.outcome.restarts += u32::from(life.backoff.has_failed());
-                    life.state = State::Running { process, since: now };
+        for supervised in &mut self.processes {
+            match &mut supervised.state {
+                ProcessState::Waiting { until } if now >= *until => {
+                    let process = Process::start(self.program, self.plan, supervised.plan, &self.sender)?;
+                    self.summary.restarts += u32::from(supervised.backoff.has_failed());
+                    supervised.state = ProcessState::Running { process, since: now };
                 }
-                State::Running { process, since } => {
-                    let Some(status) = process.ended()? else { continue };
+                ProcessState::Running { process, since } => {
+                    let Some(status) = process.exit_status()? else { continue };
                     let running = now - *since;
-                    life.state = State::Ended;
-                    if let Some(delay) = life.again(status, running)? {
-                        let (name, seconds) = (&life.plan.name, delay.as_secs_f64());
-                        let text = format!("[{name}] {status}, starts again in {seconds:.1} s");
-                        (self.say)(Said::Output(text));
-                        life.state = State::Waiting { until: now + delay };
+                    supervised.state = ProcessState::Ended;
+                    if let Some(delay) = supervised.restart_delay(status, running)? {
+                        let (name, seconds) = (&supervised.plan.name, delay.as_secs_f64());
+                        let text = format!("[{name}] {status}, restarting in {seconds:.1} s");
+                        (self.print)(OutputLine::Stdout(text));
+                        supervised.state = ProcessState::Waiting { until: now + delay };
                     } else {
-                        (self.say)(Said::Output(format!("[{}] has ended", life.plan.name)));
-                        if life.plan.on_exit == OnExit::Shutdown {
-                            return Ok(Turn::End);
+                        (self.print)(OutputLine::Stdout(format!("[{}] has ended", supervised.plan.name)));
+                        if supervised.plan.on_exit == OnExit::Shutdown {
+                            return Ok(false);
                         }
                     }
                 }
-                State::Waiting { .. } | State::Ended => {}
+                ProcessState::Waiting { .. } | ProcessState::Ended => {}
             }
         }
-        let all = self.lives.iter().all(|life| matches!(life.state, State::Ended));
-        Ok(if all { Turn::End } else { Turn::GoOn })
+        let has_ended = |one: &Supervised<'_>| matches!(one.state, ProcessState::Ended);
+        Ok(!self.processes.iter().all(has_ended))
     }
 
-    /// Asks one process after the other to end, and kills what does not. The first that did not end well is
-    /// the error.
+    /// Interrupts one process after the other and kills those that do not end. Returns the first failure.
     fn shut_down(&mut self) -> Result<(), LaunchError> {
         let mut outcome = Ok(());
-        for number in 0..self.lives.len() {
-            let life = &mut self.lives[number];
-            let name = life.plan.name.clone();
-            let State::Running { mut process, .. } =
-                std::mem::replace(&mut life.state, State::Ended)
+        for number in 0..self.processes.len() {
+            let supervised = &mut self.processes[number];
+            let name = supervised.plan.name.clone();
+            let ProcessState::Running { mut process, .. } =
+                std::mem::replace(&mut supervised.state, ProcessState::Ended)
             else {
                 continue;
             };
-            let ended = self.end(&mut process);
+            let ended = self.interrupt(&mut process);
             outcome = outcome.and(match ended {
-                Ok(Some(status)) if ended_well(status) => Ok(()),
+                Ok(Some(status)) if was_shut_down(status) => Ok(()),
                 Ok(Some(status)) => Err(LaunchError::Ended { name, found: status.to_string() }),
                 Ok(None) => {
-                    self.outcome.killed += 1;
-                    let found = format!("no end within {} s", self.plan.grace);
+                    self.summary.killed += 1;
+                    let found = format!("still running {} s after SIGINT", self.plan.grace);
                     process.kill().and(Err(LaunchError::Ended { name, found }))
                 }
                 Err(error) => Err(error),
@@ -163,52 +157,52 @@ impl<F: FnMut(Said)> Work<'_, F> {
         outcome
     }
 
-    /// Asks a process to end. `None` when it does not within the grace time.
-    fn end(&mut self, process: &mut Process) -> Result<Option<ExitStatus>, LaunchError> {
+    /// Interrupts a process. `None` when it does not end within the grace time.
+    fn interrupt(&mut self, process: &mut Process) -> Result<Option<ExitStatus>, LaunchError> {
         process.interrupt()?;
         let end = self.clock.now() + self.plan.grace();
         loop {
-            let status = process.ended()?;
+            let status = process.exit_status()?;
             if status.is_some() || self.clock.now() >= end {
                 return Ok(status);
             }
-            self.listen(INTERVAL);
+            self.forward_lines(POLL_INTERVAL);
         }
     }
 
-    /// Hands on the lines that are there, or the first to come within some time. `false` when no more can come.
-    fn listen(&mut self, patience: Duration) -> bool {
-        let mut patience = patience;
-        // Not for ever: who talks all the time is looked after as well.
-        for _ in 0..LINES {
-            match self.lines.recv_timeout(patience) {
-                Ok(line) => (self.say)(line),
+    /// Forwards waiting lines, or the first to arrive within `timeout`. Returns `false` when no more can arrive.
+    fn forward_lines(&mut self, timeout: Duration) -> bool {
+        let mut timeout = timeout;
+        // Bounded: processes that print all the time are checked as well.
+        for _ in 0..MAX_LINES {
+            match self.lines.recv_timeout(timeout) {
+                Ok(line) => (self.print)(line),
                 Err(RecvTimeoutError::Timeout) => return true,
                 Err(RecvTimeoutError::Disconnected) => return false,
             }
-            patience = Duration::ZERO;
+            timeout = Duration::ZERO;
         }
         true
     }
 
-    /// Hands on what is still under way when all have ended.
-    fn last_lines(mut self) {
-        let end = self.clock.now() + LAST_LINES;
-        // Without this sender the channel ends with the last process's last line.
+    /// Forwards the remaining lines after all processes have ended.
+    fn forward_last_lines(mut self) {
+        let end = self.clock.now() + LAST_LINES_TIMEOUT;
+        // Without this sender the channel ends with the last line of the last process.
         self.sender = mpsc::sync_channel(0).0;
-        while self.clock.now() < end && self.listen(INTERVAL) {}
+        while self.clock.now() < end && self.forward_lines(POLL_INTERVAL) {}
     }
 }
 
-/// Whether a process that was asked to end has done so, in whatever way.
-fn ended_well(status: ExitStatus) -> bool {
+/// Whether a process ended as asked to by SIGINT.
+fn was_shut_down(status: ExitStatus) -> bool {
     let by_signal = status.signal() == Some(rustix::process::Signal::INT.as_raw());
     status.success() || by_signal || status.code() == Some(INTERRUPTED)
 }
 
-impl Life<'_> {
-    /// How long to wait before what has ended is started again, if it is.
-    fn again(
+impl Supervised<'_> {
+    /// Delay before the restart of a process that has ended; `None` if it is not restarted.
+    fn restart_delay(
         &mut self,
         status: ExitStatus,
         running: Duration,

@@ -1,24 +1,24 @@
-//! How a bag is played, and why it cannot be.
+//! Options of a player, and why a bag cannot be played.
 
 use eddy_bag::BagError;
 use eddy_settings::near;
 
-/// How a bag is played.
+/// Options of a [`Player`](super::Player).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlayerOptions {
-    /// How much faster than recorded; 1 by default.
+    /// Recorded time per real time; 1 by default.
     pub rate: f64,
-    /// Recorded seconds that are skipped; 0 by default.
+    /// Recorded time to skip at the start (s); 0 by default.
     pub start_offset: f64,
-    /// Recorded seconds after which it ends; all of them if `None`.
+    /// Recorded time to play (s); to the end if `None`.
     pub duration: Option<f64>,
-    /// Start again at the end.
+    /// Restart at the end.
     pub looped: bool,
-    /// Only these topics; all if `None`.
+    /// Topics to play; all if `None`.
     pub topics: Option<Vec<String>>,
-    /// How often the time of the recording is told (per second that passes); never if `None`.
+    /// Rate of the recorded time on `/clock` (Hz of real time); none if `None`.
     pub clock: Option<f64>,
-    /// Wait for the user to begin.
+    /// Start paused.
     pub paused: bool,
 }
 
@@ -38,37 +38,23 @@ impl Default for PlayerOptions {
 
 /// Why a bag cannot be played.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum PlayerError {
-    /// An option makes no sense.
+    /// An option is out of range.
     #[error("{field}: found {found}, expected {expected}")]
-    Option {
-        /// The option.
-        field: &'static str,
-        /// Its value.
-        found: String,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// The bag does not have a topic.
+    Option { field: &'static str, found: String, expected: &'static str },
+    /// The bag lacks a topic.
     #[error(
         "topics: found {found}, expected one of {}{}",
         topics.join(", "),
         near::hint(found, topics.iter().map(String::as_str))
     )]
-    Topic {
-        /// The topic asked for.
-        found: String,
-        /// The topics there are.
-        topics: Vec<String>,
-    },
-    /// The bag has no message to play.
-    #[error("{bag}: found no message of the wanted topics and times, expected at least 1")]
-    Nothing {
-        /// The bag.
-        bag: String,
-    },
-    /// The system gave no thread to read the bag.
-    #[error("reading ahead: {0}")]
+    Topic { found: String, topics: Vec<String> },
+    /// No message is selected.
+    #[error("{bag}: no messages on the selected topics in the selected time")]
+    Nothing { bag: String },
+    /// The reading thread cannot be started.
+    #[error("cannot start the reading thread: {0}")]
     Thread(std::io::Error),
     /// The bag is damaged before its first message.
     #[error(transparent)]
@@ -76,7 +62,7 @@ pub enum PlayerError {
 }
 
 impl PlayerOptions {
-    /// Refuses what makes no sense.
+    /// Checks the ranges.
     pub(crate) fn check(&self) -> Result<(), PlayerError> {
         let Self { rate, start_offset, duration, clock, .. } = self;
         let wrong = |field, found: &f64, expected| {
@@ -86,14 +72,14 @@ impl PlayerOptions {
             return wrong("rate", rate, "a positive number");
         }
         if !(start_offset.is_finite() && *start_offset >= 0.0) {
-            return wrong("start-offset", start_offset, "seconds, 0 or more");
+            return wrong("start-offset", start_offset, "0 s or more");
         }
         if let Some(clock) = clock.filter(|clock| !(clock.is_finite() && *clock > 0.0)) {
-            return wrong("clock", &clock, "a positive number of times a second");
+            return wrong("clock", &clock, "a positive frequency (Hz)");
         }
         match duration {
             Some(seconds) if !(seconds.is_finite() && *seconds > 0.0) => {
-                wrong("duration", seconds, "seconds, more than 0")
+                wrong("duration", seconds, "more than 0 s")
             }
             _ => Ok(()),
         }

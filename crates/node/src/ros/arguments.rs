@@ -1,4 +1,4 @@
-//! The words after `--ros-args`.
+//! The arguments after `--ros-args`.
 
 use std::path::Path;
 
@@ -8,38 +8,37 @@ use super::{
     remap::{Rule, quoted},
 };
 
-/// What is understood.
+/// The supported arguments.
 const KNOWN: &str = "-r/--remap, -p/--param, --params-file or --log-level";
 
-/// Words that ask for what eddy does anyway: it logs to standard error, not to /rosout, and the libraries
-/// it uses log through it.
-const GRANTED: [&str; 3] =
+/// Arguments without effect: eddy always logs to standard error, never to /rosout, and its libraries log through it.
+const IGNORED: [&str; 3] =
     ["--enable-stdout-logs", "--disable-rosout-logs", "--disable-external-lib-logs"];
 
-/// The levels of ROS and what they are called here; nothing here is as bad as `fatal`.
+/// Log levels of ROS and their names here. Nothing is logged as `fatal`.
 const LEVELS: [(&str, &str); 5] =
     [("debug", "debug"), ("info", "info"), ("warn", "warn"), ("error", "error"), ("fatal", "off")];
 
-/// What the arguments of ROS say, for whichever nodes.
+/// Parsed ROS arguments, for any node.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RosArguments {
     pub(super) rules: Vec<Rule>,
     pub(super) parameters: Vec<Given>,
-    /// Of the logger with this name, or of all, in the order of the arguments.
+    /// Levels of the logger of this name, or of all, in the order of the arguments.
     levels: Vec<(Option<String>, &'static str)>,
 }
 
 impl RosArguments {
-    /// Reads the words between `--ros-args` and `--`, and the files they name.
+    /// Parses the arguments between `--ros-args` and `--`, and reads the files they name.
     ///
     /// # Errors
-    /// [`InvalidArgument`] with the first that cannot be used.
+    /// [`InvalidArgument`] with the first invalid argument.
     pub fn parse(words: &[String]) -> Result<Self, InvalidArgument> {
         let mut arguments = Self::default();
         let mut words = words.iter().map(String::as_str);
         while let Some(word) = words.next() {
             let mut value = |expected: &str| {
-                let missing = || InvalidArgument::new(word, "nothing after it", expected);
+                let missing = || InvalidArgument::new(word, "no value", expected);
                 words.next().ok_or_else(missing)
             };
             match word {
@@ -52,22 +51,22 @@ impl RosArguments {
                     arguments.parameters.extend(parameters::read(file)?);
                 }
                 "--log-level" => arguments.levels.push(level(value("a level")?)?),
-                // Once more where it holds already.
+                // May be repeated.
                 "--ros-args" => {}
-                word if GRANTED.contains(&word) => {}
+                word if IGNORED.contains(&word) => {}
                 word => return Err(InvalidArgument::new("--ros-args", quoted(word), KNOWN)),
             }
         }
         Ok(arguments)
     }
 
-    /// What counts for a node that is called `name` unless told otherwise.
+    /// The arguments that apply to a node whose default name is `name`.
     pub fn node(&self, name: &str) -> RosNode {
         RosNode::new(self, name)
     }
 
-    /// The levels as directives of a filter, each after a comma. The loggers named like the node are eddy; a
-    /// name that no part of the program has changes nothing.
+    /// The levels as filter directives, each after a comma. Loggers named after the node stand for eddy; unknown names
+    /// have no effect.
     pub(super) fn directives(&self, node: &RosNode) -> String {
         let target = |logger: &Option<String>| match logger {
             None => "eddy".to_owned(),
@@ -87,7 +86,7 @@ fn level(text: &str) -> Result<(Option<String>, &'static str), InvalidArgument> 
         Some((logger, word)) => (Some(logger), word),
         None => (None, text),
     };
-    // A filter is built of it.
+    // It becomes part of a filter directive.
     let is_name = |name: &str| {
         !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "_.".contains(c))
     };
@@ -109,19 +108,19 @@ mod tests {
     }
 
     #[test]
-    fn every_argument_is_understood_by_both_its_names() {
+    fn every_argument_has_a_long_and_a_short_name() {
         let short = parse("-r /a:=/b -p horizon:=3 --log-level debug").unwrap();
         let long =
             parse("--remap /a:=/b --param horizon:=3 --log-level DEBUG --disable-rosout-logs");
-        // Only the argument's own words differ.
+        // Both are parsed to the same.
         assert_eq!(short, long.unwrap());
         assert_eq!(parse("").unwrap(), RosArguments::default());
     }
 
     #[test]
-    fn what_is_not_understood_is_named() {
+    fn invalid_arguments_are_named() {
         for (text, expected) in [
-            ("-r", "-r: found nothing after it, expected FROM:=TO"),
+            ("-r", "-r: found no value, expected FROM:=TO"),
             ("-x", "--ros-args: found `-x`, expected -r/--remap, -p/--param, --params-file"),
             ("--enclave /a", "--ros-args: found `--enclave`, expected"),
             ("--log-level loud", "--log-level loud: found `loud`, expected debug, info, warn"),
@@ -134,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_level_of_a_logger_goes_last() {
+    fn later_levels_of_a_logger_take_precedence() {
         let arguments =
             parse("--log-level info --log-level eddy_node:=debug --log-level a.b:=fatal");
         let node = arguments.as_ref().unwrap().node("eddy_node");

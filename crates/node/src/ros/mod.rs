@@ -1,11 +1,11 @@
-//! `--ros-args`: who a process is to ROS, from its command line
+//! `--ros-args`: names and parameters of a node, from the command line
 //! (<https://design.ros2.org/articles/ros_command_line_arguments.html>).
 //!
-//! 1. [`arguments`](RosArguments): the words after `--ros-args`.
+//! 1. `yaml`: values as ROS parses them.
 //! 2. `remap`: `from:=to` (<https://design.ros2.org/articles/static_remapping.html>).
-//! 3. `parameters`: `name:=value`, and files of parameters.
-//! 4. `yaml`: values as ROS reads them.
-//! 5. [`node`](RosNode): what of all this counts for one node: its name, its topics, its parameters.
+//! 3. `parameters`: `name:=value`, and parameter files.
+//! 4. [`arguments`](RosArguments): the arguments after `--ros-args`.
+//! 5. [`node`](RosNode): what applies to one node: its name, topics and parameters.
 
 mod arguments;
 mod node;
@@ -17,11 +17,11 @@ pub use arguments::RosArguments;
 pub use node::RosNode;
 pub use parameters::Given;
 
-/// An argument of ROS that cannot be used.
+/// An invalid ROS argument.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{argument}: found {found}, expected {expected}")]
 pub struct InvalidArgument {
-    /// The argument as it was given, or the file and the place in it.
+    /// The argument, or the file and the place in it.
     pub argument: String,
     /// What was found there.
     pub found: String,

@@ -1,4 +1,4 @@
-//! What counts for one node: its name, its topics, its parameters.
+//! What applies to one node: its name, topics and parameters.
 
 use super::{
     Given, RosArguments,
@@ -6,19 +6,19 @@ use super::{
 };
 use eddy_transport::Link;
 
-/// A node as its arguments have it.
+/// A node with its arguments applied.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RosNode {
     name: String,
-    /// `/`, or such as `/robot1`.
+    /// `/`, or for example `/robot1`.
     namespace: String,
-    /// Topics and services, in the order in which rules are tried.
+    /// Rules for topics and services, in the order in which they are tried.
     renamed: Vec<Renamed>,
     parameters: Vec<Given>,
     directives: String,
 }
 
-/// A rule with both names absolute.
+/// A rule with absolute names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Renamed {
     from: String,
@@ -28,8 +28,8 @@ struct Renamed {
 }
 
 impl RosNode {
-    /// Names are given in the order of the design: the node's, its namespace's with the rules for that
-    /// name, the others'. Of several rules for a name the first counts.
+    /// Applies rules in the order of the design: node name, then namespace (with the rules for that node name), then
+    /// topics and services. The first matching rule wins.
     pub(super) fn new(arguments: &RosArguments, name: &str) -> Self {
         let first = |name: &str, what: What| -> Option<String> {
             let rules = &mut for_node(&arguments.rules, name);
@@ -59,7 +59,7 @@ impl RosNode {
         &self.name
     }
 
-    /// Its namespace: `/`, or such as `/robot1`.
+    /// Its namespace: `/`, or for example `/robot1`.
     pub fn namespace(&self) -> &str {
         &self.namespace
     }
@@ -69,48 +69,48 @@ impl RosNode {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.name)
     }
 
-    /// The name of a topic of this node: absolute, and another one if a rule says so.
+    /// The absolute name of a topic of this node, after remapping.
     pub fn topic(&self, name: &str) -> String {
         let name = self.absolute(name);
         self.rule(&name, |rule| rule.topics).unwrap_or(name)
     }
 
-    /// The name of a service of this node.
+    /// The absolute name of a service of this node, after remapping.
     pub fn service(&self, name: &str) -> String {
         let name = self.absolute(name);
         self.rule(&name, |rule| rule.services).unwrap_or(name)
     }
 
-    /// The link with the name that its topic has for this node.
+    /// A link with its topic after remapping.
     pub fn link(&self, link: &Link) -> Link {
         link.with_topic(&self.topic(&link.topic))
     }
 
-    /// The topic `word` that goes with another one, such as `/prediction/status` with `/prediction`: it
-    /// follows that one to its new name unless there is a rule for itself.
+    /// The topic `word` below another one, such as `/prediction/status` below `/prediction`. It follows the new name of
+    /// that topic unless it has a rule of its own.
     pub fn beside(&self, link: &Link, word: &str) -> Link {
         let own = self.absolute(&format!("{}/{word}", link.topic));
         let followed = || format!("{}/{word}", self.topic(&link.topic));
         link.with_topic(&self.rule(&own, |rule| rule.topics).unwrap_or_else(followed))
     }
 
-    /// The parameters it was given. Of several values the last counts.
+    /// Its parameters; the last value of each takes precedence.
     pub fn parameters(&self) -> &[Given] {
         &self.parameters
     }
 
-    /// A filter of logs, such as `warn,zenoh=error`, with what the arguments change.
+    /// Adds the log levels of the arguments to a filter such as `warn,zenoh=error`.
     pub fn log_filter(&self, filter: &str) -> String {
         format!("{filter}{}", self.directives)
     }
 
-    /// Whether ROS would name this node's logger so.
+    /// Whether this is the ROS name of the node's logger.
     pub(super) fn is_logger(&self, name: &str) -> bool {
         let full = self.full_name();
         name == self.name || name == full.trim_start_matches('/').replace('/', ".")
     }
 
-    /// `a` is below the namespace, `~/a` below the node.
+    /// Expands `a` with the namespace and `~/a` with the full name.
     fn absolute(&self, name: &str) -> String {
         if name.starts_with('/') {
             return name.to_owned();
@@ -127,7 +127,7 @@ impl RosNode {
     }
 }
 
-/// The rules that are for a node of this name.
+/// The rules for a node of this name.
 fn for_node<'a>(rules: &'a [Rule], name: &str) -> impl Iterator<Item = &'a Rule> {
     rules.iter().filter(move |rule| rule.node.as_deref().is_none_or(|node| node == name))
 }
@@ -162,11 +162,11 @@ mod tests {
     }
 
     #[test]
-    fn the_first_rule_for_a_name_counts_and_rules_for_other_nodes_do_not() {
+    fn the_first_rule_for_a_name_wins_and_rules_for_other_nodes_are_ignored() {
         let rules =
             ["-r", "other:/a:=/x", "-r", "eddy_node:/a:=/b", "-r", "/a:=/c", "-r", "/b:=/d"];
         let node = node(&rules);
-        assert_eq!(node.topic("/a"), "/b", "what a rule gives is not renamed again");
+        assert_eq!(node.topic("/a"), "/b", "the result of a rule is not remapped again");
         assert_eq!(node.topic("/b"), "/d");
     }
 
@@ -178,13 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn a_rule_may_be_for_topics_or_for_services_alone() {
+    fn a_rule_may_apply_to_topics_or_to_services_only() {
         let node = node(&["-r", "rostopic://a:=t", "-r", "rosservice://a:=s"]);
         assert_eq!([node.topic("a"), node.service("a")], ["/t", "/s"]);
     }
 
     #[test]
-    fn what_goes_with_a_topic_follows_it_unless_it_has_a_rule_of_its_own() {
+    fn a_dependent_topic_follows_its_parent_unless_it_has_a_rule_of_its_own() {
         let link: Link = "shm:/prediction".parse().unwrap();
         let node = node(&["-r", "/prediction:=/p", "-r", "/prediction/cloud:=/points"]);
         assert_eq!(node.link(&link).to_string(), "shm:/p");
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rule_for_a_node_knows_it_by_its_new_name() {
+    fn rules_for_a_node_refer_to_its_new_name() {
         let node = node(&[
             "-r",
             "__node:=b",

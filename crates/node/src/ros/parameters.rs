@@ -1,4 +1,4 @@
-//! Parameters given at the start: `-p name:=value`, and files such as
+//! Parameters at the start: `-p name:=value`, and files such as
 //!
 //! ```yaml
 //! /**:                  # every node
@@ -20,27 +20,27 @@ use super::{
 use eddy_messages::services::Parameter;
 use eddy_transport::is_name_token;
 
-/// The key below which a node's parameters are.
+/// The key above the parameters of a node.
 const PARAMETERS: &str = "ros__parameters";
 
 /// Matches every node.
 const ALL_NODES: &str = "/**";
 
-/// A parameter that was given to some nodes.
+/// A parameter and the nodes that it is given to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Given {
     /// Name and value.
     pub parameter: Parameter,
-    /// The argument it comes from.
+    /// The argument that it comes from.
     pub argument: String,
-    /// Whether it was meant for nodes of any name, which need not know it.
+    /// Whether it is given to nodes of any name; nodes without such a parameter ignore it.
     pub for_all: bool,
-    /// The nodes: a full name in which `*` stands for any word, `**` for any number of them.
+    /// Full name of the nodes; `*` matches one part of the name, `**` any number.
     nodes: String,
 }
 
 impl Given {
-    /// Whether it is meant for the node with this full name.
+    /// Whether it is given to the node with this full name.
     pub(super) fn is_for(&self, node: &str) -> bool {
         let words = |name: &'_ str| -> Vec<String> {
             name.split('/').filter(|word| !word.is_empty()).map(str::to_owned).collect()
@@ -85,7 +85,7 @@ pub(super) fn parse(text: &str) -> Result<Given, InvalidArgument> {
         .map_err(|found| invalid(found, "a value, or a list of one kind, in YAML"))?;
     Ok(Given {
         parameter: Parameter { name: name.to_owned(), value },
-        // As in rcl, a node in a namespace is not found by its name alone.
+        // As in rcl, a bare name does not match a node in a namespace.
         nodes: node.map_or(ALL_NODES.to_owned(), |node| format!("/{node}")),
         argument,
         for_all: false,
@@ -141,7 +141,7 @@ fn collect_nodes(
     Ok(())
 }
 
-/// The parameters of a node below a prefix; levels are joined by points.
+/// The parameters of a node below a prefix; levels are joined by dots.
 fn collect_parameters(
     argument: &str,
     nodes: &str,
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_speaks_of_nodes_by_name_by_namespace_and_of_all() {
+    fn a_file_selects_nodes_by_name_by_namespace_or_all() {
         let text = "
             /**: {ros__parameters: {use_sim_time: true}}
             eddy_node: {ros__parameters: {horizon: 2}}
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_parameter_is_for_every_node_or_for_one_without_a_namespace() {
+    fn a_parameter_argument_is_for_every_node_or_for_one_without_a_namespace() {
         let given = parse("horizon:=10").unwrap();
         assert!(given.is_for("/eddy_node") && given.is_for("/a/b/c") && !given.for_all);
         let given = parse("eddy_node:horizon:=10").unwrap();
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_parameter_is_named_with_its_place() {
+    fn invalid_parameters_are_named_with_their_place() {
         for (text, expected) in [
             ("horizon", "-p horizon: found `horizon`, expected NAME:=VALUE"),
             (":=1", "-p :=1: found no name, expected NAME:=VALUE"),

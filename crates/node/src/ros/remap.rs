@@ -1,4 +1,4 @@
-//! Rules that give nodes, topics and services other names.
+//! Rules that rename nodes, topics and services.
 
 use std::str::FromStr;
 
@@ -8,14 +8,14 @@ use eddy_transport::{is_absolute_name, is_name_token};
 /// `[node:][rostopic://|rosservice://]from:=to`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Rule {
-    /// Only for the node of this name (without its namespace).
+    /// Name (without namespace) of the only node that it applies to.
     pub(super) node: Option<String>,
     pub(super) what: What,
     /// The new name, not yet expanded.
     pub(super) to: String,
 }
 
-/// What gets another name.
+/// What a rule renames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum What {
     /// `__node` or `__name`.
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rule_says_what_gets_which_name() {
+    fn rules_are_parsed() {
         let rule = |text: &str| text.parse::<Rule>().unwrap();
         let name =
             |from: &str, topics, services| What::Name { from: from.into(), topics, services };
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rule_is_named() {
+    fn invalid_rules_are_named() {
         for (text, expected) in [
             ("/a", "-r /a: found `/a`, expected FROM:=TO"),
             ("/a:=", "-r /a:=: found ``, expected the name of a topic or service"),

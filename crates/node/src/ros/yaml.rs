@@ -1,4 +1,4 @@
-//! YAML values as ROS reads them: `on` and `yes` are true, lists hold one kind.
+//! YAML values as ROS parses them: `on` and `yes` are true, lists hold values of one type.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use serde::{
 
 use eddy_messages::services::ParameterValue;
 
-/// Reads YAML as rcl does: `010` is eight, `1_000` a text.
+/// Parses YAML as rcl does: `010` is 8, `1_000` a string.
 pub(super) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
     let options = serde_saphyr::options! {
         legacy_octal_numbers: true,
@@ -19,7 +19,7 @@ pub(super) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
     serde_saphyr::from_str_with_options(text, options)
 }
 
-/// Any YAML.
+/// A YAML value.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Yaml {
     Nothing,
@@ -32,7 +32,7 @@ pub(super) enum Yaml {
 }
 
 impl Yaml {
-    /// The value of a parameter; what was found instead if it is none.
+    /// As the value of a parameter; otherwise a description of what was found.
     pub(super) fn into_value(self) -> Result<ParameterValue, String> {
         match self {
             Self::Nothing => Err("nothing".to_owned()),
@@ -46,9 +46,8 @@ impl Yaml {
     }
 }
 
-/// A list of one kind.
+/// A list of values of one type.
 fn list(items: &[Yaml]) -> Option<ParameterValue> {
-    /// Every item, or none.
     fn all<T>(items: &[Yaml], one: impl Fn(&Yaml) -> Option<T>) -> Option<Vec<T>> {
         items.iter().map(one).collect()
     }
@@ -99,7 +98,7 @@ impl<'de> Visitor<'de> for AnyYaml {
         Ok(Yaml::Integer(value))
     }
 
-    /// What no integer of ROS can hold is a double, as in rcl's reader.
+    /// Numbers beyond the largest ROS integer are doubles, as in rcl.
     fn visit_u64<E>(self, value: u64) -> Result<Yaml, E> {
         Ok(i64::try_from(value).map_or(Yaml::Double(value as f64), Yaml::Integer))
     }
@@ -137,9 +136,9 @@ mod tests {
         read(text).unwrap().into_value()
     }
 
-    /// As parameters of an rclpy 9.1.2 node, given with `-p`.
+    /// Checked against an rclpy 9.1.2 node with `-p`.
     #[test]
-    fn values_are_of_the_kind_that_ros_reads() {
+    fn values_have_the_type_that_ros_parses() {
         for (text, expected) in [
             ("20", ParameterValue::integer(20)),
             ("-3", ParameterValue::integer(-3)),
@@ -166,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_value_is_said() {
+    fn other_values_are_described() {
         for (text, found) in
             [("[1, a]", "a list of several kinds"), ("{a: 1}", "a map"), ("~", "nothing")]
         {

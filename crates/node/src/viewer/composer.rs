@@ -1,4 +1,4 @@
-//! One thread between the hub and the browsers: compares what was copied, and encodes what is shown.
+//! The thread between the hub and the browsers: compares frames and encodes what is displayed.
 
 use std::{
     collections::BTreeMap,
@@ -11,131 +11,139 @@ use std::{
 
 use axum::body::Bytes;
 
-use super::{Ahead, Comparison, Hub, Pair, Shown, hub::Copied, wire};
+use super::{Comparison, DisplayedFrame, Hub, Pair, PredictionInfo, hub::FrameCopy, wire};
 use eddy_frames::{Frame, clock::Clock};
 
-/// How long a wait may last before the end is looked for.
-const PATIENCE: Duration = Duration::from_millis(50);
-/// Time between two looks at the curves.
-const CURVES: Duration = Duration::from_millis(200);
-/// Frames of one side without one of the other after which the other is not waited for.
-const ALONE: u32 = 4;
-/// Frames by which a prediction may be away from the truth beside which it is shown, and its own number of frames ahead.
-const APART: u64 = 4;
-/// The top speed falls by this share with every frame that does not reach it, so that colours do not flicker.
-const FORGOTTEN: f32 = 0.002;
-/// Streams that are kept though nobody looks at them.
-const KEPT: usize = 8;
+/// Longest wait before the stop flag is checked.
+const MAX_WAIT: Duration = Duration::from_millis(50);
+/// Interval between updates of the curves.
+const CURVES_INTERVAL: Duration = Duration::from_millis(200);
+/// Frames of one side without a counterpart after which the side is displayed alone.
+const MAX_UNPAIRED_FRAMES: u32 = 4;
+/// Frames, beyond its horizon, between a prediction and the truth beside which it is displayed.
+const MAX_SKEW_FRAMES: u64 = 4;
+/// Relative decay of the top speed per frame, so that colours do not flicker.
+const TOP_SPEED_DECAY: f32 = 0.002;
+/// Streams kept beside the displayed ones.
+const KEPT_STREAMS: usize = 8;
 
-/// What is known of one stream.
-struct Scene {
+/// One stream.
+struct StreamView {
     comparison: Comparison,
     /// The newest prediction.
-    predicted: Option<(Arc<Frame>, Ahead)>,
-    /// Predictions since the last truth, and truths since the last prediction.
+    predicted: Option<(Arc<Frame>, PredictionInfo)>,
+    /// Predictions since the last observed frame.
     unobserved: u32,
+    /// Observed frames since the last prediction.
     unpredicted: u32,
     top_speed: f32,
+    /// Time of the last update of the curves.
     drawn: Duration,
     used: Duration,
 }
 
-/// Composes until `stop` is raised.
+/// Runs until `stop` is raised.
 pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
     let clock = Clock::start();
-    let mut scenes: BTreeMap<u64, Scene> = BTreeMap::new();
+    let mut views: BTreeMap<u64, StreamView> = BTreeMap::new();
     while !stop.load(Ordering::Relaxed) {
         if !hub.is_watched() {
-            // Who comes next begins with what is then.
-            scenes.clear();
+            // The next browser starts with empty curves.
+            views.clear();
         }
-        let Some(copied) = hub.next(PATIENCE) else { continue };
-        let (Copied::Truth(frame) | Copied::Prediction(frame, _)) = &copied;
+        let Some(copy) = hub.next(MAX_WAIT) else { continue };
+        let (FrameCopy::Truth(frame) | FrameCopy::Prediction(frame, _)) = &copy;
         if frame.check().is_err() {
             continue;
         }
         let (stream, now) = (frame.stream, clock.now());
-        if scenes.len() > KEPT {
-            let oldest = scenes.iter().min_by_key(|(_, scene)| scene.used).map(|(&id, _)| id);
-            oldest.and_then(|oldest| scenes.remove(&oldest));
+        if views.len() > KEPT_STREAMS {
+            let oldest = views.iter().min_by_key(|(_, view)| view.used).map(|(&id, _)| id);
+            oldest.and_then(|oldest| views.remove(&oldest));
         }
-        let scene = scenes.entry(stream).or_insert_with(|| Scene::new(comparison.anew(), now));
-        scene.used = now;
-        let shown = match copied {
-            Copied::Truth(frame) => scene.truth(Arc::new(frame)),
-            Copied::Prediction(frame, ahead) => scene.prediction(Arc::new(frame), ahead),
+        let view = views.entry(stream).or_insert_with(|| StreamView::new(comparison.emptied(), now));
+        view.used = now;
+        let displayed = match copy {
+            FrameCopy::Truth(frame) => view.truth(Arc::new(frame)),
+            FrameCopy::Prediction(frame, info) => view.prediction(Arc::new(frame), info),
         };
-        if let Some(shown) = shown {
-            let top_speed = scene.top_speed(&shown);
-            hub.show(stream, &Bytes::from(wire::encode(&shown, top_speed)));
+        if let Some(displayed) = displayed {
+            let top_speed = view.top_speed(&displayed);
+            hub.show(stream, &Bytes::from(wire::encode(&displayed, top_speed)));
         }
-        if now.saturating_sub(scene.drawn) > CURVES {
-            scene.drawn = now;
-            hub.draw(stream, scene.comparison.curves());
+        if now.saturating_sub(view.drawn) > CURVES_INTERVAL {
+            view.drawn = now;
+            hub.draw(stream, view.comparison.curves());
         }
     }
 }
 
-impl Scene {
+impl StreamView {
     fn new(comparison: Comparison, now: Duration) -> Self {
         let (unobserved, unpredicted) = (0, 0);
         let (predicted, top_speed) = (None, 0.0);
         Self { comparison, predicted, unobserved, unpredicted, top_speed, drawn: now, used: now }
     }
 
-    /// What is shown when the truth came: with the prediction for it; where a free run is on its way to it, nothing yet.
-    fn truth(&mut self, frame: Arc<Frame>) -> Option<Shown> {
+    /// Displays an observed frame with its prediction; nothing yet if a free run is about to reach it.
+    fn truth(&mut self, frame: Arc<Frame>) -> Option<DisplayedFrame> {
         self.unobserved = 0;
         self.unpredicted = self.unpredicted.saturating_add(1);
         if let Some(pair) = self.comparison.truth(Arc::clone(&frame)) {
-            return Some(shown(pair));
+            return Some(displayed(pair));
         }
         let newest = self.predicted.as_ref().filter(|(newest, _)| newest.len() == frame.len());
         let behind =
-            |(newest, ahead): &&(Arc<Frame>, Ahead)| ahead.free && newest.sequence < frame.sequence;
-        if newest.filter(behind).is_some() && self.unpredicted <= ALONE {
+            |(newest, info): &&(Arc<Frame>, PredictionInfo)| info.free_running && newest.sequence < frame.sequence;
+        if newest.filter(behind).is_some() && self.unpredicted <= MAX_UNPAIRED_FRAMES {
             return None;
         }
-        let near = |(newest, ahead): &&(Arc<Frame>, Ahead)| {
-            newest.sequence.abs_diff(frame.sequence) <= APART + u64::from(ahead.frames)
-                && newest.sequence.saturating_add(APART) >= frame.sequence
+        let near = |(newest, info): &&(Arc<Frame>, PredictionInfo)| {
+            newest.sequence.abs_diff(frame.sequence) <= MAX_SKEW_FRAMES + u64::from(info.horizon)
+                && newest.sequence.saturating_add(MAX_SKEW_FRAMES) >= frame.sequence
         };
         let prediction = newest.filter(near).cloned();
-        Some(Shown { truth: Some(frame), prediction, ..Shown::default() })
+        Some(DisplayedFrame { truth: Some(frame), prediction, ..DisplayedFrame::default() })
     }
 
-    /// What is shown when a prediction came: with its truth, if that was there; without, if no truth is to be expected.
-    fn prediction(&mut self, frame: Arc<Frame>, ahead: Ahead) -> Option<Shown> {
+    /// Displays a prediction with its truth if that has arrived, or alone if no truth is expected.
+    fn prediction(
+        &mut self,
+        frame: Arc<Frame>,
+        info: PredictionInfo,
+    ) -> Option<DisplayedFrame> {
         self.unpredicted = 0;
         self.unobserved = self.unobserved.saturating_add(1);
-        let first = self.predicted.replace((Arc::clone(&frame), ahead)).is_none();
-        if let Some(pair) = self.comparison.prediction(Arc::clone(&frame), ahead) {
-            return Some(shown(pair));
+        let first = self.predicted.replace((Arc::clone(&frame), info)).is_none();
+        if let Some(pair) = self.comparison.prediction(Arc::clone(&frame), info) {
+            return Some(displayed(pair));
         }
         let truth = self.comparison.last_truth().cloned();
         let expected = match &truth {
-            Some(_) => !ahead.free || self.unobserved <= ALONE,
-            // What it was predicted from comes next, unless nobody records it.
+            Some(_) => !info.free_running || self.unobserved <= MAX_UNPAIRED_FRAMES,
+            // The frame that it was predicted from comes next, unless only predictions were recorded.
             None => first,
         };
         let truth = truth.filter(|truth| truth.len() == frame.len());
-        (!expected).then(|| Shown { truth, prediction: Some((frame, ahead)), ..Shown::default() })
+        let prediction = Some((frame, info));
+        (!expected).then(|| DisplayedFrame { truth, prediction, ..DisplayedFrame::default() })
     }
 
-    /// The fastest particle lately (domain lengths per second).
-    fn top_speed(&mut self, shown: &Shown) -> f32 {
-        let frame = shown.truth.as_ref().or(shown.prediction.as_ref().map(|(frame, _)| frame));
+    /// Speed of the fastest recent particle (domain lengths per second).
+    fn top_speed(&mut self, displayed: &DisplayedFrame) -> f32 {
+        let prediction = displayed.prediction.as_ref().map(|(frame, _)| frame);
+        let frame = displayed.truth.as_ref().or(prediction);
         let square = |v: &[f32; 2]| v[0] * v[0] + v[1] * v[1];
         let fastest = frame.into_iter().flat_map(|frame| frame.velocity.iter().map(square));
         let fastest = fastest.fold(0.0, f32::max).sqrt();
-        self.top_speed = fastest.max(self.top_speed * (1.0 - FORGOTTEN)).max(1e-3);
+        self.top_speed = fastest.max(self.top_speed * (1.0 - TOP_SPEED_DECAY)).max(1e-3);
         self.top_speed
     }
 }
 
-fn shown(Pair { truth, predicted, ahead, error, baseline }: Pair) -> Shown {
+fn displayed(Pair { truth, predicted, info, error, baseline }: Pair) -> DisplayedFrame {
     let errors = [Some(error), baseline.map(|(_, error)| error)];
-    Shown { truth: Some(truth), prediction: Some((predicted, ahead)), errors }
+    DisplayedFrame { truth: Some(truth), prediction: Some((predicted, info)), errors }
 }
 
 #[cfg(test)]
@@ -157,81 +165,81 @@ mod tests {
         })
     }
 
-    fn scene() -> Scene {
+    fn view() -> StreamView {
         let model = Checkpoint::shipped().unwrap().description;
-        Scene::new(Comparison::new(&model), Duration::ZERO)
+        StreamView::new(Comparison::new(&model), Duration::ZERO)
     }
 
-    /// Sequences of what is shown: truth, prediction.
-    fn sides(shown: Option<Shown>) -> Option<[Option<u64>; 2]> {
-        shown.map(|Shown { truth, prediction, .. }| {
+    /// Sequences of truth and prediction.
+    fn sides(displayed: Option<DisplayedFrame>) -> Option<[Option<u64>; 2]> {
+        displayed.map(|DisplayedFrame { truth, prediction, .. }| {
             [truth.map(|frame| frame.sequence), prediction.map(|(frame, _)| frame.sequence)]
         })
     }
 
     #[test]
-    fn every_observed_frame_is_shown_once_with_its_prediction() {
-        let mut scene = scene();
+    fn every_observed_frame_is_displayed_once_with_its_prediction() {
+        let mut view = view();
         for sequence in 0..9 {
-            // The node publishes before it shows what it predicted from.
-            let ahead = Ahead { source: sequence, frames: 1, free: false };
-            assert_eq!(sides(scene.prediction(frame(sequence + 1), ahead)), None);
+            // A node publishes its predictions before it passes on the observed frame.
+            let info = PredictionInfo { source: sequence, horizon: 1, free_running: false };
+            assert_eq!(sides(view.prediction(frame(sequence + 1), info)), None);
             let both = [Some(sequence), Some(sequence.max(1))];
-            assert_eq!(sides(scene.truth(frame(sequence))), Some(both));
+            assert_eq!(sides(view.truth(frame(sequence))), Some(both));
         }
     }
 
     #[test]
-    fn a_free_run_is_shown_with_its_truth_whichever_is_ahead_and_goes_on_without() {
+    fn a_free_run_is_displayed_with_its_truth_whichever_is_ahead_and_continues_alone() {
         for behind in [true, false] {
-            let mut scene = scene();
-            scene.truth(frame(0));
+            let mut view = view();
+            view.truth(frame(0));
             for sequence in 1..9 {
-                let free = Ahead { source: 0, frames: sequence as u32, free: true };
+                let free = PredictionInfo { source: 0, horizon: sequence as u32, free_running: true };
                 let pair = Some([Some(sequence); 2]);
                 if behind {
-                    let early = sides(scene.truth(frame(sequence)));
+                    let early = sides(view.truth(frame(sequence)));
                     assert!(sequence == 1 || early.is_none(), "{early:?}");
-                    assert_eq!(sides(scene.prediction(frame(sequence), free)), pair);
+                    assert_eq!(sides(view.prediction(frame(sequence), free)), pair);
                 } else {
-                    assert_eq!(sides(scene.prediction(frame(sequence), free)), None);
-                    assert_eq!(sides(scene.truth(frame(sequence))), pair);
+                    assert_eq!(sides(view.prediction(frame(sequence), free)), None);
+                    assert_eq!(sides(view.truth(frame(sequence))), pair);
                 }
             }
             let alone = |sequence: u64| {
-                (frame(sequence), Ahead { source: 0, frames: sequence as u32, free: true })
+                (frame(sequence), PredictionInfo { source: 0, horizon: sequence as u32, free_running: true })
             };
-            let shown = (9..15).map(|sequence| {
-                let (frame, ahead) = alone(sequence);
-                sides(scene.prediction(frame, ahead))
+            let displayed = (9..15).map(|sequence| {
+                let (frame, info) = alone(sequence);
+                sides(view.prediction(frame, info))
             });
-            assert_eq!(shown.last().unwrap(), Some([Some(8), Some(14)]));
+            assert_eq!(displayed.last().unwrap(), Some([Some(8), Some(14)]));
         }
     }
 
     #[test]
-    fn a_free_run_far_behind_is_shown_with_the_truth_of_its_instants() {
+    fn a_free_run_far_behind_is_displayed_with_the_truth_of_its_instants() {
         const BEHIND: u64 = 40;
-        let mut scene = scene();
+        let mut view = view();
         for sequence in 0..=BEHIND {
-            scene.truth(frame(sequence));
+            view.truth(frame(sequence));
         }
         for sequence in 1..100 {
-            let free = Ahead { source: 0, frames: sequence as u32, free: true };
+            let free = PredictionInfo { source: 0, horizon: sequence as u32, free_running: true };
             let pair = Some([Some(sequence); 2]);
-            assert_eq!(sides(scene.prediction(frame(sequence), free)), pair);
-            assert_eq!(sides(scene.truth(frame(sequence + BEHIND))), None);
+            assert_eq!(sides(view.prediction(frame(sequence), free)), pair);
+            assert_eq!(sides(view.truth(frame(sequence + BEHIND))), None);
         }
-        // When it ends, the truth goes on alone.
-        let alone = (0..9).map(|more| sides(scene.truth(frame(100 + BEHIND + more))));
+        // When it ends, the truth continues alone.
+        let alone = (0..9).map(|more| sides(view.truth(frame(100 + BEHIND + more))));
         assert_eq!(alone.last().unwrap(), Some([Some(108 + BEHIND), None]));
     }
 
     #[test]
-    fn predictions_without_any_truth_are_shown_alone() {
-        let mut scene = scene();
-        let ahead = Ahead { source: 0, frames: 0, free: false };
-        assert_eq!(sides(scene.prediction(frame(1), ahead)), None);
-        assert_eq!(sides(scene.prediction(frame(2), ahead)), Some([None, Some(2)]));
+    fn predictions_without_any_truth_are_displayed_alone() {
+        let mut view = view();
+        let info = PredictionInfo::default();
+        assert_eq!(sides(view.prediction(frame(1), info)), None);
+        assert_eq!(sides(view.prediction(frame(2), info)), Some([None, Some(2)]));
     }
 }

@@ -1,48 +1,34 @@
-//! What a page may ask for. Who can do it decides what is offered; the page shows nothing else.
+//! Commands of a page. The program decides which are available; the page shows no others.
 
 use serde::{Deserialize, Serialize};
 
-/// Something that a page asks for.
+/// A command of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Command {
+#[expect(missing_docs, reason = "the variants explain their fields")]
+pub enum PageCommand {
     /// Pause the source.
     Pause,
-    /// Let the source go on.
+    /// Resume the source.
     Resume,
-    /// One frame of a source that pauses.
+    /// Publish one frame of a paused source.
     Step,
-    /// So much faster than recorded.
-    Rate {
-        /// The factor.
-        rate: f64,
-    },
-    /// Go on so much later, or earlier if negative.
-    Skip {
-        /// Recorded seconds.
-        seconds: f64,
-    },
-    /// Forget every stream: predictions warm up again.
+    /// Set the rate (playing time per real time).
+    Rate { rate: f64 },
+    /// Skip forward, or back if negative (recorded s).
+    Skip { seconds: f64 },
+    /// Reset every stream: predictions warm up again.
     Reset,
-    /// Predict so far ahead.
-    Horizon {
-        /// Frames.
-        frames: u32,
-    },
-    /// Publish every frame up to the horizon, or the last only.
-    PublishAll {
-        /// Whether every one.
-        on: bool,
-    },
-    /// Simulate alone from now on; or observe again, after a warm-up.
-    FreeRun {
-        /// Whether alone.
-        on: bool,
-    },
+    /// Set the horizon (frames).
+    Horizon { frames: u32 },
+    /// Publish all frames up to the horizon, or only the last.
+    PublishAll { on: bool },
+    /// Start a free run, or observe again after a warm-up.
+    FreeRun { on: bool },
 }
 
-impl Command {
-    /// Its word, as in JSON.
+impl PageCommand {
+    /// Its name in JSON.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Pause => "pause",
@@ -58,23 +44,23 @@ impl Command {
     }
 }
 
-/// How what is controlled is set now; `None` where it has no such thing, or did not say.
+/// The state of the controls; `None` where there is no such control, or its program did not answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct State {
-    /// Whether the source pauses.
+pub struct ControlState {
+    /// Whether the source is paused.
     pub paused: Option<bool>,
-    /// How much faster than recorded.
+    /// Playing time per real time.
     pub rate: Option<f64>,
-    /// Frames predicted ahead.
+    /// Horizon (frames).
     pub horizon: Option<u32>,
-    /// Whether every frame up to the horizon is published.
+    /// Whether all frames up to the horizon are published.
     pub publish_all: Option<bool>,
-    /// Whether streams are simulated alone.
+    /// Whether streams are in a free run.
     pub free_run: Option<bool>,
 }
 
-impl State {
-    /// This, and where it says nothing what was known `before`.
+impl ControlState {
+    /// This state, completed by what was known `before`.
     pub(super) fn or(self, before: Self) -> Self {
         Self {
             paused: self.paused.or(before.paused),
@@ -86,37 +72,37 @@ impl State {
     }
 }
 
-/// For what is shown and cannot be controlled.
+/// For a page without controls.
 #[derive(Clone, Copy, Debug)]
 pub struct NoControls;
 
 impl Controls for NoControls {
-    fn offered(&self) -> &'static [&'static str] {
+    fn available(&self) -> &'static [&'static str] {
         &[]
     }
 
-    fn act(&self, _: Command) -> Result<String, String> {
-        Err("found nothing that can be controlled".to_owned())
+    fn execute(&self, _: PageCommand) -> Result<String, String> {
+        Err("this page has no controls".to_owned())
     }
 
-    fn state(&self) -> State {
-        State::default()
+    fn state(&self) -> ControlState {
+        ControlState::default()
     }
 }
 
-/// Who does what a page asks for. Both calls may take a while; they come on threads of their own.
+/// Executes the commands of a page. Calls may block; each comes on a thread of its own.
 pub trait Controls: Send + Sync {
-    /// The [names](Command::name) of what can be asked for.
-    fn offered(&self) -> &'static [&'static str];
+    /// The [names](PageCommand::name) of the available commands.
+    fn available(&self) -> &'static [&'static str];
 
-    /// Does it, and says so if it is worth saying.
+    /// Executes a command. Returns a message for the user, or nothing.
     ///
     /// # Errors
-    /// Why it was not done, for the user.
-    fn act(&self, command: Command) -> Result<String, String>;
+    /// A message for the user.
+    fn execute(&self, command: PageCommand) -> Result<String, String>;
 
-    /// How it is set now.
-    fn state(&self) -> State;
+    /// The current state.
+    fn state(&self) -> ControlState;
 }
 
 #[cfg(test)]
@@ -124,11 +110,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_does_not_answer_is_set_as_before() {
-        let before = State { paused: Some(true), horizon: Some(5), ..State::default() };
-        let now = State { paused: Some(false), free_run: Some(true), ..State::default() };
-        let known = State { horizon: Some(5), ..now };
+    fn a_missing_answer_leaves_the_state_as_before() {
+        let before = ControlState { paused: Some(true), horizon: Some(5), ..ControlState::default() };
+        let now = ControlState { paused: Some(false), free_run: Some(true), ..ControlState::default() };
+        let known = ControlState { horizon: Some(5), ..now };
         assert_eq!(now.or(before), known);
-        assert_eq!(State::default().or(before), before);
+        assert_eq!(ControlState::default().or(before), before);
     }
 }

@@ -1,45 +1,46 @@
-//! Errors lately, by frames ahead, and as time passes.
+//! Recent errors, over time and by horizon.
 
 use std::collections::VecDeque;
 
 use eddy_evaluation::Baseline;
 
-/// Simulation time that errors are averaged over for each number of frames ahead (s), and pairs, at most.
-const AVERAGED: f64 = 1.0;
-const AVERAGED_PAIRS: usize = 1024;
+/// Simulation time over which errors are averaged (s).
+const WINDOW: f64 = 1.0;
+/// Maximum number of pairs in it.
+const WINDOW_PAIRS: usize = 1024;
 
-/// Mean errors of predictions so many frames ahead, over the second of simulation time before the last of them.
+/// Mean errors at one horizon, over the last second of simulation time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Frames ahead.
-    pub frames: u32,
-    /// Root mean square of the position errors (domain lengths).
+    pub horizon: u32,
+    /// Root mean square position error of the model (domain lengths).
     pub error: f64,
-    /// The best trivial baseline and the same of it.
+    /// The best trivial baseline and its error (domain lengths).
     pub baseline: Option<(Baseline, f64)>,
 }
 
-/// One instant of the curve over time.
+/// A point of the curve over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Simulation time (s).
     pub time: f64,
-    /// Of the model (domain lengths).
+    /// Error of the model (domain lengths).
     pub error: f64,
-    /// Of the best baseline (domain lengths).
+    /// Error of the best baseline (domain lengths).
     pub baseline: Option<f64>,
 }
 
-/// What a page draws below the frames.
+/// The curves below the particles.
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
-    /// Errors as time passes.
+    /// Error over time.
     pub time: Vec<Point>,
-    /// Errors by frames ahead.
-    pub ahead: Vec<Summary>,
+    /// Error by horizon.
+    pub by_horizon: Vec<Summary>,
 }
 
-/// Squared errors of one pair: the model's, and each baseline's.
+/// Squared errors of one pair (domain lengths squared).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Squared {
     /// Simulation time (s).
@@ -48,19 +49,19 @@ pub(super) struct Squared {
     pub(super) baselines: Option<[f64; Baseline::ALL.len()]>,
 }
 
-/// The last errors of one number of frames ahead.
+/// Recent errors at one horizon.
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     errors: VecDeque<Squared>,
-    /// The count of pairs when it was used last.
+    /// Count of pairs at the last use, for eviction.
     pub(super) used: u64,
 }
 
 impl Recent {
-    /// One more; those from more than a second before, or after, go.
+    /// Adds a pair and drops pairs outside of the window.
     pub(super) fn push(&mut self, squared: Squared) {
-        let old = |first: &Squared| (squared.time - first.time).abs() >= AVERAGED;
-        while self.errors.len() >= AVERAGED_PAIRS || self.errors.front().is_some_and(old) {
+        let old = |first: &Squared| (squared.time - first.time).abs() >= WINDOW;
+        while self.errors.len() >= WINDOW_PAIRS || self.errors.front().is_some_and(old) {
             self.errors.pop_front();
         }
         self.errors.push_back(squared);
@@ -75,10 +76,10 @@ impl Recent {
         means.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| count > 0)
     }
 
-    pub(super) fn summary(&self, frames: u32) -> Option<Summary> {
+    pub(super) fn summary(&self, horizon: u32) -> Option<Summary> {
         let count = self.errors.len();
         let mean = self.errors.iter().map(|squared| squared.model).sum::<f64>() / count as f64;
         let baseline = self.best().map(|(best, mean)| (best, mean.sqrt()));
-        (count > 0).then(|| Summary { frames, error: mean.sqrt(), baseline })
+        (count > 0).then(|| Summary { horizon, error: mean.sqrt(), baseline })
     }
 }

@@ -1,4 +1,4 @@
-//! Where a node leaves copies of its frames while somebody looks.
+//! Copies of frames for the page while a browser is connected.
 
 use std::{
     collections::BTreeMap,
@@ -11,92 +11,91 @@ use std::{
 
 use axum::body::Bytes;
 
-use super::{comparison::Ahead, curves::Curves, mailbox::Mailbox};
+use super::{comparison::PredictionInfo, curves::Curves, mailbox::Mailbox};
 use eddy_frames::{Frame, FrameView, clock::Clock};
 use eddy_transport::Queue;
 
-/// Frames that wait for the composer, truth and predictions together.
-const WAITING: usize = 8;
-/// Streams that are listed.
-const LISTED: usize = 256;
-/// A stream that was silent for so long makes room as the one that is shown.
-const SILENT: Duration = Duration::from_secs(1);
-/// A stream that was silent for so long, while others were not, is no longer listed, and nobody's choice any more.
-const GONE: Duration = Duration::from_secs(10);
+/// Frames waiting for the composer, truth and predictions together.
+const QUEUE_FRAMES: usize = 8;
+/// Maximum number of listed streams.
+const MAX_STREAMS: usize = 256;
+/// Silence after which another stream becomes the current one.
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(1);
+/// Silence, while other streams continue, after which a stream is no longer listed or selected.
+const STREAM_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A copy of a frame.
 #[derive(Debug)]
-pub(super) enum Copied {
-    /// What was observed.
+pub(super) enum FrameCopy {
+    /// An observed frame.
     Truth(Frame),
-    /// What was predicted.
-    Prediction(Frame, Ahead),
+    /// A predicted frame.
+    Prediction(Frame, PredictionInfo),
 }
 
-/// What a node says of itself, once a second.
+/// The state of a node, once a second.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Report {
+pub struct NodeStatus {
     /// Predictions a second.
     pub rate: f64,
-    /// Median and 99th percentile of the time from a frame's arrival to its predictions' publication.
+    /// Median and 99th percentile of the time from the arrival of a frame to the publication of its predictions.
     pub latency: [Duration; 2],
-    /// Streams that the node keeps.
+    /// Number of streams that the node keeps.
     pub streams: usize,
-    /// Frames that were lost before the model saw them.
+    /// Frames lost before the model saw them.
     pub lost: u64,
-    /// Everything it counts, by name.
+    /// All counters by name.
     pub counters: Vec<(&'static str, u64)>,
 }
 
-/// Between one source of frames and the browsers that look at it. While nobody looks, a frame costs the source one look
-/// at an atomic number; while somebody does, one copy of the frames of the streams that are shown.
+/// Connects one source of frames to browsers. Without a browser, a frame costs the source the increment of a counter and
+/// a load; with browsers, a copy if its stream is displayed.
 #[derive(Debug)]
 pub struct Hub {
     clock: Clock,
-    inbox: Queue<Copied>,
+    inbox: Queue<FrameCopy>,
     browsers: AtomicUsize,
-    state: Mutex<State>,
+    state: Mutex<HubState>,
     observed: AtomicU64,
     predicted: AtomicU64,
     shown: AtomicU64,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct HubState {
     browsers: Vec<Arc<Mailbox>>,
-    streams: BTreeMap<u64, Seen>,
-    /// When a frame of any stream came last.
+    streams: BTreeMap<u64, StreamActivity>,
+    /// Time of the last frame of any stream.
     latest: Duration,
-    /// The stream that is shown to who did not choose one.
+    /// The stream displayed to browsers that did not select one.
     current: Option<u64>,
-    report: Option<Report>,
+    status: Option<NodeStatus>,
     curves: BTreeMap<u64, Arc<Curves>>,
 }
 
-/// What is known of a stream.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
-    /// When its last frame came.
+struct StreamActivity {
+    /// Time of its last frame.
     at: Duration,
-    /// Whether its source said that no more come, but for those that are on their way.
+    /// Whether its source has ended it. Frames under way may still arrive.
     ended: bool,
 }
 
-impl State {
-    /// Whether it makes room as the one that is shown.
-    fn is_over(&self, stream: u64) -> bool {
-        let seen = self.streams.get(&stream);
-        seen.is_none_or(|seen| seen.ended || self.latest.saturating_sub(seen.at) > SILENT)
+impl HubState {
+    /// Whether another stream may replace this one as the current one.
+    fn is_replaceable(&self, stream: u64) -> bool {
+        let activity = self.streams.get(&stream);
+        activity.is_none_or(|seen| seen.ended || self.latest.saturating_sub(seen.at) > SILENCE_TIMEOUT)
     }
 
-    /// Forgets streams of which nothing came while others went on; where all pause, all stay.
-    fn forget(&mut self) {
+    /// Removes streams that were silent while others continued; if all pause, all stay.
+    fn remove_silent(&mut self) {
         let Self { streams, current, latest, browsers, .. } = self;
         streams.retain(|&stream, seen| {
-            latest.saturating_sub(seen.at) < GONE || *current == Some(stream)
+            latest.saturating_sub(seen.at) < STREAM_TIMEOUT || *current == Some(stream)
         });
         for browser in browsers {
-            let gone = |stream| streams.get(&stream).is_none_or(|seen: &Seen| seen.ended);
+            let gone = |stream| streams.get(&stream).is_none_or(|seen: &StreamActivity| seen.ended);
             if browser.stream().is_some_and(gone) {
                 browser.select(None);
             }
@@ -108,7 +107,7 @@ impl Default for Hub {
     fn default() -> Self {
         Self {
             clock: Clock::start(),
-            inbox: Queue::new(WAITING),
+            inbox: Queue::new(QUEUE_FRAMES),
             browsers: AtomicUsize::new(0),
             state: Mutex::default(),
             observed: AtomicU64::new(0),
@@ -119,33 +118,33 @@ impl Default for Hub {
 }
 
 impl Hub {
-    /// Whether somebody looks.
+    /// Whether a browser is connected.
     pub fn is_watched(&self) -> bool {
         self.browsers.load(Ordering::Relaxed) > 0
     }
 
-    /// A frame was observed. Never waits.
+    /// Passes on an observed frame. Never blocks.
     pub fn observed(&self, frame: &FrameView<'_>) {
         self.observed.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_drop_oldest(Copied::Truth(frame.to_frame()));
+            self.inbox.push_or_replace(FrameCopy::Truth(frame.to_frame()));
         }
     }
 
-    /// A frame was predicted. Never waits.
-    pub fn predicted(&self, frame: &Frame, ahead: Ahead) {
+    /// Passes on a predicted frame. Never blocks.
+    pub fn predicted(&self, frame: &Frame, info: PredictionInfo) {
         self.predicted.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_drop_oldest(Copied::Prediction(frame.clone(), ahead));
+            self.inbox.push_or_replace(FrameCopy::Prediction(frame.clone(), info));
         }
     }
 
-    /// The node speaks of itself.
-    pub fn report(&self, report: Report) {
-        self.lock().report = Some(report);
+    /// Passes on the state of the node.
+    pub fn report(&self, status: NodeStatus) {
+        self.lock().status = Some(status);
     }
 
-    /// A stream has ended: the next one is shown to who did not choose another.
+    /// Ends a stream: the next one becomes the current one.
     pub fn ended(&self, stream: u64) {
         let mut state = self.lock();
         if let Some(seen) = state.streams.get_mut(&stream) {
@@ -153,38 +152,38 @@ impl Hub {
         }
     }
 
-    /// Whether a browser wants to see this stream, which is listed from now on.
+    /// Whether a browser displays this stream. Lists the stream.
     fn wants(&self, stream: u64) -> bool {
         let now = self.clock.now();
         let mut state = self.lock();
         state.latest = now;
-        if state.streams.len() >= LISTED {
-            state.forget();
+        if state.streams.len() >= MAX_STREAMS {
+            state.remove_silent();
         }
-        if state.streams.len() < LISTED || state.streams.contains_key(&stream) {
-            let seen = state.streams.entry(stream).or_insert(Seen { at: now, ended: false });
+        if state.streams.len() < MAX_STREAMS || state.streams.contains_key(&stream) {
+            let seen = state.streams.entry(stream).or_insert(StreamActivity { at: now, ended: false });
             seen.at = now;
         }
-        // What is still on its way from a stream that ended takes nobody's place.
-        let goes_on = state.streams.get(&stream).is_none_or(|seen| !seen.ended);
-        if goes_on && state.current.is_none_or(|current| state.is_over(current)) {
+        // The last frames of an ended stream do not make it the current one again.
+        let continues = state.streams.get(&stream).is_none_or(|seen| !seen.ended);
+        if continues && state.current.is_none_or(|current| state.is_replaceable(current)) {
             state.current = Some(stream);
         }
         let current = state.current;
         state.browsers.iter().any(|browser| browser.stream().or(current) == Some(stream))
     }
 
-    /// The next copy, or `None` when none came within `timeout`.
-    pub(super) fn next(&self, timeout: Duration) -> Option<Copied> {
+    /// The next copy, or `None` after `timeout`.
+    pub(super) fn next(&self, timeout: Duration) -> Option<FrameCopy> {
         self.inbox.pop(timeout)
     }
 
-    /// Copies that the composer was too slow for.
+    /// Copies dropped because the composer was too slow.
     pub(super) fn skipped(&self) -> u64 {
         self.inbox.dropped()
     }
 
-    /// A browser comes, if there is room for one more.
+    /// Connects a browser unless `limit` are connected.
     pub(super) fn join(&self, limit: usize) -> Option<Arc<Mailbox>> {
         let mut state = self.lock();
         if state.browsers.len() >= limit {
@@ -196,58 +195,59 @@ impl Hub {
         Some(mailbox)
     }
 
-    /// A browser is gone.
+    /// Disconnects a browser.
     pub(super) fn leave(&self, mailbox: &Arc<Mailbox>) {
         let mut state = self.lock();
         state.browsers.retain(|other| !Arc::ptr_eq(other, mailbox));
         self.browsers.store(state.browsers.len(), Ordering::Relaxed);
     }
 
-    /// A frame for every browser that looks at its stream.
+    /// Sends a frame to every browser that displays its stream.
     pub(super) fn show(&self, stream: u64, frame: &Bytes) {
         self.shown.fetch_add(1, Ordering::Relaxed);
         let state = self.lock();
-        let looks = |browser: &&Arc<Mailbox>| browser.stream().or(state.current) == Some(stream);
-        state.browsers.iter().filter(looks).for_each(|browser| browser.put(frame.clone()));
+        let displays = |browser: &&Arc<Mailbox>| browser.stream().or(state.current) == Some(stream);
+        state.browsers.iter().filter(displays).for_each(|browser| browser.put(frame.clone()));
     }
 
+    /// Keeps the curves of a stream.
     pub(super) fn draw(&self, stream: u64, curves: Curves) {
         let mut state = self.lock();
-        let State { streams, curves: all, .. } = &mut *state;
+        let HubState { streams, curves: all, .. } = &mut *state;
         all.insert(stream, Arc::new(curves));
         all.retain(|stream, _| streams.contains_key(stream));
     }
 
-    /// The curves of the stream that a browser looks at.
+    /// The stream that a browser displays, and its curves.
     pub(super) fn curves(&self, mailbox: &Mailbox) -> (Option<u64>, Option<Arc<Curves>>) {
         let state = self.lock();
         let stream = mailbox.stream().or(state.current);
         (stream, stream.and_then(|stream| state.curves.get(&stream).cloned()))
     }
 
-    /// The streams that were seen lately, and the one that is shown.
+    /// The listed streams.
     pub(super) fn streams(&self) -> Vec<u64> {
         let mut state = self.lock();
-        state.forget();
+        state.remove_silent();
         let shown = |(&stream, seen): (&u64, &Seen)| {
             (!seen.ended || state.current == Some(stream)).then_some(stream)
         };
         state.streams.iter().filter_map(shown).collect()
     }
 
-    pub(super) fn last_report(&self) -> Option<Report> {
-        self.lock().report.clone()
+    pub(super) fn node_status(&self) -> Option<NodeStatus> {
+        self.lock().status.clone()
     }
 
-    /// Browsers, and since the start: frames observed, predicted, made ready to be shown.
+    /// Connected browsers; frames observed, predicted and encoded since the start.
     pub(super) fn counts(&self) -> (usize, [u64; 3]) {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let counts = [&self.observed, &self.predicted, &self.shown].map(count);
         (self.browsers.load(Ordering::Relaxed), counts)
     }
 
-    /// Nothing is computed, and nothing that can panic is called, while this is held.
-    fn lock(&self) -> MutexGuard<'_, State> {
+    /// No code that can panic runs while this is held.
+    fn lock(&self) -> MutexGuard<'_, HubState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_copied_while_nobody_looks() {
+    fn nothing_is_copied_without_a_browser() {
         let hub = Hub::default();
         hub.observed(&(&frame(1)).into());
         assert!(hub.next(Duration::ZERO).is_none());
@@ -285,14 +285,14 @@ mod tests {
     }
 
     #[test]
-    fn only_streams_that_are_shown_are_copied_and_others_are_listed() {
+    fn only_displayed_streams_are_copied_and_others_are_listed() {
         let hub = Hub::default();
         let browser = hub.join(1).unwrap();
         for stream in [4, 5] {
             hub.observed(&(&frame(stream)).into());
         }
         assert!(
-            matches!(hub.next(Duration::ZERO), Some(Copied::Truth(frame)) if frame.stream == 4)
+            matches!(hub.next(Duration::ZERO), Some(FrameCopy::Truth(frame)) if frame.stream == 4)
         );
         assert!(hub.next(Duration::ZERO).is_none());
         assert_eq!(hub.streams(), [4, 5]);
@@ -301,24 +301,24 @@ mod tests {
             hub.observed(&(&frame(stream)).into());
         }
         assert!(
-            matches!(hub.next(Duration::ZERO), Some(Copied::Truth(frame)) if frame.stream == 5)
+            matches!(hub.next(Duration::ZERO), Some(FrameCopy::Truth(frame)) if frame.stream == 5)
         );
     }
 
     #[test]
-    fn a_stream_that_ended_makes_room_at_once_and_is_nobodys_choice() {
+    fn an_ended_stream_is_replaced_at_once_and_deselected() {
         let hub = Hub::default();
         let (follower, other) = (hub.join(3).unwrap(), hub.join(3).unwrap());
         let observe = |stream| hub.observed(&(&frame(stream)).into());
         let copied = || match hub.next(Duration::ZERO) {
-            Some(Copied::Truth(frame)) => Some(frame.stream),
+            Some(FrameCopy::Truth(frame)) => Some(frame.stream),
             _ => None,
         };
         observe(4);
         other.select(Some(4));
         assert_eq!(copied(), Some(4));
         hub.ended(4);
-        // What was on its way is shown, until the next one begins.
+        // Frames under way are displayed until the next stream begins.
         observe(4);
         assert_eq!(copied(), Some(4));
         observe(5);
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_that_was_never_there_is_given_up() {
+    fn an_unknown_stream_is_deselected() {
         let hub = Hub::default();
         let browser = hub.join(1).unwrap();
         hub.observed(&(&frame(4)).into());
@@ -341,18 +341,18 @@ mod tests {
     }
 
     #[test]
-    fn a_composer_that_is_late_costs_frames_and_no_memory() {
+    fn a_slow_composer_drops_frames() {
         let hub = Hub::default();
         let _browser = hub.join(1).unwrap();
         for _ in 0..100 {
             hub.observed(&(&frame(1)).into());
         }
-        assert_eq!(hub.skipped(), 100 - WAITING as u64);
-        assert_eq!(std::iter::from_fn(|| hub.next(Duration::ZERO)).count(), WAITING);
+        assert_eq!(hub.skipped(), 100 - QUEUE_FRAMES as u64);
+        assert_eq!(std::iter::from_fn(|| hub.next(Duration::ZERO)).count(), QUEUE_FRAMES);
     }
 
     #[test]
-    fn there_is_room_for_so_many_browsers() {
+    fn the_number_of_browsers_is_limited() {
         let hub = Hub::default();
         let first = hub.join(1).unwrap();
         assert!(hub.join(1).is_none());

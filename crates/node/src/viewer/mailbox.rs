@@ -1,4 +1,4 @@
-//! What waits for one browser: the newest frame, and a few words.
+//! Messages waiting for one browser: the newest frame and a few texts.
 
 use std::{
     collections::VecDeque,
@@ -11,20 +11,20 @@ use std::{
 use axum::body::Bytes;
 use tokio::sync::Notify;
 
-/// Words that wait, at most; of more the oldest go.
-const WORDS: usize = 16;
+/// Maximum number of waiting texts; the oldest are dropped.
+const MAX_TEXTS: usize = 16;
 
-/// Something for a browser.
+/// A message to a browser.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Mail {
+pub(super) enum Outgoing {
     /// A frame ([`wire`](super::wire)).
     Frame(Bytes),
-    /// JSON.
-    Words(String),
+    /// JSON ([`protocol`](super::protocol)).
+    Text(String),
 }
 
-/// The mailbox of one browser. Who puts something in never waits: a frame takes the place of one that was not fetched,
-/// which is counted.
+/// The mailbox of one browser. Adding a message never blocks: a frame replaces one that was not fetched, which counts as
+/// dropped.
 #[derive(Debug, Default)]
 pub(super) struct Mailbox {
     waiting: Mutex<Waiting>,
@@ -35,8 +35,8 @@ pub(super) struct Mailbox {
 #[derive(Debug, Default)]
 struct Waiting {
     frame: Option<Bytes>,
-    words: VecDeque<String>,
-    /// The stream that the browser wants; the current one if `None`.
+    texts: VecDeque<String>,
+    /// The selected stream; the current one if `None`.
     stream: Option<u64>,
 }
 
@@ -48,32 +48,32 @@ impl Mailbox {
         self.arrived.notify_one();
     }
 
-    pub(super) fn say(&self, words: String) {
+    pub(super) fn put_text(&self, text: String) {
         let mut waiting = self.lock();
-        if waiting.words.len() >= WORDS {
-            waiting.words.pop_front();
+        if waiting.texts.len() >= MAX_TEXTS {
+            waiting.texts.pop_front();
         }
-        waiting.words.push_back(words);
+        waiting.texts.push_back(text);
         drop(waiting);
         self.arrived.notify_one();
     }
 
-    /// The next thing, words first; frames only where they are `wanted`. Nothing is lost when this is given up.
-    pub(super) async fn next(&self, wanted: bool) -> Mail {
+    /// The next message, texts first; frames only if `with_frames`. Cancel-safe.
+    pub(super) async fn next(&self, with_frames: bool) -> Outgoing {
         loop {
-            if let Some(mail) = self.fetch(wanted) {
+            if let Some(mail) = self.fetch(with_frames) {
                 return mail;
             }
             self.arrived.notified().await;
         }
     }
 
-    fn fetch(&self, wanted: bool) -> Option<Mail> {
+    fn fetch(&self, with_frames: bool) -> Option<Outgoing> {
         let mut waiting = self.lock();
-        if let Some(words) = waiting.words.pop_front() {
-            return Some(Mail::Words(words));
+        if let Some(text) = waiting.texts.pop_front() {
+            return Some(Outgoing::Text(text));
         }
-        if wanted { waiting.frame.take().map(Mail::Frame) } else { None }
+        if with_frames { waiting.frame.take().map(Outgoing::Frame) } else { None }
     }
 
     /// Frames that were not fetched in time.
@@ -101,24 +101,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_frame_waits_the_others_are_counted_and_words_go_first() {
+    fn only_the_newest_frame_waits_and_texts_come_first() {
         let mailbox = Mailbox::default();
         for number in 0..10u8 {
             mailbox.put(Bytes::from(vec![number]));
         }
-        mailbox.say("hello".into());
+        mailbox.put_text("hello".into());
         assert_eq!(mailbox.dropped(), 9);
-        assert_eq!(mailbox.fetch(true), Some(Mail::Words("hello".into())));
+        assert_eq!(mailbox.fetch(true), Some(Outgoing::Text("hello".into())));
         assert_eq!(mailbox.fetch(false), None);
-        assert_eq!(mailbox.fetch(true), Some(Mail::Frame(Bytes::from(vec![9]))));
+        assert_eq!(mailbox.fetch(true), Some(Outgoing::Frame(Bytes::from(vec![9]))));
         assert_eq!(mailbox.fetch(true), None);
     }
 
     #[test]
-    fn words_are_bounded() {
+    fn the_number_of_texts_is_bounded() {
         let mailbox = Mailbox::default();
-        (0..100).for_each(|number| mailbox.say(number.to_string()));
-        let words = std::iter::from_fn(|| mailbox.fetch(true)).count();
-        assert_eq!(words, WORDS);
+        (0..100).for_each(|number| mailbox.put_text(number.to_string()));
+        let texts = std::iter::from_fn(|| mailbox.fetch(true)).count();
+        assert_eq!(texts, MAX_TEXTS);
     }
 }

@@ -1,34 +1,38 @@
-//! The live page: truth beside prediction, and how far apart they are.
+//! The live page: truth beside prediction, and the distance between them.
 //!
-//! 1. [`hub`]: where a node leaves copies of its frames while somebody looks; never makes it wait.
-//! 2. [`comparison`]: pairs truth and prediction of the same instant, and measures them beside the trivial baselines;
-//!    `curves`: errors lately. `explained`: predictions joined with what is said of them, where they come as messages.
-//! 3. `composer`: one thread between the hub and the browsers: compares, encodes.
-//! 4. [`wire`]: a shown frame as bytes.
-//! 5. `mailbox`: what waits for one browser: the newest frame, and a few words.
-//! 6. [`controls`]: what a page may ask for; who can do it decides what is offered.
-//! 7. `words`: what is said in JSON: who is there, figures, curves.
-//! 8. `gate`: who may connect: pages of this server, under an address of this machine.
-//! 9. `server`: HTTP and WebSocket on a thread of their own.
-//! 10. `page/`: what the browser gets, embedded in the program.
+//! 1. [`hub`]: copies of frames for the page while a browser is connected; never blocks the source.
+//! 2. [`curves`] and [`comparison`]: pairs truth and prediction of the same instant and measures them beside the trivial
+//!    baselines.
+//! 3. [`joiner`]: predictions joined with their status messages.
+//! 4. [`wire`]: a displayed frame as bytes. [`controls`]: commands of a page. [`protocol`]: the page's other messages, in
+//!    JSON.
+//! 5. `composer`: a thread that compares and encodes.
+//! 6. `mailbox`: messages waiting for one browser.
+//! 7. `access`: which requests are allowed. `server`: HTTP and WebSocket.
+//! 8. [`panel`]: the page of a node, a player or both. [`bag_view`]: the page of a bag that is played.
+//! 9. `page/`: HTML, CSS and JavaScript, embedded in the program.
 
+mod access;
+mod bag_view;
 mod comparison;
 mod composer;
 mod controls;
 mod curves;
-mod explained;
-mod gate;
 mod hub;
+mod joiner;
 mod mailbox;
+mod panel;
+mod protocol;
 mod server;
 mod wire;
-mod words;
 
-pub use comparison::{Ahead, Comparison, Pair};
-pub use controls::{Command, Controls, NoControls, State};
+pub use bag_view::BagView;
+pub use comparison::{Comparison, Pair, PredictionInfo};
+pub use controls::{ControlState, Controls, NoControls, PageCommand};
 pub use curves::{Curves, Point, Summary};
-pub use explained::Explained;
-pub use hub::{Hub, Report};
+pub use hub::{Hub, NodeStatus};
+pub use joiner::StatusJoiner;
+pub use panel::{ControlPanel, LivePage};
+pub use protocol::PageInfo;
 pub use server::{Viewer, ViewerError};
-pub use wire::{HEADER, Shown, VERSION, encode};
-pub use words::Program;
+pub use wire::{DisplayedFrame, HEADER, VERSION, encode};

@@ -1,4 +1,4 @@
-//! HTTP and WebSocket on a thread of their own.
+//! HTTP and WebSocket, on a thread of their own.
 
 use std::{
     io,
@@ -14,7 +14,7 @@ use std::{
 use axum::{
     Router,
     extract::{
-        Request, State as Shared,
+        Request, State,
         ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code},
     },
     http::{HeaderValue, StatusCode, header},
@@ -29,33 +29,33 @@ use tokio::{
 };
 
 use super::{
-    Command, Comparison, Controls, Hub, Program, State, composer, gate,
-    mailbox::{Mail, Mailbox},
-    words::{self, Said},
+    Comparison, ControlState, Controls, Hub, PageCommand, PageInfo, access, composer,
+    mailbox::{Mailbox, Outgoing},
+    protocol::{self, ClientMessage},
 };
 use eddy_frames::clock;
 use eddy_transport::ListenAddress;
 
-/// Browsers at the same time.
-const BROWSERS: usize = 32;
-/// Frames that a page was sent and has not drawn yet: one on its way while another is drawn.
-const UNDRAWN: u32 = 2;
-/// A browser that reads nothing for so long is sent away.
-const PATIENCE: Duration = Duration::from_secs(20);
-/// Time between two figures.
-const FIGURES: Duration = Duration::from_millis(250);
-/// What a page may say at once (bytes).
-const SAID: usize = 1024;
-/// Commands of one page that wait while another of its own is done.
-const COMMANDS: usize = 4;
-/// How long the end waits for browsers to be told.
-const FAREWELL: Duration = Duration::from_millis(300);
+/// Maximum number of browsers.
+const MAX_BROWSERS: usize = 32;
+/// Maximum number of frames sent to a page and not drawn yet: one under way while another is drawn.
+const MAX_UNDRAWN: u32 = 2;
+/// A browser that reads nothing for this long is disconnected.
+const SEND_TIMEOUT: Duration = Duration::from_secs(20);
+/// Interval between metrics messages.
+const METRICS_INTERVAL: Duration = Duration::from_millis(250);
+/// Maximum size of a message from a page (bytes).
+const MAX_MESSAGE_SIZE: usize = 1024;
+/// Commands of one page that may wait.
+const QUEUED_COMMANDS: usize = 4;
+/// How long shutdown waits for browsers to disconnect.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 
-/// The page asks nobody else for anything, runs no other script, and is shown in no other page.
+/// The page loads nothing from other sites, runs only its own scripts, and cannot be embedded.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// The files of the page: path, type, content.
+/// Path, content type and content of each file.
 const FILES: [(&str, &str, &str); 8] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
@@ -67,150 +67,145 @@ const FILES: [(&str, &str, &str); 8] = [
     ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
 ];
 
-/// Why there is no page.
+/// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum ViewerError {
     /// The address cannot be listened on.
-    #[error("{address}: found {reason}, expected a free port of this machine (port 0 takes any)")]
-    Listen {
-        /// The address.
-        address: ListenAddress,
-        /// What the system said.
-        reason: io::Error,
-    },
-    /// The system gave no thread, or no timer.
-    #[error("the page's threads: {0}")]
+    #[error("{address}: cannot listen: {reason}; choose a free port, or 0 for any")]
+    Listen { address: ListenAddress, reason: io::Error },
+    /// A thread or timer cannot be created.
+    #[error("cannot start the threads of the page: {0}")]
     Threads(io::Error),
 }
 
-/// The page, as long as this lives.
+/// Serves the page until dropped.
 pub struct Viewer {
     address: SocketAddr,
     stop: watch::Sender<bool>,
-    composing: Arc<AtomicBool>,
+    stop_composer: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
-/// What every connection knows.
-struct House {
+/// Shared by all connections.
+struct ServerState {
     hub: Arc<Hub>,
-    program: Program,
+    info: PageInfo,
     controls: Arc<dyn Controls>,
-    /// What the controls were last seen to be.
-    state: Mutex<State>,
-    /// Held while they are looked at: what was seen later is not replaced by what was seen before.
-    looking: sync::Mutex<()>,
-    /// This run of the program.
+    /// The last known state of the controls.
+    controls_state: Mutex<ControlState>,
+    /// Held while it is refreshed, so that a newer state is not replaced by an older one.
+    refreshing: sync::Mutex<()>,
+    /// Identifies this run of the program.
     instance: String,
-    /// This machine's name.
-    name: Option<String>,
+    /// Host name of this machine.
+    host_name: Option<String>,
     stop: watch::Receiver<bool>,
 }
 
 impl Viewer {
-    /// Serves the page on `address`, showing what `hub` is given.
+    /// Serves the page on `address`, with the frames of `hub`.
     ///
     /// # Errors
-    /// [`ViewerError`] when the address is taken or none of this machine's.
+    /// [`ViewerError`] when the address is in use or not an address of this machine.
     pub fn start(
         address: ListenAddress,
         hub: Arc<Hub>,
         comparison: Comparison,
-        program: Program,
+        info: PageInfo,
         controls: Arc<dyn Controls>,
     ) -> Result<Self, ViewerError> {
-        let refused = |reason| ViewerError::Listen { address, reason };
-        let listener = TcpListener::bind(address.0).map_err(refused)?;
-        listener.set_nonblocking(true).map_err(refused)?;
-        let address = listener.local_addr().map_err(refused)?;
+        let failed = |reason| ViewerError::Listen { address, reason };
+        let listener = TcpListener::bind(address.0).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
         let runtime = runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(4)
             .build()
             .map_err(ViewerError::Threads)?;
         let (stop, stopped) = watch::channel(false);
-        let composing = Arc::new(AtomicBool::new(false));
-        let house = Arc::new(House {
+        let stop_composer = Arc::new(AtomicBool::new(false));
+        let server = Arc::new(ServerState {
             hub: Arc::clone(&hub),
-            program,
+            info,
             controls,
-            state: Mutex::default(),
-            looking: sync::Mutex::default(),
+            controls_state: Mutex::default(),
+            refreshing: sync::Mutex::default(),
             instance: format!("{}-{}", std::process::id(), clock::wall().0),
-            name: sysinfo::System::host_name(),
+            host_name: sysinfo::System::host_name(),
             stop: stopped,
         });
         let spawn = |name: &str, work: Box<dyn FnOnce() + Send>| {
             thread::Builder::new().name(name.to_owned()).spawn(work).map_err(ViewerError::Threads)
         };
-        let ended = Arc::clone(&composing);
-        let mut viewer = Self { address, stop, composing, threads: Vec::new() };
-        let composer = move || composer::compose(&hub, &comparison, &ended);
+        let stopped = Arc::clone(&stop_composer);
+        let mut viewer = Self { address, stop, stop_composer, threads: Vec::new() };
+        let composer = move || composer::compose(&hub, &comparison, &stopped);
         viewer.threads.push(spawn("page composer", Box::new(composer))?);
-        let server = move || {
-            if let Err(error) = runtime.block_on(serve(listener, house)) {
+        let serving = move || {
+            if let Err(error) = runtime.block_on(serve(listener, server)) {
                 tracing::error!("page: {error}");
             }
-            // A control that waits for its node does not hold up the end.
+            // Without waiting for a command that waits for its node.
             runtime.shutdown_background();
         };
-        viewer.threads.push(spawn("page server", Box::new(server))?);
+        viewer.threads.push(spawn("page server", Box::new(serving))?);
         Ok(viewer)
     }
 
-    /// Where the page is.
+    /// URL of the page.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }
 
-    /// The address that it listens on.
+    /// The address that the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 }
 
-/// Tells the browsers, and ends.
+/// Disconnects the browsers and joins the threads.
 impl Drop for Viewer {
     fn drop(&mut self) {
-        self.composing.store(true, Ordering::Relaxed);
+        self.stop_composer.store(true, Ordering::Relaxed);
         let _ = self.stop.send(true);
         for thread in self.threads.drain(..) {
-            // A panic there has been told already.
-            let _ = thread.join();
+            let _ = thread.join(); // a panic has been reported
         }
     }
 }
 
-async fn serve(listener: TcpListener, house: Arc<House>) -> io::Result<()> {
+async fn serve(listener: TcpListener, server: Arc<ServerState>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let mut router = Router::new().route("/ws", get(connect));
     for (path, kind, content) in FILES {
         router = router.route(path, get(move || async move { file(kind, content) }));
     }
-    let checked = middleware::from_fn_with_state(Arc::clone(&house), check);
-    let app = router.layer(checked).with_state(Arc::clone(&house));
-    tokio::spawn(look(Arc::clone(&house)));
-    let mut stop = house.stop.clone();
+    let checked = middleware::from_fn_with_state(Arc::clone(&server), check);
+    let app = router.layer(checked).with_state(Arc::clone(&server));
+    tokio::spawn(refresh_controls(Arc::clone(&server)));
+    let mut stop = server.stop.clone();
     tokio::select! {
         outcome = axum::serve(listener, app) => outcome?,
         _ = ended(&mut stop) => {}
     }
-    let told = async {
-        while house.hub.is_watched() {
+    let disconnected = async {
+        while server.hub.is_watched() {
             time::sleep(Duration::from_millis(5)).await;
         }
     };
-    // A browser that does not read is not told.
-    let _ = time::timeout(FAREWELL, told).await;
+    // A browser that does not read cannot be told.
+    let _ = time::timeout(CLOSE_TIMEOUT, disconnected).await;
     Ok(())
 }
 
-async fn check(Shared(house): Shared<Arc<House>>, request: Request, next: Next) -> Response {
-    match gate::check(request.headers(), house.name.as_deref()) {
+async fn check(State(server): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
+    match access::check(request.headers(), server.host_name.as_deref()) {
         Ok(()) => next.run(request).await,
-        Err(refused) => {
-            tracing::warn!("page: refused: {refused}");
-            (StatusCode::FORBIDDEN, format!("{refused}\n")).into_response()
+        Err(forbidden) => {
+            tracing::warn!("page: request rejected: {forbidden}");
+            (StatusCode::FORBIDDEN, format!("{forbidden}\n")).into_response()
         }
     }
 }
@@ -221,7 +216,7 @@ fn file(kind: &'static str, content: &'static str) -> Response {
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),
-        // The next version of the program has other files.
+        // Another version of the program has other files.
         (header::CACHE_CONTROL, "no-store"),
     ];
     let mut response = content.into_response();
@@ -231,83 +226,86 @@ fn file(kind: &'static str, content: &'static str) -> Response {
     response
 }
 
-/// Keeps what is known of the controls fresh, while somebody looks.
-async fn look(house: Arc<House>) {
-    let mut interval = time::interval(FIGURES);
+/// Refreshes the state of the controls while a browser is connected.
+async fn refresh_controls(server: Arc<ServerState>) {
+    let mut interval = time::interval(METRICS_INTERVAL);
     interval.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
     loop {
         interval.tick().await;
-        if house.hub.is_watched() {
-            house.refresh().await;
+        if server.hub.is_watched() {
+            server.refresh().await;
         }
     }
 }
 
-async fn connect(Shared(house): Shared<Arc<House>>, upgrade: WebSocketUpgrade) -> Response {
-    let Some(mailbox) = house.hub.join(BROWSERS) else {
-        let full = format!("found {BROWSERS} browsers, expected fewer\n");
+async fn connect(
+    State(server): State<Arc<ServerState>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let Some(mailbox) = server.hub.join(MAX_BROWSERS) else {
+        let full = format!("{MAX_BROWSERS} browsers are connected, no more are accepted\n");
         return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();
     };
-    let (commands, asked) = mpsc::channel(COMMANDS);
-    // Ends with the visit, whose commands it still does.
-    tokio::spawn(serve_commands(Arc::clone(&house), Arc::clone(&mailbox), asked));
-    let visit = Visit { house, mailbox, commands, credit: UNDRAWN, sent: 0 };
-    let upgrade = upgrade.max_message_size(SAID).max_frame_size(SAID);
+    let (commands, queued) = mpsc::channel(QUEUED_COMMANDS);
+    // Ends after the connection, when its commands are executed.
+    tokio::spawn(execute_all(Arc::clone(&server), Arc::clone(&mailbox), queued));
+    let connection = Connection { server, mailbox, commands, credit: MAX_UNDRAWN, sent: 0 };
+    let upgrade = upgrade.max_message_size(MAX_MESSAGE_SIZE).max_frame_size(MAX_MESSAGE_SIZE);
     upgrade.on_upgrade(move |socket| async move {
-        let mut visit = visit;
-        if let Err(error) = visit.converse(socket).await {
+        let mut connection = connection;
+        if let Err(error) = connection.run(socket).await {
             tracing::debug!("page: {error}");
         }
     })
 }
 
-/// One browser.
-struct Visit {
-    house: Arc<House>,
+/// The connection of one browser.
+struct Connection {
+    server: Arc<ServerState>,
     mailbox: Arc<Mailbox>,
-    /// What it asks for, to be done in this order.
-    commands: mpsc::Sender<Command>,
-    /// Frames that it may be sent before it has drawn one.
+    /// Its commands, executed in order.
+    commands: mpsc::Sender<PageCommand>,
+    /// Frames that may be sent before it draws one.
     credit: u32,
     sent: u64,
 }
 
-impl Drop for Visit {
+impl Drop for Connection {
     fn drop(&mut self) {
-        self.house.hub.leave(&self.mailbox);
+        self.server.hub.leave(&self.mailbox);
     }
 }
 
-impl Visit {
-    /// Until the browser goes, does not read, or the program ends.
-    async fn converse(&mut self, mut socket: WebSocket) -> Result<(), axum::Error> {
-        let House { program, controls, instance, .. } = &*self.house;
-        let hello = words::hello(program, controls.as_ref(), instance);
+impl Connection {
+    /// Runs until the browser disconnects, stops reading, or the program ends.
+    async fn run(&mut self, mut socket: WebSocket) -> Result<(), axum::Error> {
+        let ServerState { info, controls, instance, .. } = &*self.server;
+        let hello = protocol::hello(info, controls.as_ref(), instance);
         send(&mut socket, Message::text(hello)).await?;
-        let mut stop = self.house.stop.clone();
-        let mut figures = time::interval(FIGURES);
-        figures.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut stop = self.server.stop.clone();
+        let mut metrics = time::interval(METRICS_INTERVAL);
+        metrics.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mailbox = Arc::clone(&self.mailbox);
         loop {
             tokio::select! {
-                heard = socket.recv() => match heard {
-                    Some(Ok(Message::Text(text))) => self.hear(&text),
+                received = socket.recv() => match received {
+                    Some(Ok(Message::Text(text))) => self.receive(&text),
                     Some(Ok(Message::Close(_))) | None => return Ok(()),
                     Some(Ok(_)) => {}
                     Some(Err(error)) => return Err(error),
                 },
-                mail = mailbox.next(self.credit > 0) => match mail {
-                    Mail::Words(words) => send(&mut socket, Message::text(words)).await?,
-                    Mail::Frame(frame) => {
+                outgoing = mailbox.next(self.credit > 0) => match outgoing {
+                    Outgoing::Text(text) => send(&mut socket, Message::text(text)).await?,
+                    Outgoing::Frame(frame) => {
                         self.credit -= 1;
                         self.sent += 1;
                         send(&mut socket, Message::Binary(frame)).await?;
                     }
                 },
-                _ = figures.tick() => {
-                    let state = *self.house.state();
-                    let figures = words::figures(&self.house.hub, &mailbox, &state, self.sent);
-                    send(&mut socket, Message::text(figures)).await?;
+                _ = metrics.tick() => {
+                    let state = *self.server.controls_state();
+                    let metrics = protocol::metrics(&self.server.hub, &mailbox, &state, self.sent);
+                    send(&mut socket, Message::text(metrics)).await?;
                 }
                 _ = ended(&mut stop) => {
                     let reason = "the program ended".into();
@@ -318,80 +316,80 @@ impl Visit {
         }
     }
 
-    fn hear(&mut self, text: &str) {
-        match Said::parse(text) {
-            Ok(Said::Drawn { drawn }) => {
-                self.credit = self.credit.saturating_add(drawn).min(UNDRAWN);
+    fn receive(&mut self, text: &str) {
+        match ClientMessage::parse(text) {
+            Ok(ClientMessage::Drawn { drawn }) => {
+                self.credit = self.credit.saturating_add(drawn).min(MAX_UNDRAWN);
             }
-            Ok(Said::Select { select }) => {
+            Ok(ClientMessage::Select { select }) => {
                 self.mailbox.select(select.and_then(|stream| stream.parse().ok()));
             }
-            Ok(Said::Command(command)) => {
+            Ok(ClientMessage::Command(command)) => {
                 if self.commands.try_send(command).is_err() {
-                    let busy = Err("still busy with what was asked for before".to_owned());
-                    let state = *self.house.state();
-                    self.mailbox.say(words::outcome(&command, &busy, &state));
+                    let busy = Err("still busy with previous commands".to_owned());
+                    let state = *self.server.controls_state();
+                    self.mailbox.put_text(protocol::outcome(&command, &busy, &state));
                 }
             }
-            Err(error) => tracing::debug!("page: found `{text}`, expected a command: {error}"),
+            Err(error) => tracing::debug!("page: invalid message `{text}`: {error}"),
         }
     }
 }
 
-/// Does what one page asks for, one after the other, and tells it.
-async fn serve_commands(
-    house: Arc<House>,
+/// Executes the commands of one page in order and sends it the outcomes.
+async fn execute_all(
+    server: Arc<ServerState>,
     mailbox: Arc<Mailbox>,
-    mut asked: mpsc::Receiver<Command>,
+    mut commands: mpsc::Receiver<PageCommand>,
 ) {
-    while let Some(command) = asked.recv().await {
-        let outcome = act(&house, command).await;
-        let state = *house.state();
-        mailbox.say(words::outcome(&command, &outcome, &state));
+    while let Some(command) = commands.recv().await {
+        let outcome = execute(&server, command).await;
+        let state = *server.controls_state();
+        mailbox.put_text(protocol::outcome(&command, &outcome, &state));
     }
 }
 
-async fn act(house: &House, command: Command) -> Result<String, String> {
-    let controls = Arc::clone(&house.controls);
-    let offered = match command {
-        // One button, two words.
-        Command::Resume => controls.offered().contains(&"pause"),
-        _ => controls.offered().contains(&command.name()),
+async fn execute(server: &ServerState, command: PageCommand) -> Result<String, String> {
+    let controls = Arc::clone(&server.controls);
+    let is_available = match command {
+        // One button for both.
+        PageCommand::Resume => controls.available().contains(&"pause"),
+        _ => controls.available().contains(&command.name()),
     };
-    if !offered {
-        let expected = controls.offered().join(", ");
+    if !is_available {
+        let expected = controls.available().join(", ");
         return Err(format!("found {}, expected one of {expected}", command.name()));
     }
-    let acted = tokio::task::spawn_blocking(move || controls.act(command)).await;
-    // Of what failed a part may be done.
-    house.refresh().await;
-    acted.unwrap_or_else(|_| Err("it could not be done".to_owned()))
+    let outcome = tokio::task::spawn_blocking(move || controls.execute(command)).await;
+    // Even a failed command may have changed something.
+    server.refresh().await;
+    outcome.unwrap_or_else(|_| Err("the command failed".to_owned()))
 }
 
-impl House {
+impl ServerState {
     async fn refresh(&self) {
-        let _looking = self.looking.lock().await;
+        let _refreshing = self.refreshing.lock().await;
         let controls = Arc::clone(&self.controls);
-        if let Ok(seen) = tokio::task::spawn_blocking(move || controls.state()).await {
-            let mut state = self.state();
-            *state = seen.or(*state);
+        if let Ok(current) = tokio::task::spawn_blocking(move || controls.state()).await {
+            let mut state = self.controls_state();
+            *state = current.or(*state);
         }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn controls_state(&self) -> MutexGuard<'_, ControlState> {
+        self.controls_state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Waits until the program ends.
 async fn ended(stop: &mut watch::Receiver<bool>) {
-    // Without a sender it has ended, too.
+    // An error means that the sender is gone, and the program ends as well.
     let _ = stop.wait_for(|stop| *stop).await;
 }
 
-/// Sends, but not to a browser that reads nothing.
+/// Sends a message; fails if the browser reads nothing for [`SEND_TIMEOUT`].
 async fn send(socket: &mut WebSocket, message: Message) -> Result<(), axum::Error> {
-    match time::timeout(PATIENCE, socket.send(message)).await {
+    match time::timeout(SEND_TIMEOUT, socket.send(message)).await {
         Ok(outcome) => outcome,
         Err(late) => Err(axum::Error::new(late)),
     }

@@ -1,36 +1,35 @@
-//! A shown frame as bytes, little-endian: a header of [`HEADER`] bytes, then 12 bytes a particle, property by property.
+//! A displayed frame as bytes, little-endian: a header of [`HEADER`] bytes, then 12 bytes per particle, property by property.
 //!
-//! | offset | type | what |
+//! | offset | type | content |
 //! |---|---|---|
 //! | 0 | u32 | `EDY` and the [`VERSION`] |
-//! | 4 | u32 | flags: 1 has a truth, 2 has a prediction, 4 both of the same instant, 8 the prediction runs free |
-//! | 8 | u32 | N, particles of either side |
-//! | 12 | u32 | frames predicted ahead |
+//! | 4 | u32 | flags: 1 truth present, 2 prediction present, 4 both of the same instant, 8 free run |
+//! | 8 | u32 | N, number of particles |
+//! | 12 | u32 | horizon of the prediction (frames), 0 if unknown |
 //! | 16 | u64 | stream |
-//! | 24 | u64 ×2 | sequence of the truth, of the prediction |
-//! | 40 | f64 ×2 | stamp of the truth, of the prediction (s) |
-//! | 56 | f32 ×4 | the domain's lower and upper corner (domain lengths) |
-//! | 72 | f32 | the speed that 255 stands for (domain lengths per second) |
-//! | 76 | f32 ×2 | error of the prediction, of the best baseline (RMSE, domain lengths; NaN if unknown) |
+//! | 24 | u64 ×2 | sequence of truth and prediction |
+//! | 40 | f64 ×2 | stamp of truth and prediction (s) |
+//! | 56 | f32 ×4 | lower and upper corner of the domain (domain lengths) |
+//! | 72 | f32 | speed that 255 stands for (domain lengths per second) |
+//! | 76 | f32 ×2 | error of the prediction and of the best baseline (RMSE, domain lengths; NaN if unknown) |
 //! | 84 | u32 ×3 | zero |
 //! | 96 | u16 `[N, 2]` | positions of the truth, 0 to 65535 across the domain |
 //! | | u16 `[N, 2]` | positions of the prediction |
 //! | | u8 `[N]` ×4 | speed of the truth, speed of the prediction, error, material |
 //!
-//! Positions are for looking at: they are rounded to 1/65535 of the domain, and held in it. The error of a particle is
-//! on a logarithmic scale, 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). A side that is
-//! missing is all zero.
+//! Positions are for display only: rounded to 1/65535 of the domain and clamped to it. The error of a particle is on a
+//! logarithmic scale from 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). A missing side is zero.
 
 use std::sync::Arc;
 
-use super::comparison::Ahead;
+use super::comparison::PredictionInfo;
 use eddy_frames::{Domain, Frame};
 
 /// Bytes before the particles.
 pub const HEADER: usize = 96;
-/// Of this layout.
+/// Version of this layout.
 pub const VERSION: u8 = 1;
-/// Bytes of a particle, both sides together.
+/// Bytes per particle, both sides together.
 const PARTICLE: usize = 12;
 /// The error of a particle that 0 stands for (domain lengths).
 pub(super) const SMALLEST_ERROR: f32 = 1e-5;
@@ -40,20 +39,20 @@ pub(super) const LARGEST_ERROR: f32 = 1e-1;
 const TRUTH: u32 = 1;
 const PREDICTION: u32 = 2;
 const SAME_INSTANT: u32 = 4;
-const FREE: u32 = 8;
+const FREE_RUN: u32 = 8;
 
-/// What a page shows at once: one side at least; both have equally many particles.
+/// A frame as displayed: truth, prediction, or both with the same number of particles.
 #[derive(Clone, Debug, Default)]
-pub struct Shown {
-    /// What was observed.
+pub struct DisplayedFrame {
+    /// The observed frame.
     pub truth: Option<Arc<Frame>>,
-    /// What was predicted, and how.
-    pub prediction: Option<(Arc<Frame>, Ahead)>,
+    /// The predicted frame and where it comes from.
+    pub prediction: Option<(Arc<Frame>, PredictionInfo)>,
     /// RMSE of the prediction and of the best baseline (domain lengths).
     pub errors: [Option<f64>; 2],
 }
 
-impl Shown {
+impl DisplayedFrame {
     /// Whether both sides are of the same instant.
     fn is_pair(&self) -> bool {
         let sequence = self.truth.as_ref().map(|frame| frame.sequence);
@@ -61,18 +60,18 @@ impl Shown {
     }
 }
 
-/// The bytes of what is shown. `top_speed` is what the fastest colour stands for (domain lengths per second).
-pub fn encode(shown: &Shown, top_speed: f32) -> Vec<u8> {
-    let truth = shown.truth.as_deref();
-    let (prediction, ahead) = match &shown.prediction {
-        Some((frame, ahead)) => (Some(&**frame), Some(*ahead)),
+/// Encodes a frame. `top_speed` is the speed of the last colour (domain lengths per second).
+pub fn encode(displayed: &DisplayedFrame, top_speed: f32) -> Vec<u8> {
+    let truth = displayed.truth.as_deref();
+    let (prediction, info) = match &displayed.prediction {
+        Some((frame, info)) => (Some(&**frame), Some(*info)),
         None => (None, None),
     };
     let Some(any) = truth.or(prediction) else { return Vec::new() };
-    // Sides that differ cannot share their materials.
+    // Sides with different particles cannot share the materials.
     let prediction = prediction.filter(|frame| frame.len() == any.len());
     let particles = any.len();
-    let pair = shown.is_pair() && prediction.is_some();
+    let pair = displayed.is_pair() && prediction.is_some();
 
     let mut bytes = Vec::with_capacity(HEADER + PARTICLE * particles);
     bytes.extend_from_slice(&[b'E', b'D', b'Y', VERSION]);
@@ -80,11 +79,11 @@ pub fn encode(shown: &Shown, top_speed: f32) -> Vec<u8> {
         (truth.is_some(), TRUTH),
         (prediction.is_some(), PREDICTION),
         (pair, SAME_INSTANT),
-        (ahead.is_some_and(|ahead| ahead.free), FREE),
+        (info.is_some_and(|info| info.free_running), FREE_RUN),
     ];
     let flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
-    let ahead = ahead.map_or(0, |ahead| ahead.frames);
-    for number in [flags, particles as u32, ahead] {
+    let horizon = info.map_or(0, |info| info.horizon);
+    for number in [flags, particles as u32, horizon] {
         bytes.extend_from_slice(&number.to_le_bytes());
     }
     bytes.extend_from_slice(&any.stream.to_le_bytes());
@@ -96,14 +95,14 @@ pub fn encode(shown: &Shown, top_speed: f32) -> Vec<u8> {
         bytes.extend_from_slice(&stamp.to_le_bytes());
     }
     let Domain { lower, upper } = any.domain;
-    let errors = shown.errors.map(|error| error.map_or(f32::NAN, |error| error as f32));
+    let errors = displayed.errors.map(|error| error.map_or(f32::NAN, |error| error as f32));
     for number in [lower[0], lower[1], upper[0], upper[1], top_speed, errors[0], errors[1]] {
         bytes.extend_from_slice(&number.to_le_bytes());
     }
     bytes.resize(HEADER, 0);
 
     for side in [truth, prediction] {
-        places(&mut bytes, side, any);
+        positions(&mut bytes, side, any);
     }
     for side in [truth, prediction] {
         speeds(&mut bytes, side, particles, top_speed);
@@ -119,16 +118,16 @@ pub fn encode(shown: &Shown, top_speed: f32) -> Vec<u8> {
     bytes
 }
 
-fn places(bytes: &mut Vec<u8>, side: Option<&Frame>, any: &Frame) {
+fn positions(bytes: &mut Vec<u8>, side: Option<&Frame>, any: &Frame) {
     let Some(frame) = side else {
         bytes.resize(bytes.len() + 4 * any.len(), 0);
         return;
     };
     let Domain { lower, upper } = any.domain;
     let scale = [0, 1].map(|axis| f32::from(u16::MAX) / (upper[axis] - lower[axis]));
-    for place in &frame.position {
-        // A cast holds what is out of range at the ends.
-        let [x, y] = [0, 1].map(|axis| ((place[axis] - lower[axis]) * scale[axis] + 0.5) as u16);
+    for position in &frame.position {
+        // The cast saturates.
+        let [x, y] = [0, 1].map(|axis| ((position[axis] - lower[axis]) * scale[axis] + 0.5) as u16);
         let ([a, b], [c, d]) = (x.to_le_bytes(), y.to_le_bytes());
         bytes.extend_from_slice(&[a, b, c, d]);
     }
@@ -147,7 +146,7 @@ fn speeds(bytes: &mut Vec<u8>, side: Option<&Frame>, particles: usize, top_speed
 /// An error (domain lengths) on the logarithmic scale.
 fn error_level(error: f32) -> u8 {
     let decades = (LARGEST_ERROR / SMALLEST_ERROR).log2();
-    // log2 of what is not above the smallest error is not above 0, which the cast holds there.
+    // Negative for errors below the smallest; the cast saturates.
     ((error / SMALLEST_ERROR).log2() / decades * f32::from(u8::MAX) + 0.5) as u8
 }
 
@@ -170,16 +169,16 @@ mod tests {
     }
 
     #[test]
-    fn every_field_is_where_the_table_says() {
-        let shown = Shown {
+    fn every_field_is_at_the_offset_in_the_table() {
+        let displayed = DisplayedFrame {
             truth: Some(frame(7, [[0.0, 0.0], [1.0, 0.5]])),
             prediction: Some((
                 frame(7, [[0.0, 0.1], [1.0, 0.5]]),
-                Ahead { source: 5, frames: 2, free: true },
+                PredictionInfo { source: 5, horizon: 2, free_running: true },
             )),
             errors: [Some(0.25), None],
         };
-        let bytes = encode(&shown, 5.0);
+        let bytes = encode(&displayed, 5.0);
         assert_eq!(bytes.len(), HEADER + 2 * PARTICLE);
         assert_eq!(&bytes[..4], b"EDY\x01");
         let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
@@ -198,9 +197,9 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_side_is_zero_and_what_left_the_domain_is_held_in_it() {
+    fn a_missing_side_is_zero_and_positions_are_clamped_to_the_domain() {
         let truth = frame(7, [[-9.0, 0.5], [9.0, 1e9]]);
-        let bytes = encode(&Shown { truth: Some(truth), ..Shown::default() }, 1.0);
+        let bytes = encode(&DisplayedFrame { truth: Some(truth), ..DisplayedFrame::default() }, 1.0);
         assert_eq!(bytes[4], 1);
         assert_eq!(bytes[96..104], [0, 0, 0, 128, 255, 255, 255, 255]);
         assert_eq!(bytes[104..112], [0; 8]);

@@ -1,0 +1,29 @@
+//! The bag player: a bag onto topics, at its recorded pace.
+//!
+//! 1. [`timeline`]: real time to playing time, with rates and pauses.
+//! 2. [`command`]: what the user may ask for, by keys, services or the live page.
+//! 3. `read_ahead`: messages are read before they are due.
+//! 4. [`options`] and [`schedule`]: which message is due when.
+//! 5. [`playback`]: the loop that waits and publishes.
+//! 6. [`outputs`]: a publisher for every topic of the bag, and one for the clock.
+//! 7. [`services`]: the services of rosbag2's player.
+//! 8. [`pacer`]: a simulation in place of a bag.
+
+mod command;
+mod options;
+mod outputs;
+mod pacer;
+mod playback;
+mod read_ahead;
+mod schedule;
+mod services;
+mod timeline;
+
+pub use command::{CommandOutcome, PendingCommand, PlayerCommand, PlayerHandle, SKIP};
+pub use options::{PlayerError, PlayerOptions};
+pub use outputs::{OutputError, OutputOptions, PlayedTopic, TopicOutputs, playable_topics};
+pub use pacer::Pacer;
+pub use playback::{PlaybackSink, play};
+pub use schedule::{Due, Executed, Player};
+pub use services::{PlayerServices, player_services};
+pub use timeline::Timeline;

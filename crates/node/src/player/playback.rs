@@ -1,0 +1,65 @@
+//! The loop of a player: waits until a message is due, publishes it, carries out commands meanwhile.
+
+use std::{thread, time::Duration};
+
+use super::{Due, PendingCommand, Player};
+use eddy_bag::{BagError, BagMessage};
+use eddy_frames::{Stamp, clock::Clock};
+
+/// Longest sleep, so that signals and commands take effect soon.
+const MAX_SLEEP: Duration = Duration::from_millis(20);
+
+/// Where a player publishes, and where its commands come from.
+pub trait PlaybackSink {
+    /// The error that ends playback.
+    type Error: From<BagError>;
+
+    /// Publishes a message that is due `now` (since the start of playback) at the latest.
+    ///
+    /// # Errors
+    /// An error that ends playback.
+    fn message(&mut self, message: BagMessage, now: Duration) -> Result<(), Self::Error>;
+
+    /// Publishes the recorded time, at the rate in [`PlayerOptions`](super::PlayerOptions).
+    ///
+    /// # Errors
+    /// An error that ends playback.
+    fn clock(&mut self, recorded: Stamp) -> Result<(), Self::Error>;
+
+    /// The commands since the last call.
+    fn commands(&mut self) -> Vec<PendingCommand>;
+
+    /// Whether to end playback.
+    fn is_stopped(&self) -> bool;
+}
+
+/// Plays to the end of the bag, or until the sink is stopped.
+///
+/// # Errors
+/// [`BagError`] for a damaged bag, and the errors of the sink.
+pub fn play<S: PlaybackSink>(
+    player: &mut Player,
+    clock: &Clock,
+    sink: &mut S,
+) -> Result<(), S::Error> {
+    while !sink.is_stopped() {
+        for pending in sink.commands() {
+            let Some((command, responder)) = pending.accept() else { continue };
+            let executed = player.execute(command, clock.now())?;
+            if let Some(message) = executed.message {
+                sink.message(message, clock.now())?;
+            }
+            responder.send(executed.outcome);
+        }
+        if let Some(recorded) = player.tick(clock.now()) {
+            sink.clock(recorded)?;
+        }
+        let now = clock.now();
+        match player.poll(now)? {
+            Due::Now(message) => sink.message(message, now)?,
+            Due::In(wait) => thread::sleep(wait.min(MAX_SLEEP)),
+            Due::Never => break,
+        }
+    }
+    Ok(())
+}

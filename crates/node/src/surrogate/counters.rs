@@ -1,0 +1,149 @@
+//! Frames that were not used, and why; losses.
+
+use std::collections::BTreeMap;
+
+use eddy_frames::InvalidFrame;
+use eddy_inference::engine::ModelError;
+use eddy_messages::BadFrame;
+
+/// Why a frame was rejected.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
+pub enum Rejection {
+    /// It is not a valid frame.
+    #[error(transparent)]
+    Bad(#[from] BadFrame),
+    /// The model cannot predict it.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// It is a duplicate, or arrived after a later frame.
+    #[error("stream {stream}: sequence: found {found}, expected at least {expected}")]
+    Late { stream: u64, found: u64, expected: u64 },
+    /// The stream is in a free run.
+    #[error("stream {stream}: frame {found} ignored during a free run")]
+    FreeRunning { stream: u64, found: u64 },
+}
+
+/// Counts since the node started.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames that arrived.
+    pub received: u64,
+    /// Predictions that were published.
+    pub published: u64,
+    /// Messages that could not be decoded as `ParticleFrame`.
+    pub undecodable: u64,
+    /// Frames with unequal lengths, unknown materials, the wrong dimension or an empty domain.
+    pub malformed: u64,
+    /// Frames with a NaN or an infinity.
+    pub not_finite: u64,
+    /// Frames whose `dt` differs from the checkpoint's.
+    pub wrong_interval: u64,
+    /// Frames whose particles or domain do not fit the model.
+    pub wrong_particles: u64,
+    /// Duplicates and frames that arrived late.
+    pub late: u64,
+    /// Frames that arrived during a free run of their stream.
+    pub ignored_in_free_run: u64,
+    /// Missing frames that were replaced by a prediction.
+    pub filled: u64,
+    /// Missing frames in gaps that were too long to fill.
+    pub missing: u64,
+    /// Streams that were reset and warm up again.
+    pub resets: u64,
+    /// Streams that were evicted in favour of others.
+    pub evicted_streams: u64,
+    /// Frames that were dropped because the node was too slow.
+    pub dropped_from_queue: u64,
+    /// `dropped_from_queue` by stream, for the first 1,024 streams that lost any.
+    pub dropped_by_stream: BTreeMap<u64, u64>,
+    /// Messages that the transport dropped before they reached the node.
+    pub lost_in_transport: u64,
+    /// Predictions that were not finite and therefore not published.
+    pub diverged: u64,
+    /// Predictions that could not be sent on an output.
+    pub unpublished: u64,
+}
+
+impl Counters {
+    /// Counts a rejected frame.
+    pub fn reject(&mut self, rejection: &Rejection) {
+        let counter = match rejection {
+            Rejection::Bad(BadFrame::Cdr(_)) => &mut self.undecodable,
+            Rejection::Bad(BadFrame::Invalid(InvalidFrame::NotFinite { .. })) => {
+                &mut self.not_finite
+            }
+            Rejection::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
+            Rejection::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
+            Rejection::Model(_) => &mut self.wrong_particles,
+            Rejection::Late { .. } => &mut self.late,
+            Rejection::FreeRunning { .. } => &mut self.ignored_in_free_run,
+        };
+        *counter += 1;
+    }
+
+    /// Every counter with its name, in the order of the fields.
+    pub fn named(&self) -> [(&'static str, u64); 17] {
+        [
+            ("received", self.received),
+            ("published", self.published),
+            ("undecodable", self.undecodable),
+            ("malformed", self.malformed),
+            ("not_finite", self.not_finite),
+            ("wrong_interval", self.wrong_interval),
+            ("wrong_particles", self.wrong_particles),
+            ("late", self.late),
+            ("ignored_in_free_run", self.ignored_in_free_run),
+            ("filled", self.filled),
+            ("missing", self.missing),
+            ("resets", self.resets),
+            ("evicted_streams", self.evicted_streams),
+            ("dropped_from_queue", self.dropped_from_queue),
+            ("lost_in_transport", self.lost_in_transport),
+            ("diverged", self.diverged),
+            ("unpublished", self.unpublished),
+        ]
+    }
+
+    /// Frames that are invalid or do not fit the model.
+    pub fn bad(&self) -> u64 {
+        self.undecodable
+            + self.malformed
+            + self.not_finite
+            + self.wrong_interval
+            + self.wrong_particles
+    }
+
+    /// Frames lost before the model saw them, each counted once: a frame that the transport or the queue dropped also
+    /// leaves a gap in its stream, so this is the larger of the two counts. Duplicates, frames that arrived too late for
+    /// their gap, and unpublished predictions are not included.
+    pub fn frames_lost(&self) -> u64 {
+        let gaps = self.filled.saturating_add(self.missing);
+        gaps.max(self.dropped_from_queue.saturating_add(self.lost_in_transport))
+    }
+
+    /// Grows whenever a frame is missing or late, or a prediction could not be sent. One loss may count twice: where it
+    /// was dropped, and as the gap that it left.
+    pub fn lost(&self) -> u64 {
+        [self.late, self.missing, self.filled, self.dropped_from_queue, self.lost_in_transport]
+            .into_iter()
+            .fold(self.unpublished, u64::saturating_add)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_that_was_dropped_and_left_a_gap_is_lost_once() {
+        let dropped = Counters { dropped_from_queue: 3, ..Counters::default() };
+        assert_eq!(dropped.frames_lost(), 3, "before the next frame of its stream");
+        let gap = Counters { filled: 1, missing: 2, ..dropped };
+        assert_eq!(gap.frames_lost(), 3);
+        let elsewhere = Counters { missing: 9, ..gap };
+        assert_eq!(elsewhere.frames_lost(), 10, "lost before this node");
+        let late = Counters { late: 5, unpublished: 5, ..elsewhere };
+        assert_eq!(late.frames_lost(), 10);
+    }
+}

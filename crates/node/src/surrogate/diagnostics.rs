@@ -1,0 +1,184 @@
+//! Counters, rate and latency as ROS 2 diagnostics.
+
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+
+use super::Counters;
+use eddy_frames::Stamp;
+use eddy_messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
+
+/// Largest latency in the histogram; longer ones count as this (µs).
+const MAX_LATENCY: u64 = 60_000_000;
+
+/// `level` of a `DiagnosticStatus`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+enum Level {
+    Ok = 0,
+    Warn = 1,
+    Error = 2,
+}
+
+/// Rate and latency between two reports.
+#[derive(Debug)]
+pub struct Monitor {
+    since: Duration,
+    published: u64,
+    latency: Histogram<u64>,
+    last: Counters,
+    rejection: Option<String>,
+}
+
+/// Rate and latency since the last report.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Predictions a second.
+    pub rate: f64,
+    /// Median time from the arrival of a frame to the publication of its predictions.
+    pub latency_p50: Duration,
+    /// 99th percentile of the same.
+    pub latency_p99: Duration,
+}
+
+impl Monitor {
+    /// Starts at `now`.
+    pub fn start(now: Duration) -> Self {
+        let latency = Histogram::new_with_bounds(1, MAX_LATENCY, 3)
+            .expect("1 to 60 s in microseconds with 3 digits is a valid histogram");
+        Self { since: now, published: 0, latency, last: Counters::default(), rejection: None }
+    }
+
+    /// Records the predictions of one frame.
+    pub fn published(&mut self, predictions: u64, latency: Duration) {
+        self.published += predictions;
+        let microseconds = u64::try_from(latency.as_micros()).unwrap_or(MAX_LATENCY);
+        self.latency.saturating_record(microseconds.clamp(1, MAX_LATENCY));
+    }
+
+    /// Records why a frame was rejected; the latest reason is reported.
+    pub fn rejected(&mut self, reason: String) {
+        self.rejection = Some(reason);
+    }
+
+    /// Rate and latency since the last report.
+    pub fn rates(&self, now: Duration) -> Rates {
+        let seconds = now.saturating_sub(self.since).as_secs_f64().max(1e-9);
+        Rates {
+            rate: self.published as f64 / seconds,
+            latency_p50: Duration::from_micros(self.latency.value_at_quantile(0.5)),
+            latency_p99: Duration::from_micros(self.latency.value_at_quantile(0.99)),
+        }
+    }
+
+    /// Reports the interval since the last report and starts the next one.
+    ///
+    /// ERROR when a prediction diverged, WARN when a frame was rejected or lost, OK otherwise.
+    pub fn report(
+        &mut self,
+        now: Duration,
+        stamp: Stamp,
+        name: &str,
+        model: &str,
+        counters: &Counters,
+    ) -> DiagnosticArray {
+        let Rates { rate, latency_p50, latency_p99 } = self.rates(now);
+        let (level, message) = self.level(counters);
+        let milliseconds = |latency: Duration| format!("{:.3}", latency.as_secs_f64() * 1e3);
+        let mut values = vec![
+            value("rate (1/s)", format!("{rate:.1}")),
+            value("latency p50 (ms)", milliseconds(latency_p50)),
+            value("latency p99 (ms)", milliseconds(latency_p99)),
+            value("model", model),
+        ];
+        values.extend(counters.named().map(|(key, count)| value(key, count.to_string())));
+        values.extend(losses(counters));
+        *self = Self { last: counters.clone(), ..Self::start(now) };
+        let status = DiagnosticStatus {
+            level: level as u8,
+            name: name.to_owned(),
+            message,
+            hardware_id: String::new(),
+            values,
+        };
+        DiagnosticArray {
+            header: Header { stamp: stamp.into(), frame_id: String::new() },
+            status: vec![status],
+        }
+    }
+
+    fn level(&self, counters: &Counters) -> (Level, String) {
+        if counters.diverged > self.last.diverged {
+            (Level::Error, "a prediction was not finite; its stream was reset".to_owned())
+        } else if let Some(reason) = &self.rejection {
+            (Level::Warn, format!("frame rejected: {reason}"))
+        } else if counters.lost() > self.last.lost() {
+            (Level::Warn, "frames were lost".to_owned())
+        } else {
+            (Level::Ok, "predicting".to_owned())
+        }
+    }
+}
+
+/// The streams that lost most frames because the node is too slow, in descending order.
+fn losses(counters: &Counters) -> Option<KeyValue> {
+    const NAMED: usize = 8;
+    let mut losses: Vec<_> = counters.dropped_by_stream.iter().collect();
+    losses.sort_by_key(|&(_, lost)| std::cmp::Reverse(lost));
+    let named = losses.iter().take(NAMED).map(|(stream, lost)| format!("{stream}: {lost}"));
+    let named = named.collect::<Vec<_>>().join(", ");
+    (!losses.is_empty()).then(|| value("dropped_from_queue, by stream", named))
+}
+
+fn value(key: &str, value: impl Into<String>) -> KeyValue {
+    KeyValue { key: key.to_owned(), value: value.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(monitor: &mut Monitor, seconds: u64, counters: &Counters) -> DiagnosticStatus {
+        let now = Duration::from_secs(seconds);
+        monitor.report(now, Stamp(0), "eddy", "abc", counters).status.remove(0)
+    }
+
+    #[test]
+    fn a_report_has_rate_latency_and_every_counter() {
+        let mut monitor = Monitor::start(Duration::ZERO);
+        for _ in 0..50 {
+            monitor.published(1, Duration::from_millis(2));
+        }
+        let counters = Counters { published: 50, ..Counters::default() };
+        let status = report(&mut monitor, 2, &counters);
+        let found = |key: &str| {
+            status.values.iter().find(|v| v.key == key).map(|v| v.value.clone()).unwrap()
+        };
+        assert_eq!(found("rate (1/s)"), "25.0");
+        assert_eq!(found("latency p50 (ms)"), "2.000");
+        assert_eq!(found("published"), "50");
+        assert_eq!(status.level, Level::Ok as u8);
+        assert_eq!(status.values.len(), 4 + counters.named().len());
+    }
+
+    #[test]
+    fn the_streams_that_lost_most_frames_are_named_in_descending_order() {
+        let counters = Counters {
+            dropped_by_stream: (0..20).map(|n| (n, n)).collect(),
+            ..Counters::default()
+        };
+        let named = report(&mut Monitor::start(Duration::ZERO), 1, &counters).values.pop().unwrap();
+        assert_eq!(named.key, "dropped_from_queue, by stream");
+        assert_eq!(named.value, "19: 19, 18: 18, 17: 17, 16: 16, 15: 15, 14: 14, 13: 13, 12: 12");
+    }
+
+    #[test]
+    fn the_level_covers_the_last_interval_only() {
+        let mut monitor = Monitor::start(Duration::ZERO);
+        let diverged = Counters { diverged: 1, ..Counters::default() };
+        assert_eq!(report(&mut monitor, 1, &diverged).level, Level::Error as u8);
+        assert_eq!(report(&mut monitor, 2, &diverged).level, Level::Ok as u8);
+        let late = Counters { late: 1, ..diverged };
+        assert_eq!(report(&mut monitor, 3, &late).level, Level::Warn as u8);
+    }
+}

@@ -1,0 +1,374 @@
+//! The loop of a running node: receives, predicts, publishes.
+//!
+//! A second thread receives into a [`FrameQueue`], so that the transport is read while the model works.
+
+use std::{
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    thread,
+    time::Duration,
+};
+
+use super::{
+    Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, NodeHandle, Observer, Prediction,
+    Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
+};
+use eddy_frames::clock::Clock;
+use eddy_messages::{ParameterEvent, PredictionStatus, cdr, services::Parameter};
+use eddy_transport::{Link, Publisher, Subscriber, TransportError};
+
+/// Longest wait before the stop flag is checked.
+const MAX_WAIT: Duration = Duration::from_millis(100);
+/// Longest wait during a free run on simulated time, which may advance at any moment.
+const MAX_SIMULATED_WAIT: Duration = Duration::from_millis(2);
+/// After the stop flag: how long messages that had already arrived are received, and predicted from.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+/// Without a frame for this long after the start, a warning is logged.
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Minimum interval between warnings about dropped frames.
+const DROP_WARNING_INTERVAL: Duration = Duration::from_secs(10);
+const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The topics of one output link of a node.
+pub struct Outputs {
+    /// Predicted frames; `None` for an output that carries point clouds only.
+    pub prediction: Option<Box<dyn Publisher>>,
+    /// Status of each prediction.
+    pub status: Box<dyn Publisher>,
+    /// Diagnostics of the node, once a second; on one output per transport.
+    pub diagnostics: Option<Box<dyn Publisher>>,
+    /// Changed parameters; on one output per transport.
+    pub parameter_events: Option<Box<dyn Publisher>>,
+    /// Predicted frames as point clouds.
+    pub prediction_cloud: Option<CloudTopic>,
+    /// Observed frames as point clouds; on one output per transport.
+    pub input_cloud: Option<CloudTopic>,
+    /// Observers within this process; on one output.
+    pub observers: Vec<Box<dyn Observer>>,
+}
+
+impl Outputs {
+    /// Predictions and their status only.
+    pub fn new(prediction: Box<dyn Publisher>, status: Box<dyn Publisher>) -> Self {
+        Self { prediction: Some(prediction), ..Self::status_only(status) }
+    }
+
+    /// The status of predictions only.
+    pub fn status_only(status: Box<dyn Publisher>) -> Self {
+        Self {
+            prediction: None,
+            status,
+            diagnostics: None,
+            parameter_events: None,
+            prediction_cloud: None,
+            input_cloud: None,
+            observers: Vec::new(),
+        }
+    }
+}
+
+/// What a node is connected to, beside its outputs.
+pub struct NodeContext {
+    /// Full name of the node, such as `/eddy_node`.
+    pub name: String,
+    /// The link that frames come from, for messages.
+    pub input: Link,
+    /// Time of free runs and of the node's own stamps.
+    pub time: RosTime,
+}
+
+/// Receives, predicts and publishes until `stop` is raised, then up to two seconds more for messages that had already
+/// arrived. Answers requests through `handle` within 0.1 s.
+///
+/// # Errors
+/// [`TransportError`] when the input fails, or `/clock` cannot be subscribed to at the start. The failure of an output is
+/// logged, and the node continues.
+pub fn drive(
+    node: &mut SurrogateNode,
+    context: &mut NodeContext,
+    input: &mut dyn Subscriber,
+    outputs: &mut [Outputs],
+    queue: &FrameQueue,
+    handle: &NodeHandle,
+    stop: &AtomicBool,
+) -> Result<(), TransportError> {
+    let clock = Clock::start();
+    context.time.use_simulated(node.settings().use_sim_time)?;
+    let lost = AtomicU64::new(0);
+    thread::scope(|scope| {
+        let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
+        // Whatever ends the loop, even a panic, must not leave the receiver waiting for a free slot.
+        let _close = CloseOnDrop(queue, handle);
+        let monitor = Monitor::start(clock.now());
+        let digest = node.surrogate().digest().to_owned();
+        let (published, unpublished) = (node.counters().published, node.counters().unpublished);
+        let (status, bytes) = Default::default();
+        let time = context.time.now(clock.now());
+        let output = Output { outputs, clock, monitor, digest, status, bytes, published, unpublished };
+        let batch = Vec::with_capacity(node.batch_size());
+        let warnings = Warnings::default();
+        let mut running = Running { node, context, time, queue, lost: &lost, batch, output, warnings };
+        let mut reported = clock.now();
+        while !receiver.is_finished() {
+            running.step();
+            let changed = running.answer(handle);
+            if !changed.is_empty() {
+                running.announce(changed);
+            }
+            if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
+                reported = clock.now();
+                running.report();
+            }
+        }
+        let end = clock.now() + DRAIN_TIMEOUT;
+        while clock.now() < end && running.step() {}
+        running.report();
+        match receiver.join() {
+            Ok(outcome) => outcome,
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    })
+}
+
+/// Closes both queues on drop, so that nobody waits for a node that has ended.
+struct CloseOnDrop<'a>(&'a FrameQueue, &'a NodeHandle);
+
+impl Drop for CloseOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.close();
+        self.1.close();
+    }
+}
+
+/// Fills the queue until `stop` is raised, then with messages that had already arrived. Keeps `lost` at the number of
+/// messages dropped by the transport.
+fn receive(
+    input: &mut dyn Subscriber,
+    queue: &FrameQueue,
+    clock: &Clock,
+    stop: &AtomicBool,
+    lost: &AtomicU64,
+) -> Result<(), TransportError> {
+    let mut end = None;
+    while !queue.is_closed() && end.is_none_or(|end| clock.now() < end) {
+        if end.is_none() && stop.load(Ordering::Relaxed) {
+            end = Some(clock.now() + DRAIN_TIMEOUT);
+        }
+        let timeout = if end.is_some() { Duration::ZERO } else { MAX_WAIT };
+        match input.receive(timeout)? {
+            Some(payload) => {
+                queue.push(clock.now(), payload);
+            }
+            None if end.is_some() => break,
+            None => {}
+        }
+        lost.store(input.refused(), Ordering::Relaxed);
+    }
+    Ok(())
+}
+
+/// The predicting side of a running node.
+struct Running<'a> {
+    node: &'a mut SurrogateNode,
+    context: &'a mut NodeContext,
+    /// Node time at the last step.
+    time: Duration,
+    queue: &'a FrameQueue,
+    lost: &'a AtomicU64,
+    /// Messages of the current step; empty between steps.
+    batch: Vec<Arrival>,
+    output: Output<'a>,
+    warnings: Warnings,
+}
+
+/// Warnings to the user, limited in number.
+#[derive(Default)]
+struct Warnings {
+    silence: bool,
+    /// Time of the last warning about dropped frames, and their number then.
+    dropped: Option<(Duration, u64)>,
+}
+
+impl Warnings {
+    fn check(&mut self, now: Duration, input: &Link, received: u64, dropped: u64) {
+        if received == 0 && now > SILENCE_TIMEOUT && !self.silence {
+            self.silence = true;
+            tracing::warn!(
+                "no frames received for {} s on {input}; check topic and transport with `eddy topic list`",
+                SILENCE_TIMEOUT.as_secs()
+            );
+        }
+        let (warned, before) = self.dropped.unwrap_or_default();
+        let is_due = self.dropped.is_none() || now - warned > DROP_WARNING_INTERVAL;
+        if dropped > before && is_due {
+            tracing::warn!("dropped {} frames: input is faster than the model", dropped - before);
+            self.dropped = Some((now, dropped));
+        }
+    }
+}
+
+/// The publishing side of a running node.
+struct Output<'a> {
+    outputs: &'a mut [Outputs],
+    clock: Clock,
+    monitor: Monitor,
+    /// Digest of the model.
+    digest: String,
+    /// Buffers that are reused for every prediction.
+    status: PredictionStatus,
+    bytes: Vec<u8>,
+    published: u64,
+    unpublished: u64,
+}
+
+impl Running<'_> {
+    /// Predicts from waiting messages, one of each stream, then advances free runs. Returns whether there was a message.
+    fn step(&mut self) -> bool {
+        let timeout = self.until_tick().min(MAX_WAIT);
+        self.queue.pop_batch(timeout, self.node.batch_size(), &mut self.batch);
+        let had_message = !self.batch.is_empty();
+        let simulated = self.context.time.is_simulated().then(|| self.now());
+        let Self { node, batch, output, .. } = self;
+        node.on_frames(batch, simulated, &mut |arrived, outcome| match outcome {
+            Ok(prediction) => output.publish(&prediction, arrived),
+            // Ignoring the input is the purpose of a free run.
+            Err(Rejection::FreeRunning { .. }) => {}
+            Err(rejection) => {
+                tracing::debug!("frame rejected: {rejection}");
+                output.monitor.rejected(rejection.to_string());
+            }
+        });
+        output.show_observed(batch);
+        // Returns loaned samples to the transport.
+        batch.clear();
+        let now = self.now();
+        let Self { node, output, .. } = self;
+        let started = output.clock.now();
+        node.on_tick(now, &mut |_, outcome| {
+            if let Ok(prediction) = outcome {
+                output.publish(&prediction, started);
+            }
+        });
+        had_message
+    }
+
+    /// Time until the next frame of a free run.
+    fn until_tick(&mut self) -> Duration {
+        let now = self.now();
+        match self.node.next_tick() {
+            None => Duration::MAX,
+            Some(due) if due > now && self.context.time.is_simulated() => MAX_SIMULATED_WAIT,
+            Some(due) => due.saturating_sub(now),
+        }
+    }
+
+    /// Node time. When it jumps back, or is known for the first time, pending timers move with it.
+    fn now(&mut self) -> Duration {
+        let now = self.context.time.now(self.output.clock.now());
+        if now < self.time || self.time.is_zero() {
+            self.node.shift_time(self.time, now);
+        }
+        self.time = now;
+        now
+    }
+
+    /// Answers requests. Returns the parameters that were set, among them `use_sim_time`, which switches the clock.
+    fn answer(&mut self, handle: &NodeHandle) -> Vec<Parameter> {
+        let mut before = self.now();
+        let Self { node, context, time, output, .. } = self;
+        handle.serve(node, |node, settings| {
+            let change = context.time.use_simulated(settings.use_sim_time);
+            if change.map_err(|error| InvalidSettings::Clock { reason: error.to_string() })? {
+                *time = context.time.now(output.clock.now());
+                node.shift_time(before, *time);
+                before = *time;
+            }
+            Ok(())
+        })
+    }
+
+    /// Publishes changed parameters on `/parameter_events`.
+    fn announce(&mut self, changed_parameters: Vec<Parameter>) {
+        let (stamp, node) = (self.context.time.stamp().into(), self.context.name.clone());
+        let event = ParameterEvent { stamp, node, changed_parameters, ..ParameterEvent::default() };
+        let bytes = cdr::encode(&event);
+        for events in self.output.outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
+            log_failure(events.publish_cdr(&bytes));
+        }
+    }
+
+    fn report(&mut self) {
+        let Self { node, queue, output, context, .. } = self;
+        let streams = node.streams();
+        let counters = node.counters_mut();
+        counters.published = output.published;
+        counters.unpublished = output.unpublished;
+        counters.dropped_from_queue = queue.dropped();
+        counters.dropped_by_stream = queue.dropped_by_stream();
+        counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
+        let (received, dropped) = (counters.received, counters.dropped_from_queue);
+        self.warnings.check(output.clock.now(), &context.input, received, dropped);
+        output.report(context, counters, streams);
+    }
+}
+
+impl Output<'_> {
+    /// Passes observed frames to observers and point clouds.
+    fn show_observed(&mut self, batch: &[Arrival]) {
+        for observer in self.outputs.iter_mut().flat_map(|output| &mut output.observers) {
+            for frame in batch.iter().filter_map(|(_, payload)| payload.view()) {
+                observer.observed(&frame);
+            }
+        }
+        for cloud in self.outputs.iter_mut().filter_map(|output| output.input_cloud.as_mut()) {
+            for frame in batch.iter().filter_map(|(_, payload)| payload.view()) {
+                cloud.publish(&frame);
+            }
+        }
+    }
+
+    fn publish(&mut self, prediction: &Prediction<'_>, arrived: Duration) {
+        let latency = self.clock.now() - arrived;
+        prediction.status(latency, &self.digest, &mut self.status);
+        cdr::encode_into(&self.status, &mut self.bytes);
+        for output in self.outputs.iter_mut() {
+            match output.prediction.as_mut().map(|to| to.publish_frame(prediction.frame)) {
+                Some(Ok(())) => self.published += 1,
+                Some(Err(error)) => {
+                    tracing::warn!("{error}");
+                    self.unpublished += 1;
+                }
+                None => {}
+            }
+            log_failure(output.status.publish_cdr(&self.bytes));
+        }
+        self.monitor.published(1, self.clock.now() - arrived);
+        // Point clouds and observers come last: predictions do not wait for them.
+        for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
+            cloud.publish(&prediction.frame.into());
+        }
+        for observer in self.outputs.iter_mut().flat_map(|output| &mut output.observers) {
+            observer.predicted(prediction);
+        }
+    }
+
+    fn report(&mut self, context: &NodeContext, counters: &Counters, streams: usize) {
+        let now = self.clock.now();
+        let rates = self.monitor.rates(now);
+        for observer in self.outputs.iter_mut().flat_map(|output| &mut output.observers) {
+            observer.reported(&rates, counters, streams);
+        }
+        // Names in diagnostics have no leading slash.
+        let name = context.name.trim_start_matches('/');
+        let report = self.monitor.report(now, context.time.stamp(), name, &self.digest, counters);
+        let bytes = cdr::encode(&report);
+        for diagnostics in self.outputs.iter_mut().filter_map(|o| o.diagnostics.as_mut()) {
+            log_failure(diagnostics.publish_cdr(&bytes));
+        }
+    }
+}
+
+fn log_failure(outcome: Result<(), TransportError>) {
+    if let Err(error) = outcome {
+        tracing::warn!("{error}");
+    }
+}

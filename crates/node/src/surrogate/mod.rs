@@ -1,0 +1,49 @@
+//! The surrogate node: frames in, predictions out.
+//!
+//! 1. [`parameter`]: what a setting may be. [`settings`]: the table of all settings; `options` (feature `clap`): the
+//!    same as command-line options.
+//! 2. [`counters`]: frames that were rejected, and why; losses.
+//! 3. `stream`: what the node keeps of one stream: hidden state, sequence, warm-up, free run.
+//! 4. `step`: what a frame does to its own stream, in parallel with other streams.
+//! 5. [`node`]: which frames are used and what they do to the set of streams.
+//! 6. [`queue`]: between the subscriber and the node.
+//! 7. [`diagnostics`]: counters, rate and latency as `diagnostic_msgs/DiagnosticArray`. [`cloud`]: frames as point
+//!    clouds. [`observer`]: the node's output within this process.
+//! 8. [`handle`]: requests to a running node. `services`: the same as ROS services.
+//! 9. [`time`]: system time or `/clock`.
+//! 10. [`driver`]: the loop that receives, predicts and publishes.
+
+mod cloud;
+mod counters;
+pub mod diagnostics;
+mod driver;
+mod handle;
+mod node;
+mod observer;
+#[cfg(feature = "clap")]
+mod options;
+mod parameter;
+mod queue;
+mod services;
+mod settings;
+mod step;
+mod stream;
+mod time;
+
+#[cfg(test)]
+mod tests;
+
+pub use cloud::CloudTopic;
+pub use counters::{Counters, Rejection};
+pub use driver::{NodeContext, Outputs, drive};
+pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
+pub use node::{Arrival, OutputCallback, SurrogateNode};
+pub use observer::Observer;
+#[cfg(feature = "clap")]
+pub use options::{NodeOptions, PredictOptions};
+pub use parameter::Values;
+pub use queue::FrameQueue;
+pub use services::node_services;
+pub use settings::{InvalidSettings, NodeSettings, PARAMETERS, ParameterSpec, Publish, parameter};
+pub use step::Prediction;
+pub use time::{OpenClock, RosTime};

@@ -1,0 +1,386 @@
+//! Which frames are used, and what they do to the set of streams.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
+
+use super::{
+    Counters, InvalidSettings, NodeSettings, Prediction, Rejection,
+    step::{HorizonBuffers, Step, interval},
+    stream::{Order, StreamState},
+};
+use eddy_frames::{Frame, FrameView};
+use eddy_inference::engine::{Stepper, Surrogate};
+use eddy_messages::{StreamState as Phase, services::Parameter};
+use eddy_transport::Payload;
+
+/// A message with its time of arrival.
+pub type Arrival = (Duration, Payload);
+
+/// Receives each prediction to publish, in the order of the predicted instants, and each rejected frame, with the
+/// arrival time of the frame that caused it. Rejections are already counted.
+pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejection>) + 'a;
+
+/// Maximum number of streams stepped in parallel; further threads do not help.
+const MAX_BATCH: usize = 16;
+
+/// Streams of which it is remembered that the model's warnings were logged.
+const MAX_WARNED: usize = 4096;
+
+/// A surrogate with the state of every stream that it observes.
+///
+/// Deterministic: the same calls give bit-identical predictions, whatever the number of threads.
+pub struct SurrogateNode {
+    surrogate: Surrogate,
+    stepper: Stepper,
+    settings: NodeSettings,
+    streams: BTreeMap<u64, StreamState>,
+    /// One for each stream of a batch.
+    buffers: Vec<HorizonBuffers>,
+    /// The batch; empty between calls.
+    batch: Vec<Scheduled>,
+    /// Node time, if it is not the time of arrival.
+    simulated: Option<Duration>,
+    /// Incremented at every use of a stream: eviction must not depend on time.
+    uses: u64,
+    counters: Counters,
+    /// Streams whose warnings were logged: once each, however often they restart.
+    warned: BTreeSet<u64>,
+}
+
+/// A frame to step with the batch.
+struct Scheduled {
+    /// Index into the arrivals.
+    index: usize,
+    stream: u64,
+    /// Missing frames for the model to fill in.
+    gap: u64,
+}
+
+impl SurrogateNode {
+    /// A node without streams.
+    ///
+    /// # Errors
+    /// [`InvalidSettings`] when a setting is out of range.
+    pub fn new(surrogate: Surrogate, settings: NodeSettings) -> Result<Self, InvalidSettings> {
+        settings.check()?;
+        Ok(Self {
+            stepper: surrogate.stepper(),
+            surrogate,
+            settings,
+            streams: BTreeMap::new(),
+            buffers: Vec::new(),
+            batch: Vec::new(),
+            simulated: None,
+            uses: 0,
+            counters: Counters::default(),
+            warned: BTreeSet::new(),
+        })
+    }
+
+    /// The surrogate that predicts.
+    pub fn surrogate(&self) -> &Surrogate {
+        &self.surrogate
+    }
+
+    /// Counts since the start.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// For counts that arise outside of this node: publishing, queues.
+    pub fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// Number of streams kept.
+    pub fn streams(&self) -> usize {
+        self.streams.len()
+    }
+
+    /// The current settings.
+    pub fn settings(&self) -> &NodeSettings {
+        &self.settings
+    }
+
+    /// Changes parameters, effective with the next frame.
+    ///
+    /// # Errors
+    /// [`InvalidSettings`] with the first parameter that cannot be set; then nothing changes.
+    pub fn set(&mut self, parameters: &[Parameter]) -> Result<(), InvalidSettings> {
+        self.set_and(parameters, |_, _| Ok(()))
+    }
+
+    /// Changes parameters if `apply`, called with the new settings, succeeds.
+    ///
+    /// # Errors
+    /// As [`SurrogateNode::set`], and those of `apply`; then nothing changes.
+    pub fn set_and(
+        &mut self,
+        parameters: &[Parameter],
+        apply: impl FnOnce(&mut Self, &NodeSettings) -> Result<(), InvalidSettings>,
+    ) -> Result<(), InvalidSettings> {
+        let mut settings = self.settings.clone();
+        parameters.iter().try_for_each(|parameter| settings.set_running(parameter))?;
+        apply(self, &settings)?;
+        self.settings = settings;
+        Ok(())
+    }
+
+    /// Moves pending timers from a clock that shows `old` to one that shows `new`; the remaining times stay.
+    pub fn shift_time(&mut self, old: Duration, new: Duration) {
+        for stream in self.streams.values_mut() {
+            stream.free_run_due = stream.free_run_due.map(|due| new + due.saturating_sub(old));
+        }
+    }
+
+    /// Resets every stream: each warms up again. Returns how many there were.
+    pub fn reset(&mut self) -> usize {
+        let streams = self.streams.len();
+        self.counters.resets += streams as u64;
+        self.streams.clear();
+        streams
+    }
+
+    /// Maximum number of frames that [`SurrogateNode::on_frames`] steps in parallel.
+    pub fn batch_size(&self) -> usize {
+        self.stepper.threads().min(MAX_BATCH)
+    }
+
+    /// Observes frames in order. Frames of different streams are stepped in parallel, with bit-identical predictions.
+    /// Free runs start at `simulated`, the time of a node that follows `/clock`, otherwise at the arrival of the last
+    /// observed frame.
+    pub fn on_frames(
+        &mut self,
+        arrivals: &mut [Arrival],
+        simulated: Option<Duration>,
+        output: &mut OutputCallback<'_>,
+    ) {
+        self.simulated = simulated;
+        let mut batch = std::mem::take(&mut self.batch);
+        for (arrived, payload) in &mut *arrivals {
+            self.counters.received += 1;
+            if let Err(bad) = payload.decode() {
+                self.reject(*arrived, bad.into(), output);
+            }
+        }
+        for (index, (arrived, payload)) in arrivals.iter().enumerate() {
+            let Some(frame) = payload.view() else { continue };
+            if let Err(rejection) = self.schedule(index, &frame, arrivals, &mut batch, output) {
+                self.reject(*arrived, rejection, output);
+            }
+        }
+        self.step(arrivals, &mut batch, output);
+        self.batch = batch;
+        // `max_streams` may have been lowered.
+        self.evict();
+    }
+
+    /// Publishes the frames of free runs that are due at `now`, at most one per stream.
+    pub fn on_tick(&mut self, now: Duration, output: &mut OutputCallback<'_>) {
+        let mut diverged = Vec::new();
+        for (&id, stream) in &mut self.streams {
+            let Some(due) = stream.free_run_due else { continue };
+            if due > now {
+                continue;
+            }
+            let StreamState { memory, predicted: next, spare: frame, .. } = stream;
+            std::mem::swap(next, frame);
+            self.stepper.step_into(memory, &*frame, next);
+            self.uses += 1;
+            stream.used = self.uses;
+            stream.free_run_due = Some(due + interval(frame.dt));
+            if frame.check().is_err() {
+                diverged.push(id);
+                continue;
+            }
+            let ahead = frame.sequence - stream.sequence;
+            output(
+                now,
+                Ok(Prediction {
+                    source_sequence: stream.sequence,
+                    horizon: u32::try_from(ahead).unwrap_or(u32::MAX),
+                    state: Phase::FreeRunning,
+                    frame,
+                }),
+            );
+        }
+        for stream in diverged {
+            self.diverge(stream);
+        }
+    }
+
+    /// When [`SurrogateNode::on_tick`] has to be called next.
+    pub fn next_tick(&self) -> Option<Duration> {
+        self.streams.values().filter_map(|stream| stream.free_run_due).min()
+    }
+
+    /// Decides what a frame does to its stream and adds it to the batch. The batch is stepped first where frames cannot
+    /// share it: a stream's second frame, and a frame that starts a stream, as it may evict another.
+    fn schedule(
+        &mut self,
+        index: usize,
+        frame: &FrameView<'_>,
+        arrivals: &[Arrival],
+        batch: &mut Vec<Scheduled>,
+        output: &mut OutputCallback<'_>,
+    ) -> Result<(), Rejection> {
+        // First of all: an invalid frame must not reset its stream.
+        self.surrogate.fits(*frame)?;
+        let stream = frame.stream;
+        if batch.len() >= self.batch_size() || batch.iter().any(|other| other.stream == stream) {
+            self.step(arrivals, batch, output);
+        }
+        let Self { streams, settings, counters, .. } = self;
+        let gap = match streams.get_mut(&stream) {
+            None => None,
+            Some(state) => match state.order(frame) {
+                Order::Restart => {
+                    counters.resets += 1;
+                    None
+                }
+                _ if state.free_run_due.is_some() => {
+                    return Err(Rejection::FreeRunning { stream, found: frame.sequence });
+                }
+                Order::Next { gap } if gap <= settings.max_gap => {
+                    counters.filled += gap;
+                    Some(gap)
+                }
+                Order::Next { gap } => {
+                    counters.missing = counters.missing.saturating_add(gap);
+                    counters.resets += 1;
+                    // The particles are the same: the rest shape of solids stays valid.
+                    state.memory.forget();
+                    state.observed = 0;
+                    Some(0)
+                }
+                Order::Late => {
+                    let (found, expected) = (frame.sequence, state.sequence + 1);
+                    return Err(Rejection::Late { stream, found, expected });
+                }
+            },
+        };
+        if let Some(gap) = gap {
+            batch.push(Scheduled { index, stream, gap });
+            return Ok(());
+        }
+        self.step(arrivals, batch, output);
+        self.start(&frame.to_frame())?;
+        batch.push(Scheduled { index, stream, gap: 0 });
+        self.step(arrivals, batch, output);
+        self.evict();
+        Ok(())
+    }
+
+    /// Adds the stream of `frame`, its first frame, which is yet to be observed.
+    fn start(&mut self, frame: &Frame) -> Result<(), Rejection> {
+        let memory = self.surrogate.start(frame)?;
+        if self.warned.len() >= MAX_WARNED {
+            self.warned.clear();
+        }
+        let is_new = self.warned.insert(frame.stream);
+        for warning in self.surrogate.warnings(frame) {
+            match is_new {
+                true => tracing::warn!("stream {}: {warning}", frame.stream),
+                false => tracing::debug!("stream {}: {warning}", frame.stream),
+            }
+        }
+        let state = StreamState {
+            memory,
+            predicted: frame.clone(),
+            spare: frame.clone(),
+            sequence: frame.sequence,
+            stamp: frame.stamp,
+            observed: 0,
+            free_run_due: None,
+            used: self.uses,
+        };
+        self.streams.insert(frame.stream, state);
+        Ok(())
+    }
+
+    /// Steps the batch in parallel and passes on the predictions.
+    fn step(
+        &mut self,
+        arrivals: &[Arrival],
+        batch: &mut Vec<Scheduled>,
+        output: &mut OutputCallback<'_>,
+    ) {
+        let Self { surrogate, stepper, settings, streams, buffers, simulated, uses, .. } = self;
+        buffers.resize_with(batch.len().max(buffers.len()), HorizonBuffers::default);
+        let mut steps = [const { None }; MAX_BATCH];
+        let mut prepare = |number: usize, stream, buffers| {
+            let Scheduled { index, gap, .. } = batch[number];
+            let (arrived, payload) = &arrivals[index];
+            let Some(frame) = payload.view() else { return };
+            let (arrived, tracking, finite) = (*arrived, false, true);
+            let now = simulated.unwrap_or(arrived);
+            let step = Step { stream, frame, arrived, now, gap, buffers, tracking, finite };
+            steps[number] = Some(step);
+        };
+        // One stream is looked up; several are found by iteration, which gives mutable references to all of them.
+        match &batch[..] {
+            [] => return,
+            [one] => {
+                if let Some(stream) = streams.get_mut(&one.stream) {
+                    prepare(0, stream, &mut buffers[0]);
+                }
+            }
+            several => {
+                let mut buffers = buffers.iter_mut();
+                for (id, stream) in streams.iter_mut() {
+                    let number = several.iter().position(|scheduled| scheduled.stream == *id);
+                    let buffers = number.and_then(|_| buffers.next());
+                    if let (Some(number), Some(buffers)) = (number, buffers) {
+                        prepare(number, stream, buffers);
+                    }
+                }
+            }
+        }
+        let warm_up = u64::from(surrogate.description().warm_up);
+        stepper.for_each(&mut steps[..batch.len()], |stepper, step| {
+            if let Some(step) = step {
+                step.run(stepper, settings, warm_up);
+            }
+        });
+        let mut diverged = [const { None }; MAX_BATCH];
+        for (step, diverged) in steps.iter_mut().flatten().zip(&mut diverged) {
+            *uses += 1;
+            step.stream.used = *uses;
+            if !step.finite {
+                *diverged = Some(step.frame.stream);
+            } else if step.tracking {
+                for prediction in step.predictions(settings) {
+                    output(step.arrived, Ok(prediction));
+                }
+            }
+        }
+        batch.clear();
+        for stream in diverged.into_iter().flatten() {
+            self.diverge(stream);
+        }
+    }
+
+    fn reject(&mut self, arrived: Duration, rejection: Rejection, output: &mut OutputCallback<'_>) {
+        self.counters.reject(&rejection);
+        output(arrived, Err(rejection));
+    }
+
+    fn diverge(&mut self, stream: u64) {
+        self.streams.remove(&stream);
+        self.counters.diverged += 1;
+        self.counters.resets += 1;
+    }
+
+    /// Removes the least recently used streams beyond `max_streams`.
+    fn evict(&mut self) {
+        while self.streams.len() > self.settings.max_streams {
+            let oldest = self.streams.iter().min_by_key(|(_, stream)| stream.used);
+            if let Some(stream) = oldest.map(|(&id, _)| id) {
+                self.streams.remove(&stream);
+                self.counters.evicted_streams += 1;
+            }
+        }
+    }
+}

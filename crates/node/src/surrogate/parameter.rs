@@ -1,0 +1,100 @@
+//! What the value of a setting may be, and how it travels as a ROS parameter.
+
+use std::ops::RangeInclusive;
+
+use eddy_messages::services::{ParameterKind, ParameterValue};
+
+/// The values that a setting accepts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Values {
+    /// True or false.
+    Bool,
+    /// A whole number.
+    Integer {
+        /// Smallest and largest.
+        range: RangeInclusive<i64>,
+        /// What is counted, in the plural.
+        unit: &'static str,
+    },
+    /// One of these words, each with its meaning.
+    Word(&'static [(&'static str, &'static str)]),
+}
+
+impl Values {
+    /// The type of the parameter.
+    pub fn kind(&self) -> ParameterKind {
+        match self {
+            Self::Bool => ParameterKind::Bool,
+            Self::Integer { .. } => ParameterKind::Integer,
+            Self::Word(_) => ParameterKind::String,
+        }
+    }
+
+    /// The words of [`Values::Word`], joined; nothing otherwise.
+    pub(super) fn words(&self) -> String {
+        match self {
+            Self::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(" or "),
+            _ => String::new(),
+        }
+    }
+}
+
+/// A type of settings.
+pub(super) trait Setting: Sized {
+    fn to_parameter(&self) -> ParameterValue;
+
+    /// From a value of the right kind within its [`Values`].
+    fn from_parameter(value: &ParameterValue) -> Self;
+}
+
+impl Setting for bool {
+    fn to_parameter(&self) -> ParameterValue {
+        ParameterValue::bool(*self)
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        value.bool_value
+    }
+}
+
+impl Setting for u64 {
+    /// Numbers beyond the largest ROS integer saturate.
+    fn to_parameter(&self) -> ParameterValue {
+        ParameterValue::integer(i64::try_from(*self).unwrap_or(i64::MAX))
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        value.integer_value as Self
+    }
+}
+
+impl Setting for u32 {
+    fn to_parameter(&self) -> ParameterValue {
+        u64::from(*self).to_parameter()
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        value.integer_value as Self
+    }
+}
+
+impl Setting for usize {
+    fn to_parameter(&self) -> ParameterValue {
+        (*self as u64).to_parameter()
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        value.integer_value as Self
+    }
+}
+
+/// `None` is 0 as a parameter.
+impl Setting for Option<u64> {
+    fn to_parameter(&self) -> ParameterValue {
+        self.unwrap_or(0).to_parameter()
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        Some(u64::from_parameter(value)).filter(|&number| number > 0)
+    }
+}

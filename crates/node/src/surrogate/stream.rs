@@ -1,0 +1,55 @@
+//! The state that the node keeps of one stream.
+
+use std::time::Duration;
+
+use eddy_frames::{Frame, FrameView, Stamp};
+use eddy_inference::engine::HiddenState;
+
+/// A stamp more than this many intervals in the past means that the stream restarted (a looped bag).
+const RESTART_INTERVALS: u32 = 16;
+
+pub(super) struct StreamState {
+    /// Hidden state of the model after the last frame, observed or filled in.
+    pub memory: HiddenState,
+    /// The next frame, predicted from that state.
+    pub predicted: Frame,
+    /// Scratch frame for a prediction that replaces a missing frame.
+    pub spare: Frame,
+    /// Sequence of the last observed frame.
+    pub sequence: u64,
+    /// Stamp of the last observed frame.
+    pub stamp: Stamp,
+    /// Frames observed since the stream started or was reset.
+    pub observed: u64,
+    /// When the next frame of a free run is due (node time); `None` while frames are observed.
+    pub free_run_due: Option<Duration>,
+    /// Value of the node's use counter at the last use, for eviction.
+    pub used: u64,
+}
+
+/// How a frame relates to the last one of its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    /// The next frame, after `gap` missing ones.
+    Next { gap: u64 },
+    /// A duplicate, or one that arrived after a later frame.
+    Late,
+    /// The first frame of a restarted stream.
+    Restart,
+}
+
+impl StreamState {
+    /// How `frame` relates to the last one. Different particles, or a stamp more than [`RESTART_INTERVALS`] in the past,
+    /// restart the stream.
+    pub(super) fn order(&self, frame: &FrameView<'_>) -> Order {
+        let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
+        let restarted = frame.stamp < Stamp(self.stamp.0.saturating_sub(reach));
+        if restarted || !frame.particles.are_of(&self.predicted.material) {
+            return Order::Restart;
+        }
+        match frame.sequence.checked_sub(self.sequence + 1) {
+            Some(gap) => Order::Next { gap },
+            None => Order::Late,
+        }
+    }
+}

@@ -1,0 +1,435 @@
+//! The rules of the surrogate node, one test a rule.
+
+mod requests;
+
+use std::{
+    num::NonZeroUsize,
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use super::{
+    Counters, FrameQueue, NodeContext, NodeHandle, NodeSettings, Outputs, Publish, Rejection,
+    RosTime, SurrogateNode, drive,
+};
+use eddy_frames::{Domain, Frame, Material, Stamp, clock};
+use eddy_inference::{
+    checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, initial_weights},
+    engine::{HiddenState, Stepper, Surrogate},
+};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, StreamState};
+use eddy_transport::{Link, Payload, Reliability, TransportOptions, Transports};
+
+const DT: f32 = 0.016;
+const WARM_UP: u64 = 3;
+
+/// A particle model with random weights, also in the decoder: its predictions depend on all observed frames.
+fn surrogate() -> Surrogate {
+    surrogate_on(None)
+}
+
+fn surrogate_on(threads: Option<NonZeroUsize>) -> Surrogate {
+    let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: None };
+    let description = Description {
+        warm_up: WARM_UP as u32,
+        materials: vec![Material::Liquid, Material::Jelly],
+        ..Description::untrained(Architecture::Particle, Core::MinGru, sizes)
+    };
+    let mut tensors = initial_weights(&description, 1);
+    let decoder = tensors.get_mut("decoder.weight").unwrap();
+    for (index, weight) in decoder.values.iter_mut().enumerate() {
+        *weight = 0.1 * (index as f32).sin();
+    }
+    Surrogate::load(&Checkpoint { description, tensors }, threads).unwrap()
+}
+
+fn node(settings: NodeSettings) -> SurrogateNode {
+    SurrogateNode::new(surrogate(), settings).unwrap()
+}
+
+/// Two particles on circles, different in every stream.
+fn frame(stream: u64, sequence: u64) -> Frame {
+    let t = sequence as f32 * DT;
+    let phase = stream as f32;
+    let place = |a: f32| [0.5 + 0.2 * (a + t + phase).cos(), 0.5 + 0.2 * (a + t + phase).sin()];
+    let pace = |a: f32| [-0.2 * (a + t + phase).sin(), 0.2 * (a + t + phase).cos()];
+    Frame {
+        stream,
+        sequence,
+        stamp: Stamp(0).advance(DT, sequence as u32),
+        dt: DT,
+        domain: Domain::UNIT,
+        position: vec![place(0.0), place(2.0)],
+        velocity: vec![pace(0.0), pace(2.0)],
+        material: vec![Material::Liquid, Material::Jelly],
+    }
+}
+
+/// Feeds messages that arrive together. Returns the predicted frames, or a rejection.
+fn observe(node: &mut SurrogateNode, messages: Vec<Payload>) -> Result<Vec<Frame>, Rejection> {
+    let mut arrivals: Vec<_> = messages.into_iter().map(|m| (Duration::ZERO, m)).collect();
+    let mut outcome = Ok(Vec::new());
+    node.on_frames(&mut arrivals, None, &mut |_, result| match (result, &mut outcome) {
+        (Ok(prediction), Ok(frames)) => frames.push(prediction.frame.clone()),
+        (Err(rejection), _) => outcome = Err(rejection),
+        (Ok(_), Err(_)) => {}
+    });
+    outcome
+}
+
+/// Feeds one frame and returns the predicted frames.
+fn feed(node: &mut SurrogateNode, frame: Frame) -> Vec<Frame> {
+    observe(node, vec![Payload::Frame(frame)]).unwrap()
+}
+
+fn feed_all(node: &mut SurrogateNode, frames: impl IntoIterator<Item = Frame>) -> Vec<Frame> {
+    frames.into_iter().flat_map(|frame| feed(node, frame)).collect()
+}
+
+/// The prediction of the surrogate itself after these frames.
+fn directly(frames: impl IntoIterator<Item = Frame>) -> (Stepper, HiddenState, Frame) {
+    let surrogate = surrogate();
+    let mut frames = frames.into_iter();
+    let first = frames.next().unwrap();
+    let mut memory = surrogate.start(&first).unwrap();
+    let mut stepper = surrogate.stepper();
+    let mut predicted = stepper.step(&mut memory, &first);
+    for frame in frames {
+        predicted = stepper.step(&mut memory, &frame);
+    }
+    (stepper, memory, predicted)
+}
+
+#[test]
+fn predictions_begin_with_the_last_frame_of_the_warm_up() {
+    let mut node = node(NodeSettings::default());
+    let predictions = feed_all(&mut node, (0..6).map(|s| frame(1, s)));
+    let sequences: Vec<_> = predictions.iter().map(|p| p.sequence).collect();
+    assert_eq!(sequences, [3, 4, 5, 6]);
+    assert_eq!(predictions[0].stamp, frame(1, 3).stamp);
+    assert_eq!(predictions[3], directly((0..6).map(|s| frame(1, s))).2);
+}
+
+#[test]
+fn the_horizon_is_reached_by_a_copy_of_the_state() {
+    let far = NodeSettings { horizon: 5, publish: Publish::All, ..NodeSettings::default() };
+    let (mut near, mut far) = (node(NodeSettings::default()), node(far));
+    for sequence in 0..10 {
+        let near = feed(&mut near, frame(1, sequence));
+        let far = feed(&mut far, frame(1, sequence));
+        assert_eq!(near.first(), far.first());
+        if sequence + 1 >= WARM_UP {
+            let ahead: Vec<_> = far.iter().map(|p| p.sequence - sequence).collect();
+            assert_eq!(ahead, [1, 2, 3, 4, 5]);
+        }
+    }
+    let last = NodeSettings { horizon: 5, ..NodeSettings::default() };
+    let predictions = feed_all(&mut node(last), (0..3).map(|s| frame(1, s)));
+    let (mut stepper, mut memory, mut expected) = directly((0..3).map(|s| frame(1, s)));
+    for _ in 1..5 {
+        expected = stepper.step(&mut memory, &expected);
+    }
+    assert_eq!(predictions, [expected]);
+}
+
+#[test]
+fn streams_do_not_touch_each_other() {
+    let mut alone = node(NodeSettings::default());
+    let expected = feed_all(&mut alone, (0..8).map(|s| frame(1, s)));
+    let mut both = node(NodeSettings::default());
+    let woven = (0..8).flat_map(|s| [frame(1, s), frame(2, s)]);
+    let mut found = feed_all(&mut both, woven);
+    found.retain(|prediction| prediction.stream == 1);
+    assert_eq!(found, expected);
+}
+
+/// Frames of several streams, some with gaps, restarts, late starts and rejected frames.
+fn crowd() -> Vec<Frame> {
+    let mut frames = Vec::new();
+    for sequence in 0..12 {
+        for stream in 0..9 {
+            let missing =
+                (stream == 3 && sequence == 6) || (stream == 4 && (5..10).contains(&sequence));
+            let begun = stream != 7 || sequence >= 5;
+            if begun && !missing {
+                frames.push(frame(stream, sequence));
+            }
+        }
+        if sequence % 4 == 3 {
+            frames.push(frame(1, sequence));
+            frames.push(frame(2, sequence - 2));
+        }
+    }
+    frames.extend((0..3).flat_map(|sequence| (0..3).map(move |stream| frame(stream, sequence))));
+    frames
+}
+
+#[test]
+fn frames_that_arrive_together_give_the_same_predictions_as_one_by_one() {
+    let threads = [1, 2, 5];
+    for (horizon, publish, max_streams) in [
+        (1, Publish::Last, 64),
+        (4, Publish::Last, 64),
+        (3, Publish::All, 64),
+        (2, Publish::All, 6),
+    ] {
+        let settings = NodeSettings { horizon, publish, max_streams, ..NodeSettings::default() };
+        let mut alone = node(settings.clone());
+        let mut expected = Vec::new();
+        for frame in crowd() {
+            expected.extend(observe(&mut alone, vec![Payload::Frame(frame)]).unwrap_or_default());
+        }
+        for (together, threads) in [2, 7, 64].into_iter().zip(threads) {
+            let surrogate = surrogate_on(NonZeroUsize::new(threads));
+            let mut node = SurrogateNode::new(surrogate, settings.clone()).unwrap();
+            let mut found = Vec::new();
+            for frames in crowd().chunks(together) {
+                let mut arrivals: Vec<_> =
+                    frames.iter().map(|f| (Duration::ZERO, Payload::Frame(f.clone()))).collect();
+                node.on_frames(&mut arrivals, None, &mut |_, result| {
+                    found.extend(result.ok().map(|prediction| prediction.frame.clone()));
+                });
+            }
+            assert_eq!(found, expected, "{together} together on {threads} threads");
+            assert_eq!(node.counters(), alone.counters());
+        }
+    }
+}
+
+#[test]
+fn a_flooding_stream_does_not_affect_the_others() {
+    const ROUNDS: u64 = 30;
+    let transports = Transports::new(TransportOptions::new("flood"));
+    let [input, output, status] = ["/in", "/out", "/status"].map(Link::memory);
+    let publisher = |link, kind| transports.publisher(link, kind, Reliability::Block).unwrap();
+    let read = transports.subscriber(&input, ParticleFrame::TYPE).unwrap();
+    let mut predicted = transports.subscriber(&output, ParticleFrame::TYPE).unwrap();
+    let [mut fast, mut slow] = [(); 2].map(|()| publisher(&input, ParticleFrame::TYPE));
+    let mut outputs = [Outputs::new(
+        publisher(&output, ParticleFrame::TYPE),
+        publisher(&status, PredictionStatus::TYPE),
+    )];
+    let mut context =
+        NodeContext { name: "/node".into(), input: input.clone(), time: RosTime::system() };
+    let mut node = node(NodeSettings::default());
+    let queue = FrameQueue::new(40, Reliability::Drop);
+    let (stop, handle) = (AtomicBool::new(false), NodeHandle::default());
+    thread::scope(|scope| {
+        let (queue, stop) = (&queue, &stop);
+        let (node, outputs, handle) = (&mut node, &mut outputs[..], &handle);
+        let context = &mut context;
+        let driving = scope.spawn(move || {
+            // Dropped at the end, so that the flooding publisher does not wait for a reader.
+            let mut read = read;
+            drive(node, context, &mut *read, outputs, queue, handle, stop)
+        });
+        scope.spawn(move || {
+            for sequence in 0.. {
+                if stop.load(Ordering::Relaxed) {
+                    break;
+                }
+                fast.publish_frame(&frame(0, sequence)).unwrap();
+            }
+        });
+        let deadline = clock::Clock::start();
+        let mut rounds = 0;
+        // Until messages are dropped.
+        while rounds < ROUNDS || queue.dropped() == 0 {
+            (1..8).for_each(|stream| slow.publish_frame(&frame(stream, rounds)).unwrap());
+            rounds += 1;
+            let mut missing = if rounds < WARM_UP { 0 } else { 7 };
+            while missing > 0 {
+                assert!(deadline.now() < Duration::from_secs(60), "{missing} are missing");
+                let Some(payload) = predicted.receive(Duration::from_millis(50)).unwrap() else {
+                    continue;
+                };
+                let frame = payload.into_frame().unwrap();
+                if frame.stream > 0 {
+                    assert_eq!(frame.sequence, rounds);
+                    missing -= 1;
+                }
+            }
+        }
+        stop.store(true, Ordering::Relaxed);
+        // The node may be waiting for a reader of its predictions.
+        while !driving.is_finished() {
+            predicted.receive(Duration::from_millis(20)).unwrap();
+        }
+    });
+    let lost = queue.dropped_by_stream();
+    assert_eq!(lost.keys().collect::<Vec<_>>(), [&0], "{lost:?}");
+    assert_eq!(lost[&0], queue.dropped());
+}
+
+#[test]
+fn a_short_gap_is_filled_with_the_models_own_prediction() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let found = feed(&mut node, frame(1, 8));
+
+    let (mut stepper, mut memory, mut predicted) = directly((0..5).map(|s| frame(1, s)));
+    for _ in 0..3 {
+        predicted = stepper.step(&mut memory, &predicted);
+    }
+    assert_eq!(found, [stepper.step(&mut memory, &frame(1, 8))]);
+    assert_eq!(node.counters().filled, 3);
+    assert_eq!(node.counters().resets, 0);
+}
+
+#[test]
+fn a_long_gap_resets_the_stream() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let found = feed_all(&mut node, (9..12).map(|s| frame(1, s)));
+    assert_eq!(found, [directly((9..12).map(|s| frame(1, s))).2]);
+    assert_eq!((node.counters().missing, node.counters().resets), (4, 1));
+}
+
+#[test]
+fn duplicates_and_late_frames_are_dropped_and_change_nothing() {
+    let mut plain = node(NodeSettings::default());
+    let expected = feed_all(&mut plain, (0..6).map(|s| frame(1, s)));
+    let mut node = node(NodeSettings::default());
+    let mut found = feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    for late in [4, 2] {
+        let rejection = observe(&mut node, vec![Payload::Frame(frame(1, late))]).unwrap_err();
+        assert!(
+            matches!(rejection, Rejection::Late { stream: 1, found, expected: 5 } if found == late),
+            "{rejection}"
+        );
+    }
+    found.extend(feed(&mut node, frame(1, 5)));
+    assert_eq!(found, expected);
+    assert_eq!(node.counters().late, 2);
+}
+
+#[test]
+fn a_looped_bag_resets_the_stream() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..30).map(|s| frame(1, s)));
+    let found = feed_all(&mut node, (0..3).map(|s| frame(1, s)));
+    assert_eq!(found, [directly((0..3).map(|s| frame(1, s))).2]);
+    assert_eq!(node.counters().resets, 1);
+}
+
+#[test]
+fn different_particles_reset_the_stream() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..5).map(|s| frame(1, s)));
+    let one_particle = |sequence| {
+        let mut frame = frame(1, sequence);
+        frame.position.truncate(1);
+        frame.velocity.truncate(1);
+        frame.material.truncate(1);
+        frame
+    };
+    let found = feed_all(&mut node, (5..8).map(one_particle));
+    assert_eq!(found, [directly((5..8).map(one_particle)).2]);
+    assert_eq!(node.counters().resets, 1);
+}
+
+#[test]
+fn invalid_frames_are_counted_by_fault_and_change_nothing() {
+    type Fault = fn(&mut Frame);
+    type Counter = fn(&Counters) -> u64;
+    let faults: [(Fault, Counter); 5] = [
+        (|f| f.position[0][0] = f32::NAN, |c| c.not_finite),
+        (|f| f.velocity.truncate(1), |c| c.malformed),
+        (|f| f.dt = 0.0161, |c| c.wrong_interval),
+        (|f| f.material[0] = Material::Snow, |c| c.wrong_particles),
+        (|f| f.domain.upper = [1e6; 2], |c| c.wrong_particles),
+    ];
+    let mut plain = node(NodeSettings::default());
+    let expected = feed_all(&mut plain, (0..5).map(|s| frame(1, s)));
+    for (fault, counter) in faults {
+        let mut node = node(NodeSettings::default());
+        let mut found = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+        let mut bad = frame(1, 4);
+        fault(&mut bad);
+        observe(&mut node, vec![Payload::Cdr(bad.to_cdr())]).unwrap_err();
+        assert_eq!(counter(node.counters()), 1);
+        found.extend(feed(&mut node, frame(1, 4)));
+        assert_eq!(found, expected);
+    }
+    let mut node = node(NodeSettings::default());
+    observe(&mut node, vec![Payload::Cdr(vec![1, 2, 3])]).unwrap_err();
+    assert_eq!(node.counters().undecodable, 1);
+}
+
+#[test]
+fn the_least_recently_used_stream_is_evicted() {
+    let mut node = node(NodeSettings { max_streams: 2, ..NodeSettings::default() });
+    // All at one instant, as in `eddy predict`: the order of use decides, not the time.
+    for (sequence, stream) in [(0, 1), (1, 2), (1, 1), (3, 3)] {
+        feed(&mut node, frame(stream, sequence));
+    }
+    assert_eq!((node.streams(), node.counters().evicted_streams), (2, 1));
+    // Stream 1 was used after stream 2: it is still there, and its third frame ends its warm-up.
+    assert_eq!(feed(&mut node, frame(1, 2)).len(), 1);
+}
+
+#[test]
+fn a_free_run_continues_at_dt_without_input() {
+    let mut node = node(NodeSettings { free_run: Some(4), ..NodeSettings::default() });
+    let observed = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+    assert_eq!(observed.len(), 1, "tracking ends where the free run begins");
+
+    let (mut stepper, mut memory, mut expected) = directly((0..4).map(|s| frame(1, s)));
+    for number in 1..=3u32 {
+        let due = node.next_tick().unwrap();
+        assert_eq!(due, number * Duration::from_millis(16));
+        node.on_tick(due - Duration::from_millis(1), &mut |_, result| panic!("too early: {result:?}"));
+        let mut published = 0;
+        node.on_tick(due, &mut |_, result| {
+            let prediction = result.unwrap();
+            assert_eq!(*prediction.frame, expected);
+            assert_eq!(prediction.state, StreamState::FreeRunning);
+            assert_eq!((prediction.source_sequence, prediction.horizon), (3, number));
+            published += 1;
+        });
+        assert_eq!(published, 1);
+        expected = stepper.step(&mut memory, &expected);
+    }
+    let rejection = observe(&mut node, vec![Payload::Frame(frame(1, 4))]).unwrap_err();
+    assert!(matches!(rejection, Rejection::FreeRunning { stream: 1, found: 4 }), "{rejection}");
+}
+
+#[test]
+fn a_looped_source_ends_a_free_run() {
+    let mut node = node(NodeSettings { free_run: Some(20), ..NodeSettings::default() });
+    feed_all(&mut node, (0..20).map(|s| frame(1, s)));
+    assert!(node.next_tick().is_some());
+    assert_eq!(feed_all(&mut node, (0..3).map(|s| frame(1, s))).len(), 1);
+    assert_eq!(node.next_tick(), None);
+}
+
+#[test]
+fn a_prediction_that_is_not_finite_is_never_published() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+    let mut wild = frame(1, 4);
+    wild.velocity[0] = [f32::MAX; 2];
+    assert_eq!(wild.check(), Ok(()));
+    assert_eq!(feed(&mut node, wild), []);
+    assert_eq!((node.counters().diverged, node.streams()), (1, 0));
+}
+
+#[test]
+fn settings_out_of_range_are_named() {
+    let settings = NodeSettings { horizon: 0, ..NodeSettings::default() };
+    let error = SurrogateNode::new(surrogate(), settings).err().unwrap();
+    assert_eq!(error.to_string(), "horizon: found 0, expected 1 to 10000");
+}
+
+#[test]
+fn a_free_run_keeps_its_pace_when_the_time_becomes_another_one() {
+    let mut node = node(NodeSettings { free_run: Some(3), ..NodeSettings::default() });
+    feed_all(&mut node, (0..3).map(|n| frame(1, n)));
+    assert_eq!(node.next_tick(), Some(Duration::from_millis(16)));
+    // 10 ms before the frame is due it is 100 s instead, and later 1 s.
+    node.shift_time(Duration::from_millis(6), Duration::from_secs(100));
+    assert_eq!(node.next_tick(), Some(Duration::from_millis(100_010)));
+    node.shift_time(Duration::from_millis(100_004), Duration::from_secs(1));
+    assert_eq!(node.next_tick(), Some(Duration::from_millis(1_006)));
+}

@@ -1,0 +1,88 @@
+//! Waits until a topic is published.
+
+use std::{thread, time::Duration};
+
+use eddy_frames::clock::Clock;
+use eddy_transport::{Link, SeenTopic, TransportError, TransportKind, Transports};
+
+/// How long to wait for a publisher.
+pub const MAX_FIND_TIME: Duration = Duration::from_secs(30);
+/// Delay before a "no publisher yet" warning.
+const WARNING_DELAY: Duration = Duration::from_secs(3);
+/// Interval between searches.
+const SEARCH_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Why a topic was not found.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
+pub enum FindError {
+    /// The transport cannot list its topics.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// Nobody publishes the topic.
+    #[error(
+        "{link}: no publisher appeared within {} s; available topics on {transport}: {available}",
+        timeout.as_secs_f64()
+    )]
+    Timeout { link: Link, timeout: Duration, transport: TransportKind, available: String },
+}
+
+/// Waits up to `timeout` for a publisher of `link`. `None` when `is_stopped` first.
+///
+/// # Errors
+/// [`FindError`].
+pub fn find_topic(
+    transports: &Transports,
+    link: &Link,
+    timeout: Duration,
+    is_stopped: impl Fn() -> bool,
+) -> Result<Option<SeenTopic>, FindError> {
+    let clock = Clock::start();
+    let mut warned = false;
+    loop {
+        let mut topics = transports.topics(link.transport)?;
+        if let Some(topic) = topics.iter().position(|topic| topic.link == *link) {
+            return Ok(Some(topics.swap_remove(topic)));
+        }
+        if is_stopped() {
+            return Ok(None);
+        }
+        if clock.now() > timeout {
+            let names: Vec<_> = topics.iter().map(|topic| topic.link.topic.as_str()).collect();
+            let available = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let (link, transport) = (link.clone(), link.transport);
+            return Err(FindError::Timeout { link, timeout, transport, available });
+        }
+        if !warned && clock.now() > WARNING_DELAY {
+            warned = true;
+            let seconds = timeout.as_secs_f64();
+            tracing::warn!("{link}: no publisher yet, waiting up to {seconds} s");
+        }
+        thread::sleep(SEARCH_INTERVAL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_transport::TransportOptions;
+
+    fn find(is_stopped: bool) -> Result<Option<SeenTopic>, FindError> {
+        // Memory links are not listed, so that no topic is ever found on them.
+        let transports = Transports::new(TransportOptions::new("find"));
+        find_topic(&transports, &Link::memory("/a"), Duration::ZERO, || is_stopped)
+    }
+
+    #[test]
+    fn a_topic_without_publishers_is_an_error_that_lists_the_others() {
+        let message = find(false).unwrap_err().to_string();
+        let expected =
+            "memory:/a: no publisher appeared within 0 s; available topics on memory: none";
+        assert_eq!(message, expected);
+    }
+
+    #[test]
+    fn a_stopped_search_finds_nothing() {
+        assert!(find(true).unwrap().is_none());
+    }
+}

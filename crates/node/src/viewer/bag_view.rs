@@ -1,0 +1,100 @@
+//! The live page of a bag that is played: its frames, and the predictions recorded with them.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use super::{ControlPanel, LivePage, PageInfo, PredictionInfo, StatusJoiner, ViewerError};
+use crate::player::{PendingCommand, PlayerHandle};
+use eddy_bag::{BagMessage, BagReader};
+use eddy_frames::{Frame, FrameView};
+use eddy_inference::checkpoint::Description;
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, cdr};
+use eddy_transport::ListenAddress;
+
+/// Topics of predictions end in this.
+const PREDICTION: &str = "prediction";
+
+/// The page while it is served.
+pub struct BagView {
+    page: LivePage,
+    player: Arc<PlayerHandle>,
+    /// The topic shown as truth: the first with frames that are not predictions.
+    truth: Option<Arc<str>>,
+    /// By status topic: its statuses with the predictions beside it.
+    joiners: BTreeMap<String, StatusJoiner>,
+}
+
+impl BagView {
+    /// Serves a page for `bag`. Baselines use gravity and walls of `model`.
+    ///
+    /// # Errors
+    /// [`ViewerError`] when the address cannot be listened on.
+    pub fn serve(
+        address: ListenAddress,
+        bag: &BagReader,
+        model: &Description,
+    ) -> Result<Self, ViewerError> {
+        let player = Arc::new(PlayerHandle::default());
+        let title = bag.path().display().to_string();
+        let info = PageInfo { command: "replay", title, model: None };
+        let panel = ControlPanel::of_player(Arc::clone(&player));
+        let page = LivePage::serve(address, model, info, panel)?;
+        let of_type = |type_name: &'static str| {
+            bag.topics().iter().filter(move |topic| topic.type_name == type_name)
+        };
+        let mut frames = of_type(ParticleFrame::TYPE).map(|topic| topic.name.as_str());
+        let truth = frames.find(|name| !name.ends_with(PREDICTION)).map(Into::into);
+        let joiner = |name: &String| (name.clone(), StatusJoiner::default());
+        let joiners = of_type(PredictionStatus::TYPE).map(|topic| joiner(&topic.name)).collect();
+        Ok(Self { page, player, truth, joiners })
+    }
+
+    /// The page.
+    pub fn page(&self) -> &LivePage {
+        &self.page
+    }
+
+    /// Shows a message if it is a frame, or the status of a prediction.
+    pub fn show(&mut self, message: &BagMessage) {
+        if !self.page.hub().is_watched() {
+            self.joiners.values_mut().for_each(StatusJoiner::clear);
+            return;
+        }
+        let (topic, kind) = (&*message.topic, &*message.type_name);
+        if kind == ParticleFrame::TYPE {
+            let Ok(frame) = Frame::from_cdr(&message.data) else { return };
+            if topic.ends_with(PREDICTION) {
+                match self.joiners.get_mut(&format!("{topic}/status")) {
+                    Some(joiner) => {
+                        let joined = joiner.prediction(frame);
+                        self.show_prediction(joined);
+                    }
+                    None => self.show_prediction(Some((frame, PredictionInfo::default()))),
+                }
+            } else if self.truth.as_deref() == Some(topic) {
+                self.page.hub().observed(&FrameView::from(&frame));
+            }
+        } else if kind == PredictionStatus::TYPE {
+            let Ok(status) = cdr::decode::<PredictionStatus>(&message.data) else { return };
+            let joined = self.joiners.get_mut(topic).and_then(|joiner| joiner.status(status));
+            self.show_prediction(joined);
+        }
+    }
+
+    fn show_prediction(&self, joined: Option<(Frame, PredictionInfo)>) {
+        if let Some((frame, info)) = joined {
+            self.page.hub().predicted(&frame, info);
+        }
+    }
+
+    /// The commands since the last call.
+    pub fn commands(&self) -> impl Iterator<Item = PendingCommand> {
+        std::iter::from_fn(|| self.player.next())
+    }
+}
+
+impl Drop for BagView {
+    fn drop(&mut self) {
+        // Before the page, whose controls wait for pending responses when dropped.
+        self.player.close();
+    }
+}
