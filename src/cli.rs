@@ -1,4 +1,4 @@
-//! The command line: what can be typed, with its defaults. What it means is in [`crate::commands`].
+//! The command line. What its commands do is in [`crate::commands`].
 
 mod bag;
 mod examples;
@@ -12,9 +12,11 @@ use regex::Regex;
 
 use crate::commands::simulate;
 use eddy_bag::Compression;
+use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
 use eddy_learning::model::{Architecture, Core, DeviceKind};
 use eddy_mpm::Law;
+use eddy_node::surrogate::{NodeOptions, PredictOptions};
 use eddy_transport::{Link, ListenAddress, Reliability, TransportKind};
 
 #[cfg(feature = "foxglove")]
@@ -30,15 +32,16 @@ pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListAr
 #[derive(Debug, Parser)]
 #[command(name = "eddy", version, propagate_version = true)]
 pub struct Cli {
-    /// No progress bars, no live lines, no remarks on what was done.
+    /// Print errors only: no progress bars, status lines or summaries.
     #[arg(long, short, global = true)]
     pub quiet: bool,
 
-    /// What is logged to standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug`.
+    /// Log level on standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug`.
     #[arg(
         long,
+        value_name = "LEVEL",
         global = true,
-        // RustDDS logs the usual as errors, participants that come and go above all.
+        // RustDDS logs normal events as errors, such as participants that appear and disappear.
         default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
         env = "EDDY_LOG"
     )]
@@ -50,45 +53,45 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Simulates a scene, predicts it live, records both and judges the prediction.
+    /// Simulate a scene, predict it live, record both and evaluate the predictions.
     Demo(DemoArgs),
-    /// Simulates ground truth with the Material Point Method and writes one bag a scene.
+    /// Simulate ground truth with the Material Point Method and write one bag per scene.
     Simulate(SimulateArgs),
-    /// Records topics into an MCAP bag.
+    /// Record topics into an MCAP bag.
     Record(RecordArgs),
-    /// Publishes the messages of a bag at their recorded times.
+    /// Publish the messages of a bag at their recorded times.
     Replay(ReplayArgs),
-    /// Learns a surrogate from bags.
+    /// Train a surrogate on bags.
     Train(TrainArgs),
-    /// Predicts the frames of live streams.
+    /// Predict frames of live streams.
     Node(NodeArgs),
-    /// Predicts the frames of a bag, with the node's own code.
+    /// Predict frames of a bag, with the code of the node.
     Predict(PredictArgs),
-    /// Judges checkpoints by free rollouts over bags.
+    /// Evaluate checkpoints by free rollouts over bags.
     Eval(EvalArgs),
-    /// Runs the paper's comparisons: data, networks, judgement, one report.
+    /// Run a comparison of the paper: simulate, train, evaluate, report.
     Study(StudyArgs),
-    /// Runs several of these commands from one file, and restarts what fails.
+    /// Run several eddy processes from one file and restart those that fail.
     Launch(LaunchArgs),
-    /// Looks into bags, and makes bags of bags.
+    /// Inspect, check, repair, edit, convert and render bags.
     Bag(BagArgs),
-    /// Looks at topics, without ROS.
+    /// Inspect topics, without ROS.
     Topic(TopicArgs),
-    /// Measures what this machine carries.
+    /// Run benchmarks on this machine.
     Bench(BenchArgs),
-    /// Prints a script that completes commands, options and values in a shell.
+    /// Print a shell completion script.
     Completions(CompletionsArgs),
-    /// Writes manual pages, one a command.
+    /// Write manual pages, one per command.
     Man(ManArgs),
 }
 
-/// Everything that can be typed, with examples at the end of each command's long help.
+/// The command line, with examples at the end of each command's long help.
 pub fn command() -> clap::Command {
     examples::added(Cli::command())
 }
 
 impl Cli {
-    /// What was typed; ends the process with help, or with what is wrong.
+    /// Parses the arguments of this process; exits after printing help or an error.
     pub fn read() -> Self {
         Self::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit())
     }
@@ -97,22 +100,23 @@ impl Cli {
 /// `eddy completions`
 #[derive(Debug, Args)]
 pub struct CompletionsArgs {
-    /// The shell; the script goes to standard output.
+    /// Shell to complete for; the script goes to standard output.
     pub shell: Shell,
 }
 
 /// `eddy man`
 #[derive(Debug, Args)]
 pub struct ManArgs {
-    /// Where the pages go: eddy.1, eddy-node.1, eddy-bag-cut.1, ...
+    /// Output directory for eddy.1, eddy-node.1, eddy-bag-cut.1, ...
+    #[arg(value_name = "DIR")]
     pub output: PathBuf,
 }
 
-/// What ROS 2 gives to its nodes on the command line.
+/// The ROS 2 arguments of a node.
 #[derive(Debug, Args)]
 pub struct RosArgs {
-    /// Arguments of ROS 2, up to `--` or the end: -r FROM:=TO (names of topics and services, __node, __ns),
-    /// -p NAME:=VALUE, --params-file FILE, --log-level LEVEL.
+    /// ROS 2 arguments, up to `--` or the end: -r FROM:=TO (topics, services, __node, __ns), -p NAME:=VALUE,
+    /// --params-file FILE, --log-level LEVEL.
     #[arg(
         long,
         num_args = 0..,
@@ -124,7 +128,7 @@ pub struct RosArgs {
 }
 
 impl Command {
-    /// The arguments of ROS 2, for the node that this command is in the ROS graph.
+    /// The ROS 2 arguments of the node that this command runs.
     pub fn ros_args(&self) -> &[String] {
         match self {
             Self::Node(NodeArgs { ros, .. })
@@ -134,7 +138,7 @@ impl Command {
         }
     }
 
-    /// What the command is called in the ROS graph unless it is told otherwise.
+    /// Default name of the node that this command runs.
     pub fn node_name(&self) -> &'static str {
         match self {
             Self::Record(_) => "eddy_record",
@@ -147,131 +151,127 @@ impl Command {
 /// `eddy launch`
 #[derive(Debug, Args)]
 pub struct LaunchArgs {
-    /// The launch file (TOML; launch_configs/ has examples).
+    /// Launch file (TOML); launch_configs/ has examples.
     pub file: PathBuf,
 }
 
 /// `eddy demo`
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// No page and no terminal needed: one scene, with a plain line every second instead of a live line.
+    /// Run without live page and terminal: one scene, with a line per second instead of a live line.
     #[arg(long)]
     pub headless: bool,
-    /// Port of the page, on the loopback interface; 0 takes any that is free.
+    /// Port of the live page on the loopback interface; 0 takes any free port.
     #[arg(long, default_value_t = 8080, conflicts_with = "headless")]
     pub port: u16,
-    /// End after one scene of so many simulated seconds (it runs in real time) [default: scenes of 8 s, one after the
-    /// other until SIGINT or SIGTERM, of which the first is recorded; only that one with --headless].
-    #[arg(long)]
+    /// Stop after one scene of this duration (s, in real time) [default: scenes of 8 s until SIGINT or SIGTERM, of which
+    /// the first is recorded; with --headless only the first].
+    #[arg(long, value_name = "SECONDS")]
     pub seconds: Option<f64>,
     /// Seed of the scene.
     #[arg(long, default_value_t = 3)]
     pub seed: u64,
-    /// The surrogate; the shipped particle model if not given.
-    #[arg(long)]
+    /// Checkpoint of the surrogate [default: the shipped particle model].
+    #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
-    /// Where the bag and the report go.
-    #[arg(long, short, default_value = "bags/demo")]
+    /// Output directory for bag and report; DIR-2, DIR-3, ... if it exists.
+    #[arg(long, short, value_name = "DIR", default_value = "bags/demo")]
     pub output: PathBuf,
 }
 
 /// `eddy simulate`
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
-    /// Which random scenes, or which of the scenes that come with eddy.
-    #[arg(long, value_parser = simulate::source::presets(), default_value = "multi-material")]
+    /// Kind of random scenes, or one of the scenes shipped with eddy.
+    #[arg(long, value_name = "NAME", value_parser = simulate::source::presets(), default_value = "multi-material")]
     pub preset: String,
-    /// A scene of your own: a TOML file (launch_configs/scenes/ has examples).
+    /// Scene file (TOML); launch_configs/scenes/ has examples.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "scenes", "seed"])]
     pub scene: Option<PathBuf>,
-    /// How many random scenes, with the ids 0, 1, 2, ...
-    #[arg(long, default_value_t = 1)]
+    /// Number of random scenes.
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub scenes: u32,
-    /// Seed of random scenes: the same seed gives the same bytes.
+    /// Seed of random scenes; the same seed gives identical bags.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Particles of a random scene; 2500 if not given. The domain of more is wider, at the same
-    /// spacing and height.
-    #[arg(long, conflicts_with = "scene")]
+    /// Particles of a random scene; more particles make the domain wider, at the same spacing and height [default: 2500].
+    #[arg(long, value_name = "N", conflicts_with = "scene")]
     pub particles: Option<usize>,
-    /// Length of a scene (simulated seconds); its own if not given.
-    #[arg(long)]
+    /// Duration of a scene (simulated s) [default: the scene's].
+    #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
-    /// Substeps a frame; from the CFL rule if not given. An unstable number is refused.
-    #[arg(long)]
+    /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
+    #[arg(long, value_name = "N")]
     pub substeps: Option<u32>,
-    /// Stiffness: Young's modulus E of every material (density x velocity^2); the scene's own if
-    /// not given (1000, preset stiff: 1e5).
-    #[arg(long)]
+    /// Young's modulus of every material (density x velocity^2) [default: the scene's; 1000, preset stiff 1e5].
+    #[arg(long, value_name = "E")]
     pub stiffness: Option<f32>,
-    /// How liquids resist: as water, or by the law of Taichi's mpm128; the scene's own (water) if not
-    /// given.
+    /// Constitutive law of liquids: water, or that of Taichi's mpm128 [default: the scene's; water].
     #[arg(long, value_enum)]
     pub law: Option<Law>,
-    /// Kinematic viscosity of water (domain lengths^2 per s); the scene's own (0) if not given.
-    #[arg(long)]
+    /// Kinematic viscosity of water (domain lengths^2/s) [default: the scene's; 0].
+    #[arg(long, value_name = "NU")]
     pub viscosity: Option<f32>,
-    /// Where the bags go: one directory a scene.
+    /// Output directory; one bag per scene.
     #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
     pub output: Option<PathBuf>,
-    /// Publish the frames at the pace of real time, for example on zenoh:/particles, shm:/particles or
-    /// dds:/particles; the clock goes to /clock of the same transport.
+    /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
+    /// time on /clock of the same transport.
     #[arg(long, value_name = "LINK")]
     pub publish: Option<Link>,
-    /// How much faster than real time they are published.
-    #[arg(long, default_value_t = 1.0, requires = "publish")]
+    /// Simulated time per real time when publishing.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish")]
     pub rate: f64,
-    /// Wait for so many subscribers before the first frame (at most 30 s).
-    #[arg(long, default_value_t = 0, requires = "publish")]
+    /// Wait for N subscribers before the first frame (at most 30 s).
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "publish")]
     pub wait_for: usize,
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
     pub reliability: Reliability,
-    /// Threads: one a scene, and those left over share the work within the scenes. If not given, one a
-    /// scene and at most one a core.
-    #[arg(long)]
+    /// Number of threads: one per scene, the remaining ones work within the scenes [default: one per scene, at most one
+    /// per core].
+    #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
 }
 
 /// `eddy record`
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// The links to record, for example zenoh:/particles zenoh:/prediction; the transports are shm,
-    /// zenoh and dds.
-    #[arg(required_unless_present_any = ["all", "regex"])]
+    /// Links to record, for example zenoh:/particles zenoh:/prediction; transports are shm, zenoh and dds.
+    #[arg(value_name = "LINK", required_unless_present_any = ["all", "regex"])]
     pub links: Vec<Link>,
-    /// Record every topic that is published, also those that appear later.
+    /// Record all topics, including those that appear later.
     #[arg(long, short)]
     pub all: bool,
-    /// Record every topic in whose name this is found, also those that appear later.
+    /// Record all topics whose name matches, including those that appear later.
     #[arg(long, short = 'e')]
     pub regex: Vec<Regex>,
-    /// Of those, leave out the topics in whose name this is found.
+    /// Exclude topics whose name matches.
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
-    /// Where --all and --regex look for topics; a topic on several is recorded once.
-    #[arg(long, value_delimiter = ',', default_values = ["zenoh", "shm"])]
+    /// Transports on which --all and --regex search; a topic on several transports is recorded once.
+    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
     pub from: Vec<TransportKind>,
-    /// The bag: a directory that does not exist yet.
-    #[arg(long, short)]
+    /// Output bag, a new directory.
+    #[arg(long, short, value_name = "BAG")]
     pub output: PathBuf,
-    /// Begin a new file before one is larger than this (bytes).
-    #[arg(long, short = 'b', visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Start a new file before one exceeds this size (bytes).
+    #[arg(long, short = 'b', value_name = "BYTES", visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_bag_size: Option<u64>,
-    /// Begin a new file when one is so long (seconds).
-    #[arg(long, short = 'd', visible_alias = "max-duration")]
+    /// Start a new file after this time (s).
+    #[arg(long, short = 'd', value_name = "SECONDS", visible_alias = "max-duration")]
     pub max_bag_duration: Option<f64>,
-    /// End after so many seconds; at SIGINT or SIGTERM if not given.
-    #[arg(long)]
+    /// Stop after this time (s) [default: at SIGINT or SIGTERM].
+    #[arg(long, value_name = "SECONDS")]
     pub stop_after: Option<f64>,
-    /// End after so many messages.
-    #[arg(long)]
+    /// Stop after this number of messages.
+    #[arg(long, value_name = "N")]
     pub max_messages: Option<u64>,
-    /// Memory for messages that wait to be written (bytes). When it is full, publishers that block wait
-    /// up to 5 s; then, and from those that drop, messages are lost and counted.
-    #[arg(long, default_value_t = 100 << 20)]
+    /// Memory for messages waiting to be written (bytes). When it is full, blocking publishers wait up to 5 s; after that,
+    /// and from other publishers, messages are dropped and counted.
+    #[arg(long, value_name = "BYTES", default_value_t = 100 << 20)]
     pub max_cache_size: usize,
-    /// How chunks are compressed.
+    /// Compression of chunks.
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     pub compression: CompressionArg,
     #[command(flatten)]
@@ -298,43 +298,43 @@ impl From<CompressionArg> for Compression {
 /// `eddy replay`
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    /// Bag to play: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// The transport to publish on: zenoh, shm or dds.
-    #[arg(long, default_value = "zenoh")]
+    /// Transport to publish on: zenoh, shm or dds.
+    #[arg(long, value_name = "TRANSPORT", default_value = "zenoh")]
     pub to: TransportKind,
-    /// How much faster than recorded.
-    #[arg(long, default_value_t = 1.0)]
+    /// Recorded time per real time.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub rate: f64,
-    /// Start again at the end, until SIGINT or SIGTERM.
+    /// Restart at the end, until SIGINT or SIGTERM.
     #[arg(long = "loop")]
     pub looped: bool,
-    /// Skip so many recorded seconds.
-    #[arg(long, default_value_t = 0.0)]
+    /// Skip this much recorded time at the start (s).
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub start_offset: f64,
-    /// End after so many recorded seconds.
-    #[arg(long)]
+    /// Stop after this much recorded time (s).
+    #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
-    /// Only these topics; all if not given.
-    #[arg(long, num_args = 1..)]
+    /// Topics to play [default: all].
+    #[arg(long, value_name = "TOPIC", num_args = 1..)]
     pub topics: Vec<String>,
-    /// Publish the recorded time on /clock, so often a second [without a number: 40].
+    /// Publish the recorded time on /clock at this rate [without a value: 40].
     #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "40")]
     pub clock: Option<f64>,
-    /// Wait for the space bar (on a terminal) before the first message.
+    /// Start paused; the space bar, a service or the live page resumes.
     #[arg(long, short = 'p')]
     pub start_paused: bool,
-    /// Publish a topic under another name: /particles:=/truth.
+    /// Publish a topic under another name, for example /particles:=/truth.
     #[arg(long, value_name = "FROM:=TO")]
     pub remap: Vec<String>,
-    /// Wait for so many subscribers of every topic before the first message (at most 30 s).
-    #[arg(long, default_value_t = 0)]
+    /// Wait for N subscribers of each topic before the first message (at most 30 s).
+    #[arg(long, value_name = "N", default_value_t = 0)]
     pub wait_for: usize,
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block)]
     pub reliability: Reliability,
-    /// Serve a live page of what is played on this port, address or both [without one: 127.0.0.1:8080]; port 0 takes any
-    /// that is free.
+    /// Serve a live page of the bag on this port, address or both; port 0 takes any free port
+    /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     pub view: Option<ListenAddress>,
     #[command(flatten)]
@@ -345,38 +345,37 @@ pub struct ReplayArgs {
 #[derive(Debug, Args)]
 pub struct TrainArgs {
     /// Bags, or directories of bags.
-    #[arg(long, required = true, num_args = 1..)]
+    #[arg(long, value_name = "BAG", required = true, num_args = 1..)]
     pub data: Vec<PathBuf>,
-    /// Where everything goes: the best checkpoint, the last epoch (last/), metrics.csv, TensorBoard's
-    /// event files.
-    #[arg(long, short)]
+    /// Output directory for the best checkpoint, the last epoch (last/), metrics.csv and TensorBoard event files.
+    #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
-    /// Go on, bit for bit, with the run in the output, from its last finished epoch; begin one if there
-    /// is none. Data, settings and device must be the same; only --epochs and patience may be others,
-    /// and the schedules are then those of the new number.
+    /// Continue the run in --output from its last complete epoch, with bit-identical results, or start one if there is
+    /// none. Data, settings and device must be the same, except --epochs and patience; schedules follow the new number of
+    /// epochs.
     #[arg(long)]
     pub resume: bool,
-    /// Settings from a TOML file; what is given here on the command line goes first.
-    #[arg(long)]
+    /// Read settings from a TOML file; command-line options override it.
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Which network.
+    /// Network architecture.
     #[arg(long, value_enum)]
     pub architecture: Option<Architecture>,
-    /// Which recurrent core.
+    /// Recurrent core.
     #[arg(long, value_enum)]
     pub core: Option<Core>,
-    /// Most epochs.
-    #[arg(long)]
+    /// Maximum number of epochs.
+    #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
-    /// Seed of initial weights, of the order of the data and of dropout. With several, each has a run
-    /// of its own in OUTPUT/seed-N, and a table compares them.
+    /// Seed of initial weights, data order and dropout. With several seeds, each run is written to DIR/seed-N, and a table
+    /// compares them.
     #[arg(long, num_args = 1..)]
     pub seed: Vec<u64>,
-    /// Memory for the frames of the data (GiB); frames beyond it stay on disk and are read when they
-    /// are needed, which changes nothing but the time [default: half of the memory that is available].
+    /// Memory for the frames of the data; frames beyond it are read from disk when needed, with the same results
+    /// [default: half of the available memory].
     #[arg(long, value_name = "GIB")]
     pub memory: Option<f64>,
-    /// What computes.
+    /// Compute device.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
 }
@@ -384,45 +383,32 @@ pub struct TrainArgs {
 /// `eddy node`
 #[derive(Debug, Args)]
 pub struct NodeArgs {
-    /// The surrogate; the shipped particle model if not given.
-    #[arg(long)]
+    /// Checkpoint of the surrogate [default: the shipped particle model].
+    #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
-    /// Settings from a TOML file; what is given here on the command line goes first.
-    #[arg(long)]
+    /// Read settings from a TOML file; command-line options override it.
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Where frames come from, by shm, zenoh or dds [default: zenoh:/particles, in the namespace that
-    /// --ros-args gives].
-    #[arg(long)]
+    /// Link to observe, on shm, zenoh or dds [default: zenoh:/particles, in the namespace of --ros-args].
+    #[arg(long, value_name = "LINK")]
     pub input: Option<Link>,
-    /// Where predictions go, by shm, zenoh or dds; several may be given
-    /// [default: zenoh:/prediction, likewise].
-    #[arg(long)]
+    /// Link to publish predictions on; may be repeated [default: zenoh:/prediction, in the namespace of --ros-args].
+    #[arg(long, value_name = "LINK")]
     pub output: Vec<Link>,
-    /// Frames predicted ahead of each observed frame [default: 1].
-    #[arg(long)]
-    pub horizon: Option<u32>,
-    /// Which of the frames up to the horizon are published [default: last].
-    #[arg(long, value_enum)]
-    pub publish: Option<eddy_node::Publish>,
-    /// Observe so many frames of a stream, then simulate it alone.
-    #[arg(long)]
-    pub free_run: Option<u64>,
-    /// Publish observed and predicted frames also as sensor_msgs/PointCloud2 on INPUT/cloud and
-    /// OUTPUT/cloud, for RViz, Foxglove and Rerun.
-    #[arg(long)]
-    pub cloud: bool,
+    #[command(flatten)]
+    pub settings: NodeOptions,
     /// What happens when a subscriber cannot keep up [default: drop].
     #[arg(long, value_enum)]
     pub reliability: Option<Reliability>,
-    /// Threads that predict; as many as there are cores if not given.
-    #[arg(long)]
+    /// Number of threads for prediction [default: one per core].
+    #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Serve a live page of truth and prediction on this port, address or both [without one: 127.0.0.1:8080]; port 0 takes any
-    /// that is free.
+    /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
+    /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     pub view: Option<ListenAddress>,
-    /// Show clouds, status and diagnostics to Foxglove's application, which connects to this port, address or both
-    /// [without one: 127.0.0.1:8765].
+    /// Serve point clouds, status and diagnostics to Foxglove on this port, address or both
+    /// [without a value: 127.0.0.1:8765].
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub foxglove: Option<FoxgloveAddress>,
@@ -433,100 +419,79 @@ pub struct NodeArgs {
 /// `eddy predict`
 #[derive(Debug, Args)]
 pub struct PredictArgs {
-    /// The surrogate; the shipped particle model if not given.
-    #[arg(long)]
+    /// Checkpoint of the surrogate [default: the shipped particle model].
+    #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
-    /// The bag with the frames.
-    #[arg(long)]
+    /// Bag with the frames.
+    #[arg(long, value_name = "BAG")]
     pub input: PathBuf,
-    /// The bag with the predictions: a directory that does not exist yet.
-    #[arg(long, short)]
+    /// Output bag for the predictions, a new directory.
+    #[arg(long, short, value_name = "BAG")]
     pub output: PathBuf,
-    /// The topic with the frames.
+    /// Topic with the frames.
     #[arg(long, default_value = "/particles")]
     pub topic: String,
-    /// Frames predicted ahead of each observed frame.
-    #[arg(long, default_value_t = 1)]
-    pub horizon: u32,
-    /// Which of the frames up to the horizon are published.
-    #[arg(long, value_enum, default_value_t = eddy_node::Publish::Last)]
-    pub publish: eddy_node::Publish,
-    /// Threads that predict; as many as there are cores if not given.
-    #[arg(long)]
+    #[command(flatten)]
+    pub settings: PredictOptions,
+    /// Number of threads for prediction [default: one per core].
+    #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
 }
 
 /// `eddy eval`
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// The checkpoints to judge, side by side; those that differ only in their training count as seeds
-    /// of one model.
-    #[arg(long, required_unless_present = "compare", num_args = 1..)]
+    /// Checkpoints to evaluate side by side; those that differ only in their training count as seeds of one model.
+    #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags.
-    #[arg(long, required_unless_present = "compare", num_args = 1..)]
+    #[arg(long, value_name = "BAG", required_unless_present = "compare", num_args = 1..)]
     pub data: Vec<PathBuf>,
-    /// Where report.html, report.json, curves.csv and cost_error.png go; of a comparison, the HTML file.
-    #[arg(long, short, required_unless_present = "compare")]
+    /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
+    #[arg(long, short, value_name = "DIR", required_unless_present = "compare")]
     pub output: Option<PathBuf>,
-    /// Put reports of the same data side by side, folders or their report.json, instead of judging.
+    /// Compare existing reports (directories, or their report.json) of the same data.
     #[arg(
         long,
         value_name = "REPORT",
         num_args = 2..,
         conflicts_with_all = [
-            "checkpoint", "data", "horizon", "starts", "rivals", "join_late", "without_rules", "threads"
+            "checkpoint", "data", "horizon", "starts", "baselines", "join_late", "without_rules", "threads"
         ]
     )]
     pub compare: Vec<PathBuf>,
-    /// Frames of the free rollouts that are compared with the truth; they go on to frame 200 to see
-    /// whether they blow up.
-    #[arg(long, default_value_t = 100)]
+    /// Frames of each free rollout to compare with the truth; rollouts continue to frame 200 to detect divergence.
+    #[arg(long, value_name = "N", default_value_t = 100)]
     pub horizon: usize,
-    /// Start frames a stream, spread evenly over its first 80 %.
-    #[arg(long, default_value_t = 7)]
+    /// Start frames per stream, evenly spaced over its first 80 %.
+    #[arg(long, value_name = "N", default_value_t = 7)]
     pub starts: usize,
-    /// Who else predicts, from the same frames; needs the manifest.json beside the bags.
-    #[arg(long, value_enum, value_delimiter = ',')]
-    pub rivals: Vec<Rival>,
-    /// Judge each checkpoint also on streams joined in the middle: it sees its warm-up, not the
-    /// frames before.
+    /// Additional baselines, started from the same frames; requires manifest.json beside the bags.
+    #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
+    pub baselines: Vec<ReferenceName>,
+    /// Also evaluate each checkpoint on streams joined in the middle: it observes its warm-up, but no earlier frames.
     #[arg(long)]
     pub join_late: bool,
-    /// Evaluate the checkpoints with these rules off, in place of the checkpoints as they are: what a rule is worth is the
-    /// difference between the two reports. The report names each checkpoint with the rules it is without.
+    /// Evaluate the checkpoints with these rules switched off. Compare the report with one without this option to see the
+    /// effect of the rules.
     #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', num_args = 1..)]
-    pub without_rules: Vec<RuleName>,
-    /// Scenes that are judged at a time; as many as there are cores if not given. The time of a frame
-    /// is that of one thread.
-    #[arg(long)]
+    pub without_rules: Vec<Rule>,
+    /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
+    #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
 }
 
-/// A rule that corrects the particle model's predictions.
+/// A baseline beside the trivial predictors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum RuleName {
-    /// Liquids keep their area.
-    Area,
-    /// Jelly and rope keep their shape.
-    Shape,
-    /// Bodies that touch nothing keep momentum and spin.
-    Flight,
-    /// Bodies that touch a wall and hardly move come to rest.
-    Rest,
-}
-
-/// Who predicts beside checkpoints and trivial predictors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Rival {
-    /// The solver restarted from positions and velocities: as it was, with half the substeps, with
-    /// cells twice as wide.
+pub enum ReferenceName {
+    /// The solver restarted from positions and velocities: unchanged, with half the substeps, and with cells twice as
+    /// wide.
     Mpm,
-    /// The truth itself from positions that are off by up to 1e-4: how well anyone could predict.
+    /// The solver from positions displaced by up to 1e-4: the limit of predictability.
     Chaos,
 }
 
-/// A time that may be waited for.
+/// Parses a duration (s).
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|error| format!("{error}"))?;
     if (0.0..=1e9).contains(&seconds) { Ok(seconds) } else { Err("expected 0 to 1e9 s".to_owned()) }

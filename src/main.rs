@@ -1,4 +1,4 @@
-//! The `eddy` program: parses the command line and hands over to one of [`commands`].
+//! The `eddy` program: parses the command line and runs one of [`commands`].
 
 mod cli;
 mod commands;
@@ -12,11 +12,11 @@ use tracing_subscriber::EnvFilter;
 use cli::{Cli, Command};
 use commands::Interrupt;
 
-/// Keeps freed pages: training and inference allocate the same large temporaries again and again.
+/// Keeps freed memory: training and inference allocate the same large temporaries again and again.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Exit code when something failed. Wrong usage is clap's 2.
+/// Exit code of a failure; wrong usage is 2, by clap.
 const FAILED: u8 = 1;
 
 fn main() -> ExitCode {
@@ -35,7 +35,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Who the command is to ROS; ends with wrong usage when its arguments cannot be used.
+/// The ROS node of the command; exits with wrong usage when its arguments are invalid.
 fn ros_node(command: &Command) -> RosNode {
     let arguments = RosArguments::parse(command.ros_args());
     let usage = |error| cli::command().error(ErrorKind::ValueValidation, error).exit();

@@ -21,48 +21,48 @@ pub struct BagArgs {
 
 #[derive(Debug, Subcommand)]
 pub enum BagCommand {
-    /// Prints what is in a bag.
+    /// Print topics, streams, size and times of a bag.
     Info {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        /// Bag: a directory with metadata.yaml, or an MCAP file.
         bag: PathBuf,
     },
-    /// Reads every message of a bag and says what is wrong with it; exit code 1 if anything is.
+    /// Read every message of a bag and list all problems; exit code 1 if there are any.
     Check {
-        /// The bag: a directory with metadata.yaml, or an MCAP file.
+        /// Bag: a directory with metadata.yaml, or an MCAP file.
         bag: PathBuf,
     },
-    /// Copies what can be read of a damaged or unfinished bag into a new one; exit code 3 if something
-    /// is missing, 1 if nothing is left.
+    /// Copy what can be read of a damaged or unfinished bag into a new one; exit code 3 if data was lost, 1 if nothing can
+    /// be read.
     Recover(RecoverArgs),
-    /// Copies a part of the time of a bag into a new one.
+    /// Copy a time range of a bag into a new one.
     Cut(CutArgs),
-    /// Copies several bags into one, in the order of time.
+    /// Merge several bags into one, in the order of time.
     Merge(MergeArgs),
-    /// Copies some topics of a bag into a new one.
+    /// Copy selected topics of a bag into a new one.
     Filter(FilterArgs),
-    /// As `export --cloud`.
+    /// Same as `export --cloud`.
     #[command(hide = true)]
     Cloud(CloudArgs),
-    /// Writes metadata.yaml anew, and the summaries that files lack, from the messages that are there.
+    /// Rewrite metadata.yaml, and add missing summaries to files, from the messages.
     Reindex {
-        /// The bag: a directory with MCAP files, or one of them.
+        /// Bag: a directory with MCAP files, or one of them.
         bag: PathBuf,
     },
-    /// Writes the frames of bags as files of other programs, or as point clouds beside them.
+    /// Export frames to formats of other programs, or add them to a bag as point clouds.
     Export(ExportArgs),
-    /// Writes the trajectories of other programs' files as bags, one a stream.
+    /// Import trajectories from formats of other programs, as one bag per stream.
     Import(ImportArgs),
-    /// Draws a stream: a strip of frames (PNG), an animation (GIF or animated PNG).
+    /// Render a stream as a strip of frames (PNG) or an animation (GIF or animated PNG).
     Render(RenderArgs),
 }
 
-/// The bag that a command writes.
+/// The output bag of a command.
 #[derive(Debug, Args)]
 pub struct NewBagArgs {
-    /// The new bag: a directory that does not exist yet.
-    #[arg(long, short)]
+    /// Output bag, a new directory.
+    #[arg(long, short, value_name = "BAG")]
     pub output: PathBuf,
-    /// How chunks are compressed [default: as in the bag that is read; zstd if it is mixed].
+    /// Compression of chunks [default: as in the input; zstd if mixed].
     #[arg(long, value_enum)]
     pub compression: Option<CompressionArg>,
 }
@@ -70,7 +70,7 @@ pub struct NewBagArgs {
 /// `eddy bag recover`
 #[derive(Debug, Args)]
 pub struct RecoverArgs {
-    /// The bag: a directory, an .mcap file or an .mcap.active file. It is not touched.
+    /// Bag: a directory, an .mcap file or an .mcap.active file. It is not modified.
     pub bag: PathBuf,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -79,17 +79,17 @@ pub struct RecoverArgs {
 /// `eddy bag cut`
 #[derive(Debug, Args)]
 pub struct CutArgs {
-    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// The first moment to keep: recorded seconds from the start, such as 2.5, or a log time, such as
-    /// 1700000000000000000ns [default: the start].
-    #[arg(long)]
+    /// Start time: recorded seconds since the first message, such as 2.5, or a log time, such as 1700000000000000000ns
+    /// [default: the first message].
+    #[arg(long, value_name = "TIME")]
     pub start: Option<Moment>,
-    /// The first moment not to keep any more, in the same words [default: none].
-    #[arg(long, conflicts_with = "duration")]
+    /// End time (exclusive), in the same format as --start [default: after the last message].
+    #[arg(long, value_name = "TIME", conflicts_with = "duration")]
     pub end: Option<Moment>,
-    /// Keep so many recorded seconds from the first moment on.
-    #[arg(long)]
+    /// Duration from the start time (recorded s).
+    #[arg(long, value_name = "SECONDS")]
     pub duration: Option<f64>,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -98,8 +98,8 @@ pub struct CutArgs {
 /// `eddy bag merge`
 #[derive(Debug, Args)]
 pub struct MergeArgs {
-    /// The bags. Of messages of the same time, those of the first bag come first.
-    #[arg(required = true, num_args = 2..)]
+    /// Bags to merge; messages of the same time are written in the order of the bags.
+    #[arg(value_name = "BAG", required = true, num_args = 2..)]
     pub bags: Vec<PathBuf>,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -108,15 +108,15 @@ pub struct MergeArgs {
 /// `eddy bag filter`
 #[derive(Debug, Args)]
 pub struct FilterArgs {
-    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// Keep these topics; without this and --regex, all that are not excluded.
-    #[arg(long, num_args = 1..)]
+    /// Topics to keep [default, without --regex: all that are not excluded].
+    #[arg(long, value_name = "TOPIC", num_args = 1..)]
     pub topics: Vec<String>,
-    /// Keep topics in whose name this is found.
+    /// Keep topics whose name matches.
     #[arg(long, short = 'e')]
     pub regex: Vec<Regex>,
-    /// Leave out topics in whose name this is found.
+    /// Exclude topics whose name matches.
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
     #[command(flatten)]
@@ -126,7 +126,7 @@ pub struct FilterArgs {
 /// `eddy bag cloud`
 #[derive(Debug, Args)]
 pub struct CloudArgs {
-    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -136,50 +136,50 @@ pub struct CloudArgs {
 #[derive(Debug, Args)]
 pub struct ExportArgs {
     /// Bags, or directories of bags.
-    #[arg(required = true)]
+    #[arg(value_name = "BAG", required = true)]
     pub bags: Vec<PathBuf>,
-    /// What to write.
+    /// Output format.
     #[arg(long, short, value_enum, required_unless_present = "cloud")]
     pub format: Option<ExportFormat>,
-    /// Copy a bag with its frames also as sensor_msgs/PointCloud2, on TOPIC/cloud, which Foxglove, RViz
-    /// and Rerun draw.
+    /// Copy a bag and add its frames as sensor_msgs/PointCloud2 on TOPIC/cloud, for Foxglove, RViz and Rerun.
     #[arg(long, conflicts_with_all = ["format", "topic", "stream", "frames"])]
     pub cloud: bool,
-    /// How chunks of the bag with the clouds are compressed [default: as in the bag that is read].
+    /// Compression of chunks with --cloud [default: as in the input].
     #[arg(long, value_enum, requires = "cloud")]
     pub compression: Option<CompressionArg>,
-    /// A path where nothing is yet; named after the bag if not given. A file for csv, otherwise a directory; npz (of one stream) and gns write a lone file when the name ends in .npz.
-    #[arg(long, short)]
+    /// Output path, must not exist: a file for csv, otherwise a directory; npz (one stream) and gns write a single file if the
+    /// name ends in .npz [default: named after the bag].
+    #[arg(long, short, value_name = "PATH")]
     pub output: Option<PathBuf>,
-    /// The topic with the frames.
+    /// Topic with the frames.
     #[arg(long, default_value = TRUTH_TOPIC)]
     pub topic: String,
-    /// Only this stream.
-    #[arg(long)]
+    /// Export only this stream.
+    #[arg(long, value_name = "ID")]
     pub stream: Option<u64>,
-    /// Only the first so many frames of each stream.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    /// Export only the first N frames of each stream.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub frames: Option<u32>,
 }
 
 /// `eddy bag import`
 #[derive(Debug, Args)]
 pub struct ImportArgs {
-    /// A file, or a directory of files. Object arrays are pickles and are refused.
+    /// File, or directory of files. Object arrays (pickles) are rejected.
     pub path: PathBuf,
-    /// What they are.
+    /// Input format.
     #[arg(long, short, value_enum)]
     pub format: ImportFormat,
-    /// Where the bags go, one directory a stream: a directory that does not exist yet.
-    #[arg(long, short)]
+    /// Output directory, must not exist; one bag per stream.
+    #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
-    /// Time between two frames (s) [default: what the files say].
-    #[arg(long)]
+    /// Time between two frames (s) [default: from the files].
+    #[arg(long, value_name = "SECONDS")]
     pub dt: Option<f32>,
-    /// The box that holds the particles [default: what the files say, or the unit square].
+    /// Domain (domain lengths) [default: from the files, or the unit square].
     #[arg(long, num_args = 4, value_names = ["LEFT", "BOTTOM", "RIGHT", "TOP"], allow_negative_numbers = true)]
     pub domain: Option<Vec<f32>>,
-    /// What all particles are made of: liquid, snow, jelly or rope [default: what the files say].
+    /// Material of all particles: liquid, snow, jelly or rope [default: from the files].
     #[arg(long, value_parser = material)]
     pub material: Option<Material>,
 }
@@ -195,36 +195,36 @@ fn material(word: &str) -> Result<Material, String> {
 /// `eddy bag render`
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// The bag: a directory with metadata.yaml, or an MCAP file.
+    /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// A path where nothing is yet: *.png for a strip, *.gif or *.apng for an animation, any other name for a directory with strip.png and animation.gif.
-    #[arg(long, short)]
+    /// Output path, must not exist: *.png for a strip, *.gif or *.apng for an animation, otherwise a directory for strip.png
+    /// and animation.gif.
+    #[arg(long, short, value_name = "PATH")]
     pub output: PathBuf,
-    /// What the colours mean.
+    /// What colours show.
     #[arg(long, value_enum, default_value_t = Color::Material)]
     pub color: Color,
-    /// How many frames the strip shows, evenly spaced.
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    /// Number of frames in the strip, evenly spaced.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub frames: u32,
-    /// How much faster than simulated the animation runs.
-    #[arg(long, default_value_t = 1.0)]
+    /// Simulated time per time of the animation.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub rate: f64,
-    /// Longer side of the domain in the pictures (pixels) [default: 240 in the strip, 480 in the animation].
-    #[arg(long, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    /// Longer side of the domain (pixels) [default: 240 in the strip, 480 in the animation].
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
     pub size: Option<u32>,
-    /// The topics with the frames. Several are drawn side by side: frames of the same sequence number as
-    /// those of the first one.
+    /// Topics with the frames; several are drawn side by side, matched by sequence number with the first.
     #[arg(long, default_values = [TRUTH_TOPIC], num_args = 1..)]
     pub topic: Vec<String>,
-    /// The stream [default: the one with the lowest number].
-    #[arg(long)]
+    /// Stream to render [default: the lowest].
+    #[arg(long, value_name = "ID")]
     pub stream: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Color {
-    /// What particles are made of.
+    /// Material of the particles.
     Material,
-    /// How fast they are.
+    /// Speed of the particles.
     Speed,
 }

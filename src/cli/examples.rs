@@ -1,4 +1,4 @@
-//! What `--help` shows last: commands to copy, all of which a test runs.
+//! The examples at the end of `--help`; a test runs all of them.
 
 use clap::Command;
 
@@ -62,7 +62,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
-            "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --rivals mpm,chaos",
+            "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --baselines mpm,chaos",
             "eddy eval --checkpoint checkpoints/particle-mingru --data bags/mm --output reports/without_area --without-rules area",
         ],
     ),

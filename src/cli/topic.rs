@@ -15,15 +15,15 @@ pub struct TopicArgs {
 
 #[derive(Debug, Subcommand)]
 pub enum TopicCommand {
-    /// Prints the topics that are published, with their types.
+    /// List published topics with their types.
     List(TopicListArgs),
-    /// Prints the messages of a topic as YAML, like `ros2 topic echo`.
+    /// Print the messages of a topic as YAML, like `ros2 topic echo`.
     Echo(TopicEchoArgs),
-    /// Prints how many messages a second a topic has, like `ros2 topic hz`.
+    /// Measure the message rate of a topic, like `ros2 topic hz`.
     Hz(TopicHzArgs),
-    /// Prints the type of a topic's messages, and the memory it takes on shm.
+    /// Print the type of a topic and, on shm, its memory.
     Info {
-        /// The topic, for example zenoh:/particles.
+        /// Topic, for example zenoh:/particles.
         link: Link,
     },
 }
@@ -31,36 +31,36 @@ pub enum TopicCommand {
 /// `eddy topic list`
 #[derive(Debug, Args)]
 pub struct TopicListArgs {
-    /// Where to look; others only answer once they are found, which takes dds some seconds.
-    #[arg(long, value_delimiter = ',', default_values = ["zenoh", "shm"])]
+    /// Transports to search; discovery on dds takes several seconds.
+    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
     pub from: Vec<TransportKind>,
-    /// How long to look (s).
-    #[arg(long, default_value_t = 2.0, value_parser = super::seconds)]
+    /// Search time (s).
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = super::seconds)]
     pub wait: f64,
 }
 
 /// `eddy topic echo`
 #[derive(Debug, Args)]
 pub struct TopicEchoArgs {
-    /// The topic, for example zenoh:/particles.
+    /// Topic, for example zenoh:/particles.
     pub link: Link,
-    /// End after so many messages; at SIGINT or SIGTERM if not given.
-    #[arg(long, short)]
+    /// Stop after N messages [default: at SIGINT or SIGTERM].
+    #[arg(long, short, value_name = "N")]
     pub count: Option<NonZeroUsize>,
-    /// Numbers of a list that are printed; all with 0.
-    #[arg(long, default_value_t = 8)]
+    /// Maximum number of list items to print; 0 prints all.
+    #[arg(long, value_name = "N", default_value_t = 8)]
     pub truncate: usize,
 }
 
 /// `eddy topic hz`
 #[derive(Debug, Args)]
 pub struct TopicHzArgs {
-    /// The topic, for example zenoh:/particles.
+    /// Topic, for example zenoh:/particles.
     pub link: Link,
-    /// Messages that the figures are of, the last ones.
-    #[arg(long, short, default_value = "10000")]
+    /// Window size: statistics cover the last N messages.
+    #[arg(long, short, value_name = "N", default_value = "10000")]
     pub window: NonZeroUsize,
-    /// End after so many seconds; at SIGINT or SIGTERM if not given.
-    #[arg(long, value_parser = super::seconds)]
+    /// Stop after this time (s) [default: at SIGINT or SIGTERM].
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     pub duration: Option<f64>,
 }

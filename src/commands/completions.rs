@@ -1,4 +1,4 @@
-//! `eddy completions`, `eddy man`: what shells and readers of manuals are given.
+//! `eddy completions` and `eddy man`.
 
 use std::{
     fs,
@@ -9,18 +9,18 @@ use anyhow::Context as _;
 
 use crate::cli::{CompletionsArgs, ManArgs, command};
 
-/// Prints a script that makes the shell complete eddy's commands, options and their values.
+/// Prints a shell completion script.
 pub fn run(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command(), "eddy", &mut script);
-    // Written here, as the generator's own writing takes a closed pipe for its end.
+    // Not written by the generator, which panics if that fails.
     stdout().write_all(&script).context("cannot print the script")
 }
 
-/// Writes a manual page for every command.
+/// Writes a manual page for each command.
 pub fn man(args: &ManArgs, quiet: bool) -> anyhow::Result<()> {
     let folder = args.output.display();
-    fs::create_dir_all(&args.output).with_context(|| format!("cannot make {folder}"))?;
+    fs::create_dir_all(&args.output).with_context(|| format!("cannot create {folder}"))?;
     clap_mangen::generate_to(command(), &args.output)
         .with_context(|| format!("cannot write to {folder}"))?;
     if !quiet {

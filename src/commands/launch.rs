@@ -1,4 +1,4 @@
-//! `eddy launch`: several processes of eddy from one file.
+//! `eddy launch`: several eddy processes from one file.
 
 use std::io::{self, Write as _};
 
@@ -6,30 +6,30 @@ use anyhow::Context;
 
 use super::Interrupt;
 use crate::cli::LaunchArgs;
-use eddy_node::launch::{Plan, Said, supervise};
+use eddy_node::launch::{OutputLine, Plan, supervise};
 use eddy_settings as config;
 
-/// Runs the file's processes until they have ended, or a signal comes. When it is to be quiet, so are they;
-/// what they still say, they were asked for.
+/// Runs the processes of a launch file until they have ended or a signal comes. `quiet` applies to them as well.
 pub fn run(args: &LaunchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let mut plan: Plan = config::load(&args.file)?;
     plan.check().with_context(|| args.file.display().to_string())?;
-    let program = std::env::current_exe().context("cannot find the program itself")?;
+    let program = std::env::current_exe().context("cannot find the path of this program")?;
     if quiet {
         plan.process.iter_mut().for_each(|process| process.run.insert(0, "--quiet".to_owned()));
     }
-    let outcome = supervise(&plan, &program, interrupt.flag(), tell)?;
+    let outcome = supervise(&plan, &program, interrupt.flag(), print)?;
     if !quiet {
         let (restarts, killed) = (outcome.restarts, outcome.killed);
-        tell(Said::Output(format!("all ended: {restarts} restarts, {killed} killed")));
+        let text = format!("all processes ended: {restarts} restarts, {killed} killed");
+        print(OutputLine::Stdout(text));
     }
     Ok(())
 }
 
-/// Hands a line on. That nobody listens any more is no reason to end what runs.
-fn tell(said: Said) {
-    let _ = match said {
-        Said::Output(line) => writeln!(io::stdout(), "{line}"),
-        Said::Error(line) => writeln!(io::stderr(), "{line}"),
+/// Prints a line. A closed pipe does not end the processes.
+fn print(line: OutputLine) {
+    let _ = match line {
+        OutputLine::Stdout(line) => writeln!(io::stdout(), "{line}"),
+        OutputLine::Stderr(line) => writeln!(io::stderr(), "{line}"),
     };
 }

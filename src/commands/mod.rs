@@ -1,4 +1,4 @@
-//! One file a subcommand: wires parts of the library together, adds the context to errors, prints.
+//! One file per subcommand: connects parts of the library, adds context to errors, prints.
 
 pub mod bag;
 pub mod completions;
@@ -14,25 +14,27 @@ pub mod simulate;
 pub mod topic;
 pub mod train;
 
+mod allocator;
 mod interrupt;
-mod pace;
-mod page;
-mod pages;
 mod progress;
 mod surrogate;
 
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
-use std::{thread, time::Duration};
+use std::{
+    io::{Write as _, stdout},
+    thread,
+    time::Duration,
+};
 
 use anyhow::{bail, ensure};
 use eddy_frames::clock::Clock;
-use eddy_node::ros::RosNode;
+use eddy_node::{ros::RosNode, viewer::LivePage};
 use eddy_transport::{Link, Publisher, TransportError, TransportKind, TransportOptions};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Refuses a link on which no other process can be met.
+/// Rejects links that no other process can use.
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
     ensure!(
         link.transport != TransportKind::Memory,
@@ -41,17 +43,17 @@ pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// How this process appears on its transports.
+/// The node of this process on its transports.
 pub(crate) fn transport_options(ros: &RosNode) -> Result<TransportOptions, TransportError> {
     let options = TransportOptions::from_env(ros.name())?;
     Ok(TransportOptions { namespace: ros.namespace().to_owned(), ..options })
 }
 
-/// Refuses parameters that were given to this very command, which has none.
+/// Rejects parameters given to this node: only `eddy node` has parameters.
 pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
     match ros.parameters().iter().find(|given| !given.for_all) {
         Some(given) => bail!(
-            "{}: found {}, expected none: there are no parameters here",
+            "{}: found {}, expected none: this node has no parameters",
             given.argument,
             given.parameter.name
         ),
@@ -59,14 +61,14 @@ pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
     }
 }
 
-/// How long subscribers are waited for.
-const WAIT_LIMIT: Duration = Duration::from_secs(30);
-/// Time between two looks at how many there are.
-const WAIT_NAP: Duration = Duration::from_millis(20);
-/// How long somebody is waited for without a word.
-const WAIT_UNTOLD: Duration = Duration::from_secs(3);
+/// How long to wait for subscribers.
+const MAX_SUBSCRIBER_WAIT: Duration = Duration::from_secs(30);
+/// Interval between checks of their number.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Delay before a "waiting for subscribers" warning.
+const WARNING_DELAY: Duration = Duration::from_secs(3);
 
-/// Waits until a topic has `wanted` subscribers. `false` when a signal came first.
+/// Waits until a topic has `wanted` subscribers. Returns `false` when a signal came first.
 pub(crate) fn wait_for_subscribers(
     link: &Link,
     publisher: &dyn Publisher,
@@ -74,32 +76,39 @@ pub(crate) fn wait_for_subscribers(
     interrupt: &Interrupt,
 ) -> anyhow::Result<bool> {
     let clock = Clock::start();
-    let mut told = false;
+    let mut warned = false;
     while publisher.subscribers() < wanted {
         if interrupt.requested() {
             return Ok(false);
         }
-        if clock.now() > WAIT_LIMIT {
+        if clock.now() > MAX_SUBSCRIBER_WAIT {
             let found = publisher.subscribers();
             bail!("{link}: found {found} subscribers after 30 s, expected {wanted}");
         }
-        if !told && clock.now() > WAIT_UNTOLD {
-            told = true;
+        if !warned && clock.now() > WARNING_DELAY {
+            warned = true;
             let found = publisher.subscribers();
             tracing::warn!("{link}: waiting for {wanted} subscribers, {found} so far");
         }
-        thread::sleep(WAIT_NAP);
+        thread::sleep(POLL_INTERVAL);
     }
     Ok(true)
 }
 
+/// Prints the URL of a live page.
+pub(crate) fn announce_page(page: &LivePage) {
+    println!("page:   {}", page.announcement());
+    // A program that starts this one may wait for the line.
+    let _ = stdout().flush();
+}
+
 /// A progress bar with the time left; hidden without a terminal or when `quiet`.
-pub(crate) fn progress_bar(length: u64, what: &str, quiet: bool) -> ProgressBar {
+pub(crate) fn progress_bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
     let bar = if quiet {
         ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden())
     } else {
         ProgressBar::new(length)
     };
-    let template = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{eta}} left  {{wide_msg}}");
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left");
     bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

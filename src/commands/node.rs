@@ -1,41 +1,40 @@
-//! `eddy node`: predicts the frames of live streams.
+//! `eddy node`: predicts frames of live streams.
 
 use std::{path::PathBuf, sync::Arc};
 
 use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use super::{
-    Interrupt, leaves_the_process,
-    page::{Desk, Page},
-    surrogate, transport_options,
-};
+use super::{Interrupt, announce_page, leaves_the_process, surrogate, transport_options};
 use crate::cli::NodeArgs;
 use eddy_messages::{
     Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
 };
 use eddy_node::{
-    CloudTopic, Control, Counters, FrameQueue, InvalidSettings, NodeSettings, Outputs, Presence,
-    RosTime, Service, SurrogateNode, drive, ros::RosNode, services, viewer::Program,
+    CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeSettings,
+    Outputs, RosTime, Service, SurrogateNode, drive,
+    ros::RosNode,
+    surrogate::node_services,
+    viewer::{ControlPanel, LivePage, PageInfo},
 };
 use eddy_settings as config;
 #[cfg(feature = "foxglove")]
 use eddy_transport::{FoxgloveAddress, FoxgloveServer};
 use eddy_transport::{Link, Reliability, Served, TransportError, TransportKind, Transports};
 
-/// What a configuration file of `eddy node` may say; the command line goes first.
+/// A settings file of `eddy node`; command-line options override it.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct NodeFile {
-    /// Directory of the checkpoint; the shipped particle model if not given.
+    /// Checkpoint directory [default: the shipped particle model].
     checkpoint: Option<PathBuf>,
-    /// Link that frames come from, `zenoh:/particles` if not given.
+    /// Input link [default: `zenoh:/particles`].
     input: Option<Link>,
-    /// Links that predictions go to, `zenoh:/prediction` if not given.
+    /// Output links [default: `zenoh:/prediction`].
     output: Vec<Link>,
-    /// What happens when a subscriber cannot keep up, `drop` if not given.
+    /// What happens when a subscriber cannot keep up [default: `drop`].
     reliability: Option<Reliability>,
-    /// The behaviour towards streams.
+    /// Settings of the node, the same as its ROS parameters.
     node: NodeSettings,
 }
 
@@ -50,13 +49,8 @@ pub fn run(
         Some(path) => config::load(path)?,
         None => NodeFile::default(),
     };
-    let mut settings = NodeSettings {
-        horizon: args.horizon.unwrap_or(file.node.horizon),
-        publish: args.publish.unwrap_or(file.node.publish),
-        free_run: args.free_run.or(file.node.free_run),
-        cloud: args.cloud || file.node.cloud,
-        ..file.node
-    };
+    let mut settings = file.node;
+    args.settings.parameters().iter().try_for_each(|parameter| settings.set(parameter))?;
     set_parameters(&mut settings, ros)?;
     let links = Links::named(
         args.input.or(file.input),
@@ -80,23 +74,23 @@ pub fn run(
         .context("cannot publish")?;
     #[cfg(feature = "foxglove")]
     let foxglove = foxglove(args.foxglove, &links, ros, &mut outputs).context("--foxglove")?;
-    let mut presence = presence(&transports, input, ros);
-    let control = Arc::new(Control::default());
-    let _services = serve(&transports, &renamed, ros, &control).context("cannot offer services")?;
+    let mut context = node_context(&transports, input, ros);
+    let handle = Arc::new(NodeHandle::default());
+    let _services = serve(&transports, &renamed, ros, &handle).context("cannot offer services")?;
 
-    // It ends before the outputs, whose onlooker then speaks to a hub that nobody reads.
+    // Dropped before the outputs, whose observer may outlive it.
     let page = args.view.map(|address| {
-        let program = Program {
+        let info = PageInfo {
             command: "node",
             title: format!("{} on {input}", ros.full_name()),
             model: Some(node.surrogate().digest().to_owned()),
         };
-        let desk = Desk::of_node(Arc::clone(&control));
-        Page::serve(address, node.surrogate().description(), program, desk)
+        let panel = ControlPanel::of_node(Arc::clone(&handle));
+        LivePage::serve(address, node.surrogate().description(), info, panel)
     });
     let page = page.transpose().context("--view")?;
     if let (Some(page), Some(first)) = (&page, outputs.first_mut()) {
-        first.onlookers.push(page.onlooker());
+        first.observers.push(page.observer());
     }
 
     if !quiet {
@@ -105,26 +99,26 @@ pub fn run(
         println!("predicting {input} -> {} with model {digest}", names.join(", "));
         for link in &renamed.outputs {
             if let Some(memory) = transports.shared_memory(link, ParticleFrame::TYPE)? {
-                println!("{link} takes {memory}, more for frames of more than 2,560 particles");
+                println!("{link} uses {memory}, more for frames of more than 2,560 particles");
             }
         }
     }
     #[cfg(feature = "foxglove")]
     if let Some(server) = &foxglove {
-        let beyond = !server.address().ip().is_loopback();
-        let whom = if beyond { " (whoever reaches this address can watch)" } else { "" };
-        println!("foxglove: ws://{}{whom}", server.address());
+        let is_local = server.address().ip().is_loopback();
+        let warning = if is_local { "" } else { " (anyone who can reach this address can watch)" };
+        println!("foxglove: ws://{}{warning}", server.address());
     }
     if let Some(page) = &page {
-        page.announce();
+        announce_page(page);
     }
     let outcome = drive(
         &mut node,
-        &mut presence,
+        &mut context,
         subscriber.as_mut(),
         &mut outputs,
         &queue,
-        &control,
+        &handle,
         interrupt.flag(),
     );
     if !quiet {
@@ -133,13 +127,13 @@ pub fn run(
     Ok(outcome?)
 }
 
-/// Parameters of `--ros-args` go last. What a file says to nodes of any name need not be for us.
+/// Sets the parameters of `--ros-args`, which take precedence. Unknown parameters for nodes of any name are ignored.
 fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<()> {
     for given in ros.parameters() {
         match settings.set(&given.parameter) {
             Ok(()) => {}
             Err(InvalidSettings::Unknown { found }) if given.for_all => {
-                tracing::debug!("{}: {found} is no parameter of this node", given.argument);
+                tracing::debug!("{}: this node has no parameter {found}", given.argument);
             }
             Err(error) => return Err(error).context(given.argument.clone()),
         }
@@ -147,15 +141,14 @@ fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<
     Ok(())
 }
 
-/// Where frames come from and predictions go.
+/// Input and outputs.
 struct Links {
     input: Link,
     outputs: Vec<Link>,
 }
 
 impl Links {
-    /// The links that were named. Those that were not have relative topics, which are in the namespace of the
-    /// node.
+    /// The given links. Default links have relative topics, below the namespace of the node.
     fn named(input: Option<Link>, outputs: Option<Vec<Link>>) -> Self {
         Self {
             input: input.unwrap_or(Link::zenoh("particles")),
@@ -182,7 +175,7 @@ impl Links {
     }
 }
 
-/// Opens the outputs. What says something about the whole node is once on a transport.
+/// Opens the outputs; topics of the whole node once per transport.
 fn open(
     transports: &Transports,
     links: &Links,
@@ -222,7 +215,7 @@ fn open(
     Ok(opened)
 }
 
-/// Serves what there is to look at under the names of the first output, if it is wanted.
+/// Serves status, diagnostics and point clouds to Foxglove, under the names of the first output.
 #[cfg(feature = "foxglove")]
 fn foxglove(
     address: Option<FoxgloveAddress>,
@@ -242,24 +235,24 @@ fn foxglove(
         diagnostics: Some(publish(&diagnostics, DiagnosticArray::TYPE)?),
         prediction_cloud: cloud(output)?,
         input_cloud: cloud(&links.input)?,
-        ..Outputs::to_look_at(status)
+        ..Outputs::status_only(status)
     });
     Ok(Some(server))
 }
 
-/// The node in the graph. Simulated time comes from where the frames come from.
-fn presence(transports: &Transports, input: &Link, ros: &RosNode) -> Presence {
+/// The name of the node and its time; `/clock` is on the transport of the input.
+fn node_context(transports: &Transports, input: &Link, ros: &RosNode) -> NodeContext {
     let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
     let open = move || transports.subscriber(&clock, Clock::TYPE);
-    Presence { name: ros.full_name(), time: RosTime::new(Box::new(open)) }
+    NodeContext { name: ros.full_name(), input: input.clone(), time: RosTime::new(Box::new(open)) }
 }
 
-/// Offers the node's services on every transport of its links that has them.
+/// Offers the services of the node on every transport of its links that has services.
 fn serve(
     transports: &Transports,
     links: &Links,
     ros: &RosNode,
-    control: &Arc<Control>,
+    handle: &Arc<NodeHandle>,
 ) -> Result<Vec<Box<dyn Served>>, TransportError> {
     let links: Vec<_> = [&links.input].into_iter().chain(&links.outputs).collect();
     let mut served = Vec::new();
@@ -267,7 +260,7 @@ fn serve(
         if links[..index].iter().any(|other| other.transport == link.transport) {
             continue;
         }
-        for Service { name, type_name, handler } in services(&ros.full_name(), control) {
+        for Service { name, type_name, handler } in node_services(&ros.full_name(), handle) {
             let link = link.with_topic(&ros.service(&name));
             served.extend(transports.serve(&link, type_name, handler)?);
         }
@@ -275,7 +268,7 @@ fn serve(
     Ok(served)
 }
 
-/// What was used and what was not, in one line; zeros are left out.
+/// The counters in one line, without zeros.
 pub(super) fn summary(counters: &Counters) -> String {
     let counted: Vec<_> = counters
         .named()

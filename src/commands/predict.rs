@@ -14,12 +14,12 @@ use eddy_transport::Payload;
 /// The topic of the predictions.
 const PREDICTION: &str = "/prediction";
 
-/// Writes the predictions of every frame of a bag into another one. Log time is the predicted stamp,
-/// so that two runs give equal files.
+/// Writes the predictions from every frame of a bag into another. Log time is the predicted stamp, so that two runs give
+/// identical files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads)?;
-    let settings =
-        NodeSettings { horizon: args.horizon, publish: args.publish, ..NodeSettings::default() };
+    let mut settings = NodeSettings::default();
+    args.settings.parameters().iter().try_for_each(|parameter| settings.set(parameter))?;
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
     let reader = BagReader::open(&args.input)?;
@@ -34,7 +34,7 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         }
         let message = match message {
             Ok(message) => message,
-            // What was predicted so far is kept.
+            // The predictions so far are kept.
             Err(error) => {
                 failure = Some(error.into());
                 break;
@@ -48,8 +48,8 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
                 published += 1;
             }
             Ok(_) => {}
-            Err(refusal) => {
-                tracing::warn!("{}: frame refused: {refusal}", args.input.display());
+            Err(rejection) => {
+                tracing::warn!("{}: frame rejected: {rejection}", args.input.display());
             }
         });
         outcome?;
@@ -62,10 +62,6 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     if let Some(failure) = failure {
         return Err(failure);
     }
-    ensure!(
-        node.counters().published > 0,
-        "{}: found no frame that could be predicted from, expected at least one",
-        args.input.display()
-    );
+    ensure!(node.counters().published > 0, "{}: no frames to predict from", args.input.display());
     Ok(())
 }

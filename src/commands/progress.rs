@@ -1,4 +1,4 @@
-//! The library's progress on a terminal.
+//! Progress of library functions on a terminal.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -20,7 +20,7 @@ impl<'a> TerminalProgress<'a> {
         Self { interrupt, quiet, bar: Mutex::new(None) }
     }
 
-    /// A panic elsewhere cannot leave it half changed: it is replaced as a whole.
+    /// A panic in another thread leaves it consistent: it is only replaced as a whole.
     fn bar(&self) -> MutexGuard<'_, Option<ProgressBar>> {
         self.bar.lock().unwrap_or_else(PoisonError::into_inner)
     }

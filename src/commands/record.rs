@@ -1,6 +1,4 @@
-//! `eddy record`: topics into a bag.
-//!
-//! The recording itself is [`eddy_node::record`].
+//! `eddy record`: topics into a bag, by [`eddy_node::record`].
 
 use std::{collections::HashSet, time::Duration};
 
@@ -13,16 +11,17 @@ use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions};
 use eddy_frames::clock::{self, Clock};
 use eddy_messages::topic_type;
 use eddy_node::{
-    Losses, Reasons, RecordError, Recorder, RecordingTerms, TopicSearch, record, ros::RosNode,
+    Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record, recorder::Reasons,
+    ros::RosNode,
 };
 use eddy_transport::{SeenTopic, Transports};
 
-/// Key in `custom_data` of `metadata.yaml`: topics that were found and could not be recorded.
+/// Key in `custom_data` of `metadata.yaml`: links that could not be recorded.
 const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
-/// The same for topics that could be recorded for a part of the time only.
+/// The same for links that failed while they were recorded.
 const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
 
-/// Records until a limit, a failure or a signal; closes the bag in each case.
+/// Records until a limit, a failure or a signal, and closes the bag in each case.
 pub fn run(
     mut args: RecordArgs,
     ros: &RosNode,
@@ -30,7 +29,7 @@ pub fn run(
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
     has_no_parameters(ros)?;
-    // What a topic carries its own name says, not the one it is given.
+    // The type of a topic follows from its name before remapping.
     let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
@@ -42,7 +41,7 @@ pub fn run(
         exclude: args.exclude.clone(),
         all: args.all,
     };
-    let search = TopicSearch::new(transports.clone(), args.from.clone(), choice, known);
+    let discovery = TopicDiscovery::new(transports.clone(), args.from.clone(), choice, known);
     let mut inputs = Vec::new();
     for (link, type_name) in args.links.iter().zip(types) {
         let topic = SeenTopic { link: link.clone(), type_name, hash: None, kept: 0 };
@@ -59,7 +58,7 @@ pub fn run(
     let clock = Clock::start();
     let line = live_line(quiet);
     let output = args.output.display();
-    let terms = RecordingTerms {
+    let options = RecordingOptions {
         required: &args.links,
         cache_bytes: args.max_cache_size,
         max_messages: args.max_messages,
@@ -72,16 +71,16 @@ pub fn run(
             line.set_message(format!("{messages} messages, {:.0} s", time.as_secs_f64()));
         },
     };
-    let (outcome, losses) = record(&mut recorder, inputs, &search, &terms);
+    let (outcome, losses) = record(&mut recorder, inputs, &discovery, &options);
     line.finish_and_clear();
     recorder.note_not_given(losses.total());
-    let failed = search.failed().into_values().flatten().collect();
+    let failed = discovery.failed().into_values().flatten().collect();
     note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
-    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &search.ended());
+    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &discovery.ended());
     end(recorder, outcome, &losses, clock.now().as_secs_f64())
 }
 
-/// Says of links what was not recorded from them and why, here and in the bag.
+/// Reports links that were not recorded, or not to the end, and notes them in the bag.
 fn note(recorder: &mut Recorder, key: &str, what: &str, links: &Reasons) {
     if !links.is_empty() {
         recorder.note(key, links.keys().cloned().collect::<Vec<_>>().join(" "));
@@ -109,7 +108,7 @@ fn check(args: &RecordArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Closes the bag and says what is in it.
+/// Closes the bag and prints a summary.
 fn end(
     recorder: Recorder,
     outcome: Result<(), RecordError>,
@@ -117,9 +116,9 @@ fn end(
     seconds: f64,
 ) -> anyhow::Result<()> {
     let unfinished = recorder.bag().active_file().to_owned();
-    let kept = || format!("what was written stays in {}", unfinished.display());
+    let kept = || format!("recorded data stays in {}", unfinished.display());
     let failure = match outcome {
-        // Nothing can follow a failed write; what came before it is in the file.
+        // Nothing can be written after a failed write; earlier messages are in the file.
         Err(RecordError::Bag(error)) if !error.is_disk_full() => {
             return Err(error).with_context(kept);
         }
@@ -132,16 +131,16 @@ fn end(
     let bag = recorder.finish().with_context(kept)?;
     report(&bag, losses, seconds);
     match failure {
-        None if bag.lost > 0 => bail!(no_room(&bag, losses)),
-        Some(failure) if bag.lost > 0 => Err(failure).context(no_room(&bag, losses)),
+        None if bag.lost > 0 => bail!(disk_full(&bag, losses)),
+        Some(failure) if bag.lost > 0 => Err(failure).context(disk_full(&bag, losses)),
         Some(failure) => Err(failure),
         None => Ok(()),
     }
 }
 
-fn no_room(bag: &BagSummary, losses: &Losses) -> String {
+fn disk_full(bag: &BagSummary, losses: &Losses) -> String {
     format!(
-        "no room was left: the bag is closed with {} messages, {} more were lost",
+        "disk full: the bag was closed with {} messages, {} more were lost",
         bag.messages,
         bag.lost + losses.unwritten
     )
@@ -151,14 +150,14 @@ fn report(bag: &BagSummary, losses: &Losses, seconds: f64) {
     for topic in &bag.topics {
         println!("{}: {} messages", topic.name, topic.messages);
     }
-    if losses.refused > 0 {
-        println!("not recorded: {} messages that the transport gave up", losses.refused);
+    if losses.in_transport > 0 {
+        println!("not recorded: {} messages dropped by the transport", losses.in_transport);
     }
-    if losses.no_room > 0 {
-        println!("not recorded: {} messages that found no room in the queue", losses.no_room);
+    if losses.queue_full > 0 {
+        println!("not recorded: {} messages dropped because the queue was full", losses.queue_full);
     }
     if losses.unwritten > 0 {
-        println!("not recorded: {} messages that waited in the queue at the end", losses.unwritten);
+        println!("not recorded: {} messages still in the queue", losses.unwritten);
     }
     let files = match bag.files.len() {
         1 => String::new(),

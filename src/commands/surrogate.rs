@@ -1,12 +1,11 @@
-//! Which surrogate a command works with.
+//! The surrogate of a command.
 
 use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::Context;
 use eddy_inference::{checkpoint::Checkpoint, engine::Surrogate};
 
-/// The surrogate of the checkpoint at `path`, or of the shipped particle model; on as many threads as there are cores if not
-/// given.
+/// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default.
 pub(super) fn load(
     path: Option<&Path>,
     threads: Option<NonZeroUsize>,

@@ -1,4 +1,4 @@
-//! `eddy train`: bags to a checkpoint.
+//! `eddy train`: from bags to a checkpoint.
 
 use std::path::{Path, PathBuf};
 
@@ -13,19 +13,19 @@ use eddy_learning::{
 use eddy_settings::Overrides;
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, TerminalProgress, pages, progress_bar};
+use super::{Interrupt, allocator, progress_bar};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
 const GIB: f64 = (1u64 << 30) as f64;
 
-/// Loading shows a bar when it takes longer (s).
-const PATIENCE: f64 = 2.0;
+/// Delay before a progress bar for loading (s).
+const BAR_DELAY: f64 = 2.0;
 
-/// Trains a network on the bags at `args.data`; the best checkpoint ends up in `args.output`. With
-/// several seeds, each has a run in a folder of its own there.
+/// Trains a network on the bags at `args.data` and writes the best checkpoint to `args.output`; with several seeds, one
+/// run per seed in a directory there.
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    pages::keep_freed();
+    allocator::keep_freed_memory();
     let config = settings(&args)?;
     let runs = runs(&args, &config)?;
     for (_, output) in &runs {
@@ -38,8 +38,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let mut outcomes = Vec::new();
     let mut failure = None;
-    let progress = TerminalProgress::new(quiet, interrupt);
-    // Once for all runs: what one of them frees stays with this process, for the next.
+    // Measured once for all runs: memory that one frees stays with this process.
     let memory = available_memory();
     for (config, output) in &runs {
         let run = Run {
@@ -64,7 +63,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             summarize(&args, config, output, &outcome);
         }
         if outcome.best.is_none() {
-            bail!("{}: interrupted before the first epoch was done", output.display());
+            bail!("{}: interrupted before the first epoch ended", output.display());
         }
         let interrupted = outcome.interrupted;
         outcomes.push((config.seed, outcome));
@@ -129,7 +128,7 @@ fn runs(args: &TrainArgs, config: &TrainConfig) -> anyhow::Result<Vec<(TrainConf
     Ok(runs)
 }
 
-/// Reads the bags, with a progress bar when it takes long.
+/// Reads the bags, with a progress bar if it takes long.
 fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
     let memory = match args.memory {
         None => available_memory() / 2,
@@ -145,7 +144,7 @@ fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
     let clock = Clock::start();
     let mut hidden = !quiet;
     let dataset = Dataset::load(&args.data, memory, &mut |done, all| {
-        if hidden && clock.now().as_secs_f64() > PATIENCE {
+        if hidden && clock.now().as_secs_f64() > BAR_DELAY {
             bar.set_draw_target(ProgressDrawTarget::stderr());
             hidden = false;
         }
@@ -158,31 +157,31 @@ fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
 
 fn introduce(config: &TrainConfig, dataset: &Dataset) {
     println!(
-        "{} {}: {} streams to train on, {} to validate on, {} set aside",
+        "{} {}: {} streams for training, {} for validation, {} for testing",
         config.architecture.name(),
         config.core.name(),
         dataset.train.len(),
         dataset.validation.len(),
         dataset.test.len(),
     );
-    if let Some(store) = dataset.frame_store() {
-        println!("frames stay on disk, at most {} of them in memory", HumanBytes(store.limit()));
+    if let Some(shelf) = dataset.shelf() {
+        println!("frames stay on disk, up to {} of them in memory", HumanBytes(shelf.limit()));
     }
 }
 
-/// What a run came to, where everything is, and how to go on.
+/// The result of a run, where its files are, and the next commands.
 fn summarize(args: &TrainArgs, config: &TrainConfig, output: &Path, outcome: &Outcome) {
     let Outcome { epochs, best, interrupted, seconds, samples } = outcome;
     let how = if *interrupted { "interrupted" } else { "done" };
     println!(
-        "{how}: {} epochs, {} samples in {seconds:.0} s ({:.0} a second, validation included)",
+        "{how}: {} epochs, {} samples in {seconds:.0} s ({:.0} samples/s, including validation)",
         epochs.len(),
         HumanCount(*samples),
         *samples as f64 / seconds.max(1e-9),
     );
     let (Some(checkpoint), Some(best)) = (best, best_of(epochs)) else { return };
     println!(
-        "best: epoch {}, validation loss {:.4} (1 is the best trivial predictor's), skill {:+.2} at frame 1, {:+.2} at frame {}",
+        "best: epoch {}, validation loss {:.4} (best trivial predictor: 1), skill {:+.2} at frame 1, {:+.2} at frame {}",
         best.epoch,
         best.validation_loss,
         best.first_skill,
@@ -191,27 +190,27 @@ fn summarize(args: &TrainArgs, config: &TrainConfig, output: &Path, outcome: &Ou
     );
     let place = output.display();
     println!(
-        "{place}: the best checkpoint, {} parameters, digest {}; the last epoch is in {LAST_FOLDER}/; curves: tensorboard --logdir {place}",
+        "{place}: best checkpoint, {} parameters, digest {}; last epoch in {LAST_FOLDER}/; curves: tensorboard --logdir {place}",
         HumanCount(checkpoint.parameters() as u64),
         checkpoint.short_digest(),
     );
     if *interrupted {
-        println!("go on: the same command with --resume");
+        println!("resume: the same command with --resume");
     }
     let data: Vec<_> = args.data.iter().map(|path| path.display().to_string()).collect();
     let name = output.file_name().unwrap_or_default().display();
     println!(
-        "judge: eddy eval --checkpoint {place} --data {} --output reports/{name}",
+        "evaluate: eddy eval --checkpoint {place} --data {} --output reports/{name}",
         data.join(" ")
     );
 }
 
-/// The best epoch so far.
+/// The epoch with the lowest validation loss.
 fn best_of(epochs: &[Epoch]) -> Option<&Epoch> {
     epochs.iter().rfind(|epoch| epoch.best)
 }
 
-/// The runs of several seeds side by side.
+/// A table of the runs of several seeds.
 fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> String {
     let mut table = Table::new();
     table.load_style(UTF8_BORDERS_ONLY);

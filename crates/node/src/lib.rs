@@ -26,9 +26,7 @@ pub use player::{
     CommandOutcome, Pacer, PendingCommand, PlaybackSink, Player, PlayerCommand, PlayerError,
     PlayerHandle, PlayerOptions, Timeline, play,
 };
-pub use recorder::{
-    Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record,
-};
+pub use recorder::{Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record};
 pub use requests::{PendingRequest, RequestChannel, Responder};
 pub use service::Service;
 pub use surrogate::{

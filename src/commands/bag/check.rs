@@ -7,7 +7,7 @@ use anyhow::bail;
 use super::survey;
 use eddy_bag::BagReader;
 
-/// Says everything that is wrong with a bag.
+/// Prints all problems of a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     let bag = BagReader::open(path)?;
     let mut survey = survey(&bag, quiet);
@@ -15,13 +15,16 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     for finding in &survey.findings {
         println!("{finding}");
     }
-    let findings = survey.findings.len() as u64 + survey.further_findings;
+    let listed = survey.findings.len() as u64;
+    let findings = listed + survey.further_findings;
     if survey.further_findings > 0 {
         println!("... and {} more", survey.further_findings);
     }
     if findings > 0 {
-        bail!("{}: findings: found {findings}, expected 0", path.display());
+        let more = survey.further_findings > 0;
+        let listed = if more { format!(" (first {listed} listed)") } else { String::new() };
+        bail!("{}: {findings} problems found{listed}", path.display());
     }
-    println!("{}: {} messages, nothing wrong", path.display(), bag.message_count());
+    println!("{}: {} messages, no problems found", path.display(), bag.message_count());
     Ok(())
 }

@@ -17,7 +17,7 @@ use eddy_frames::Stamp;
 use eddy_messages::{Message, ParticleFrame};
 use eddy_settings::near;
 
-/// Copies a part of the time of a bag.
+/// Copies a time range of a bag.
 pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     ensure!(
         args.duration.is_none_or(|seconds| seconds.is_finite() && seconds > 0.0),
@@ -33,7 +33,7 @@ pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     };
     if let (Some(from), Some(end)) = (from, end) {
         let (found, least) = (end.0, from.0);
-        ensure!(end > from, "--end: found {found} ns, expected more than --start, {least} ns");
+        ensure!(end > from, "--end: found {found} ns, expected more than --start ({least} ns)");
     }
     let until = end.map(|Stamp(end)| Stamp(end.saturating_sub(1)));
     let selection = Selection { topics: None, from, until };
@@ -66,20 +66,20 @@ pub fn filter(args: FilterArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::R
     })
 }
 
-/// Copies a bag with its frames also as point clouds.
+/// Copies a bag and adds its frames as point clouds.
 pub fn cloud(args: &CloudArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let bag = open(&args.bag)?;
     let (path, kind) = (args.bag.display(), ParticleFrame::TYPE);
     ensure!(
         !without_cloud(&bag).is_empty(),
-        "{path}: found no topic of {kind} without a cloud beside it, expected one"
+        "{path}: no topic of {kind} without a point cloud topic beside it"
     );
     copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
         clouds(&bag, output, options)
     })
 }
 
-/// As [`cloud`], with what `export` was given.
+/// As [`cloud`], with the arguments of `export`.
 pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let stem = stem(&args.bags);
     let ExportArgs { bags, output, compression, .. } = args;
@@ -89,11 +89,13 @@ pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> any
     cloud(&CloudArgs { bag, new: NewBagArgs { output, compression } }, quiet, interrupt)
 }
 
-/// Opens a bag that must be whole.
+/// Opens an undamaged bag.
 fn open(path: &Path) -> anyhow::Result<BagReader> {
     let bag = BagReader::open(path)?;
     match bag.damage() {
-        Some(damage) => Err(damage).context("eddy bag recover saves what can be read"),
+        Some(damage) => {
+            Err(damage).context("damaged bag; `eddy bag recover` copies what can be read")
+        }
         None => Ok(bag),
     }
 }

@@ -11,10 +11,10 @@ use crate::{
 };
 use eddy_exchange::{FrameSelection, export};
 
-/// Writes frames as files of other programs.
+/// Writes frames as files for other programs.
 pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    // Wrong usage without it.
-    let format = args.format.context("--format: found none, expected one")?;
+    // Required by the command line.
+    let format = args.format.context("--format: expected a format")?;
     let stem = stem(&args.bags);
     let choice = FrameSelection {
         bags: args.bags,
@@ -29,11 +29,11 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     let outcome = export(&streams, format, &output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     outcome?;
-    println!("streams: {count}, frames: {}: {}", streams.frames(), output.display());
+    println!("{}: {count} streams, {} frames", output.display(), streams.frames());
     Ok(())
 }
 
-/// What an output is named after.
+/// Stem of the default output name.
 pub(super) fn stem(bags: &[PathBuf]) -> String {
     let stem = |bag: &Path| Some(bag.file_stem()?.to_string_lossy().into_owned());
     bags.first().and_then(|bag| stem(bag)).unwrap_or_else(|| "frames".into())

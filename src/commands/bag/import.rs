@@ -8,25 +8,21 @@ use crate::{
 use eddy_exchange::{ImportOverrides, import};
 use eddy_frames::Domain;
 
-/// Writes the trajectories of other programs' files as bags.
+/// Writes trajectories from files of other programs as bags.
 pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let domain = args.domain.as_deref().and_then(|sides| match *sides {
         [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
         _ => None,
     });
-    let overrides = ImportOverrides { dt: args.dt, domain, material: args.material };
-    // How many frames there are is known at the end.
+    let supplement = Supplement { dt: args.dt, domain, material: args.material };
+    // The number of frames is unknown until the end.
     let bar = progress_bar(0, "frames", quiet);
     bar.unset_length();
     let imported =
         import(&args.path, args.format, &overrides, &args.output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     let imported = imported?;
-    println!(
-        "streams: {}, frames: {}: {}",
-        imported.streams,
-        imported.frames,
-        args.output.display()
-    );
+    let (output, streams) = (args.output.display(), imported.streams);
+    println!("{output}: {streams} streams, {} frames", imported.frames);
     Ok(())
 }

@@ -20,9 +20,9 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     println!("compression  {}", if compressions.is_empty() { "none" } else { &compressions });
     println!("messages     {}", bag.message_count());
 
-    for (what, count) in ["attachments", "metadata"].iter().zip(bag.auxiliary_counts()) {
+    for (kind, count) in ["attachments", "metadata"].iter().zip(bag.auxiliary_counts()) {
         if count > 0 {
-            println!("{what:<12} {count}");
+            println!("{kind:<12} {count}");
         }
     }
     println!("duration     {:.3} s", bag.duration());
@@ -46,7 +46,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     }
     println!("{}", table.trim_fmt());
     if bag.is_unfinished() {
-        println!("unfinished: the bag is still being written, or its writer was killed");
+        println!("unfinished: the bag is still being written, or the recorder was killed");
     }
     match bag.damage() {
         Some(damage) => Err(damage.into()),
@@ -54,7 +54,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     }
 }
 
-/// Messages a second over the whole bag.
+/// Mean rate over the whole bag (Hz).
 fn rate(messages: u64, duration: f64) -> String {
     if messages < 2 || duration <= 0.0 {
         return "-".to_owned();
@@ -62,7 +62,7 @@ fn rate(messages: u64, duration: f64) -> String {
     format!("{:.2}", (messages - 1) as f64 / duration)
 }
 
-/// How many streams, their particles, their intervals.
+/// Number of streams, range of particles, range of intervals.
 fn streams(topic: &TopicSurvey) -> [String; 3] {
     let streams = || topic.streams.values();
     let Some(first) = streams().next() else { return [(); 3].map(|()| "-".to_owned()) };

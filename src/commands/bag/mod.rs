@@ -1,4 +1,4 @@
-//! `eddy bag`: looks into bags, makes bags of bags, takes frames out of them and into them.
+//! `eddy bag`: inspect, check, repair, edit, convert and render bags.
 
 mod check;
 mod edit;
@@ -18,7 +18,7 @@ use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
 use eddy_exchange::{ExchangeError, FrameSelection, Streams};
 
-/// So many messages pass between two looks at the progress bar.
+/// Messages between two updates of the progress bar.
 const PROGRESS_STEP: u64 = 64;
 
 /// Runs one of the subcommands.
@@ -40,19 +40,19 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
     .map(|()| ExitCode::SUCCESS)
 }
 
-/// How a bag made of `bags` is written.
+/// How to write a bag made of `bags`.
 fn writer_options(new: &NewBagArgs, bags: &[BagReader]) -> WriterOptions {
     let found: BTreeSet<&str> = bags.iter().flat_map(BagReader::compressions).collect();
-    let as_before = match found.into_iter().collect::<Vec<_>>()[..] {
+    let unchanged = match found.into_iter().collect::<Vec<_>>()[..] {
         ["none"] => Compression::None,
         ["lz4"] => Compression::Lz4,
         _ => Compression::Zstd,
     };
-    let compression = new.compression.map_or(as_before, Compression::from);
+    let compression = new.compression.map_or(unchanged, Compression::from);
     WriterOptions { compression, ..WriterOptions::default() }
 }
 
-/// Says what was written.
+/// Prints what was written.
 fn report(bag: &BagSummary) {
     println!(
         "{}: {} messages on {} topics",
@@ -73,7 +73,7 @@ fn survey(bag: &BagReader, quiet: bool) -> Survey {
     survey
 }
 
-/// Reads bags once to know their streams.
+/// Finds the streams of bags, reading them once.
 fn find_streams(
     choice: &FrameSelection,
     quiet: bool,
@@ -85,7 +85,7 @@ fn find_streams(
     streams
 }
 
-/// How many messages of the topic the bags have.
+/// Number of messages on a topic.
 fn messages(bags: &[PathBuf], topic: &str) -> Result<u64, BagError> {
     let mut messages = 0;
     for bag in find_bags(bags)? {
@@ -96,7 +96,7 @@ fn messages(bags: &[PathBuf], topic: &str) -> Result<u64, BagError> {
     Ok(messages)
 }
 
-/// Moves the bar by the bytes of each call, and goes on until a signal comes.
+/// Advances the bar by a number of bytes; returns whether to continue.
 fn watch_bytes<'a>(bar: &'a ProgressBar, interrupt: &'a Interrupt) -> impl FnMut(u64) -> bool + 'a {
     move |bytes| {
         bar.inc(bytes);
@@ -104,7 +104,7 @@ fn watch_bytes<'a>(bar: &'a ProgressBar, interrupt: &'a Interrupt) -> impl FnMut
     }
 }
 
-/// Moves the bar by one frame at each call, and goes on until a signal comes.
+/// Advances the bar by one; returns whether to continue.
 fn watch<'a>(bar: &'a ProgressBar, interrupt: &'a Interrupt) -> impl FnMut() -> bool + 'a {
     move || {
         bar.inc(1);

@@ -9,10 +9,10 @@ use crate::{
 };
 use eddy_bag::{CopyOptions, Recovery};
 
-/// Exit code when the new bag lacks something of the old one, as that of `mcap recover`.
+/// Exit code when data was lost, as in `mcap recover`.
 const LOSSY: u8 = 3;
 
-/// Saves what can be read of a bag.
+/// Copies what can be read of a bag.
 pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {
     let bar = progress_bar(Recovery::size(&args.bag)?, "bytes", quiet);
     let found = Recovery::open(&args.bag, &mut watch_bytes(&bar, interrupt));
@@ -26,7 +26,7 @@ pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let recovered = outcome?;
     report(&recovered.bag);
     for loss in &recovered.losses {
-        println!("not whole: {loss}");
+        println!("lost: {loss}");
     }
     Ok(if recovered.losses.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(LOSSY) })
 }

@@ -1,4 +1,4 @@
-//! The demo's live line: rate, latency, and the error of the predictions beside the best baseline's.
+//! The live line of the demo: rate, latency, and the error of the predictions beside that of the best baseline.
 
 use std::{sync::Arc, time::Duration};
 
@@ -6,51 +6,51 @@ use eddy_frames::Frame;
 use eddy_messages::PredictionStatus;
 use eddy_node::{
     diagnostics::Monitor,
-    viewer::{Ahead, Comparison, Explained, Summary},
+    viewer::{Comparison, PredictionInfo, StatusJoiner, Summary},
 };
 
-/// Errors of the best baseline below this mean that nothing moves (domain lengths).
+/// Error of the best baseline below which nothing moves (domain lengths).
 const AT_REST: f64 = 1e-4;
 
-/// Compares predictions with the truth as it arrives.
+/// Compares predictions with the truth as both arrive.
 pub(super) struct Live {
     comparison: Comparison,
-    explained: Explained,
+    joiner: StatusJoiner,
     monitor: Monitor,
 }
 
 impl Live {
     /// Starts at `now`.
     pub(super) fn start(comparison: Comparison, now: Duration) -> Self {
-        Self { comparison, explained: Explained::default(), monitor: Monitor::start(now) }
+        Self { comparison, joiner: StatusJoiner::default(), monitor: Monitor::start(now) }
     }
 
-    /// A prediction came.
+    /// A prediction has arrived.
     pub(super) fn prediction(&mut self, frame: Frame) {
-        let joined = self.explained.prediction(frame);
+        let joined = self.joiner.prediction(frame);
         self.compare(joined);
     }
 
-    /// How one of these came to be.
+    /// The status of a prediction has arrived.
     pub(super) fn status(&mut self, status: PredictionStatus) {
         let latency = Duration::try_from_secs_f32(status.latency).unwrap_or_default();
         self.monitor.published(1, latency);
-        let joined = self.explained.status(status);
+        let joined = self.joiner.status(status);
         self.compare(joined);
     }
 
-    fn compare(&mut self, joined: Option<(Frame, Ahead)>) {
-        if let Some((frame, ahead)) = joined {
-            self.comparison.prediction(Arc::new(frame), ahead);
+    fn compare(&mut self, joined: Option<(Frame, PredictionInfo)>) {
+        if let Some((frame, info)) = joined {
+            self.comparison.prediction(Arc::new(frame), info);
         }
     }
 
-    /// The truth came.
+    /// An observed frame has arrived.
     pub(super) fn truth(&mut self, frame: Frame) {
         self.comparison.truth(Arc::new(frame));
     }
 
-    /// The line; starts the next interval of rate and latency.
+    /// The line since the last call.
     pub(super) fn line(&mut self, now: Duration) -> String {
         let rates = self.monitor.rates(now);
         self.monitor = Monitor::start(now);
@@ -58,7 +58,7 @@ impl Live {
             return "waiting for the first frame".to_owned();
         };
         let mut line = format!("t = {time:6.2} s");
-        let Some(Summary { frames, error, baseline }) = self.comparison.summary() else {
+        let Some(Summary { horizon, error, baseline }) = self.comparison.summary() else {
             return line + " | warming up";
         };
         let milliseconds = |latency: Duration| latency.as_secs_f64() * 1e3;
@@ -71,15 +71,15 @@ impl Live {
             );
         }
         line += &format!(" | error {error:.1e}");
-        if let Some((best, of_best)) = baseline {
-            line += &format!(", {} {of_best:.1e}", best.name());
-            // Where everything rests the best baseline is exact, and a ratio to it says nothing.
-            if of_best > AT_REST {
-                line += &format!(", skill {:+.2}", 1.0 - (error / of_best).powi(2));
+        if let Some((best, best_error)) = baseline {
+            line += &format!(", {} {best_error:.1e}", best.name());
+            // At rest the best baseline is exact, and skill is undefined.
+            if best_error > AT_REST {
+                line += &format!(", skill {:+.2}", 1.0 - (error / best_error).powi(2));
             }
         }
-        if frames > 1 {
-            line += &format!(", {frames} frames ahead");
+        if horizon > 1 {
+            line += &format!(", {horizon} frames ahead");
         }
         line
     }

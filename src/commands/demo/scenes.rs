@@ -1,25 +1,23 @@
-//! What the demo simulates, scene after scene, and where the truth goes.
+//! The scenes of the demo, and where their frames are published.
 
 use std::sync::Arc;
 
 use super::SCENE;
-use crate::commands::pace::Pace;
 use eddy_frames::{Frame, Stamp};
 use eddy_messages::{self as msg, cdr};
 use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
-use eddy_node::viewer::Hub;
+use eddy_node::{Pacer, viewer::Hub};
 use eddy_transport::Publisher;
 
-/// What is simulated, scene after scene.
 pub(super) struct Scenes {
     pub(super) seed: u64,
-    /// Length of each (simulated s).
+    /// Duration of each scene (simulated s).
     pub(super) seconds: f64,
     pub(super) endless: bool,
 }
 
 impl Scenes {
-    /// The scene of this number; each is a stream of its own.
+    /// The scene of this number, a stream of its own.
     pub(super) fn simulation(&self, number: u64) -> anyhow::Result<Simulation> {
         let seed = self.seed.wrapping_add(number);
         let scene = Scene::generate(Preset::MultiMaterial, seed, SCENE);
@@ -28,19 +26,21 @@ impl Scenes {
         Ok(Simulation::new(scene, &settings)?)
     }
 
-    /// Plays one after the other. Returns whether the first was whole.
+    /// Simulates scenes one after the other. Returns whether the first was complete.
     pub(super) fn play(
         &mut self,
         first: Simulation,
-        pace: &mut Pace<'_>,
-        ends: impl Fn() -> bool,
+        pacer: &mut Pacer<'_>,
+        is_stopped: impl Fn() -> bool,
         source: &mut Source,
     ) -> anyhow::Result<bool> {
         let mut simulation = first;
         for number in 1.. {
-            let whole = pace.run(&mut simulation, &ends, |frame, _| source.publish(frame))?;
-            if !whole || !self.endless {
-                return Ok(whole || number > 1);
+            let next = |simulation: &mut Simulation| Ok(simulation.next_frame()?);
+            let publish = |frame: &Frame, _: &Simulation| source.publish(frame);
+            let complete = pacer.run(&mut simulation, next, &is_stopped, publish)?;
+            if !complete || !self.endless {
+                return Ok(complete || number > 1);
             }
             source.next_scene(SCENE + number - 1);
             simulation = self.simulation(number)?;
@@ -49,14 +49,15 @@ impl Scenes {
     }
 }
 
-/// Where the truth goes, with the time.
+/// Publishes frames and simulated time.
 pub(super) struct Source {
     pub(super) truth: Box<dyn Publisher>,
     pub(super) clock: Box<dyn Publisher>,
-    /// When the scene began, and how far it is: time goes on from scene to scene.
+    /// Simulated time at the start of the scene: it continues from scene to scene.
     pub(super) began: Stamp,
+    /// Simulated time of the last frame.
     pub(super) now: Stamp,
-    /// What the page shows.
+    /// The live page.
     pub(super) hub: Option<Arc<Hub>>,
 }
 
@@ -67,7 +68,7 @@ impl Source {
         Ok(self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: self.now.into() }))?)
     }
 
-    /// The stream of the scene before has `ended`.
+    /// Ends the stream `ended` of the previous scene.
     fn next_scene(&mut self, ended: u64) {
         self.began = self.now;
         if let Some(hub) = &self.hub {

@@ -1,4 +1,4 @@
-//! What the demo records and shows while it runs.
+//! Records and compares while the demo runs.
 
 use std::{
     io::{Write, stdout},
@@ -16,10 +16,9 @@ use eddy_messages::{PredictionStatus, cdr};
 use eddy_node::Recorder;
 use eddy_transport::{Payload, Subscriber};
 
-/// How long the watcher waits for a frame before it looks at everything else.
-const PATIENCE: Duration = Duration::from_millis(20);
+/// Longest wait for a frame.
+const MAX_WAIT: Duration = Duration::from_millis(20);
 
-/// What is recorded and shown.
 pub(super) struct Watch {
     pub(super) recorder: Option<Recorder>,
     pub(super) recorded: Option<BagSummary>,
@@ -35,7 +34,7 @@ pub(super) struct Recorded {
 }
 
 impl Recorded {
-    /// What comes; it is recorded if it belongs to the first scene.
+    /// Receives a message and records it if it belongs to the first scene.
     fn receive(
         &mut self,
         recorder: &mut Option<Recorder>,
@@ -53,7 +52,7 @@ impl Recorded {
 }
 
 impl Watch {
-    /// Records and compares until the truth has ended and nothing more comes.
+    /// Records and compares until the simulation has ended and all frames are received.
     pub(super) fn run(
         &mut self,
         mut live: Live,
@@ -72,13 +71,13 @@ impl Watch {
             while let Some(payload) = self.status.receive(&mut self.recorder, Duration::ZERO)? {
                 let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
                 if status.stream != SCENE {
-                    // What was predicted of the first scene was published before.
+                    // All predictions of the first scene were published before this status.
                     self.predictions(&mut live)?;
                     self.close()?;
                 }
                 live.status(status);
             }
-            match self.truth.receive(&mut self.recorder, PATIENCE)? {
+            match self.truth.receive(&mut self.recorder, MAX_WAIT)? {
                 Some(payload) => live.truth(payload.into_frame()?),
                 None if ended => break,
                 None => {}
@@ -101,8 +100,8 @@ impl Watch {
         Ok(())
     }
 
-    /// Reads what still comes until those who publish have `ended`, and records it unless that has failed.
-    pub(super) fn read_on(&mut self, records: bool, ended: impl Fn() -> bool) {
+    /// Receives until the publishers have ended, so that they do not block; records unless recording has failed.
+    pub(super) fn drain(&mut self, records: bool, ended: impl Fn() -> bool) {
         if !records {
             self.recorder = None;
         }
@@ -110,7 +109,7 @@ impl Watch {
             for topic in [&mut self.prediction, &mut self.status, &mut self.truth] {
                 while let Ok(Some(_)) = topic.receive(&mut self.recorder, Duration::ZERO) {}
             }
-            thread::sleep(PATIENCE);
+            thread::sleep(MAX_WAIT);
         }
     }
 
@@ -122,7 +121,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Records what the node published last, and closes the bag.
+    /// Records the last messages of the node and closes the bag.
     pub(super) fn finish(mut self) -> anyhow::Result<BagSummary> {
         for topic in [&mut self.prediction, &mut self.status] {
             while topic.receive(&mut self.recorder, Duration::ZERO)?.is_some() {}
@@ -132,9 +131,9 @@ impl Watch {
     }
 }
 
-/// How the live line is shown.
+/// Where the live line is printed.
 pub(super) enum Printer {
-    /// One line of a terminal, again and again.
+    /// One line of a terminal, overwritten.
     Line,
     /// A new line every second.
     Lines { quiet: bool },
@@ -145,7 +144,7 @@ impl Printer {
         match self {
             Self::Line => {
                 print!("\r\x1b[2K{line}");
-                // A terminal that went away is no reason to end.
+                // A closed terminal does not end the demo.
                 let _ = stdout().flush();
             }
             Self::Lines { quiet: false } => println!("{line}"),

@@ -6,8 +6,7 @@ use anyhow::Context;
 
 use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
 
-/// Prints what reports have in common and where they differ, and writes it as a page if `output` says
-/// where.
+/// Prints a comparison of reports, and writes it to `output` as HTML.
 pub(super) fn run(paths: &[PathBuf], output: Option<&Path>) -> anyhow::Result<()> {
     let reports = paths.iter().map(|path| Report::load(path)).collect::<Result<Vec<_>, _>>()?;
     let comparison = Comparison::new(names(paths).into_iter().zip(reports).collect())?;
@@ -20,7 +19,7 @@ pub(super) fn run(paths: &[PathBuf], output: Option<&Path>) -> anyhow::Result<()
     Ok(())
 }
 
-/// What reports are called: their folders.
+/// Names of reports: their directories.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let folder = |path: &PathBuf| {
         let folder = if path.is_dir() { Some(path.as_path()) } else { path.parent() };

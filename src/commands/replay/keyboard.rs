@@ -1,5 +1,7 @@
-//! What the user wants, where standard input is a terminal.
-#![expect(unsafe_code, reason = "a signal handler")]
+//! Commands by keys, if standard input is a terminal.
+//!
+//! Only echo and line buffering are turned off: in crossterm's raw mode Ctrl-C and Ctrl-Z would not raise signals, and
+//! logs would need carriage returns.
 
 use std::{
     io::{self, IsTerminal as _, stdin},
@@ -8,6 +10,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    thread::{self, JoinHandle},
 };
 
 use rustix::{
@@ -17,92 +20,96 @@ use rustix::{
     },
 };
 use signal_hook::{
-    SigId,
     consts::{SIGINT, SIGTERM, SIGTSTP},
-    low_level::{emulate_default_handler, register, unregister},
+    iterator::{Handle, Signals},
+    low_level::emulate_default_handler,
 };
 
-use eddy_node::Wish;
+use eddy_node::{PlayerCommand, player::parse_keys};
 
-/// A terminal that hands over each key at once and shows none; as before when dropped, when a signal
-/// asks for the end, and while the process is stopped (Ctrl-Z). Ctrl-C stays what it is.
+/// A terminal without echo and line buffering. Its modes are restored on drop, on SIGINT and SIGTERM, and while the
+/// process is stopped (Ctrl-Z).
 pub(super) struct Keyboard {
     terminal: OwnedFd,
-    before: Termios,
-    direct: Termios,
-    /// Whether a signal has asked for the end: it may come before this is dropped.
-    given_back: Arc<AtomicBool>,
-    handlers: Vec<SigId>,
+    original: Termios,
+    unbuffered: Termios,
+    /// Whether SIGINT or SIGTERM has arrived, which may be long before the drop.
+    is_released: Arc<AtomicBool>,
+    signals: Handle,
+    thread: Option<JoinHandle<()>>,
 }
 
 impl Keyboard {
-    /// Takes the terminal over, if there is one and this process is in its foreground.
+    /// Opens standard input if it is a terminal with this process in its foreground.
     pub(super) fn open() -> Option<Self> {
         let terminal = stdin().as_fd().try_clone_to_owned().ok()?;
         if !terminal.is_terminal() || !in_foreground(&terminal) {
             return None;
         }
-        let before = tcgetattr(&terminal).ok()?;
-        let mut direct = before.clone();
-        direct.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-        // A read gives what there is, at once.
-        direct.special_codes[SpecialCodeIndex::VMIN] = 0;
-        direct.special_codes[SpecialCodeIndex::VTIME] = 0;
-        let given_back = Arc::default();
-        let mut keyboard = Self { terminal, before, direct, given_back, handlers: Vec::new() };
-        keyboard.listen().ok()?;
-        tcsetattr(&keyboard.terminal, OptionalActions::Now, &keyboard.direct).ok()?;
-        Some(keyboard)
+        let original = tcgetattr(&terminal).ok()?;
+        let mut unbuffered = original.clone();
+        unbuffered.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        // A read returns the waiting bytes at once.
+        unbuffered.special_codes[SpecialCodeIndex::VMIN] = 0;
+        unbuffered.special_codes[SpecialCodeIndex::VTIME] = 0;
+        let is_released = Arc::default();
+        let (signals, thread) = watch_signals(&terminal, &original, &is_released).ok()?;
+        tcsetattr(&terminal, OptionalActions::Now, &unbuffered).ok()?;
+        Some(Self { terminal, original, unbuffered, is_released, signals, thread: Some(thread) })
     }
 
-    /// Gives the terminal back at signals that end this process or stop it.
-    fn listen(&mut self) -> io::Result<()> {
-        for signal in [SIGINT, SIGTERM, SIGTSTP] {
-            let (terminal, before) = (self.terminal.try_clone()?, self.before.clone());
-            let given_back = Arc::clone(&self.given_back);
-            let give_back = move || {
-                if signal != SIGTSTP {
-                    given_back.store(true, Ordering::Relaxed);
-                }
-                if in_foreground(&terminal) {
-                    // The terminal may be gone.
-                    let _ = tcsetattr(&terminal, OptionalActions::Now, &before);
-                }
-                if signal == SIGTSTP {
-                    // Back when it is continued. [`Keyboard::wishes`] takes the terminal again.
-                    let _ = emulate_default_handler(signal);
-                }
-            };
-            // SAFETY: the handler stores to an atomic and makes system calls that POSIX lists as safe in
-            // signal handlers (tcgetpgrp, getpgrp, tcsetattr, raise); it neither allocates nor locks.
-            self.handlers.push(unsafe { register(signal, give_back) }?);
-        }
-        Ok(())
-    }
-
-    /// What was asked for since the last look.
-    pub(super) fn wishes(&mut self) -> Vec<Wish> {
-        // A process in the background that reads is stopped.
-        if self.given_back.load(Ordering::Relaxed) || !in_foreground(&self.terminal) {
+    /// The commands since the last call.
+    pub(super) fn commands(&mut self) -> Vec<PlayerCommand> {
+        // A background process that reads from the terminal is stopped by the system.
+        if self.is_released.load(Ordering::Relaxed) || !in_foreground(&self.terminal) {
             return Vec::new();
         }
-        // Whoever had the terminal meanwhile has left it as it likes it.
-        if tcgetattr(&self.terminal).is_ok_and(|now| now.local_modes != self.direct.local_modes) {
-            let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.direct);
+        // The shell restores its own modes while the process is stopped.
+        if tcgetattr(&self.terminal).is_ok_and(|now| now.local_modes != self.unbuffered.local_modes)
+        {
+            let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.unbuffered);
         }
-        let mut keys = [0; 64];
-        // Not through the buffer of `Stdin`, which takes an empty read for the end.
-        let read = rustix::io::read(&self.terminal, &mut keys).unwrap_or_default();
-        Wish::parse(&keys[..read])
+        let mut input = [0; 64];
+        // Not through `Stdin`, which takes an empty read for the end of the input.
+        let read = rustix::io::read(&self.terminal, &mut input).unwrap_or_default();
+        parse_keys(&input[..read])
     }
+}
+
+/// Restores the terminal on signals that end or stop this process.
+fn watch_signals(
+    terminal: &OwnedFd,
+    original: &Termios,
+    is_released: &Arc<AtomicBool>,
+) -> io::Result<(Handle, JoinHandle<()>)> {
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGTSTP])?;
+    let (terminal, original) = (terminal.try_clone()?, original.clone());
+    let (handle, is_released) = (signals.handle(), Arc::clone(is_released));
+    let thread = thread::Builder::new().name("terminal".to_owned()).spawn(move || {
+        for signal in signals.forever() {
+            if signal != SIGTSTP {
+                is_released.store(true, Ordering::Relaxed);
+            }
+            if in_foreground(&terminal) {
+                // Fails if the terminal is gone.
+                let _ = tcsetattr(&terminal, OptionalActions::Now, &original);
+            }
+            if signal == SIGTSTP {
+                // Returns when the process is continued; `Keyboard::commands` sets the modes again.
+                let _ = emulate_default_handler(signal);
+            }
+        }
+    })?;
+    Ok((handle, thread))
 }
 
 impl Drop for Keyboard {
     fn drop(&mut self) {
-        // The terminal may be gone.
-        let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.before);
-        for handler in self.handlers.drain(..) {
-            unregister(handler);
+        // Fails if the terminal is gone.
+        let _ = tcsetattr(&self.terminal, OptionalActions::Now, &self.original);
+        self.signals.close();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join(); // a panic has been reported
         }
     }
 }

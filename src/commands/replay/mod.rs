@@ -1,30 +1,32 @@
 //! `eddy replay`: a bag onto topics, at its recorded pace.
 //!
-//! 1. [`outputs`]: a publisher for every topic, and one for the clock.
-//! 2. [`keyboard`]: what the user wants, where standard input is a terminal.
-//! 3. [`control`]: what others want, where the transport has services.
-//! 4. [`screen`]: what the live page shows of it.
+//! 1. [`eddy_node::player`]: the player, its topics and its services.
+//! 2. [`keyboard`]: commands by keys, if standard input is a terminal.
 
-mod control;
 mod keyboard;
-mod outputs;
-mod screen;
 
-use anyhow::{bail, ensure};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail, ensure};
 use indicatif::HumanCount;
 
-use super::{Interrupt, has_no_parameters, transport_options};
+use super::{
+    Interrupt, has_no_parameters, leaves_the_process, transport_options, wait_for_subscribers,
+};
 use crate::cli::ReplayArgs;
-use control::RemoteControl;
-use eddy_bag::BagReader;
-use eddy_frames::clock::Clock;
-use eddy_node::{Asked, Player, PlayerOptions, Stage, play, ros::RosNode};
-use eddy_transport::Transports;
+use eddy_bag::{BagMessage, BagReader};
+use eddy_frames::{Stamp, clock::Clock};
+use eddy_inference::checkpoint::Checkpoint;
+use eddy_node::{
+    PendingCommand, PlaybackSink, Player, PlayerOptions, play,
+    player::{OutputOptions, PlayerServices, TopicOutputs, playable_topics},
+    ros::RosNode,
+    viewer::BagView,
+};
+use eddy_transport::{Link, Transports};
 use keyboard::Keyboard;
-use outputs::Outputs;
-use screen::Screen;
 
-/// Publishes the bag's messages until its end or a signal.
+/// Publishes the messages of the bag until its end or a signal.
 pub fn run(
     args: ReplayArgs,
     ros: &RosNode,
@@ -32,8 +34,16 @@ pub fn run(
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
     has_no_parameters(ros)?;
+    leaves_the_process(&Link { transport: args.to, topic: "/".to_owned() })?;
     let bag = BagReader::open(&args.bag)?;
-    let playable = outputs::playable(&bag, &args)?;
+    let options = OutputOptions {
+        transport: args.to,
+        topics: args.topics.clone(),
+        remap: args.remap.clone(),
+        clock: args.clock.is_some(),
+        reliability: args.reliability,
+    };
+    let playable = playable_topics(&bag, &options)?;
     let mut player = Player::new(
         &bag,
         PlayerOptions {
@@ -41,92 +51,105 @@ pub fn run(
             start_offset: args.start_offset,
             duration: args.duration,
             looped: args.looped,
-            topics: Some(outputs::names(&playable, &bag, &args)),
+            topics: Some(names(&args, &bag, playable.iter().map(|topic| topic.name.as_str()))),
             clock: args.clock,
             paused: args.start_paused,
         },
     )?;
-    // Sessions end with it: it stays until the last message is out.
+    // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::new(transport_options(ros)?);
-    let mut outputs = Outputs::open(&transports, ros, &args, &bag, &playable)?;
-    if !outputs.wait_for(args.wait_for, interrupt)? {
-        return Ok(());
+    let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
+    for topic in outputs.topics() {
+        println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);
     }
-    // Not before there is somebody who does what they ask.
-    let control = RemoteControl::offer(&transports, args.to, ros)?;
-    let screen = args.view.map(|address| Screen::open(address, &bag)).transpose()?;
+    if let Some(link) = outputs.clock() {
+        println!("publishing the recorded time on {link}");
+    }
+    for topic in outputs.topics() {
+        let publisher = topic.publisher.as_ref();
+        if !wait_for_subscribers(&topic.link, publisher, args.wait_for, interrupt)? {
+            return Ok(());
+        }
+    }
+    // Not before the loop runs that executes their commands.
+    let services = PlayerServices::offer(&transports, args.to, ros)?;
+    let view = args.view.map(|address| -> anyhow::Result<_> {
+        // Its gravity and walls are those of the baselines beside recorded predictions.
+        let model = Checkpoint::shipped().context("the shipped checkpoint")?;
+        let view = BagView::serve(address, &bag, &model.description).context("--view")?;
+        super::announce_page(view.page());
+        Ok(view)
+    });
+    let view = view.transpose()?;
     let keyboard = Keyboard::open();
     ensure!(
-        keyboard.is_some() || control.is_some() || screen.is_some() || !args.start_paused,
-        "--start-paused: found no terminal on standard input, no services on {} and no --view, expected one of them \
-         to go on from",
-        args.to
+        keyboard.is_some() || services.is_some() || view.is_some() || !args.start_paused,
+        "--start-paused: nothing can resume playback; run it on a terminal, on a transport with services or with --view"
     );
     if keyboard.is_some() && !quiet {
         println!(
-            "space: pause or go on, right arrow or n: next message, up and down: faster and slower, \
-             left arrow or b: 5 s back, f: 5 s on"
+            "keys: space pauses or resumes, right arrow or n plays the next message, up and down change the rate, \
+             left arrow or b skips back 5 s, f skips forward 5 s"
         );
     }
     let clock = Clock::start();
-    let mut theatre = Theatre { outputs: &mut outputs, keyboard, control, screen, interrupt };
-    play(&mut player, &clock, &mut theatre)?;
-    drop(theatre);
+    let mut session = Session { outputs: &mut outputs, keyboard, services, view, interrupt };
+    play(&mut player, &clock, &mut session)?;
+    drop(session);
+    let (bag, TopicOutputs { sent, skipped, .. }) = (bag.path().display(), outputs);
     if !quiet {
-        let seconds = clock.now().as_secs_f64();
-        println!(
-            "{}: {} messages in {seconds:.1} s",
-            bag.path().display(),
-            HumanCount(outputs.sent)
-        );
+        println!("{bag}: {} messages in {:.1} s", HumanCount(sent), clock.now().as_secs_f64());
     }
-    if outputs.refused > 0 {
-        bail!(
-            "{}: {} messages that are no frames were left out",
-            bag.path().display(),
-            outputs.refused
-        );
+    if skipped > 0 {
+        bail!("{bag}: skipped {skipped} messages that are not valid frames");
     }
     Ok(())
 }
 
-/// Plays to the outputs, as the keyboard, the services and the signals say.
-struct Theatre<'a> {
-    outputs: &'a mut Outputs,
+/// The topics to play: the playable ones, and those that the bag lacks, which the player rejects.
+fn names<'a>(
+    args: &ReplayArgs,
+    bag: &BagReader,
+    playable: impl Iterator<Item = &'a str>,
+) -> Vec<String> {
+    let is_missing = |name: &&String| !bag.topics().iter().any(|topic| topic.name == **name);
+    let mut names: Vec<String> = playable.map(str::to_owned).collect();
+    names.dedup();
+    names.extend(args.topics.iter().filter(is_missing).cloned());
+    names
+}
+
+/// Publishes on the outputs; takes commands from keyboard, services and live page.
+struct Session<'a> {
+    outputs: &'a mut TopicOutputs,
     keyboard: Option<Keyboard>,
-    control: Option<RemoteControl>,
-    screen: Option<Screen>,
+    services: Option<PlayerServices>,
+    view: Option<BagView>,
     interrupt: &'a Interrupt,
 }
 
-impl Stage for Theatre<'_> {
+impl PlaybackSink for Session<'_> {
     type Error = anyhow::Error;
 
-    fn message(
-        &mut self,
-        message: eddy_bag::BagMessage,
-        _: std::time::Duration,
-    ) -> anyhow::Result<()> {
+    fn message(&mut self, message: BagMessage, _: Duration) -> anyhow::Result<()> {
         self.outputs.publish(&message)?;
-        if let Some(screen) = &mut self.screen {
-            screen.show(&message);
+        if let Some(view) = &mut self.view {
+            view.show(&message);
         }
         Ok(())
     }
 
-    fn clock(&mut self, recorded: eddy_frames::Stamp) -> anyhow::Result<()> {
-        self.outputs.tell(recorded)
+    fn clock(&mut self, recorded: Stamp) -> anyhow::Result<()> {
+        Ok(self.outputs.publish_clock(recorded)?)
     }
 
-    fn wishes(&mut self) -> Vec<Asked> {
-        let typed = self.keyboard.as_mut().map(Keyboard::wishes).unwrap_or_default();
-        let mut wishes: Vec<Asked> = typed.into_iter().map(Asked::from).collect();
-        wishes.extend(self.control.iter().flat_map(RemoteControl::wishes));
-        wishes.extend(self.screen.iter().flat_map(Screen::wishes));
-        wishes
+    fn commands(&mut self) -> Vec<PendingCommand> {
+        let keys = self.keyboard.iter_mut().flat_map(Keyboard::commands).map(PendingCommand::from);
+        let services = self.services.iter().flat_map(PlayerServices::commands);
+        keys.chain(services).chain(self.view.iter().flat_map(BagView::commands)).collect()
     }
 
-    fn is_over(&self) -> bool {
+    fn is_stopped(&self) -> bool {
         self.interrupt.requested()
     }
 }

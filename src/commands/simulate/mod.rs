@@ -1,8 +1,8 @@
-//! `eddy simulate`: ground truth, as one bag a scene, as a live source, or both.
+//! `eddy simulate`: ground truth as one bag per scene, as a live source, or both.
 //!
-//! 1. [`mod@source`]: where scenes come from: a preset and a seed, or a file.
-//! 2. [`eddy_evaluation::dataset::simulate`]: the scenes that are not there yet, in parallel, each into a bag.
-//! 3. [`publish`]: scenes one after the other at the pace of real time.
+//! 1. [`mod@source`]: scenes from a preset and a seed, or from a file.
+//! 2. [`eddy_evaluation::dataset::simulate`]: missing scenes, in parallel, each into a bag.
+//! 3. [`publish`]: scenes one after the other in real time.
 
 mod publish;
 pub(crate) mod source;
@@ -15,7 +15,7 @@ use eddy_evaluation::dataset::simulate::{Job, SimulationRequest, Source};
 use eddy_mpm::Settings;
 use source::source;
 
-/// Simulates the scenes that are not there yet.
+/// Simulates the scenes that do not exist yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let request = request(&args)?;
     let at_once = args.publish.is_some().then_some(1);
@@ -26,8 +26,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     }
     if let (Some(link), 1..) = (&args.publish, present) {
         bail!(
-            "{link}: found {present} scenes that are there already, expected none; \
-             `eddy replay` publishes finished scenes"
+            "{link}: {present} scenes already exist; publish them with `eddy replay`, or choose another --output"
         );
     }
     let store = args.output.as_ref().map(|output| job.open_store(output)).transpose()?;
@@ -40,7 +39,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
             }
             summary.complete().map_err(Into::into)
         }
-        (None, None) => bail!("found neither --output nor --publish, expected one of them"),
+        (None, None) => bail!("expected --output or --publish"),
     };
     if let Some(store) = store {
         store.close();
@@ -48,7 +47,6 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     outcome
 }
 
-/// What was asked for.
 fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
     let source = source(args)?;
     let scene_name = match (&source, &args.scene) {

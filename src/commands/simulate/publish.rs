@@ -1,20 +1,22 @@
-//! A live source: scenes one after the other, each a stream, and `/clock` with them.
+//! A live source: scenes one after the other, each a stream, with `/clock`.
 
 use anyhow::{Context, bail, ensure};
 
 use crate::{
     cli::SimulateArgs,
-    commands::{Interrupt, leaves_the_process, pace::Pace, wait_for_subscribers},
+    commands::{Interrupt, leaves_the_process, wait_for_subscribers},
 };
 use eddy_evaluation::dataset::simulate::{Job, Recording, Store};
 use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
+use eddy_mpm::Simulation;
+use eddy_node::Pacer;
 use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
 
-/// Frames of a scene that are too few to say whether the machine keeps the pace.
-const LATE_FRAMES: u32 = 30;
+/// Minimum number of frames of a scene for a statement about its pace.
+const MIN_PACE_FRAMES: u32 = 30;
 
-/// Publishes the planned scenes; records them too where there is a store.
+/// Publishes the planned scenes, and records them if there is a store.
 pub(super) fn run(
     job: &Job,
     link: &Link,
@@ -26,14 +28,11 @@ pub(super) fn run(
     let rate = args.rate;
     ensure!(rate.is_finite() && rate > 0.0, "rate: found {rate}, expected a positive number");
     leaves_the_process(link)?;
-    // Sessions end with it: it stays until the last message is out.
+    // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::new(TransportOptions::from_env("eddy_simulate")?);
-    let mut outlet = Outlet::open(&transports, link, args)?;
-    println!(
-        "publishing on {link} at {rate} x real time, simulation time on {}",
-        outlet.clock_link
-    );
-    let ready = wait_for_subscribers(link, outlet.frames.as_ref(), args.wait_for, interrupt)?;
+    let mut topics = Topics::open(&transports, link, args)?;
+    println!("publishing on {link} at {rate} x real time, simulated time on {}", topics.clock_link);
+    let ready = wait_for_subscribers(link, topics.frames.as_ref(), args.wait_for, interrupt)?;
     if !ready {
         return Ok(());
     }
@@ -44,9 +43,10 @@ pub(super) fn run(
         let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
-        let whole = Pace::steady(rate)
-            .run(&mut simulation, stop, |frame, simulation| {
-                outlet.publish(frame)?;
+        let next = |simulation: &mut Simulation| Ok(simulation.next_frame()?);
+        let complete = Pacer::steady(rate)
+            .run(&mut simulation, next, stop, |frame, simulation| {
+                topics.publish(frame)?;
                 if let Some(recording) = &mut recording {
                     recording.add(frame, simulation.energy())?;
                 }
@@ -57,14 +57,14 @@ pub(super) fn run(
         if !quiet {
             let real = clock.now().as_secs_f64();
             let simulated = f64::from(frames) * f64::from(scene.start.scene.frames.interval);
-            let slow = real > 1.1 * simulated / rate && frames > LATE_FRAMES;
-            let slow = if slow { ", slower than asked for" } else { "" };
+            let slow = real > 1.1 * simulated / rate && frames > MIN_PACE_FRAMES;
+            let slow = if slow { ", slower than requested" } else { "" };
             println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}");
         }
-        if !whole && store.is_some() {
-            bail!("interrupted: {name} is not finished and was not kept");
+        if !complete && store.is_some() {
+            bail!("interrupted: {name} is incomplete and was discarded");
         }
-        if !whole {
+        if !complete {
             return Ok(());
         }
         if let (Some(store), Some(recording)) = (store, recording) {
@@ -74,14 +74,14 @@ pub(super) fn run(
     Ok(())
 }
 
-/// The topics that a scene is published on.
-struct Outlet {
+/// The topics of a live source.
+struct Topics {
     frames: Box<dyn Publisher>,
     clock: Box<dyn Publisher>,
     clock_link: Link,
 }
 
-impl Outlet {
+impl Topics {
     fn open(
         transports: &Transports,
         link: &Link,
@@ -96,7 +96,7 @@ impl Outlet {
         })
     }
 
-    /// Publishes a frame, and before it the time that it shows: whoever has the frame knows it.
+    /// Publishes the time, then the frame: a subscriber that has the frame has its time.
     fn publish(&mut self, frame: &Frame) -> Result<(), TransportError> {
         self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: frame.stamp.into() }))?;
         self.frames.publish_frame(frame)

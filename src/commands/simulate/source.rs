@@ -1,4 +1,4 @@
-//! Where scenes come from: drawn from a seed, or written in a file.
+//! Scenes from a preset and a seed, or from a file.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use eddy_evaluation::dataset::simulate::Source;
 use eddy_mpm::{Extent, Preset};
 use eddy_settings as config;
 
-/// The scene files that come with the program, by the names that `--preset` takes.
+/// Scene files within the program, by their names for `--preset`.
 const SHIPPED: [(&str, &str); 6] = [
     ("dam-break", include_str!("../../../launch_configs/scenes/dam_break.toml")),
     ("fountain", include_str!("../../../launch_configs/scenes/fountain.toml")),
@@ -23,18 +23,18 @@ const SHIPPED: [(&str, &str); 6] = [
     ("wide-tank", include_str!("../../../launch_configs/scenes/wide_tank.toml")),
 ];
 
-/// The words that `--preset` takes, with what they mean.
+/// The values of `--preset` with their help.
 pub(crate) fn presets() -> PossibleValuesParser {
     let random = Preset::value_variants().iter().filter_map(ValueEnum::to_possible_value);
     let shipped = SHIPPED.iter().map(|(name, text)| {
-        // The second line of each file says what it is.
+        // The second line of each file describes it.
         let help = text.lines().nth(1).unwrap_or_default().trim_start_matches("# ");
         PossibleValue::new(*name).help(help.to_owned())
     });
     PossibleValuesParser::new(random.chain(shipped))
 }
 
-/// What was asked for.
+/// The source that the arguments describe.
 pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
     if let Some(file) = &args.scene {
         return Ok(Source::Written(Box::new(config::load(file)?)));
@@ -43,11 +43,8 @@ pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
         return Ok(Source::Random(extent.transpose()?.unwrap_or(Extent::usual(preset))));
     }
-    if let Some(particles) = args.particles {
-        bail!(
-            "particles: found {particles}, expected none: {} is a scene with particles of its own",
-            args.preset
-        );
+    if args.particles.is_some() {
+        bail!("--particles: preset {} has a fixed number of particles", args.preset);
     }
     let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
     let text = shipped.map_or("", |(_, text)| text);

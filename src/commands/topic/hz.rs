@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use anyhow::Context;
 
-use super::{PATIENCE, find, print};
+use super::{MAX_WAIT, find, print};
 use crate::{cli::TopicHzArgs, commands::Interrupt};
 use eddy_frames::clock::Clock;
-use eddy_node::Rate;
+use eddy_node::topics::Rate;
 use eddy_transport::Transports;
 
-/// Between two lines.
-const INTERVAL: Duration = Duration::from_secs(1);
+/// Interval between two reports.
+const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 
 pub(super) fn run(
     args: &TopicHzArgs,
@@ -24,17 +24,17 @@ pub(super) fn run(
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
     let clock = Clock::start();
     let end = args.duration.map(Duration::from_secs_f64);
-    let (mut rate, mut told, mut news) = (Rate::new(args.window), Duration::ZERO, false);
+    let (mut rate, mut reported, mut has_new) = (Rate::new(args.window), Duration::ZERO, false);
     loop {
-        if subscriber.receive(PATIENCE)?.is_some() {
+        if subscriber.receive(MAX_WAIT)?.is_some() {
             rate.arrived(clock.now());
-            news = true;
+            has_new = true;
         }
         let ends = interrupt.requested() || end.is_some_and(|end| clock.now() >= end);
-        if ends || clock.now() - told >= INTERVAL {
-            told = clock.now();
-            let figures = rate.figures().filter(|_| std::mem::take(&mut news));
-            let line = figures.map_or("no new messages".to_owned(), |figures| figures.to_string());
+        if ends || clock.now() - reported >= REPORT_INTERVAL {
+            reported = clock.now();
+            let statistics = rate.statistics().filter(|_| std::mem::take(&mut has_new));
+            let line = statistics.map_or("no new messages".to_owned(), |s| s.to_string());
             if !print(&line)? || ends {
                 return Ok(());
             }

@@ -2,13 +2,16 @@
 
 use std::{collections::BTreeSet, thread, time::Duration};
 
-use super::{NAP, print};
+use super::print;
 use crate::{
     cli::TopicListArgs,
     commands::{Interrupt, leaves_the_process},
 };
 use eddy_frames::clock::Clock;
 use eddy_transport::{Link, Transports};
+
+/// Interval between searches.
+const SEARCH_INTERVAL: Duration = Duration::from_millis(50);
 
 pub(super) fn run(
     args: &TopicListArgs,
@@ -19,21 +22,21 @@ pub(super) fn run(
         leaves_the_process(&Link { transport, topic: "/".to_owned() })?;
     }
     let mut topics = BTreeSet::new();
-    let mut look = || -> anyhow::Result<()> {
+    let mut search = || -> anyhow::Result<()> {
         for &transport in &args.from {
             topics.extend(transports.topics(transport)?);
         }
         Ok(())
     };
-    // What opening takes is not the others' time to answer.
-    look()?;
+    // Before the clock starts: opening a transport takes time.
+    search()?;
     let clock = Clock::start();
     loop {
-        look()?;
+        search()?;
         if clock.now() >= Duration::from_secs_f64(args.wait) || interrupt.requested() {
             break;
         }
-        thread::sleep(NAP);
+        thread::sleep(SEARCH_INTERVAL);
     }
     let width = topics.iter().map(|topic| topic.link.to_string().len()).max().unwrap_or(0);
     for topic in topics {

@@ -82,14 +82,15 @@ pub struct RestRule {
 
 /// One of the rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Rule {
-    /// [`Rules::area`].
+    /// Liquids keep their area.
     Area,
-    /// [`Rules::shape`].
+    /// Jelly and rope keep their shape.
     Shape,
-    /// [`Rules::flight`].
+    /// Bodies that touch nothing keep momentum and spin.
     Flight,
-    /// [`Rules::rest`].
+    /// Bodies that touch a wall and hardly move come to rest.
     Rest,
 }
 
@@ -151,6 +152,14 @@ impl Rules {
             Rule::Flight => self.flight.is_some(),
             Rule::Rest => self.rest.is_some(),
         }
+    }
+
+    /// Switches rules off. Returns those that were on, in the order in which they run.
+    pub fn disable(&mut self, rules: &[Rule]) -> Vec<Rule> {
+        let mut disabled = Rule::ALL.to_vec();
+        disabled.retain(|rule| rules.contains(rule) && self.has(*rule));
+        disabled.iter().for_each(|rule| self.remove(*rule));
+        disabled
     }
 
     /// Switches a rule off.

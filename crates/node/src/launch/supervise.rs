@@ -54,7 +54,7 @@ pub fn supervise(
     let processes = plan.process.iter().map(|process| Supervised {
         plan: process,
         backoff: Backoff::new(plan.restart),
-        state: ProcessProcessState::Waiting { until: clock.now() },
+        state: ProcessState::Waiting { until: clock.now() },
     });
     let processes = processes.collect();
     let summary = LaunchSummary::default();
@@ -104,7 +104,8 @@ impl<F: FnMut(OutputLine)> Supervisor<'_, F> {
         for supervised in &mut self.processes {
             match &mut supervised.state {
                 ProcessState::Waiting { until } if now >= *until => {
-                    let process = Process::start(self.program, self.plan, supervised.plan, &self.sender)?;
+                    let process =
+                        Process::start(self.program, self.plan, supervised.plan, &self.sender)?;
                     self.summary.restarts += u32::from(supervised.backoff.has_failed());
                     supervised.state = ProcessState::Running { process, since: now };
                 }
@@ -118,7 +119,10 @@ impl<F: FnMut(OutputLine)> Supervisor<'_, F> {
                         (self.print)(OutputLine::Stdout(text));
                         supervised.state = ProcessState::Waiting { until: now + delay };
                     } else {
-                        (self.print)(OutputLine::Stdout(format!("[{}] has ended", supervised.plan.name)));
+                        (self.print)(OutputLine::Stdout(format!(
+                            "[{}] has ended",
+                            supervised.plan.name
+                        )));
                         if supervised.plan.on_exit == OnExit::Shutdown {
                             return Ok(false);
                         }

@@ -1,7 +1,7 @@
 //! The bag player: a bag onto topics, at its recorded pace.
 //!
 //! 1. [`timeline`]: real time to playing time, with rates and pauses.
-//! 2. [`command`]: what the user may ask for, by keys, services or the live page.
+//! 2. [`command`]: commands by keys, services or the live page. [`keys`]: keys of a terminal.
 //! 3. `read_ahead`: messages are read before they are due.
 //! 4. [`options`] and [`schedule`]: which message is due when.
 //! 5. [`playback`]: the loop that waits and publishes.
@@ -10,6 +10,7 @@
 //! 8. [`pacer`]: a simulation in place of a bag.
 
 mod command;
+mod keys;
 mod options;
 mod outputs;
 mod pacer;
@@ -20,6 +21,7 @@ mod services;
 mod timeline;
 
 pub use command::{CommandOutcome, PendingCommand, PlayerCommand, PlayerHandle, SKIP};
+pub use keys::parse_keys;
 pub use options::{PlayerError, PlayerOptions};
 pub use outputs::{OutputError, OutputOptions, PlayedTopic, TopicOutputs, playable_topics};
 pub use pacer::Pacer;

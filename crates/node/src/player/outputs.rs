@@ -7,7 +7,7 @@ use eddy_bag::{BagMessage, BagReader, TopicInfo};
 use eddy_frames::Stamp;
 use eddy_messages::{Clock, Message, TypeSupport, UnknownType, cdr, type_support};
 use eddy_transport::{
-    Link, InvalidLink, Publisher, Reliability, TransportError, TransportKind, Transports,
+    InvalidLink, Link, Publisher, Reliability, TransportError, TransportKind, Transports,
 };
 
 /// The topic of simulated time in ROS.
@@ -313,8 +313,7 @@ mod tests {
         let playable = playable_topics(&bag, &options).unwrap();
         let mut words = transports.subscriber(&Link::memory("/renamed"), RosString::TYPE).unwrap();
         let mut time = transports.subscriber(&Link::memory("/time"), Clock::TYPE).unwrap();
-        let mut outputs =
-            TopicOutputs::open(&transports, &ros, &options, &bag, &playable).unwrap();
+        let mut outputs = TopicOutputs::open(&transports, &ros, &options, &bag, &playable).unwrap();
         for message in bag.messages() {
             outputs.publish(&message.unwrap()).unwrap();
         }

@@ -237,8 +237,11 @@ impl Player {
         }
         // The next pass starts one mean interval after the last message of this one.
         let Pass { origin, messages, first, last } = self.pass;
-        let interval =
-            if last > first { (last - first) / (messages - 1) as f64 } else { SINGLE_INSTANT_INTERVAL };
+        let interval = if last > first {
+            (last - first) / (messages - 1) as f64
+        } else {
+            SINGLE_INSTANT_INTERVAL
+        };
         self.pass = Pass { origin: origin + last + interval - self.first, ..Pass::default() };
         self.messages = self.read(self.begin)?;
         self.messages.next().transpose()

@@ -135,9 +135,7 @@ fn write(
             Pop::Item(Event::Failed(link, error)) if !options.required.contains(&link) => {
                 discovery.note_ended(&link, &error);
             }
-            Pop::Item(Event::Failed(_, error)) => {
-                failure = Some(RecordError::Transport(error))
-            }
+            Pop::Item(Event::Failed(_, error)) => failure = Some(RecordError::Transport(error)),
             Pop::Timeout => {}
             Pop::Ended => break,
         }
@@ -251,7 +249,8 @@ mod tests {
         outcome.unwrap();
         // Messages after the last one to record are not lost.
         assert_eq!((messages, losses.unwritten), (3, 0));
-        let short = RecordingOptions { stop_after: Some(Duration::ZERO), ..options(&interrupted, &[]) };
+        let short =
+            RecordingOptions { stop_after: Some(Duration::ZERO), ..options(&interrupted, &[]) };
         let input = words.input();
         let (messages, outcome, _) =
             words.record(&folder.path().join("short"), vec![input], &short);

@@ -103,10 +103,12 @@ pub fn drive(
         let (published, unpublished) = (node.counters().published, node.counters().unpublished);
         let (status, bytes) = Default::default();
         let time = context.time.now(clock.now());
-        let output = Output { outputs, clock, monitor, digest, status, bytes, published, unpublished };
+        let output =
+            Output { outputs, clock, monitor, digest, status, bytes, published, unpublished };
         let batch = Vec::with_capacity(node.batch_size());
         let warnings = Warnings::default();
-        let mut running = Running { node, context, time, queue, lost: &lost, batch, output, warnings };
+        let mut running =
+            Running { node, context, time, queue, lost: &lost, batch, output, warnings };
         let mut reported = clock.now();
         while !receiver.is_finished() {
             running.step();

@@ -50,7 +50,9 @@ impl<const IS_LIVE: bool> FromArgMatches for SettingOptions<IS_LIVE> {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
         let given = |(spec, _): (&ParameterSpec, _)| {
             let value = match spec.values {
-                Values::Bool => Some(ParameterValue::bool(true)).filter(|_| matches.get_flag(spec.name)),
+                Values::Bool => {
+                    Some(ParameterValue::bool(true)).filter(|_| matches.get_flag(spec.name))
+                }
                 Values::Integer { .. } => {
                     matches.get_one(spec.name).copied().map(ParameterValue::integer)
                 }

@@ -33,7 +33,9 @@ impl Values {
     /// The words of [`Values::Word`], joined; nothing otherwise.
     pub(super) fn words(&self) -> String {
         match self {
-            Self::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(" or "),
+            Self::Word(words) => {
+                words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(" or ")
+            }
             _ => String::new(),
         }
     }

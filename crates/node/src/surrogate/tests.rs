@@ -379,7 +379,9 @@ fn a_free_run_continues_at_dt_without_input() {
     for number in 1..=3u32 {
         let due = node.next_tick().unwrap();
         assert_eq!(due, number * Duration::from_millis(16));
-        node.on_tick(due - Duration::from_millis(1), &mut |_, result| panic!("too early: {result:?}"));
+        node.on_tick(due - Duration::from_millis(1), &mut |_, result| {
+            panic!("too early: {result:?}")
+        });
         let mut published = 0;
         node.on_tick(due, &mut |_, result| {
             let prediction = result.unwrap();

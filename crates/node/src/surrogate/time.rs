@@ -93,7 +93,9 @@ impl Simulated {
                 match clock.receive(MAX_WAIT) {
                     Ok(None) => {}
                     Ok(Some(payload)) => match cdr::decode::<Clock>(&payload.into_cdr()) {
-                        Ok(message) => latest_received.store(Stamp::from(message.clock).0, Ordering::Relaxed),
+                        Ok(message) => {
+                            latest_received.store(Stamp::from(message.clock).0, Ordering::Relaxed)
+                        }
                         Err(error) => tracing::warn!("/clock: {error}"),
                     },
                     Err(error) => {

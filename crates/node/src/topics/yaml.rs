@@ -75,7 +75,10 @@ mod tests {
     fn messages_are_yaml_and_other_bytes_are_described() {
         let word = cdr::encode(&RosString { data: "eddy".into() });
         assert_eq!(message_text(RosString::TYPE, &word, 0), "data: eddy\n");
-        assert_eq!(message_text("acme_msgs/msg/Imu", &[0; 7], 0), "# 7 bytes of acme_msgs/msg/Imu\n");
+        assert_eq!(
+            message_text("acme_msgs/msg/Imu", &[0; 7], 0),
+            "# 7 bytes of acme_msgs/msg/Imu\n"
+        );
         let invalid = message_text(Clock::TYPE, &[0], 0);
         assert!(invalid.starts_with("# not a rosgraph_msgs/msg/Clock: "), "{invalid}");
     }

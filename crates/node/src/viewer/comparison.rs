@@ -281,7 +281,8 @@ impl Comparison {
 
     /// The curves.
     pub fn curves(&self) -> Curves {
-        let recent = self.recent.iter().filter(|(_, recent)| recent.used + RECENT_PAIRS > self.pairs);
+        let recent =
+            self.recent.iter().filter(|(_, recent)| recent.used + RECENT_PAIRS > self.pairs);
         Curves {
             time: self.time.iter().copied().collect(),
             by_horizon: recent.filter_map(|(&horizon, recent)| recent.summary(horizon)).collect(),

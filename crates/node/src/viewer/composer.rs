@@ -61,7 +61,8 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             let oldest = views.iter().min_by_key(|(_, view)| view.used).map(|(&id, _)| id);
             oldest.and_then(|oldest| views.remove(&oldest));
         }
-        let view = views.entry(stream).or_insert_with(|| StreamView::new(comparison.emptied(), now));
+        let view =
+            views.entry(stream).or_insert_with(|| StreamView::new(comparison.emptied(), now));
         view.used = now;
         let displayed = match copy {
             FrameCopy::Truth(frame) => view.truth(Arc::new(frame)),
@@ -93,8 +94,9 @@ impl StreamView {
             return Some(displayed(pair));
         }
         let newest = self.predicted.as_ref().filter(|(newest, _)| newest.len() == frame.len());
-        let behind =
-            |(newest, info): &&(Arc<Frame>, PredictionInfo)| info.free_running && newest.sequence < frame.sequence;
+        let behind = |(newest, info): &&(Arc<Frame>, PredictionInfo)| {
+            info.free_running && newest.sequence < frame.sequence
+        };
         if newest.filter(behind).is_some() && self.unpredicted <= MAX_UNPAIRED_FRAMES {
             return None;
         }
@@ -107,11 +109,7 @@ impl StreamView {
     }
 
     /// Displays a prediction with its truth if that has arrived, or alone if no truth is expected.
-    fn prediction(
-        &mut self,
-        frame: Arc<Frame>,
-        info: PredictionInfo,
-    ) -> Option<DisplayedFrame> {
+    fn prediction(&mut self, frame: Arc<Frame>, info: PredictionInfo) -> Option<DisplayedFrame> {
         self.unpredicted = 0;
         self.unobserved = self.unobserved.saturating_add(1);
         let first = self.predicted.replace((Arc::clone(&frame), info)).is_none();
@@ -195,7 +193,8 @@ mod tests {
             let mut view = view();
             view.truth(frame(0));
             for sequence in 1..9 {
-                let free = PredictionInfo { source: 0, horizon: sequence as u32, free_running: true };
+                let free =
+                    PredictionInfo { source: 0, horizon: sequence as u32, free_running: true };
                 let pair = Some([Some(sequence); 2]);
                 if behind {
                     let early = sides(view.truth(frame(sequence)));
@@ -207,7 +206,10 @@ mod tests {
                 }
             }
             let alone = |sequence: u64| {
-                (frame(sequence), PredictionInfo { source: 0, horizon: sequence as u32, free_running: true })
+                (
+                    frame(sequence),
+                    PredictionInfo { source: 0, horizon: sequence as u32, free_running: true },
+                )
             };
             let displayed = (9..15).map(|sequence| {
                 let (frame, info) = alone(sequence);

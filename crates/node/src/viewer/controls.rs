@@ -111,8 +111,10 @@ mod tests {
 
     #[test]
     fn a_missing_answer_leaves_the_state_as_before() {
-        let before = ControlState { paused: Some(true), horizon: Some(5), ..ControlState::default() };
-        let now = ControlState { paused: Some(false), free_run: Some(true), ..ControlState::default() };
+        let before =
+            ControlState { paused: Some(true), horizon: Some(5), ..ControlState::default() };
+        let now =
+            ControlState { paused: Some(false), free_run: Some(true), ..ControlState::default() };
         let known = ControlState { horizon: Some(5), ..now };
         assert_eq!(now.or(before), known);
         assert_eq!(ControlState::default().or(before), before);

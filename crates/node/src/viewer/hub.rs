@@ -85,7 +85,8 @@ impl HubState {
     /// Whether another stream may replace this one as the current one.
     fn is_replaceable(&self, stream: u64) -> bool {
         let activity = self.streams.get(&stream);
-        activity.is_none_or(|seen| seen.ended || self.latest.saturating_sub(seen.at) > SILENCE_TIMEOUT)
+        activity
+            .is_none_or(|seen| seen.ended || self.latest.saturating_sub(seen.at) > SILENCE_TIMEOUT)
     }
 
     /// Removes streams that were silent while others continued; if all pause, all stay.
@@ -161,7 +162,8 @@ impl Hub {
             state.remove_silent();
         }
         if state.streams.len() < MAX_STREAMS || state.streams.contains_key(&stream) {
-            let seen = state.streams.entry(stream).or_insert(StreamActivity { at: now, ended: false });
+            let seen =
+                state.streams.entry(stream).or_insert(StreamActivity { at: now, ended: false });
             seen.at = now;
         }
         // The last frames of an ended stream do not make it the current one again.
@@ -229,7 +231,7 @@ impl Hub {
     pub(super) fn streams(&self) -> Vec<u64> {
         let mut state = self.lock();
         state.remove_silent();
-        let shown = |(&stream, seen): (&u64, &Seen)| {
+        let shown = |(&stream, seen): (&u64, &StreamActivity)| {
             (!seen.ended || state.current == Some(stream)).then_some(stream)
         };
         state.streams.iter().filter_map(shown).collect()

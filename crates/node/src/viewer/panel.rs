@@ -54,8 +54,11 @@ impl LivePage {
     /// The URL, with a warning if other machines can reach it.
     pub fn announcement(&self) -> String {
         let is_local = self.viewer.address().ip().is_loopback();
-        let warning =
-            if is_local { "" } else { " (anyone who can reach this address can watch and control)" };
+        let warning = if is_local {
+            ""
+        } else {
+            " (anyone who can reach this address can watch and control)"
+        };
         format!("{}{warning}", self.viewer.url())
     }
 

@@ -30,7 +30,9 @@ pub struct PageInfo {
 #[serde(untagged)]
 pub(super) enum ClientMessage {
     /// This number of frames was drawn; as many may follow.
-    Drawn { drawn: u32 },
+    Drawn {
+        drawn: u32,
+    },
     /// Display this stream, or the current one. A string, because JavaScript numbers are exact up to 2^53 only.
     Select {
         // Required, even if null.

@@ -238,10 +238,7 @@ async fn refresh_controls(server: Arc<ServerState>) {
     }
 }
 
-async fn connect(
-    State(server): State<Arc<ServerState>>,
-    upgrade: WebSocketUpgrade,
-) -> Response {
+async fn connect(State(server): State<Arc<ServerState>>, upgrade: WebSocketUpgrade) -> Response {
     let Some(mailbox) = server.hub.join(MAX_BROWSERS) else {
         let full = format!("{MAX_BROWSERS} browsers are connected, no more are accepted\n");
         return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();

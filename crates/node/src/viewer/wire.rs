@@ -199,7 +199,8 @@ mod tests {
     #[test]
     fn a_missing_side_is_zero_and_positions_are_clamped_to_the_domain() {
         let truth = frame(7, [[-9.0, 0.5], [9.0, 1e9]]);
-        let bytes = encode(&DisplayedFrame { truth: Some(truth), ..DisplayedFrame::default() }, 1.0);
+        let bytes =
+            encode(&DisplayedFrame { truth: Some(truth), ..DisplayedFrame::default() }, 1.0);
         assert_eq!(bytes[4], 1);
         assert_eq!(bytes[96..104], [0, 0, 0, 128, 255, 255, 255, 255]);
         assert_eq!(bytes[104..112], [0; 8]);

@@ -213,7 +213,10 @@ fn invalid_options_are_rejected() {
             "topics: found /b, expected one of /a",
         ),
         (PlayerOptions { clock: Some(0.0), ..Default::default() }, "clock: found 0, expected"),
-        (PlayerOptions { start_offset: 9.0, ..Default::default() }, "no messages on the selected topics"),
+        (
+            PlayerOptions { start_offset: 9.0, ..Default::default() },
+            "no messages on the selected topics",
+        ),
     ];
     for (options, expected) in cases {
         let message = Player::new(&bag, options).err().unwrap().to_string();
