@@ -21,7 +21,7 @@ use eddy_inference::{
 };
 use eddy_messages::{Message, ParticleFrame, PredictionStatus};
 use eddy_node::{
-    Control, FrameQueue, NodeSettings, Outputs, Presence, RosTime, SurrogateNode, drive,
+    FrameQueue, NodeContext, NodeHandle, NodeSettings, Outputs, RosTime, SurrogateNode, drive,
 };
 use eddy_transport::{
     Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
@@ -218,16 +218,16 @@ fn a_node_on_shared_memory_allocates_nothing_from_receive_to_publish() {
         };
         let (mut input, mut sink) = (subscriber(&there, "in"), subscriber(&here, "out"));
         let mut outputs = [outputs(&there, &topic("out"))];
-        let time = RosTime::of_the_machine();
-        let mut presence = Presence { name: "/node".to_owned(), time };
+        let (name, time) = ("/node".to_owned(), RosTime::system());
+        let mut context = NodeContext { name, input: topic("in"), time };
         let mut source =
             here.publisher(&topic("in"), ParticleFrame::TYPE, Reliability::Block).unwrap();
         let stop = AtomicBool::new(false);
         thread::scope(|scope| {
-            let control = Control::default();
+            let handle = NodeHandle::default();
             let (node, input, outputs) = (&mut node, &mut *input, &mut outputs[..]);
-            let (queue, stop, presence) = (&queue, &stop, &mut presence);
-            scope.spawn(move || drive(node, presence, input, outputs, queue, &control, stop));
+            let (queue, stop, context) = (&queue, &stop, &mut context);
+            scope.spawn(move || drive(node, context, input, outputs, queue, &handle, stop));
             // Whatever fails below, the node ends.
             let _stopping = Stopping(stop);
             let (warming, rest) = frames.split_at(warm_up - 1);

@@ -141,7 +141,7 @@ fn what_is_no_frame_is_counted_and_named(transport: &str) {
     }
     let mut refusal = String::new();
     scene.reports(|values, message| {
-        if message.starts_with("frame refused: ") {
+        if message.starts_with("frame rejected: ") {
             message.clone_into(&mut refusal);
         }
         expected.iter().all(|(key, number)| count(values, key) == *number)

@@ -21,7 +21,8 @@ use eddy_messages::{
     services::{Parameter, ParameterValue},
 };
 use eddy_node::{
-    Control, FrameQueue, NodeSettings, Outputs, Presence, Request, RosTime, SurrogateNode, drive,
+    FrameQueue, NodeContext, NodeHandle, NodeRequest, NodeSettings, Outputs, RosTime,
+    SurrogateNode, drive,
 };
 use eddy_transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports};
 
@@ -177,7 +178,7 @@ fn a_log_level_is_for_the_node_alone() {
         truth.publish_frame(frame).unwrap();
     }
     let written = || fs::read_to_string(log.path()).unwrap();
-    wait_for("a frame is refused twice", || written().contains("frame refused").then_some(()));
+    wait_for("a frame is rejected twice", || written().contains("frame rejected").then_some(()));
     node.interrupt();
     assert!(node.wait().success());
     // Colours of a terminal apart.
@@ -209,7 +210,7 @@ fn a_free_run_on_simulated_time_goes_with_the_clock_and_pauses_with_it() {
     let last = OBSERVED as u64 - 1;
     while next(DEADLINE).unwrap() < last {}
     let pause = Duration::from_millis(300);
-    assert_eq!(next(pause), None, "no time has been told yet");
+    assert_eq!(next(pause), None, "no time has arrived yet");
     // The first time that is told is no time that has passed, however late it is.
     let start = Duration::from_secs(1_700_000_000);
     tell(&mut *clock, start);
@@ -331,17 +332,19 @@ fn what_is_set_is_told_on_parameter_events_and_simulated_time_can_be_switched_on
     }];
     let opener = transports.clone();
     let open = move || opener.subscriber(&Link::memory("/clock"), Clock::TYPE);
-    let (queue, control) = (FrameQueue::new(8, Reliability::Block), Arc::new(Control::default()));
+    let (queue, handle) = (FrameQueue::new(8, Reliability::Block), Arc::new(NodeHandle::default()));
     let stop = AtomicBool::new(false);
     let of = |name: &str, value| Parameter { name: name.to_owned(), value };
     let time = RosTime::new(Box::new(open));
-    let mut presence = Presence { name: "/n/eddy_node".to_owned(), time };
+    let (name, link) = ("/n/eddy_node".to_owned(), Link::memory("/particles"));
+    let mut context = NodeContext { name, input: link, time };
     thread::scope(|scope| {
         scope.spawn(|| {
-            let (input, presence) = (input.as_mut(), &mut presence);
-            drive(&mut node, presence, input, &mut outputs, &queue, &control, &stop).unwrap();
+            let (input, context) = (input.as_mut(), &mut context);
+            drive(&mut node, context, input, &mut outputs, &queue, &handle, &stop).unwrap();
         });
-        let set = |parameters: Vec<Parameter>| control.ask(Request::Set(parameters), DEADLINE);
+        let set =
+            |parameters: Vec<Parameter>| handle.request(NodeRequest::Set(parameters), DEADLINE);
         let both = vec![
             of("horizon", ParameterValue::integer(4)),
             of("use_sim_time", ParameterValue::bool(true)),
@@ -349,7 +352,7 @@ fn what_is_set_is_told_on_parameter_events_and_simulated_time_can_be_switched_on
         set(both.clone()).unwrap();
         let event: ParameterEvent = receive(&mut *events);
         assert_eq!((event.node.as_str(), &event.changed_parameters), ("/n/eddy_node", &both));
-        assert_eq!(Stamp::from(event.stamp), Stamp(0), "no time has been told yet");
+        assert_eq!(Stamp::from(event.stamp), Stamp(0), "no time has arrived yet");
         set(vec![of("horizon", ParameterValue::integer(0))]).unwrap_err();
         wait_for("the node reads the clock", || (clock.subscribers() == 1).then_some(()));
         tell(&mut *clock, Duration::from_secs(42));
@@ -359,8 +362,8 @@ fn what_is_set_is_told_on_parameter_events_and_simulated_time_can_be_switched_on
         });
         set(vec![of("use_sim_time", ParameterValue::bool(false))]).unwrap();
         let event: ParameterEvent = receive(&mut *events);
-        assert_eq!(event.changed_parameters.len(), 1, "what was refused is not told");
-        assert!(event.stamp.sec > 1_000_000_000, "the time of the machine again");
+        assert_eq!(event.changed_parameters.len(), 1, "rejected parameters are not announced");
+        assert!(event.stamp.sec > 1_000_000_000, "system time again");
         stop.store(true, Ordering::Relaxed);
     });
 }

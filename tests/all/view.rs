@@ -10,7 +10,8 @@ use std::{
 use eddy_frames::{Domain, Frame, FrameView, Material, Stamp};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_node::viewer::{
-    Ahead, Command, Comparison, Controls, HEADER, Hub, NoControls, Program, State, Viewer,
+    Comparison, ControlState, Controls, HEADER, Hub, NoControls, PageCommand, PageInfo,
+    PredictionInfo, Viewer,
 };
 use eddy_transport::ListenAddress;
 use serde_json::{Value, json};
@@ -21,8 +22,8 @@ use crate::support::{DEADLINE, Process, World, eddy, fail, simulate};
 /// A browser that draws nothing.
 struct Browser {
     socket: WebSocket<TcpStream>,
-    /// The last figures.
-    figures: Value,
+    /// The last metrics.
+    metrics: Value,
     /// Frames that were drawn while an outcome was waited for.
     drawn: Vec<Shown>,
 }
@@ -72,7 +73,7 @@ impl Browser {
         let mut request = format!("ws://{address}/ws").into_client_request()?;
         request.headers_mut().insert("Origin", origin.parse().unwrap());
         match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Self { socket, figures: Value::Null, drawn: Vec::new() }),
+            Ok((socket, _)) => Ok(Self { socket, metrics: Value::Null, drawn: Vec::new() }),
             Err(tungstenite::HandshakeError::Failure(error)) => Err(error),
             Err(error) => panic!("{error}"),
         }
@@ -95,8 +96,8 @@ impl Browser {
             match self.socket.read().unwrap() {
                 Message::Text(text) => {
                     let words: Value = serde_json::from_str(&text).unwrap();
-                    if words["type"] == "figures" {
-                        self.figures = words.clone();
+                    if words["type"] == "metrics" {
+                        self.metrics = words.clone();
                     }
                     return Ok(words);
                 }
@@ -130,29 +131,29 @@ impl Browser {
                     return shown;
                 }
             }
-            assert!(start.elapsed() < DEADLINE, "waited until {what}: {}", self.figures);
+            assert!(start.elapsed() < DEADLINE, "waited until {what}: {}", self.metrics);
         }
     }
 
     /// Figures until they are as wanted; frames are drawn meanwhile.
-    fn figures_until(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+    fn metrics_until(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
             match self.next() {
-                Ok(words) if words["type"] == "figures" && wanted(&words) => return words,
+                Ok(words) if words["type"] == "metrics" && wanted(&words) => return words,
                 Ok(_) => {}
                 Err(_) => self.say(json!({ "drawn": 1 })),
             }
-            assert!(start.elapsed() < DEADLINE, "waited until {what}: {}", self.figures);
+            assert!(start.elapsed() < DEADLINE, "waited until {what}: {}", self.metrics);
         }
     }
 
-    /// Frames that have come since something was asked for, until three figures came and no frame.
+    /// Frames that have come since something was asked for, until three metrics came and no frame.
     fn rest(&mut self) -> Vec<Shown> {
         let (mut frames, mut quiet) = (std::mem::take(&mut self.drawn), 0);
         while quiet < 3 {
             match self.next() {
-                Ok(words) if words["type"] == "figures" => quiet += 1,
+                Ok(words) if words["type"] == "metrics" => quiet += 1,
                 Ok(_) => {}
                 Err(bytes) => {
                     quiet = 0;
@@ -216,7 +217,7 @@ fn page_of(controls: Arc<dyn Controls>) -> (Viewer, Arc<Hub>, String) {
         ListenAddress::loopback(0),
         Arc::clone(&hub),
         Comparison::new(&model),
-        Program::default(),
+        PageInfo::default(),
         controls,
     );
     let viewer = viewer.unwrap();
@@ -291,7 +292,7 @@ fn a_browser_that_never_reads_costs_frames_and_nothing_else() {
     for sequence in 0..FRAMES {
         (observed.sequence, next.sequence) = (sequence, sequence + 1);
         let start = Instant::now();
-        hub.predicted(&next, Ahead { source: sequence, frames: 1, free: false });
+        hub.predicted(&next, PredictionInfo { source: sequence, horizon: 1, free_running: false });
         hub.observed(&FrameView::from(&observed));
         longest = longest.max(start.elapsed());
         std::thread::sleep(Duration::from_millis(16).saturating_sub(start.elapsed()));
@@ -304,10 +305,10 @@ fn a_browser_that_never_reads_costs_frames_and_nothing_else() {
     assert!(shown.iter().any(|shown| shown.has(TRUTH | PREDICTION | PAIR)));
 
     // What it was sent by then: two frames that it has not drawn. What it was not sent is counted.
-    let figures = silent.figures_until("drops are counted", |figures| {
-        figures["page"]["dropped"].as_u64().unwrap() > 0 && figures["page"]["browsers"] == 1
+    let metrics = silent.metrics_until("drops are counted", |metrics| {
+        metrics["page"]["dropped"].as_u64().unwrap() > 0 && metrics["page"]["browsers"] == 1
     });
-    let (dropped, made) = (&figures["page"]["dropped"], &figures["page"]["shown"]);
+    let (dropped, made) = (&metrics["page"]["dropped"], &metrics["page"]["shown"]);
     assert!(dropped.as_u64().unwrap() + 5 >= made.as_u64().unwrap(), "{dropped} of {made}");
 }
 
@@ -318,19 +319,22 @@ struct Slow {
 }
 
 impl Controls for Slow {
-    fn offered(&self) -> &'static [&'static str] {
+    fn available(&self) -> &'static [&'static str] {
         &["horizon"]
     }
 
-    fn act(&self, command: Command) -> Result<String, String> {
+    fn execute(&self, command: PageCommand) -> Result<String, String> {
         self.allowed.lock().unwrap().recv_timeout(DEADLINE).unwrap();
-        let Command::Horizon { frames } = command else { return Err(command.name().to_owned()) };
+        let PageCommand::Horizon { frames } = command else {
+            return Err(command.name().to_owned());
+        };
         self.set.lock().unwrap().push(frames);
         Ok(String::new())
     }
 
-    fn state(&self) -> State {
-        State { horizon: self.set.lock().unwrap().last().copied(), ..State::default() }
+    fn state(&self) -> ControlState {
+        let horizon = self.set.lock().unwrap().last().copied();
+        ControlState { horizon, ..ControlState::default() }
     }
 }
 
@@ -347,7 +351,7 @@ fn what_a_page_asks_for_is_done_in_order_and_what_is_too_much_is_refused() {
     // While the first is not done, four more wait: the others are refused at once.
     let refused = browser.words("outcome");
     assert_eq!(refused["done"], false, "{refused}");
-    assert!(refused["said"].as_str().unwrap().starts_with("still busy"), "{refused}");
+    assert!(refused["message"].as_str().unwrap().starts_with("still busy"), "{refused}");
     (0..ASKED).for_each(|_| allow.send(()).unwrap());
     let mut states = Vec::new();
     for _ in 1..ASKED {
@@ -375,13 +379,13 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     assert!(pair.has(TRUTH | PREDICTION) && pair.sequences[0] == pair.sequences[1], "{pair:?}");
     assert!(pair.errors[0] > 0.0 && pair.errors[0] < 0.1, "{pair:?}");
     assert_eq!(pair.ahead, 1);
-    let figures = browser.figures_until("the node reports", |figures| {
-        figures["node"]["rate"].as_f64().is_some_and(|rate| rate > 1.0)
-            && figures["curves"]["time"].as_array().is_some_and(|time| time.len() > 10)
+    let metrics = browser.metrics_until("the node reports", |metrics| {
+        metrics["node"]["rate"].as_f64().is_some_and(|rate| rate > 1.0)
+            && metrics["curves"]["time"].as_array().is_some_and(|time| time.len() > 10)
     });
-    assert!(figures["node"]["latency"][0].as_f64().unwrap() > 0.0, "{figures}");
-    assert!(figures["curves"]["baseline"].is_string(), "{figures}");
-    assert_eq!(figures["state"]["paused"], false);
+    assert!(metrics["node"]["latency"][0].as_f64().unwrap() > 0.0, "{metrics}");
+    assert!(metrics["curves"]["baseline"].is_string(), "{metrics}");
+    assert_eq!(metrics["state"]["paused"], false);
 
     browser.done(json!({ "do": "pause" }));
     browser.rest();
@@ -397,7 +401,7 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     browser.done(json!({ "do": "resume" }));
     browser.until("predictions are five ahead", |shown| shown.ahead == 5 && shown.has(PAIR));
     let refused = browser.ask(json!({ "do": "horizon", "frames": 0 }));
-    assert_eq!(refused["said"], "horizon: found 0, expected 1 to 10000", "{refused}");
+    assert_eq!(refused["message"], "horizon: found 0, expected 1 to 10000", "{refused}");
     let refused = browser.ask(json!({ "do": "skip", "seconds": 1.0 }));
     assert_eq!(refused["done"], false, "{refused}");
 
@@ -408,9 +412,9 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     });
     browser.done(json!({ "do": "free_run", "on": false }));
     browser.until("it observes again", |shown| shown.has(PAIR) && !shown.has(FREE));
-    let before = counter(&browser.figures, "resets");
+    let before = counter(&browser.metrics, "resets");
     browser.done(json!({ "do": "reset" }));
-    browser.figures_until("the reset is counted", |figures| counter(figures, "resets") > before);
+    browser.metrics_until("the reset is counted", |metrics| counter(metrics, "resets") > before);
 
     // It ends also while more is predicted than anybody reads.
     browser.done(json!({ "do": "horizon", "frames": 40 }));
@@ -430,8 +434,8 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     assert!(output.join("bag/metadata.yaml").exists());
 }
 
-fn counter(figures: &Value, name: &str) -> u64 {
-    let counters = figures["node"]["counters"].as_array();
+fn counter(metrics: &Value, name: &str) -> u64 {
+    let counters = metrics["node"]["counters"].as_array();
     let mut named = counters.into_iter().flatten().filter(|counter| counter[0] == name);
     named.next().and_then(|counter| counter[1].as_u64()).unwrap_or(0)
 }
@@ -478,8 +482,8 @@ fn a_replay_and_a_node_have_pages_of_their_own() {
     player.done(json!({ "do": "step" }));
     assert_eq!(player.rest().len(), 1);
     player.done(json!({ "do": "rate", "rate": 0.5 }));
-    let figures = player.figures_until("it is known", |figures| figures["state"]["rate"] == 0.5);
-    assert_eq!(figures["state"]["paused"], true);
+    let metrics = player.metrics_until("it is known", |metrics| metrics["state"]["rate"] == 0.5);
+    assert_eq!(metrics["state"]["paused"], true);
 
     for process in [&mut replay, &mut node] {
         process.interrupt();
@@ -494,8 +498,8 @@ fn an_address_that_cannot_be_had_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("demo");
     let said = fail(1, ["demo", "--port", &port, "--output", output.to_str().unwrap()]);
-    assert!(said.contains(&format!("--port: 127.0.0.1:{port}: found ")), "{said}");
-    assert!(said.contains("expected a free port"), "{said}");
+    assert!(said.contains(&format!("--port: 127.0.0.1:{port}: cannot listen: ")), "{said}");
+    assert!(said.contains("choose a free port"), "{said}");
     assert!(!output.exists(), "nothing is written before");
     let world = World::new("taken");
     let [input, output] = ["a", "b"].map(|name| world.link("shm", name).to_string());
@@ -503,7 +507,7 @@ fn an_address_that_cannot_be_had_is_named() {
     let said = fail(1, ["node", "--input", &input, "--output", &output, "--view", &view]);
     let looped = fail(1, ["node", "--input", &input, "--output", &input]);
     assert!(looped.contains(&format!("output: found {input}, which is the input")), "{looped}");
-    assert!(said.contains(&format!("--view: 127.0.0.1:{port}: found ")), "{said}");
+    assert!(said.contains(&format!("--view: 127.0.0.1:{port}: cannot listen: ")), "{said}");
     let said = fail(2, ["node", "--view", "somewhere"]);
     assert!(said.contains("expected a port (9000), an address (0.0.0.0) or both"), "{said}");
     assert!(fail(2, ["demo", "--headless", "--port", "1"]).contains("--headless"));

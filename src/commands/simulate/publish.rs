@@ -43,7 +43,8 @@ pub(super) fn run(
         let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
-        let next = |simulation: &mut Simulation| Ok(simulation.next_frame()?);
+        let next =
+            |simulation: &mut Simulation| -> anyhow::Result<_> { Ok(simulation.next_frame()?) };
         let complete = Pacer::steady(rate)
             .run(&mut simulation, next, stop, |frame, simulation| {
                 topics.publish(frame)?;

@@ -146,19 +146,14 @@ fn training() -> String {
 }
 
 fn node() -> String {
-    let source = Source::of(&[
-        "src/commands/node.rs",
-        "crates/node/src/settings.rs",
-        "crates/transport/src/lib.rs",
-    ]);
-    let mut rows = rows(&source, source.item("NodeFile"), "");
+    let source = Source::of(&["src/commands/node.rs", "crates/transport/src/lib.rs"]);
+    let mut rows = rows(&source, &source.item("NodeFile").without("node"), "");
     let defaults = NodeSettings::default();
-    for row in &mut rows {
-        let Some(name) = row.key.strip_prefix("node.") else { continue };
-        let spec = PARAMETERS.iter().find(|spec| spec.name == name).unwrap();
-        row.values = super::pages::values(spec);
-        row.docs.push_str(&format!("<br>Default: {}.", super::pages::value(&spec.get(&defaults))));
-    }
+    rows.extend(PARAMETERS.iter().map(|spec| Row {
+        key: format!("node.{}", spec.name),
+        values: super::pages::values(spec),
+        docs: format!("{}.<br>Default: {}.", spec.help, super::pages::value(&spec.get(&defaults))),
+    }));
     table(&rows)
 }
 

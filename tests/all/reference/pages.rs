@@ -163,9 +163,11 @@ fn widths(sizes: &eddy_inference::checkpoint::Sizes) -> String {
 pub fn values(spec: &ParameterSpec) -> String {
     match &spec.values {
         Values::Bool => "true or false".to_owned(),
-        Values::Integer(range) if *range.end() == i64::MAX => format!("{} or more", range.start()),
-        Values::Integer(range) => format!("{} to {}", range.start(), range.end()),
-        Values::Word(words) => words.join(", "),
+        Values::Integer { range, unit } if *range.end() == i64::MAX => {
+            format!("{} or more {unit}", range.start())
+        }
+        Values::Integer { range, unit } => format!("{} to {} {unit}", range.start(), range.end()),
+        Values::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", "),
     }
 }
 
@@ -180,7 +182,7 @@ pub fn value(value: &ParameterValue) -> String {
 
 /// The page on diagnostics and parameters.
 pub fn diagnostics() -> String {
-    let source = Source::of(&["crates/node/src/counters.rs"]);
+    let source = Source::of(&["crates/node/src/surrogate/counters.rs"]);
     let docs = |name: &str| {
         let member = source.item("Counters").members.iter().find(|member| member.name == name);
         member.unwrap_or_else(|| panic!("{name} is no field of Counters")).docs.clone()
@@ -203,14 +205,14 @@ pub fn diagnostics() -> String {
     );
     text.push_str("\n## Parameters\n\nEach is also a key of `[node]` in a settings file.\n\n| parameter | values | default | |\n|---|---|---|---|\n");
     let defaults = NodeSettings::default();
-    for spec in &PARAMETERS {
-        let read_only = if spec.read_only { "; read-only at run time" } else { "" };
+    for spec in PARAMETERS {
+        let read_only = if spec.read_only { "; read-only once the node runs" } else { "" };
         let default = value(&spec.get(&defaults));
         text.push_str(&format!(
             "| `{}` | {} | {default} | {}{read_only} |\n",
             spec.name,
             values(spec),
-            spec.description
+            spec.help
         ));
     }
     text

@@ -15,8 +15,16 @@ pub struct Item {
     pub members: Vec<Member>,
 }
 
+impl Item {
+    /// The item without a member.
+    pub fn without(&self, name: &str) -> Self {
+        let members = self.members.iter().filter(|member| member.name != name);
+        Self { docs: self.docs.clone(), is_enum: self.is_enum, members: members.cloned().collect() }
+    }
+}
+
 /// A field, or a variant.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Member {
     /// The key or word in files.
     pub name: String,

@@ -111,7 +111,7 @@ async function colours(page, selector, palette, near = 40) {
 
 const LIQUID = [0, 114, 178];
 const JELLY = [230, 159, 0];
-const figure = (page, name) => page.locator(`dd[data-name="${name}"]`).first().textContent({ timeout: DEADLINE });
+const metric = (page, name) => page.locator(`dd[data-name="${name}"]`).first().textContent({ timeout: DEADLINE });
 const caption = (page, side) => page.locator(`#${side} .when`).textContent();
 const frame = async (page) => Number((await caption(page, "truth")).match(/frame (\d+)/)?.[1] ?? -1);
 const open = (page) => until("the page is connected", async () => (await page.locator("#connection").getAttribute("data-state")) === "open");
@@ -133,33 +133,33 @@ try {
   await until("a prediction meets its truth", async () => /error/.test(await page.locator("#error-time").getAttribute("aria-label")));
   await sleep(3000);
   await snap(page, "light");
-  console.log(`rate: ${await figure(page, "drawn here")}, ${await page.locator("#renderer").textContent()}`);
+  console.log(`rate: ${await metric(page, "display rate")}, ${await page.locator("#renderer").textContent()}`);
   // The rate depends on the load of the machine; test only that drawing continues.
   const drawn = await frame(page);
   await until("drawing continues", async () => (await frame(page)) !== drawn);
 
   // Controls act on the program, not only on the page.
   await page.keyboard.press("Space");
-  await until("it pauses", async () => (await page.locator("#pause").textContent()) === "Go on");
+  await until("it pauses", async () => (await page.locator("#pause").textContent()) === "Resume");
   const paused = await until("frames stop", async () => {
     const first = await frame(page);
     await sleep(400);
     return (await frame(page)) === first && first;
   });
-  const observed = Number((await figure(page, "sent to this page")).replaceAll(",", ""));
+  const observed = Number((await metric(page, "frames sent to this page")).replaceAll(",", ""));
   await page.keyboard.press("ArrowRight");
   await until("one frame arrives", async () => (await frame(page)) === paused + 1);
   await sleep(400);
   assert.equal(await frame(page), paused + 1, "a step is one frame");
-  assert.equal(Number((await figure(page, "sent to this page")).replaceAll(",", "")), observed + 1, "one frame was sent");
+  assert.equal(Number((await metric(page, "frames sent to this page")).replaceAll(",", "")), observed + 1, "one frame was sent");
 
   await page.locator("#horizon").fill("10");
   await page.locator("#horizon").press("Enter");
   await page.locator("#horizon").blur();
   await page.locator("#pause").click();
-  await until("predictions are ten frames ahead", async () => /, 10 ahead$/.test(await caption(page, "prediction")));
+  await until("predictions are ten frames ahead", async () => /, 10 frames ahead$/.test(await caption(page, "prediction")));
   await page.locator("#publish_all").click();
-  await until("the curve by frames ahead appears", () => page.locator("#ahead-card").isVisible());
+  await until("the curve by horizon appears", () => page.locator("#horizon-card").isVisible());
   await sleep(1500);
   await snap(page, "ahead");
   await page.locator("#publish_all").click();
@@ -172,7 +172,7 @@ try {
   await page.keyboard.press("o");
   const resets = async () => {
     await page.locator("details").evaluate((details) => { details.open = true; });
-    return Number(await figure(page, "resets"));
+    return Number(await metric(page, "resets"));
   };
   const before = await resets();
   await page.locator("#free_run").click();
@@ -238,15 +238,15 @@ try {
     await one.bringToFront();
     await draws(one);
   }
-  await until("eleven pages are counted", async () => (await figure(tabs[0], "pages")) === "11");
+  await until("eleven pages are counted", async () => (await metric(tabs[0], "open pages")) === "11");
   await Promise.all(tabs.map((one) => one.context().close()));
-  await until("the closed pages are no longer counted", async () => (await figure(page, "pages")) === "1");
+  await until("the closed pages are no longer counted", async () => (await metric(page, "open pages")) === "1");
   console.log("ten tabs at once");
 
   // The program is killed and restarted on the same port.
   await page.bringToFront();
   await running.kill();
-  await until("the page reports the lost connection", async () => /trying again/.test(await page.locator("#connection").textContent()));
+  await until("the page reports the lost connection", async () => /retrying/.test(await page.locator("#connection").textContent()));
   await snap(page, "lost");
   running = await demo(port);
   await open(page);

@@ -16,7 +16,7 @@ use eddy_frames::{
     clock::{self, Clock},
 };
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
-use eddy_node::{Cache, Recorder, Taken};
+use eddy_node::{Cache, Pop, Recorder};
 use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
 
 /// Number of distinct frames, prepared in advance and repeated.
@@ -213,7 +213,7 @@ fn live(
                 match subscriber.receive(POLL_TIMEOUT)? {
                     Some(payload) => {
                         let size = payload.size();
-                        producer.bring((payload, clock::wall()), size, Duration::ZERO);
+                        producer.push((payload, clock::wall()), size, Duration::ZERO);
                     }
                     None if over => break,
                     None => {}
@@ -238,10 +238,10 @@ fn write_live(
     cache: &Cache<(Payload, Stamp)>,
 ) -> Result<(), BagError> {
     loop {
-        match cache.take(POLL_TIMEOUT) {
-            Taken::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
-            Taken::Nothing => {}
-            Taken::Ended => return Ok(()),
+        match cache.pop(PATIENCE) {
+            Pop::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
+            Pop::Timeout => {}
+            Pop::Ended => return Ok(()),
         }
         recorder.on_tick(clock::wall())?;
     }

@@ -17,8 +17,8 @@ use eddy_inference::{
 };
 use eddy_messages::{DiagnosticArray, Message, ParticleFrame, PredictionStatus, cdr};
 use eddy_node::{
-    Control, FrameQueue, InvalidSettings, NodeSettings, Outputs, Presence, RosTime, SurrogateNode,
-    drive,
+    FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeSettings, Outputs, RosTime,
+    SurrogateNode, drive,
 };
 use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
 
@@ -108,8 +108,8 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     let status = publisher("prediction/status", PredictionStatus::TYPE)?;
     let diagnostics = Some(publisher("diagnostics", DiagnosticArray::TYPE)?);
     let mut outputs = [Outputs { diagnostics, ..Outputs::new(prediction, status) }];
-    let time = RosTime::of_the_machine();
-    let mut presence = Presence { name: "/eddy_bench_node".to_owned(), time };
+    let (name, time) = ("/eddy_bench_node".to_owned(), RosTime::system());
+    let mut context = NodeContext { name, input: link("particles"), time };
     let mut predictions = here.subscriber(&link("prediction"), ParticleFrame::TYPE)?;
     let mut diagnostics = here.subscriber(&link("diagnostics"), DiagnosticArray::TYPE)?;
     let mut source = here.publisher(&link("particles"), ParticleFrame::TYPE, Reliability::Drop)?;
@@ -124,10 +124,10 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
         let _stopping = (Stopping(&stop), Stopping(&over));
         let (node, queue, stop, over) = (&mut node, &queue, &stop, &over);
         let (input, outputs) = (&mut *input, &mut outputs[..]);
-        let control = Control::default();
-        let presence = &mut presence;
+        let handle = NodeHandle::default();
+        let context = &mut context;
         let driving =
-            scope.spawn(move || drive(node, presence, input, outputs, queue, &control, stop));
+            scope.spawn(move || drive(node, context, input, outputs, queue, &handle, stop));
         let watching = scope.spawn(|| -> Result<(), TransportError> {
             while !over.load(Ordering::Relaxed) && ways.len() < ways.capacity() {
                 let Some(mut payload) = predictions.receive(POLL_TIMEOUT)? else { continue };

@@ -8,7 +8,7 @@ use super::{Spread, particles};
 use eddy_bag::{BagError, BagMessage, BagReader, BagWriter, WriterOptions};
 use eddy_frames::{Stamp, clock::Clock};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
-use eddy_node::{Asked, Player, PlayerError, PlayerOptions, Stage, play};
+use eddy_node::{PendingCommand, PlaybackSink, Player, PlayerError, PlayerOptions, play};
 
 /// Parameters of the benchmark.
 #[derive(Clone, Copy, Debug)]
@@ -84,7 +84,7 @@ struct DelayRecorder<'a> {
     is_over: &'a dyn Fn() -> bool,
 }
 
-impl Stage for DelayRecorder<'_> {
+impl PlaybackSink for Lateness<'_> {
     type Error = BagError;
 
     fn message(&mut self, _: BagMessage, _: Duration) -> Result<(), BagError> {
@@ -97,11 +97,11 @@ impl Stage for DelayRecorder<'_> {
         Ok(())
     }
 
-    fn wishes(&mut self) -> Vec<Asked> {
+    fn commands(&mut self) -> Vec<PendingCommand> {
         Vec::new()
     }
 
-    fn is_over(&self) -> bool {
+    fn is_stopped(&self) -> bool {
         (self.is_over)()
     }
 }

@@ -16,7 +16,9 @@ use serde::Serialize;
 use super::{Spread, particles};
 use eddy_frames::{FrameView, clock::Clock};
 use eddy_inference::checkpoint::{Checkpoint, CheckpointError};
-use eddy_node::viewer::{Ahead, Comparison, Hub, NoControls, Program, Viewer, ViewerError};
+use eddy_node::viewer::{
+    Comparison, Hub, NoControls, PageInfo, PredictionInfo, Viewer, ViewerError,
+};
 use eddy_transport::ListenAddress;
 
 /// Parameters of the benchmark.
@@ -72,7 +74,7 @@ pub fn time(plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timing, BenchErro
         ListenAddress::loopback(0),
         Arc::clone(&hub),
         comparison,
-        Program::default(),
+        PageInfo::default(),
         Arc::new(NoControls),
     )?;
     let address = viewer.address();
@@ -100,8 +102,8 @@ pub fn time(plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timing, BenchErro
             truth.sequence = u64::from(number);
             predicted.sequence = truth.sequence + 1;
             let start = clock.now();
-            let ahead = Ahead { source: truth.sequence, frames: 1, free: false };
-            hub.predicted(&predicted, ahead);
+            let info = PredictionInfo { source: truth.sequence, horizon: 1, free_running: false };
+            hub.predicted(&predicted, info);
             hub.observed(&FrameView::from(&truth));
             publish.push(clock.now() - start);
         }

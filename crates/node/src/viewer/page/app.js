@@ -1,4 +1,4 @@
-// The page: what the program says is shown, what the user wants is said to the program.
+// The live page: shows what the program sends, and sends it the commands of the user.
 
 import { draw as drawChart } from "/chart.js";
 import { read } from "/frame.js";
@@ -8,19 +8,19 @@ import { Painter, scaleStart } from "/painter.js";
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
 
-/** What is known now. */
+/** The state of the page. */
 const now = {
-  hello: null, figures: null, frame: null, next: null, undrawn: 0,
-  state: {}, asked: 0, until: 0,
-  held: false, steps: 0, dirty: true, drawn: [], offered: new Set(), curves: null,
+  hello: null, metrics: null, frame: null, next: null, undrawn: 0,
+  state: {}, pending: 0, until: 0,
+  held: false, steps: 0, dirty: true, drawn: [], available: new Set(), curves: null,
 };
 const view = { over: false, colour: "material" };
 
 // --- colours
 
 const probe = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
-/** A colour of the style sheet as numbers from 0 to 1. */
-function numbers(name) {
+/** A colour of the style sheet as components from 0 to 1. */
+function components(name) {
   const element = document.createElement("i");
   element.style.color = `var(${name})`;
   root.append(element);
@@ -29,66 +29,66 @@ function numbers(name) {
   probe.fillRect(0, 0, 1, 1);
   return [...probe.getImageData(0, 0, 1, 1).data].slice(0, 3).map((part) => part / 255);
 }
-/** The same as a colour for a canvas. */
-const solid = (name) => `rgb(${numbers(name).map((part) => Math.round(255 * part)).join(" ")})`;
+/** The same as a CSS colour. */
+const solid = (name) => `rgb(${components(name).map((part) => Math.round(255 * part)).join(" ")})`;
 const system = matchMedia("(prefers-color-scheme: dark)");
 const isDark = () => (root.dataset.theme ?? (system.matches ? "dark" : "light")) === "dark";
 let theme = null;
-function dressed() {
+function colours() {
   theme ??= {
-    ground: numbers("--plot"), plain: numbers("--ghost"), dark: isDark(),
+    background: components("--plot"), plain: components("--ghost"), dark: isDark(),
     chart: {
-      ink: solid("--ink"), soft: solid("--soft"), line: solid("--line"),
+      ink: solid("--ink"), muted: solid("--muted"), line: solid("--line"),
       model: solid("--accent"), baseline: solid("--warm"),
     },
   };
   return theme;
 }
-function undress() {
+function resetTheme() {
   theme = null;
   now.dirty = true;
   drawLegend();
   drawCurves();
 }
-system.addEventListener("change", undress);
+system.addEventListener("change", resetTheme);
 function toggleTheme() {
   root.dataset.theme = isDark() ? "light" : "dark";
-  undress();
-  try { localStorage.setItem("eddy-theme", root.dataset.theme); } catch { /* private windows keep nothing */ }
+  resetTheme();
+  try { localStorage.setItem("eddy-theme", root.dataset.theme); } catch { /* private windows store nothing */ }
 }
 try {
   const kept = localStorage.getItem("eddy-theme");
   if (kept === "light" || kept === "dark") root.dataset.theme = kept;
-} catch { /* likewise */ }
+} catch { /* the same */ }
 
 // --- the connection
 
-let counting = 0;
+let countdown = 0;
 const link = new Link({
   opened() {
-    clearInterval(counting);
+    clearInterval(countdown);
     connection("open", "connected");
-    now.undrawn = now.asked = 0;
+    now.undrawn = now.pending = 0;
     now.next = null;
   },
   closed(wait) {
-    clearInterval(counting);
+    clearInterval(countdown);
     const until = performance.now() + wait;
-    const tell = () => {
+    const update = () => {
       const left = Math.max(0, (until - performance.now()) / 1000);
-      connection("closed", `connection lost, trying again in ${left.toFixed(1)} s`);
+      connection("closed", `connection lost, retrying in ${left.toFixed(1)} s`);
     };
-    tell();
-    counting = setInterval(tell, 100);
+    update();
+    countdown = setInterval(update, 100);
   },
-  words(words) {
-    if (words.type === "hello") greet(words);
-    else if (words.type === "figures") show(words);
-    else if (words.type === "outcome") {
-      if (!words.done) say(`${words.of.replace("_", " ")}: ${words.said}`);
-      else if (words.said) say(words.said);
-      now.asked = Math.max(0, now.asked - 1);
-      if (isSettled()) showState(words.state);
+  message(message) {
+    if (message.type === "hello") start(message);
+    else if (message.type === "metrics") show(message);
+    else if (message.type === "outcome") {
+      if (!message.done) notify(`${message.of.replace("_", " ")}: ${message.message}`);
+      else if (message.message) notify(message.message);
+      now.pending = Math.max(0, now.pending - 1);
+      if (isSettled()) showState(message.state);
     }
   },
   frame(buffer) {
@@ -106,36 +106,40 @@ function connection(state, text) {
   }
 }
 
-/** There is room for as many more. A page that is hidden, or holds its view, says nothing and is sent nothing. */
+/** Requests as many frames as were drawn. A page that is hidden, or holds its view, requests and receives none. */
 function acknowledge() {
-  if (now.undrawn) link.say({ drawn: now.undrawn });
+  if (now.undrawn) link.send({ drawn: now.undrawn });
   now.undrawn = 0;
 }
 
-let saying = 0;
-function say(text) {
-  $("said").textContent = text;
-  $("said").classList.add("shown");
-  clearTimeout(saying);
-  saying = setTimeout(() => $("said").classList.remove("shown"), 4000);
+let notifying = 0;
+function notify(text) {
+  $("message").textContent = text;
+  $("message").classList.add("shown");
+  clearTimeout(notifying);
+  notifying = setTimeout(() => $("message").classList.remove("shown"), 4000);
 }
 
-function greet(hello) {
+function start(hello) {
   const restarted = now.hello && now.hello.instance !== hello.instance;
   now.hello = hello;
-  now.offered = new Set(hello.controls);
+  now.available = new Set(hello.controls);
   $("title").textContent = hello.title;
   document.title = `eddy ${hello.command}`;
-  for (const name of ["pause", "step", "reset", "publish_all", "free_run"]) $(name).hidden = !now.offered.has(name);
-  $("back").hidden = $("on").hidden = !now.offered.has("skip");
-  $("rate-label").hidden = !now.offered.has("rate");
-  $("horizon-label").hidden = !now.offered.has("horizon");
-  // Where the source is elsewhere, the view is what can be held.
-  $("hold").hidden = now.offered.has("pause");
+  for (const name of ["pause", "step", "reset", "publish_all", "free_run"]) $(name).hidden = !now.available.has(name);
+  $("back").hidden = $("forward").hidden = !now.available.has("skip");
+  $("rate-label").hidden = !now.available.has("rate");
+  $("horizon-label").hidden = !now.available.has("horizon");
+  const { horizon, free_run: freeRun } = hello.settings;
+  [$("horizon").min, $("horizon").max] = horizon.range;
+  $("horizon").title = `${horizon.help} (+, −)`;
+  $("free_run").title = `${freeRun.help} (f)`;
+  // The source of a node cannot be paused, but the view can be held.
+  $("hold").hidden = now.available.has("pause");
   if ($("hold").hidden) hold(false);
-  $("step").hidden = !(now.offered.has("step") || now.held);
+  $("step").hidden = !(now.available.has("step") || now.held);
   if (restarted) {
-    say("the program was restarted");
+    notify("the program was restarted");
     now.frame = now.curves = null;
     now.dirty = true;
     drawCurves();
@@ -152,7 +156,7 @@ try {
   painter = new Painter($("particles"), () => { now.dirty = true; });
 } catch (error) {
   failure = error.message;
-  $("waiting").textContent = `${failure}: particles cannot be drawn`;
+  $("waiting").textContent = `${failure}: cannot draw particles`;
 }
 
 function panels() {
@@ -164,7 +168,7 @@ function panels() {
       { element: plot("prediction"), layers: layers("prediction") },
     ];
   }
-  // The truth shows as a rim where the prediction covers it, and whole where it does not.
+  // The truth is drawn larger, so that it is visible as a rim below the prediction.
   const below = { side: "truth", colouring: "plain", growth: 1.5 };
   return [{ element: plot("prediction"), layers: [below, { side: "prediction", colouring: view.colour, growth: 0.8 }] }];
 }
@@ -184,7 +188,7 @@ function tick(time) {
   while (now.drawn.length && now.drawn[0] < time - 2000) now.drawn.shift();
   if (now.dirty) {
     now.dirty = false;
-    painter?.draw(now.frame, panels(), dressed());
+    painter?.draw(now.frame, panels(), colours());
   }
 }
 requestAnimationFrame(tick);
@@ -192,10 +196,11 @@ requestAnimationFrame(tick);
 function caption() {
   const frame = now.frame;
   const { truth, prediction } = frame;
-  const when = (side) => (side.there ? `t = ${side.stamp.toFixed(2)} s, frame ${side.sequence}` : "");
-  const ahead = frame.ahead ? `, ${frame.ahead} ahead${frame.free ? ", free run" : ""}` : "";
+  const when = (side) => (side.present ? `t = ${side.stamp.toFixed(2)} s, frame ${side.sequence}` : "");
+  const frames = frame.horizon === 1 ? "frame" : "frames";
+  const info = frame.horizon ? `, ${frame.horizon} ${frames} ahead${frame.freeRunning ? ", free run" : ""}` : "";
   $("truth").querySelector(".when").textContent = when(truth);
-  const predicted = prediction.there ? when(prediction) + ahead : now.hello?.model ? "warming up" : "no prediction";
+  const predicted = prediction.present ? when(prediction) + info : now.hello?.model ? "warming up" : "no prediction";
   $("prediction").querySelector(".when").textContent = predicted;
   const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
   $("stage").style.setProperty("--aspect", Math.min(Math.max(aspect, 0.5), 4));
@@ -241,37 +246,37 @@ function drawLegend() {
   legend.replaceChildren(...entries);
 }
 
-// --- figures and curves
+// --- metrics and curves
 
 const duration = (seconds) =>
   seconds >= 1 ? `${seconds.toFixed(1)} s` : `${(1e3 * seconds).toFixed(seconds < 0.01 ? 2 : 1)} ms`;
 const count = (number) => number.toLocaleString("en");
 let before = null;
 
-function rate(figures) {
+function rate(metrics) {
   const time = performance.now();
   const last = before;
-  if (!last || figures.observed < last.figures.observed) before = { time, figures };
+  if (!last || metrics.observed < last.metrics.observed) before = { time, metrics };
   if (!last || time - last.time < 200) return null;
-  if (time - last.time > 2000) before = { time, figures };
-  return (1e3 * (figures.observed - last.figures.observed)) / (time - last.time);
+  if (time - last.time > 2000) before = { time, metrics };
+  return (1e3 * (metrics.observed - last.metrics.observed)) / (time - last.time);
 }
 
 function rows(list, entries) {
   list.replaceChildren(...entries.flatMap(([name, value]) => {
-    const [term, said] = [document.createElement("dt"), document.createElement("dd")];
+    const [term, text] = [document.createElement("dt"), document.createElement("dd")];
     term.textContent = name;
-    said.textContent = value;
-    said.dataset.name = name;
-    return [term, said];
+    text.textContent = value;
+    text.dataset.name = name;
+    return [term, text];
   }));
 }
 
-function show(figures) {
-  now.figures = figures;
-  now.curves = figures.curves;
-  const { node, page } = figures;
-  const observed = rate(figures);
+function show(metrics) {
+  now.metrics = metrics;
+  now.curves = metrics.curves;
+  const { node, page } = metrics;
+  const observed = rate(metrics);
   const span = now.drawn.length > 1 ? now.drawn.at(-1) - now.drawn[0] : 0;
   const drawnRate = span > 0 && performance.now() - now.drawn.at(-1) < 1000 ? (1e3 * (now.drawn.length - 1)) / span : 0;
   const entries = [];
@@ -280,39 +285,39 @@ function show(figures) {
   if (node) {
     entries.push(["predictions", `${node.rate.toFixed(0)} /s`]);
     entries.push(["latency p50, p99", node.rate > 0 ? `${duration(node.latency[0])}, ${duration(node.latency[1])}` : "-"]);
-    entries.push(["frames the node lost", count(node.lost)]);
+    entries.push(["frames lost by the node", count(node.lost)]);
     entries.push(["streams", count(node.streams)]);
   } else {
-    entries.push(["streams", count(figures.streams.length)]);
+    entries.push(["streams", count(metrics.streams.length)]);
   }
-  entries.push(["sent to this page", count(page.sent)]);
-  entries.push(["dropped for this page", count(page.dropped + page.skipped)]);
-  entries.push(["pages", count(page.browsers)]);
-  entries.push(["drawn here", `${drawnRate.toFixed(0)} /s`]);
+  entries.push(["frames sent to this page", count(page.sent)]);
+  entries.push(["frames skipped by this page", count(page.dropped + page.skipped)]);
+  entries.push(["open pages", count(page.browsers)]);
+  entries.push(["display rate", `${drawnRate.toFixed(0)} /s`]);
   if (now.hello?.model) entries.push(["model", now.hello.model.slice(0, 12)]);
-  rows($("figures"), entries);
-  $("renderer").textContent = painter ? `drawn by ${painter.renderer}` : failure;
+  rows($("metrics"), entries);
+  $("renderer").textContent = painter ? `renderer: ${painter.renderer}` : failure;
   rows($("counters"), (node?.counters ?? []).map(([name, value]) => [name.replaceAll("_", " "), count(value)]));
 
-  if (isSettled()) showState(figures.state);
-  streams(figures);
+  if (isSettled()) showState(metrics.state);
+  streams(metrics);
   drawCurves();
   if (view.colour === "speed") drawLegend();
 }
 
-/** How the program is set; while commands are on their way, how it will be set. */
+/** Shows the state of the controls; while commands are pending, the state they will lead to. */
 function showState(state) {
   now.state = state;
   const pressed = (id, on) => $(id).setAttribute("aria-pressed", String(Boolean(on)));
   pressed("pause", state.paused);
-  $("pause").textContent = state.paused ? "Go on" : "Pause";
+  $("pause").textContent = state.paused ? "Resume" : "Pause";
   pressed("free_run", state.free_run);
   pressed("publish_all", state.publish_all);
   if (state.horizon != null && document.activeElement !== $("horizon")) $("horizon").value = state.horizon;
   if (state.rate != null && document.activeElement !== $("rate")) choose($("rate"), String(state.rate), `${state.rate.toFixed(2)}×`);
 }
 
-/** Selects a value, which becomes an option if it is none. */
+/** Selects a value, and adds it to the options if necessary. */
 function choose(select, value, text) {
   if (![...select.options].some((option) => option.value === value)) select.add(new Option(text, value));
   select.value = value;
@@ -331,70 +336,70 @@ function streams({ streams: all, stream, following }) {
 }
 
 function drawCurves() {
-  const curves = now.curves ?? { time: [], ahead: [], baseline: null };
-  const { chart } = dressed();
+  const curves = now.curves ?? { time: [], horizon: [], baseline: null };
+  const { chart } = colours();
   const { baseline } = curves;
   const time = drawChart($("error-time"), curves.time, { unit: "s", baseline, colours: chart, gap: 0.5 });
-  $("error-time").setAttribute("aria-label", `Error as time passes: ${time}`);
-  $("ahead-card").hidden = curves.ahead.length < 2;
-  if (curves.ahead.length >= 2) {
-    const ahead = drawChart($("error-ahead"), curves.ahead, { unit: "frames ahead", baseline, colours: chart, decimals: 0 });
-    $("error-ahead").setAttribute("aria-label", `Error by frames ahead: ${ahead}`);
+  $("error-time").setAttribute("aria-label", `Error over time: ${time}`);
+  $("horizon-card").hidden = curves.horizon.length < 2;
+  if (curves.horizon.length >= 2) {
+    const horizon = drawChart($("error-horizon"), curves.horizon, { unit: "frames ahead", baseline, colours: chart, decimals: 0 });
+    $("error-horizon").setAttribute("aria-label", `Error by horizon: ${horizon}`);
   }
 }
 addEventListener("resize", () => { now.dirty = true; drawCurves(); });
 
-// --- what the user wants
+// --- commands
 
-const PATIENCE = 7000; // ms: an answer that has not come by then was lost
-/** Whether nothing was asked for that changes what the program says of itself. */
-const isSettled = () => now.asked === 0 || performance.now() > now.until;
-/** Asks for something, after which the program will be set as in `then`. */
-function does(name, more = {}, then = {}) {
-  if (!link.say({ do: name, ...more })) return say("not connected");
-  now.asked += 1;
-  now.until = performance.now() + PATIENCE;
+const TIMEOUT = 7000; // ms, after which an outcome is considered lost
+/** Whether no command is pending. */
+const isSettled = () => now.pending === 0 || performance.now() > now.until;
+/** Sends a command that leads to the state `then`. */
+function send(name, more = {}, then = {}) {
+  if (!link.send({ do: name, ...more })) return notify("not connected");
+  now.pending += 1;
+  now.until = performance.now() + TIMEOUT;
   showState({ ...now.state, ...then });
 }
-/** Turns on what is off, and off what is on. */
 function toggle(name) {
-  if (!now.offered.has(name)) return;
+  if (!now.available.has(name)) return;
   const on = now.state[name];
-  if (on == null) say(`${name.replace("_", " ")}: not known yet whether it is on`);
-  else does(name, { on: !on }, { [name]: !on });
+  if (on == null) notify(`${name.replace("_", " ")}: state not known yet`);
+  else send(name, { on: !on }, { [name]: !on });
 }
 function pause(paused) {
-  does(paused ? "pause" : "resume", {}, { paused });
+  send(paused ? "pause" : "resume", {}, { paused });
 }
 function hold(held) {
   now.held = held;
   now.steps = 0;
   $("hold").setAttribute("aria-pressed", String(held));
-  $("step").hidden = !(now.offered.has("step") || held);
+  $("step").hidden = !(now.available.has("step") || held);
 }
 const actions = {
   pause() {
-    if (now.offered.has("pause")) pause(!now.state.paused);
+    if (now.available.has("pause")) pause(!now.state.paused);
     else hold(!now.held);
   },
   step() {
     if (now.held) now.steps += 1;
-    else if (now.offered.has("step")) {
+    else if (now.available.has("step")) {
       if (!now.state.paused) pause(true);
-      does("step");
+      send("step");
     }
   },
-  reset: () => now.offered.has("reset") && does("reset"),
+  reset: () => now.available.has("reset") && send("reset"),
   free_run: () => toggle("free_run"),
   publish_all: () => toggle("publish_all"),
   horizon(frames) {
-    if (!now.offered.has("horizon")) return;
+    if (!now.available.has("horizon")) return;
     const wanted = Math.round(frames);
-    if (wanted >= 1 && wanted <= 10000) does("horizon", { frames: wanted }, { horizon: wanted });
-    else say(`horizon: found ${frames}, expected 1 to 10000`);
+    const [min, max] = now.hello.settings.horizon.range;
+    if (wanted >= min && wanted <= max) send("horizon", { frames: wanted }, { horizon: wanted });
+    else notify(`horizon: found ${frames}, expected ${min} to ${max}`);
   },
   longer: (by) => actions.horizon(Math.max(1, (now.state.horizon ?? 1) + by)),
-  skip: (seconds) => now.offered.has("skip") && does("skip", { seconds }),
+  skip: (seconds) => now.available.has("skip") && send("skip", { seconds }),
   view() {
     view.over = !view.over;
     $("view").value = view.over ? "over" : "beside";
@@ -419,25 +424,25 @@ for (const name of ["pause", "step", "reset", "free_run", "publish_all", "theme"
 }
 $("hold").addEventListener("click", () => actions.pause());
 $("back").addEventListener("click", () => actions.skip(-5));
-$("on").addEventListener("click", () => actions.skip(5));
+$("forward").addEventListener("click", () => actions.skip(5));
 $("horizon").addEventListener("change", (event) => actions.horizon(Number(event.target.value)));
 $("rate").addEventListener("change", (event) => {
   const rate = Number(event.target.value);
-  does("rate", { rate }, { rate });
+  send("rate", { rate }, { rate });
 });
 $("view").addEventListener("change", () => actions.view());
 $("colour").addEventListener("change", (event) => actions.colour(event.target.value));
-$("stream").addEventListener("change", (event) => link.say({ select: event.target.value || null }));
+$("stream").addEventListener("change", (event) => link.send({ select: event.target.value || null }));
 
 const KEYS = [
-  [" ", "space", "pause or go on", () => actions.pause()],
-  ["ArrowRight", "→", "one frame", () => actions.step()],
-  ["r", "r", "reset: forget every stream", () => actions.reset()],
+  [" ", "space", "pause or resume", () => actions.pause()],
+  ["ArrowRight", "→", "advance by one frame", () => actions.step()],
+  ["r", "r", "reset all streams", () => actions.reset()],
   ["f", "f", "free run on or off", () => actions.free_run()],
-  ["+", "+", "one frame farther ahead", () => actions.longer(1)],
-  ["-", "−", "one frame less", () => actions.longer(-1)],
-  ["o", "o", "overlaid or side by side", () => actions.view()],
-  ["c", "c", "next colouring", () => actions.colour()],
+  ["+", "+", "horizon + 1 frame", () => actions.longer(1)],
+  ["-", "−", "horizon − 1 frame", () => actions.longer(-1)],
+  ["o", "o", "side by side or overlaid", () => actions.view()],
+  ["c", "c", "next colour mode", () => actions.colour()],
   ["t", "t", "light or dark", () => actions.theme()],
   ["?", "?", "these keys", () => actions.help()],
 ];
@@ -446,7 +451,7 @@ addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   const { target } = event;
   if (target.closest("input, select, dialog")) return;
-  // A button that has the focus is what the space bar means.
+  // The space bar presses a focused button.
   if (event.key === " " && target.closest("button, summary")) return;
   const found = KEYS.find(([key]) => key === event.key);
   if (!found) return;

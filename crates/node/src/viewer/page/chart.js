@@ -1,21 +1,21 @@
-// Two curves on a logarithmic axis: the model's error, and the best baseline's.
+// Two curves on a logarithmic axis: the error of the model and of the best baseline.
 
 const MARGIN = { left: 46, right: 12, top: 22, bottom: 26 };
 
-/** A readable number of an axis: 1e-4 as 10⁻⁴. */
+/** A power of ten as text: 10⁻⁴. */
 function power(exponent) {
   const digits = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   return `10${exponent < 0 ? "⁻" : ""}${[...String(Math.abs(exponent))].map((digit) => digits[digit]).join("")}`;
 }
 
-/** A step of 1, 2 or 5 times a power of ten that divides `span` into about `parts`. */
+/** The step of an axis, 1, 2 or 5 times a power of ten, for about `parts` parts of `span`. */
 function nice(span, parts) {
   const rough = span / parts;
   const ten = 10 ** Math.floor(Math.log10(rough));
   return ten * [1, 2, 5, 10].find((step) => step * ten >= rough);
 }
 
-/** `rows` are [x, model, baseline or null]; returns a sentence about the last row. */
+/** `rows` are [x, model, baseline or null]; returns a description of the last row. */
 export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap = Infinity }) {
   const density = devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -28,12 +28,12 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
   pen.font = "12px system-ui, sans-serif";
   const values = rows.flatMap(([, model, best]) => [model, best]).filter((value) => value > 0);
   if (rows.length < 2 || !values.length) {
-    pen.fillStyle = colours.soft;
+    pen.fillStyle = colours.muted;
     pen.textAlign = "center";
-    pen.fillText("no prediction has met its truth yet", width / 2, height / 2);
-    return "no curve yet";
+    pen.fillText("no prediction can be compared yet", width / 2, height / 2);
+    return "no data yet";
   }
-  // Errors below a millionth are rounding.
+  // Errors below 1e-6 are rounding errors.
   let low = Math.max(-6, Math.floor(Math.log10(Math.min(...values))));
   let high = Math.max(low + 1, Math.ceil(Math.log10(Math.max(...values))));
   const [first, last] = [rows[0][0], rows.at(-1)[0]];
@@ -44,7 +44,7 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
   };
   pen.lineWidth = 1;
   pen.strokeStyle = colours.line;
-  pen.fillStyle = colours.soft;
+  pen.fillStyle = colours.muted;
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   for (let exponent = low; exponent <= high; exponent++) {
@@ -74,8 +74,8 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
     let before = null;
     for (const row of rows) {
       if (row[column] == null) { before = null; continue; }
-      const together = before !== null && row[0] - before <= gap;
-      if (together) pen.lineTo(x(row[0]), y(row[column]));
+      const connected = before !== null && row[0] - before <= gap;
+      if (connected) pen.lineTo(x(row[0]), y(row[column]));
       else pen.moveTo(x(row[0]), y(row[column]));
       before = row[0];
     }

@@ -1,9 +1,9 @@
-// A shown frame as the server sends it: the layout is described in the program's `viewer::wire`.
+// A displayed frame as bytes; the layout is described in `viewer::wire`.
 
 const VERSION = 1;
 const HEADER = 96;
 
-/** The frame in an ArrayBuffer, or null for what is none. Offsets are in bytes, for the graphics card. */
+/** Decodes an ArrayBuffer; null if it is not a frame. Offsets are in bytes, for WebGL. */
 export function read(buffer) {
   const view = new DataView(buffer);
   if (buffer.byteLength < HEADER || view.getUint8(0) !== 0x45 || view.getUint8(1) !== 0x44
@@ -13,18 +13,18 @@ export function read(buffer) {
   if (buffer.byteLength < HEADER + 12 * particles) return null;
   const f32 = (at) => view.getFloat32(at, true);
   const side = (number) => ({
-    there: (flags & (1 << number)) !== 0,
+    present: (flags & (1 << number)) !== 0,
     sequence: view.getBigUint64(24 + 8 * number, true),
     stamp: view.getFloat64(40 + 8 * number, true),
-    place: HEADER + 4 * particles * number,
+    position: HEADER + 4 * particles * number,
     speed: HEADER + 8 * particles + particles * number,
   });
   return {
     buffer,
     particles,
     pair: (flags & 4) !== 0,
-    free: (flags & 8) !== 0,
-    ahead: view.getUint32(12, true),
+    freeRunning: (flags & 8) !== 0,
+    horizon: view.getUint32(12, true),
     stream: view.getBigUint64(16, true).toString(),
     lower: [f32(56), f32(60)],
     upper: [f32(64), f32(68)],

@@ -1,16 +1,16 @@
-// The connection to the program: comes back by itself when it was lost.
+// The connection to the program; reconnects when it is lost.
 
-const SHORTEST = 400; // ms before the first new try
-const LONGEST = 4000;
+const MIN_DELAY = 400; // ms before the first retry
+const MAX_DELAY = 4000;
 
 export class Link {
-  /** `on` has the functions opened, closed(ms until the next try), words(object), frame(ArrayBuffer). */
+  /** `on` has the callbacks opened, closed(ms until the next retry), message(object), frame(ArrayBuffer). */
   constructor(on) {
     this.on = on;
-    this.wait = SHORTEST;
+    this.delay = MIN_DELAY;
     this.connect();
-    addEventListener("online", () => this.now());
-    addEventListener("visibilitychange", () => document.hidden || this.now());
+    addEventListener("online", () => this.retry());
+    addEventListener("visibilitychange", () => document.hidden || this.retry());
   }
 
   connect() {
@@ -21,30 +21,30 @@ export class Link {
     this.socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      this.wait = SHORTEST;
+      this.delay = MIN_DELAY;
       this.on.opened();
     };
     socket.onmessage = ({ data }) => {
-      if (typeof data === "string") this.on.words(JSON.parse(data));
+      if (typeof data === "string") this.on.message(JSON.parse(data));
       else this.on.frame(data);
     };
     socket.onclose = () => {
       if (socket !== this.socket) return;
-      this.on.closed(this.wait);
-      this.timer = setTimeout(() => this.connect(), this.wait);
-      this.wait = Math.min(this.wait * 1.6, LONGEST);
+      this.on.closed(this.delay);
+      this.timer = setTimeout(() => this.connect(), this.delay);
+      this.delay = Math.min(this.delay * 1.6, MAX_DELAY);
     };
   }
 
-  /** Tries at once what would be tried later. */
-  now() {
+  /** Retries at once if a retry is pending. */
+  retry() {
     if (this.timer) this.connect();
   }
 
-  /** Whether it is said: without a connection it is not. */
-  say(words) {
+  /** Sends an object. Returns whether there is a connection. */
+  send(message) {
     if (this.socket.readyState !== WebSocket.OPEN) return false;
-    this.socket.send(JSON.stringify(words));
+    this.socket.send(JSON.stringify(message));
     return true;
   }
 }

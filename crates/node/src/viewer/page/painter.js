@@ -1,7 +1,7 @@
-// Draws particles with WebGL 2: the bytes that came are what the graphics card gets.
+// Draws particles with WebGL 2, directly from the received bytes.
 
 const VERTEX = `#version 300 es
-layout(location = 0) in vec2 place;     // 0 to 1 across the domain
+layout(location = 0) in vec2 position;  // 0 to 1 across the domain
 layout(location = 1) in float speed;    // 0 to 1 of the top speed
 layout(location = 2) in float error;    // 0 to 1, logarithmic
 layout(location = 3) in uint material;
@@ -9,7 +9,7 @@ uniform float size;
 uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
 uniform vec3 materials[4];
 uniform vec3 scale[9];
-uniform float from;                     // where the scale begins
+uniform float from;                     // start of the scale
 uniform vec3 plain;
 out vec3 colour;
 vec3 shade(float share) {
@@ -18,7 +18,7 @@ vec3 shade(float share) {
   return mix(scale[below], scale[below + 1], at - float(below));
 }
 void main() {
-  gl_Position = vec4(2.0 * place - 1.0, 0.0, 1.0);
+  gl_Position = vec4(2.0 * position - 1.0, 0.0, 1.0);
   gl_PointSize = size;
   colour = colouring == 0 ? materials[min(material, 3u)]
     : colouring == 1 ? shade(speed) : colouring == 2 ? shade(error) : plain;
@@ -37,17 +37,17 @@ void main() {
 }`;
 
 const COLOURINGS = ["material", "speed", "error", "plain"];
-// Particles fill about so much of the domain when they lie still.
-const FILLED = 0.22;
-/** Where the scale begins, from 0 to 1: its dark end is lost on a dark ground. */
+// Share of the domain that particles at rest cover, approximately.
+const COVERAGE = 0.22;
+/** Start of the colour scale, 0 to 1: its dark end is invisible on a dark background. */
 export const scaleStart = (dark) => (dark ? 0.18 : 0);
 
 export class Painter {
-  /** `redraw` is called when what was drawn is gone. */
+  /** `redraw` is called when the drawing was lost. */
   constructor(canvas, redraw) {
     this.canvas = canvas;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: true, premultipliedAlpha: true });
-    if (!this.gl) throw new Error("this browser has no WebGL 2");
+    if (!this.gl) throw new Error("this browser does not support WebGL 2");
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
       this.prepare();
@@ -91,8 +91,8 @@ export class Painter {
     this.palette = [flat(materials), flat(scale)];
   }
 
-  /** Draws `frame` into the panels: each has its element, and layers of a side with colouring, strength, growth. */
-  draw(frame, panels, { ground, plain, dark }) {
+  /** Draws `frame` into panels: each has an element, and layers with side, colouring, strength and growth. */
+  draw(frame, panels, { background, plain, dark }) {
     const { gl, canvas, uniform } = this;
     if (gl.isContextLost() || !this.palette) return;
     const box = canvas.getBoundingClientRect();
@@ -114,7 +114,7 @@ export class Painter {
     for (const { element, layers } of panels) {
       const rect = element.getBoundingClientRect();
       if (!rect.width) continue;
-      // Inside the border, and as the domain is shaped.
+      // Inside the border, with the aspect ratio of the domain.
       let [left, top, wide, high] = [rect.left - box.left + 1, rect.top - box.top + 1, rect.width - 2, rect.height - 2];
       if (frame) {
         const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
@@ -126,17 +126,17 @@ export class Painter {
       const place = [left, box.height - top - high, wide, high].map((length) => Math.round(length * density));
       gl.viewport(...place);
       gl.scissor(...place);
-      gl.clearColor(...ground, 1);
+      gl.clearColor(...background, 1);
       gl.clear(gl.COLOR_BUFFER_BIT);
       if (!frame) continue;
-      const spacing = Math.sqrt(FILLED * place[2] * place[3] / frame.particles);
+      const spacing = Math.sqrt(COVERAGE * place[2] * place[3] / frame.particles);
       for (const { side, colouring, strength = 1, growth = 1 } of layers) {
-        if (!frame[side].there) continue;
+        if (!frame[side].present) continue;
         const size = Math.min(Math.max(1.15 * growth * spacing, 1.3 * density), 10 * density);
         gl.uniform1f(uniform.size, size);
         gl.uniform1f(uniform.strength, strength);
         gl.uniform1i(uniform.colouring, COLOURINGS.indexOf(colouring));
-        gl.vertexAttribPointer(0, 2, gl.UNSIGNED_SHORT, true, 4, frame[side].place);
+        gl.vertexAttribPointer(0, 2, gl.UNSIGNED_SHORT, true, 4, frame[side].position);
         gl.vertexAttribPointer(1, 1, gl.UNSIGNED_BYTE, true, 1, frame[side].speed);
         gl.vertexAttribPointer(2, 1, gl.UNSIGNED_BYTE, true, 1, frame.errors);
         gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_BYTE, 1, frame.materials);
