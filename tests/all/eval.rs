@@ -191,7 +191,10 @@ fn a_checkpoint_without_some_rules_has_another_name_digest_and_error() {
 
     let output = path(&folder, "refused");
     let message = fail(1, arguments(&bare, &output, &["--without-rules", "area"]));
-    assert!(message.contains("--without-rules: found area, expected a rule that"), "{message}");
+    assert!(
+        message.contains("--without-rules: none of the checkpoints has the rule area"),
+        "{message}"
+    );
     let message = fail(2, arguments(SHIPPED, &output, &["--without-rules", "aera"]));
     assert!(message.contains("a similar value exists: 'area'"), "{message}");
 }
@@ -289,7 +292,7 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     // The same command judges again; another one does not replace what it finds.
     succeed(judge(&data));
     let message = fail(1, judge(&format!("{data}/scene_0001")));
-    assert!(message.contains("report: found the report of `"), "{message}");
+    assert!(message.contains("report: already has the report of another command, `"), "{message}");
     fs::remove_dir_all(&output).unwrap();
     let message = fail(1, judge(&format!("{data}/scene_0001")));
     assert!(message.contains("found 1 streams that a checkpoint was trained on"), "{message}");

@@ -43,8 +43,8 @@ fn what_is_killed_is_started_again_and_all_end_with_the_launch() {
     assert!(launch.wait().success());
     assert!(!running(&prefix).contains(&second), "{second} outlived its launch");
     let printed = launch.rest();
-    assert!(printed.contains("[node] signal: 9 (SIGKILL), starts again in 0.1 s"), "{printed}");
-    assert!(printed.ends_with("all ended: 1 restarts, 0 killed\n"), "{printed}");
+    assert!(printed.contains("[node] signal: 9 (SIGKILL), restarting in 0.1 s"), "{printed}");
+    assert!(printed.ends_with("all processes ended: 1 restarts, 0 killed\n"), "{printed}");
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn what_fails_too_often_ends_the_launch_with_its_name() {
     );
     let message = fail(1, ["launch", &plan(folder.path(), &text)]);
     assert!(
-        message.contains("lost: found exit status: 1, expected no more than 2 restarts in a row"),
+        message.contains("lost: failed again after 2 consecutive restarts: exit status: 1"),
         "{message}"
     );
     assert!(running(&prefix).is_empty());
@@ -79,7 +79,7 @@ fn wrong_usage_is_not_tried_again() {
     let folder = tempfile::tempdir().unwrap();
     let text = "[[process]]\nname = 'odd'\nrun = ['nod']\n";
     let message = fail(1, ["launch", &plan(folder.path(), text)]);
-    assert!(message.contains("odd: found wrong usage"), "{message}");
+    assert!(message.contains("odd: wrong usage (exit code 2)"), "{message}");
 }
 
 #[test]

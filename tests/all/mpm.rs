@@ -265,7 +265,10 @@ fn an_unstable_request_is_refused_before_anything_is_written() {
         (["--preset", "kinds", "--particles", "0"], ["particles: found 0", "expected 250 to "]),
         (["--preset", "kinds", "--particles", "100"], ["particles: found 100", "expected 250 to "]),
         (["--preset", "fluid", "--particles", "9999999"], ["found 9999999", "to 1277500 in"]),
-        (["--preset", "pour", "--particles", "1000"], ["particles: found 1000", "expected none"]),
+        (
+            ["--preset", "pour", "--particles", "1000"],
+            ["--particles: preset pour", "fixed number of particles"],
+        ),
     ] {
         let said = fail(1, simulate(&output, &more));
         assert!(words.iter().all(|word| said.contains(word)), "{said}");

@@ -218,7 +218,7 @@ fn a_recorder_without_room_closes_a_readable_bag_and_says_so() {
     }
     assert_eq!(recorder.wait().code(), Some(1));
     let said = recorder.rest();
-    assert!(said.contains("no room was left: the bag is closed with"), "{said}");
+    assert!(said.contains("disk full: the bag was closed with"), "{said}");
 
     assert_eq!(findings(&world.bag()), [""; 0]);
     let bag = BagReader::open(&world.bag()).unwrap();

@@ -164,9 +164,9 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
     assert_eq!(
-        player.line("space:"),
-        "space: pause or go on, right arrow or n: next message, up and down: faster and slower, \
-         left arrow or b: 5 s back, f: 5 s on\n"
+        player.line("keys:"),
+        "keys: space pauses or resumes, right arrow or n plays the next message, up and down change the rate, \
+         left arrow or b skips back 5 s, f skips forward 5 s\n"
     );
     assert_eq!(words.receive(Duration::from_millis(200)).unwrap(), None);
     ours.write_all(b"n").unwrap();
@@ -350,5 +350,5 @@ fn without_a_terminal_nobody_could_end_the_pause() {
     let remap = format!("/a:={}/a", world.prefix);
     let arguments = ["replay", bag.to_str().unwrap(), "--to", "shm", "--remap", &remap, "-p"];
     let message = fail(1, arguments);
-    assert!(message.contains("--start-paused: found no terminal"), "{message}");
+    assert!(message.contains("--start-paused: nothing can resume playback"), "{message}");
 }

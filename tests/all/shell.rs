@@ -150,3 +150,14 @@ fn errors_suggest_the_near_miss() {
 fn what_is_far_from_everything_gets_no_suggestion() {
     assert!(!fail(2, ["node", "--input", "tcp:/particles"]).contains("did you mean"));
 }
+
+/// Options that were renamed: a command with the old name and an invalid value, and the new name in its error.
+const RENAMED: &[(&str, &str)] = &[("eval --rivals nobody", "--baselines <NAME>")];
+
+#[test]
+fn old_names_of_options_still_work() {
+    for (typed, name) in RENAMED {
+        let message = fail(2, typed.split(' '));
+        assert!(message.contains("invalid value") && message.contains(name), "{typed}: {message}");
+    }
+}

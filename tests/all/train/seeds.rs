@@ -66,13 +66,13 @@ fn the_summary_says_what_came_out_and_how_to_go_on() {
         (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert!(output.status.success(), "{lines}");
     for words in [
-        "particle mingru: 1 streams to train on, 1 to validate on, 1 set aside",
+        "particle mingru: 1 streams for training, 1 for validation, 1 for testing",
         "frames stay on disk",
         "done: 2 epochs, 256 samples in ",
         "best: epoch ",
         "best trivial predictor",
-        "the last epoch is in last/",
-        &format!("judge: eddy eval --checkpoint {}", path("model")),
+        "last epoch in last/",
+        &format!("evaluate: eddy eval --checkpoint {}", path("model")),
     ] {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }

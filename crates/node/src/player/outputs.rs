@@ -319,7 +319,7 @@ mod tests {
         }
         outputs.publish_clock(Stamp(7)).unwrap();
         assert_eq!((outputs.sent, outputs.skipped), (1, 0));
-        let mut receive = |subscriber: &mut dyn eddy_transport::Subscriber| {
+        let receive = |subscriber: &mut dyn eddy_transport::Subscriber| {
             subscriber.receive(Duration::from_secs(60)).unwrap().unwrap().into_cdr()
         };
         let word: RosString = cdr::decode(&receive(words.as_mut())).unwrap();
