@@ -456,7 +456,7 @@ pub struct EvalArgs {
         value_name = "REPORT",
         num_args = 2..,
         conflicts_with_all = [
-            "checkpoint", "data", "horizon", "starts", "baselines", "join_late", "without_rules", "threads"
+            "checkpoint", "data", "horizon", "starts", "references", "join_late", "without_rules", "threads"
         ]
     )]
     pub compare: Vec<PathBuf>,
@@ -466,9 +466,9 @@ pub struct EvalArgs {
     /// Start frames per stream, evenly spaced over its first 80 %.
     #[arg(long, value_name = "N", default_value_t = 7)]
     pub starts: usize,
-    /// Additional baselines, started from the same frames; requires manifest.json beside the bags.
+    /// Reference predictors, started from the same frames; requires manifest.json beside the bags.
     #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
-    pub baselines: Vec<ReferenceName>,
+    pub references: Vec<ReferenceName>,
     /// Also evaluate each checkpoint on streams joined in the middle: it observes its warm-up, but no earlier frames.
     #[arg(long)]
     pub join_late: bool,
@@ -481,7 +481,7 @@ pub struct EvalArgs {
     pub threads: Option<NonZeroUsize>,
 }
 
-/// A baseline beside the trivial predictors.
+/// A reference predictor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ReferenceName {
     /// The solver restarted from positions and velocities: unchanged, with half the substeps, and with cells twice as

@@ -62,7 +62,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
-            "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --baselines mpm,chaos",
+            "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both --references mpm,chaos",
             "eddy eval --checkpoint checkpoints/particle-mingru --data bags/mm --output reports/without_area --without-rules area",
         ],
     ),

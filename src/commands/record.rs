@@ -73,7 +73,7 @@ pub fn run(
     };
     let (outcome, losses) = record(&mut recorder, inputs, &discovery, &options);
     line.finish_and_clear();
-    recorder.note_not_given(losses.total());
+    recorder.count_dropped(losses.total());
     let failed = discovery.failed().into_values().flatten().collect();
     note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
     note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &discovery.ended());
@@ -83,7 +83,7 @@ pub fn run(
 /// Reports links that were not recorded, or not to the end, and notes them in the bag.
 fn note(recorder: &mut Recorder, key: &str, what: &str, links: &Reasons) {
     if !links.is_empty() {
-        recorder.note(key, links.keys().cloned().collect::<Vec<_>>().join(" "));
+        recorder.set_custom_data(key, links.keys().cloned().collect::<Vec<_>>().join(" "));
     }
     for (link, reason) in links {
         println!("{what}: {link}: {reason}");

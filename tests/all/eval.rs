@@ -71,7 +71,7 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
 
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, &seed, "--data", &data];
     arguments.extend(["--output", &output, "--horizon", "5", "--starts", "2", "--threads", "2"]);
-    arguments.extend(["--rivals", "mpm,chaos", "--join-late"]);
+    arguments.extend(["--references", "mpm,chaos", "--join-late"]);
     let printed = succeed(arguments);
     assert!(printed.contains("particle mingru, mean of 2 seeds"), "{printed}");
 
@@ -137,9 +137,9 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
         "Physical consistency",
         "Kinetic energy per mass",
         "Truth and prediction",
-        "Inference time",
-        "Reproduce",
-        "--rivals mpm,chaos --join-late",
+        "Time of a frame",
+        "How to make this again",
+        "--references mpm,chaos --join-late",
         report["data_digest"].as_str().unwrap(),
         report["predictors"][1]["digest"].as_str().unwrap(),
     ] {
@@ -206,7 +206,7 @@ fn scenes_in_a_wider_domain_than_the_checkpoints_are_judged_in_their_own() {
     let scenes = ["simulate", "--preset", "kinds", "--particles", "10000", "--output", &data];
     succeed([scenes.as_slice(), &["--duration", "0.2"]].concat());
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
-    arguments.extend(["--horizon", "2", "--starts", "1", "--rivals", "mpm"]);
+    arguments.extend(["--horizon", "2", "--starts", "1", "--references", "mpm"]);
     succeed(arguments);
     let report = report(&folder);
     let predictors = report["predictors"].as_array().unwrap();
@@ -226,7 +226,7 @@ fn without_a_manifest_there_are_no_rivals_and_that_is_said() {
     fs::remove_file(folder.path().join("truth/manifest.json")).unwrap();
 
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
-    arguments.extend(["--horizon", "2", "--starts", "1", "--rivals", "mpm,chaos"]);
+    arguments.extend(["--horizon", "2", "--starts", "1", "--references", "mpm,chaos"]);
     let printed = succeed(arguments);
     for words in ["no reference solvers", "scene_0000", "manifest.json"] {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
@@ -249,7 +249,7 @@ fn a_grid_that_cannot_be_halved_leaves_out_that_rival_only() {
     fs::write(&scene, words).unwrap();
     succeed(["simulate", "--scene", &scene, "--output", &data, "--duration", "0.2"]);
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
-    arguments.extend(["--horizon", "2", "--starts", "1", "--rivals", "mpm"]);
+    arguments.extend(["--horizon", "2", "--starts", "1", "--references", "mpm"]);
     let printed = succeed(arguments);
     let note = "no MPM restarted, half the grid";
     assert!(printed.contains(note) && printed.contains("[65, 64] cells"), "{printed}");

@@ -152,7 +152,7 @@ fn what_is_far_from_everything_gets_no_suggestion() {
 }
 
 /// Options that were renamed: a command with the old name and an invalid value, and the new name in its error.
-const RENAMED: &[(&str, &str)] = &[("eval --rivals nobody", "--baselines <NAME>")];
+const RENAMED: &[(&str, &str)] = &[("eval --rivals nobody", "--references <NAME>")];
 
 #[test]
 fn old_names_of_options_still_work() {

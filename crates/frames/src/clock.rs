@@ -1,11 +1,11 @@
-//! The one place that asks the system for the time. Everything else gets it as an argument.
-#![expect(clippy::disallowed_methods, reason = "the one place that asks")]
+//! The only place that reads the system's clocks. Everything else takes the time as an argument.
+#![expect(clippy::disallowed_methods, reason = "the only place that reads the clocks")]
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::Stamp;
 
-/// A clock that never goes back, counted from its start.
+/// A monotonic clock that starts at zero.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     start: Instant,
@@ -23,7 +23,7 @@ impl Clock {
     }
 }
 
-/// The system's time of day, since the Unix epoch.
+/// System time since the Unix epoch.
 pub fn wall() -> Stamp {
     let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Stamp(i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX))

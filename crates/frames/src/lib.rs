@@ -1,8 +1,9 @@
 //! Frames: all particles of a simulation at one instant.
 //!
 //! Data from outside becomes a [`Frame`] through [`Frame::new`], which checks that lengths agree, every number is finite
-//! and every material is known. An [`InvalidFrame`] names the field, the value found and the value expected. Predicted
-//! frames are checked with [`Frame::check`] before they are published. A [`FrameView`] reads a frame in place.
+//! and every material is known. An [`InvalidFrame`] names the field, the value found and the value expected. Fields are
+//! public and predictions may diverge: predicted frames are checked with [`Frame::check`] before they are published. A
+//! [`FrameView`] reads a frame in place.
 
 pub mod clock;
 pub mod progress;
@@ -40,9 +41,9 @@ impl Stamp {
     }
 }
 
-/// The double that a person meant who wrote `value`: 0.016f32 is 0.016, not 0.01599999964.
+/// The shortest decimal number that is `value` as `f32`, as `f64`: 0.016f32 is 0.016, not 0.01599999964.
 pub fn decimal(value: f32) -> f64 {
-    // As `to_string`, which asks for memory: at most nine digits, two signs, a point and an exponent.
+    // Without the allocation of `to_string`; at most nine digits, two signs, a point and an exponent.
     let mut text = [0; 24];
     let mut rest = text.as_mut_slice();
     let written = write!(rest, "{value:e}").is_ok();
@@ -52,7 +53,7 @@ pub fn decimal(value: f32) -> f64 {
     digits.and_then(|digits| digits.parse().ok()).unwrap_or(f64::from(value))
 }
 
-/// What a particle is made of. The numbers are those of `eddy_msgs/msg/ParticleFrame`.
+/// Material of a particle, with the numbers of `eddy_msgs/msg/ParticleFrame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[repr(u8)]
@@ -68,12 +69,12 @@ pub enum Material {
 }
 
 impl Material {
-    /// How many materials there are.
+    /// Number of materials.
     pub const COUNT: usize = 4;
-    /// Every material, in the order of its number.
+    /// Every material, in the order of the numbers.
     pub const ALL: [Self; Self::COUNT] = [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope];
 
-    /// The material's word, as in files and tables.
+    /// The name in files and tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Liquid => "liquid",
@@ -92,7 +93,7 @@ impl TryFrom<u8> for Material {
     }
 }
 
-/// An axis-aligned box that holds the particles (domain lengths).
+/// The axis-aligned box that contains the particles (domain lengths).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Domain {
@@ -107,7 +108,7 @@ impl Domain {
     pub const UNIT: Self = Self { lower: [0.0; 2], upper: [1.0; 2] };
 
     /// Whether the corners are finite and `lower` is below `upper` on both axes.
-    pub fn is_whole(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let Self { lower, upper } = self;
         (0..2).all(|axis| {
             lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
@@ -118,15 +119,15 @@ impl Domain {
 /// All particles at one instant. `N` is the number of particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Which simulated trajectory this frame belongs to.
+    /// Id of the simulated trajectory.
     pub stream: u64,
-    /// Number of this frame in its stream; consecutive.
+    /// Number of the frame in its stream; consecutive.
     pub sequence: u64,
     /// Simulation time of this frame.
     pub stamp: Stamp,
     /// Time between two frames of the stream (s).
     pub dt: f32,
-    /// The box that holds the particles.
+    /// The box that contains the particles.
     pub domain: Domain,
     /// Positions, `[N, 2]` (domain lengths).
     pub position: Vec<[f32; 2]>,
@@ -136,78 +137,44 @@ pub struct Frame {
     pub material: Vec<Material>,
 }
 
-/// Why something is no frame.
+/// Why data is not a valid frame.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum InvalidFrame {
-    /// The domain has another number of dimensions than two.
+    /// A corner of the domain does not have two coordinates.
     #[error("{field}: found {found} dimensions, expected 2")]
-    Dimension {
-        /// The domain corner: `lower` or `upper`.
-        field: &'static str,
-        /// Number of coordinates of that corner.
-        found: usize,
-    },
+    Dimension { field: &'static str, found: usize },
     /// The domain is empty or not finite.
     #[error("lower, upper: found {found:?}, expected finite corners with lower < upper")]
-    Domain {
-        /// The corners, lower first.
-        found: [[f32; 2]; 2],
-    },
-    /// An array does not fit the number of particles.
+    Domain { found: [[f32; 2]; 2] },
+    /// The length of an array does not match the number of particles.
     #[error("{field}: found {found} numbers, expected {expected} for {particles} particles")]
-    Length {
-        /// The field with the wrong length.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-        /// The length it should have.
-        expected: usize,
-        /// The number of particles, by the length of `material`.
-        particles: usize,
-    },
-    /// There is no particle.
+    Length { field: &'static str, found: usize, expected: usize, particles: usize },
+    /// There are no particles.
     #[error("material: found 0 particles, expected at least 1")]
     Empty,
     /// A number is NaN or infinite.
     #[error("{field}[{particle}]: found {found}, expected a finite number")]
-    NotFinite {
-        /// The field with the number.
-        field: &'static str,
-        /// Index of the first particle concerned.
-        particle: usize,
-        /// The number.
-        found: f32,
-    },
-    /// A material has no known number.
+    NotFinite { field: &'static str, particle: usize, found: f32 },
+    /// A material number is unknown.
     #[error(
         "material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)"
     )]
-    Material {
-        /// Index of the first particle concerned.
-        particle: usize,
-        /// Its material number.
-        found: u8,
-    },
-    /// No frame can follow this one.
-    #[error("sequence: found {found}, expected a number that can be followed")]
-    Sequence {
-        /// The sequence number.
-        found: u64,
-    },
-    /// The frame interval is no positive number.
+    Material { particle: usize, found: u8 },
+    /// The sequence number has no successor.
+    #[error("sequence: found {found}, expected less than the largest 64-bit number")]
+    Sequence { found: u64 },
+    /// The interval between frames is not positive.
     #[error("dt: found {found} s, expected a positive number")]
-    Interval {
-        /// The interval (s).
-        found: f32,
-    },
+    Interval { found: f32 },
 }
 
 impl Frame {
-    /// Puts a frame together, or says why its parts are none.
+    /// Creates a checked frame.
     ///
     /// # Errors
-    /// [`InvalidFrame`] when there is no particle, lengths disagree, a number is not finite, the
-    /// domain is empty or `dt` is not positive.
+    /// [`InvalidFrame`] when there are no particles, lengths differ, a number is not finite, the domain is empty or `dt` is
+    /// not positive.
     #[expect(clippy::too_many_arguments, reason = "one argument for each field of the message")]
     pub fn new(
         stream: u64,
@@ -229,12 +196,12 @@ impl Frame {
         self.material.len()
     }
 
-    /// Whether there is no particle (never, for a frame from [`Frame::new`]).
+    /// Whether there are no particles (never the case for a valid frame).
     pub fn is_empty(&self) -> bool {
         self.material.is_empty()
     }
 
-    /// Checks what [`Frame::new`] promises.
+    /// Checks everything that [`Frame::new`] checks.
     ///
     /// # Errors
     /// As [`Frame::new`].
@@ -242,7 +209,7 @@ impl Frame {
         let particles = self.material.len();
         for (field, found) in [("position", self.position.len()), ("velocity", self.velocity.len())]
         {
-            // Without particles, that is said instead.
+            // Without particles, `InvalidFrame::Empty` follows instead.
             if found != particles && particles > 0 {
                 return Err(InvalidFrame::Length {
                     field,
@@ -279,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_frame_passes() {
+    fn a_valid_frame_passes() {
         assert_eq!(two_particles().check(), Ok(()));
     }
 
@@ -292,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn unequal_lengths_are_named_in_numbers_of_the_message() {
+    fn unequal_lengths_are_named_in_numbers_per_message() {
         let mut frame = two_particles();
         frame.position.pop();
         let message = frame.check().unwrap_err().to_string();
@@ -300,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn decimals_are_those_that_are_shown() {
+    fn decimals_are_the_numbers_that_are_printed() {
         for value in
             [0.016_f32, 1.0 / 3.0, f32::MAX, f32::MIN_POSITIVE / 3.0, -1.234_567_9e-30, 0.0]
         {

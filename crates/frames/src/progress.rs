@@ -1,38 +1,32 @@
-//! What long-running library functions report, and how they are asked to stop.
+//! Progress and cancellation of long-running functions.
 
-/// Shows the progress of a task and says whether to cancel it. A terminal draws a bar; tests and programs
-/// that show nothing use [`Silent`]. Tasks follow one another, they are not nested.
+/// Receives the progress of tasks and can cancel them: a progress bar on a terminal, or [`Silent`]. Tasks are not nested.
 pub trait Progress: Sync {
-    /// A task of `total` steps begins; `unit` is the plural of a step, such as "frames".
+    /// A task of `total` steps starts; `unit` is what is counted, in the plural, such as "frames".
     fn begin(&self, total: u64, unit: &str) {
         let _ = (total, unit);
     }
 
-    /// So many steps of the task are done. Called from several threads.
+    /// `steps` more steps are done. Called from several threads.
     fn advance(&self, steps: u64) {
         let _ = steps;
     }
 
-    /// The state of the running task, in a few words that a terminal shows beside the bar.
-    fn status(&self, text: &str) {
-        let _ = text;
-    }
-
-    /// The task has ended, whole or not.
+    /// The task has ended, complete or not.
     fn finish(&self) {}
 
-    /// A line about what was done.
+    /// A message for the user.
     fn message(&self, line: &str) {
         let _ = line;
     }
 
-    /// Whether to stop at the next occasion.
+    /// Whether to stop as soon as possible.
     fn cancelled(&self) -> bool {
         false
     }
 }
 
-/// Shows nothing and never cancels.
+/// Ignores progress and never cancels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

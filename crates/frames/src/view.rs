@@ -1,8 +1,8 @@
-//! Frames read where they lie.
+//! Frames without copies.
 
 use super::{Domain, Frame, InvalidFrame, Material, Stamp};
 
-/// One particle as it lies in shared memory, 20 bytes.
+/// A particle in shared memory, 20 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct Particle {
@@ -18,28 +18,27 @@ pub struct Particle {
     pub material: u32,
 }
 
-/// A frame that lies elsewhere: in the lists of a [`Frame`], or particle by particle in memory that
-/// another program has written.
+/// A view of a frame: of the arrays of a [`Frame`], or of the particles in memory that another program has written.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameView<'a> {
-    /// Which simulated trajectory this frame belongs to.
+    /// Id of the simulated trajectory.
     pub stream: u64,
-    /// Number of this frame in its stream; consecutive.
+    /// Number of the frame in its stream; consecutive.
     pub sequence: u64,
     /// Simulation time of this frame.
     pub stamp: Stamp,
     /// Time between two frames of the stream (s).
     pub dt: f32,
-    /// The box that holds the particles.
+    /// The box that contains the particles.
     pub domain: Domain,
-    /// Where they are, how fast, and of what.
+    /// Positions, velocities and materials.
     pub particles: Particles<'a>,
 }
 
-/// The particles of a frame, in one of the two forms they come in.
+/// The particles of a frame, in one of two layouts.
 #[derive(Clone, Copy, Debug)]
 pub enum Particles<'a> {
-    /// A list for each property, all as long.
+    /// One array per property, all of the same length.
     Lists {
         /// `[N, 2]` (domain lengths).
         position: &'a [[f32; 2]],
@@ -48,7 +47,7 @@ pub enum Particles<'a> {
         /// `[N]`.
         material: &'a [Material],
     },
-    /// One after the other.
+    /// One struct per particle.
     Rows(&'a [Particle]),
 }
 
@@ -62,7 +61,7 @@ impl<'a> From<&'a Frame> for FrameView<'a> {
 }
 
 impl<'a> Particles<'a> {
-    /// How many there are, by the length of their materials.
+    /// Number of particles (length of the materials).
     pub fn len(&self) -> usize {
         match self {
             Self::Lists { material, .. } => material.len(),
@@ -70,7 +69,7 @@ impl<'a> Particles<'a> {
         }
     }
 
-    /// Whether there is none.
+    /// Whether there are no particles.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -87,8 +86,7 @@ impl<'a> Particles<'a> {
         }
     }
 
-    /// Material of a particle, or the number that is none. Numbers that do not fit a byte are saturated,
-    /// so that they stay unknown.
+    /// Material of a particle, or its unknown number, saturated at 255.
     #[inline(always)]
     pub fn material(&self, particle: usize) -> Result<Material, u8> {
         match self {
@@ -99,12 +97,12 @@ impl<'a> Particles<'a> {
         }
     }
 
-    /// Materials of all particles; those that are unknown are left out.
+    /// The known materials of the particles.
     pub fn materials(self) -> impl Iterator<Item = Material> + 'a {
         (0..self.len()).filter_map(move |particle| self.material(particle).ok())
     }
 
-    /// Whether the particles are of these materials, one by one.
+    /// Whether the particles have these materials, one by one.
     pub fn are_of(&self, materials: &[Material]) -> bool {
         match self {
             Self::Lists { material, .. } => *material == materials,
@@ -117,9 +115,8 @@ impl<'a> Particles<'a> {
 }
 
 impl FrameView<'_> {
-    /// A frame of its own, for as long as the particles are needed. A material that is none is liquid: what was
-    /// [checked](Self::check) has none, but whoever wrote the particles may write again, and every list
-    /// must stay as long as the others.
+    /// Copies the frame. Unknown materials become liquid: a [checked](Self::check) frame has none, but another program may
+    /// write to the shared memory again, and all arrays must keep the same length.
     pub fn to_frame(&self) -> Frame {
         let Self { stream, sequence, stamp, dt, domain, particles } = *self;
         let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
@@ -137,7 +134,7 @@ impl FrameView<'_> {
         }
     }
 
-    /// Checks what [`Frame::new`] promises, but for the lengths of lists.
+    /// Checks everything that [`Frame::new`] checks, except the lengths of arrays.
     ///
     /// # Errors
     /// [`InvalidFrame`] with the first fault.
@@ -156,7 +153,7 @@ impl FrameView<'_> {
         if *sequence == u64::MAX {
             return Err(InvalidFrame::Sequence { found: *sequence });
         }
-        if !domain.is_whole() {
+        if !domain.is_valid() {
             return Err(InvalidFrame::Domain { found: [domain.lower, domain.upper] });
         }
         if !(dt.is_finite() && *dt > 0.0) {
@@ -186,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_material_that_was_overwritten_leaves_a_frame_with_lists_of_one_length() {
+    fn an_overwritten_material_leaves_all_arrays_at_the_same_length() {
         let rows =
             [0, 9, 3].map(|material| Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material });
         let view = FrameView {

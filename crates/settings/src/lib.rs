@@ -1,5 +1,5 @@
-//! Typed settings from TOML files: files contain only what differs from the defaults, unknown keys are rejected. Also
-//! used by all crates: [`atomic`] writes and suggestions for misspelt names ([`near`]).
+//! Typed settings from TOML files. A file holds only what differs from the defaults; unknown keys are rejected. Also
+//! here, for all crates: [`atomic`] writes, and suggestions for misspelt names ([`near`]).
 
 use std::{
     fs, io,
@@ -12,40 +12,25 @@ pub mod near;
 use serde::{Serialize, de::DeserializeOwned};
 use toml::{Table, Value};
 
-/// Why a settings file is of no use.
+/// Why a settings file cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("{}: {reason}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
-        reason: io::Error,
-    },
-    /// The file is no TOML.
+    Read { file: PathBuf, reason: io::Error },
+    /// The file is not valid TOML.
     #[error("{}: {reason}", file.display())]
-    Syntax {
-        /// The file.
-        file: PathBuf,
-        /// Line and column, and what is wrong there.
-        reason: String,
-    },
-    /// A key is unknown, or its value of the wrong type.
+    Syntax { file: PathBuf, reason: String },
+    /// A key is unknown, or its value has the wrong type.
     #[error("{}: {reason}", file.display())]
-    Key {
-        /// The file.
-        file: PathBuf,
-        /// The key, what was found and what was expected.
-        reason: String,
-    },
+    Key { file: PathBuf, reason: String },
 }
 
-/// The settings in a file, where what is not said there has its default.
+/// The settings in a file; missing keys have their defaults.
 ///
 /// # Errors
-/// [`ConfigError`] when the file cannot be read, is no TOML, or has a key that is unknown or of the
-/// wrong type.
+/// [`ConfigError`] when the file cannot be read, is not TOML, or has a key that is unknown or of the wrong type.
 pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
     parse(file, &read(file)?)
 }
@@ -55,7 +40,7 @@ pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
 /// # Errors
 /// As [`load`].
 pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigError> {
-    // In two steps, so that what is no TOML is told from what is TOML of the wrong kind.
+    // Parsed twice to distinguish syntax errors from wrong keys.
     table(file, text)?;
     toml::from_str(text).map_err(|error| ConfigError::Key {
         file: file.to_owned(),
@@ -77,7 +62,7 @@ fn table(file: &Path, text: &str) -> Result<Table, ConfigError> {
     })
 }
 
-/// A settings file, not yet typed.
+/// The values of a settings file, not yet typed.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
     file: PathBuf,
@@ -101,7 +86,7 @@ impl Overrides {
         Ok(Self { file: file.to_owned(), table: table(file, text)? })
     }
 
-    /// The value of one key at the top, where it decides which defaults hold.
+    /// The value of a top-level key, for keys that decide on the defaults.
     ///
     /// # Errors
     /// [`ConfigError::Key`] when its value is of the wrong type.
@@ -112,13 +97,12 @@ impl Overrides {
         self.table.get(key).map(typed).transpose()
     }
 
-    /// `defaults` with this file's values in their places.
+    /// `defaults`, overridden by the values of the file.
     ///
     /// # Errors
     /// [`ConfigError::Key`] when a key is unknown or its value of the wrong type.
     pub fn over<T: Serialize + DeserializeOwned>(&self, defaults: &T) -> Result<T, ConfigError> {
-        let mut merged =
-            Table::try_from(defaults).expect("settings are tables of TOML's own types");
+        let mut merged = Table::try_from(defaults).expect("settings are tables of TOML types");
         merge(&mut merged, &self.table);
         T::deserialize(Value::Table(merged)).map_err(|error| self.key_error(&error, ""))
     }
@@ -131,8 +115,7 @@ impl Overrides {
     }
 }
 
-/// Puts the values of `over` in the places of those of `base`, table by table. Lists are replaced
-/// whole.
+/// Overrides the values of `base` by those of `over`, table by table; arrays are replaced as a whole.
 fn merge(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
@@ -188,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_is_refused_by_name() {
+    fn an_unknown_key_is_rejected_by_name() {
         let message = over("[loss]\nvelocty = 1.0").unwrap_err();
         assert!(message.starts_with("./settings.toml: unknown field `velocty`"), "{message}");
         assert!(message.contains("expected `velocity` or `density`"), "{message}");
@@ -196,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_of_the_wrong_type_is_refused() {
+    fn a_value_of_the_wrong_type_is_rejected() {
         let message = over("epochs = \"many\"").unwrap_err();
         assert!(message.contains("invalid type: string \"many\", expected u32"), "{message}");
     }

@@ -1,32 +1,31 @@
-//! The name that was probably meant, where one is refused.
+//! Suggestions for misspelt names.
 
 use std::{fs, io, path::Path};
 
-/// Likeness (Jaro, 0 to 1) above which a name counts as meant: clap's own measure for options and
-/// subcommands.
-const ALIKE: f64 = 0.7;
+/// Minimum Jaro similarity (0 to 1) of a suggestion, as in clap.
+const MIN_SIMILARITY: f64 = 0.7;
 
-/// The candidate that is most like `word`, if one is at all.
+/// The most similar candidate, if one is similar enough.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
         .filter(|candidate| *candidate != word)
         .map(|candidate| (strsim::jaro(word, candidate), candidate))
-        .filter(|(likeness, _)| *likeness > ALIKE)
+        .filter(|(similarity, _)| *similarity > MIN_SIMILARITY)
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, candidate)| candidate)
 }
 
-/// What an error adds after "found and expected": `; did you mean NAME?`, or nothing.
+/// The end of an error message: `; did you mean NAME?`, or nothing.
 pub fn hint<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
-    nearest(word, candidates).map(ask).unwrap_or_default()
+    nearest(word, candidates).map(question).unwrap_or_default()
 }
 
-fn ask(name: &str) -> String {
+fn question(name: &str) -> String {
     format!("; did you mean {name}?")
 }
 
-/// What TOML says of a key or word that it does not know, with the one that was probably meant.
+/// A message of the TOML parser about an unknown key or word, with a suggestion.
 pub fn in_toml(reason: &str) -> String {
     // serde: "unknown field `a`, expected one of `b`, `c`" (also "unknown variant").
     let meant = reason.lines().find(|line| line.contains("unknown ")).and_then(|line| {
@@ -34,21 +33,21 @@ pub fn in_toml(reason: &str) -> String {
         let mut names = words.split('`').skip(1).step_by(2);
         nearest(names.next()?, names)
     });
-    format!("{reason}{}", meant.map(ask).unwrap_or_default())
+    format!("{reason}{}", meant.map(question).unwrap_or_default())
 }
 
-/// What the system says of a path; of one that does not exist, with the one that was probably meant.
+/// An error of the system for a path; if it does not exist, with a suggestion.
 pub fn in_folder(path: &Path, error: io::Error) -> io::Error {
     if error.kind() != io::ErrorKind::NotFound {
         return error;
     }
     match neighbour(path) {
-        Some(meant) => io::Error::new(error.kind(), format!("{error}{}", ask(&meant))),
+        Some(meant) => io::Error::new(error.kind(), format!("{error}{}", question(&meant))),
         None => error,
     }
 }
 
-/// What is there instead of the first part of the path that is not.
+/// The existing name most similar to the first missing part of the path.
 fn neighbour(path: &Path) -> Option<String> {
     let gone = |part: &&Path| !part.as_os_str().is_empty() && !part.exists();
     let missing = path.ancestors().take_while(gone).last()?;
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_name_is_meant_and_none_where_all_are_far() {
+    fn the_most_similar_name_is_suggested_unless_all_differ() {
         let transports = ["memory", "shm", "zenoh", "dds"];
         assert_eq!(nearest("zneoh", transports), Some("zenoh"));
         assert_eq!(nearest("sbm", transports), Some("shm"));
@@ -78,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn toml_s_words_are_understood() {
+    fn messages_of_the_toml_parser_get_a_suggestion() {
         let said = "TOML parse error at line 1\n  |\nunknown field `epoch`, expected one of `core`, `epochs`\n";
         assert_eq!(in_toml(said), format!("{said}; did you mean epochs?"));
         assert_eq!(
@@ -89,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_that_is_missing_has_a_neighbour() {
+    fn a_missing_path_gets_a_suggestion() {
         let folder = tempfile::tempdir().unwrap();
         let there = folder.path().join("scenes");
         fs::create_dir(&there).unwrap();

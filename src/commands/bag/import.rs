@@ -14,7 +14,7 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
         _ => None,
     });
-    let supplement = Supplement { dt: args.dt, domain, material: args.material };
+    let overrides = ImportOverrides { dt: args.dt, domain, material: args.material };
     // The number of frames is unknown until the end.
     let bar = progress_bar(0, "frames", quiet);
     bar.unset_length();

@@ -70,7 +70,7 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
         checkpoints,
         streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
         settings: Settings::full(args.horizon, args.starts),
-        references: args.baselines.iter().map(reference).collect(),
+        references: args.references.iter().map(reference).collect(),
         join_late: args.join_late,
         threads: args.threads,
     })

@@ -59,7 +59,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("eddy study", "eddy study --config study.toml", "few steps of small networks"),
     ("--duration 10", "--duration 1", "a short run"),
     ("--wait 5", "--wait 0.2", "no other publishers"),
-    ("--rivals mpm,chaos", "--rivals mpm,chaos --starts 1", "one rollout a scene"),
+    ("--references mpm,chaos", "--references mpm,chaos --starts 1", "one rollout a scene"),
     (
         "--to shm",
         "--to shm --remap /particles:=/{topic}/particles",

@@ -206,7 +206,7 @@ pub fn diagnostics() -> String {
     text.push_str("\n## Parameters\n\nEach is also a key of `[node]` in a settings file.\n\n| parameter | values | default | |\n|---|---|---|---|\n");
     let defaults = NodeSettings::default();
     for spec in PARAMETERS {
-        let read_only = if spec.read_only { "; read-only once the node runs" } else { "" };
+        let read_only = if spec.read_only { "; read-only at run time" } else { "" };
         let default = value(&spec.get(&defaults));
         text.push_str(&format!(
             "| `{}` | {} | {default} | {}{read_only} |\n",

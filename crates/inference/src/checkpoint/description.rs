@@ -422,7 +422,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         return Err(field(file, "rules", "a table".to_owned(), "nothing for the frame model"));
     }
     rules::check(file, &description.rules)?;
-    if !domain.is_whole() {
+    if !domain.is_valid() {
         let found = format!("{:?}, {:?}", domain.lower, domain.upper);
         return Err(field(file, "domain", found, "finite corners with lower < upper"));
     }

@@ -12,7 +12,7 @@ use std::{
 
 use super::intake::Event;
 use crate::cache::Producer;
-use eddy_bag::TopicChoice;
+use eddy_bag::TopicFilter;
 use eddy_frames::clock::Clock;
 use eddy_transport::{Link, TransportKind, Transports};
 

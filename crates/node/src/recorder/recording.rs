@@ -200,7 +200,7 @@ mod tests {
             inputs: Vec<(SeenTopic, Box<dyn Subscriber>)>,
             options: &RecordingOptions<'_>,
         ) -> (u64, Result<(), RecordError>, Losses) {
-            let none = (Vec::new(), TopicChoice::default(), HashSet::new());
+            let none = (Vec::new(), TopicFilter::default(), HashSet::new());
             let discovery = TopicDiscovery::new(self.transports.clone(), none.0, none.1, none.2);
             let writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
             let mut recorder = Recorder::new(writer, clock::wall());

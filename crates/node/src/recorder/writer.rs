@@ -46,12 +46,12 @@ impl Recorder {
     }
 
     /// Adds an entry to `custom_data` in `metadata.yaml`.
-    pub fn note(&mut self, key: &str, value: String) {
+    pub fn set_custom_data(&mut self, key: &str, value: String) {
         self.bag.set_custom_data(key, value);
     }
 
     /// Adds the number of messages that were lost before they reached the recorder to `metadata.yaml`.
-    pub fn note_not_given(&mut self, messages: u64) {
+    pub fn count_dropped(&mut self, messages: u64) {
         self.bag.count_dropped(messages);
     }
 
