@@ -164,8 +164,8 @@ fn introduce(config: &TrainConfig, dataset: &Dataset) {
         dataset.validation.len(),
         dataset.test.len(),
     );
-    if let Some(shelf) = dataset.shelf() {
-        println!("frames stay on disk, up to {} of them in memory", HumanBytes(shelf.limit()));
+    if let Some(store) = dataset.frame_store() {
+        println!("frames stay on disk, up to {} of them in memory", HumanBytes(store.limit()));
     }
 }
 

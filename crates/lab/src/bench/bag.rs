@@ -238,7 +238,7 @@ fn write_live(
     cache: &Cache<(Payload, Stamp)>,
 ) -> Result<(), BagError> {
     loop {
-        match cache.pop(PATIENCE) {
+        match cache.pop(POLL_TIMEOUT) {
             Pop::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
             Pop::Timeout => {}
             Pop::Ended => return Ok(()),

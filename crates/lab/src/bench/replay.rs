@@ -84,7 +84,7 @@ struct DelayRecorder<'a> {
     is_over: &'a dyn Fn() -> bool,
 }
 
-impl PlaybackSink for Lateness<'_> {
+impl PlaybackSink for DelayRecorder<'_> {
     type Error = BagError;
 
     fn message(&mut self, _: BagMessage, _: Duration) -> Result<(), BagError> {
