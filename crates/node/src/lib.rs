@@ -2,15 +2,14 @@
 //! loops that connect it to the links of `eddy-transport`.
 //!
 //! 1. `requests`: request and response between threads. `service`: a ROS service as bytes in, bytes out.
-//! 2. `cache`: a queue bounded in bytes, for the recorder and the player.
+//! 2. [`ros`]: what `--ros-args` means.
 //! 3. [`surrogate`]: the node that predicts.
 //! 4. [`recorder`]: topics into a bag.
 //! 5. [`player`]: a bag onto topics.
 //! 6. [`topics`]: finding, printing and measuring topics.
 //! 7. [`viewer`]: the live page of any of them.
-//! 8. [`ros`]: what `--ros-args` means. [`launch`]: several processes from one file.
+//! 8. [`launch`]: several processes from one file.
 
-mod cache;
 pub mod launch;
 pub mod player;
 pub mod recorder;
@@ -21,7 +20,6 @@ pub mod surrogate;
 pub mod topics;
 pub mod viewer;
 
-pub use cache::{Cache, Pop, Producer, Push};
 pub use player::{
     CommandOutcome, Pacer, PendingCommand, PlaybackSink, Player, PlayerCommand, PlayerError,
     PlayerHandle, PlayerOptions, Timeline, play,

@@ -39,7 +39,7 @@ mod transports;
 mod zenoh;
 
 pub use link::{is_absolute_name, is_name_token};
-pub use queue::{PushError, Queue};
+pub use queue::{Producer, PushError, Queue};
 
 #[cfg(feature = "foxglove")]
 pub use self::foxglove::{FoxgloveAddress, FoxgloveServer, NotServed};

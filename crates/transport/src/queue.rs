@@ -2,7 +2,8 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    ops::Deref,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
 
@@ -155,6 +156,12 @@ impl<T> Queue<T> {
         self.lock().cost
     }
 
+    /// Registers a producer until the returned value is dropped.
+    pub fn producer(self: &Arc<Self>) -> Producer<T> {
+        self.add_producer();
+        Producer(Arc::clone(self))
+    }
+
     /// Registers a producer.
     pub fn add_producer(&self) {
         *self.lock().producers.get_or_insert(0) += 1;
@@ -193,9 +200,27 @@ impl<T> Queue<T> {
     }
 }
 
+/// A registered producer of a [`Queue`].
+#[derive(Debug)]
+pub struct Producer<T>(Arc<Queue<T>>);
+
+impl<T> Deref for Producer<T> {
+    type Target = Queue<T>;
+
+    fn deref(&self) -> &Queue<T> {
+        &self.0
+    }
+}
+
+impl<T> Drop for Producer<T> {
+    fn drop(&mut self) {
+        self.0.remove_producer();
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use std::{sync::Arc, thread};
+    use std::thread;
 
     use super::*;
 

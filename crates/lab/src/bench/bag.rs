@@ -4,6 +4,7 @@ use std::{
     fs::{self, File},
     io::{self, Write},
     path::{Path, PathBuf},
+    sync::Arc,
     thread,
     time::Duration,
 };
@@ -16,8 +17,10 @@ use eddy_frames::{
     clock::{self, Clock},
 };
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
-use eddy_node::{Cache, Pop, Recorder};
-use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
+use eddy_node::Recorder;
+use eddy_transport::{
+    Link, Payload, Queue, Reliability, TransportError, TransportOptions, Transports,
+};
 
 /// Number of distinct frames, prepared in advance and repeated.
 const DISTINCT_FRAMES: u64 = 8;
@@ -195,8 +198,10 @@ fn live(
     let topic = recorder.topic(TOPIC, ParticleFrame::TYPE)?;
     let count = (plan.seconds * plan.hertz).ceil() as u64;
     let hertz = plan.hertz;
-    let cache = Cache::<(Payload, Stamp)>::new(CACHE);
-    let producer = cache.producer();
+    let queue = Arc::new(Queue::with_cost(usize::MAX, CACHE, |(payload, _): &(Payload, Stamp)| {
+        payload.size()
+    }));
+    let producer = queue.producer();
     let outcome = thread::scope(|scope| -> Result<(), BenchError> {
         let publishing = scope.spawn(move || -> Result<(), TransportError> {
             let clock = Clock::start();
@@ -212,8 +217,8 @@ fn live(
                 let over = publishing.is_finished();
                 match subscriber.receive(POLL_TIMEOUT)? {
                     Some(payload) => {
-                        let size = payload.size();
-                        producer.push((payload, clock::wall()), size, Duration::ZERO);
+                        // Dropped when the queue is full, which the counts show.
+                        let _ = producer.push_or_wait((payload, clock::wall()), Duration::ZERO);
                     }
                     None if over => break,
                     None => {}
@@ -221,8 +226,8 @@ fn live(
             }
             publishing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
         });
-        let written = write_live(&mut recorder, topic, &cache);
-        cache.close();
+        let written = write_live(&mut recorder, topic, &queue);
+        queue.close();
         receiving.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         Ok(written?)
     });
@@ -235,13 +240,13 @@ fn live(
 fn write_live(
     recorder: &mut Recorder,
     topic: eddy_bag::TopicId,
-    cache: &Cache<(Payload, Stamp)>,
+    queue: &Queue<(Payload, Stamp)>,
 ) -> Result<(), BagError> {
     loop {
-        match cache.pop(POLL_TIMEOUT) {
-            Pop::Item((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
-            Pop::Timeout => {}
-            Pop::Ended => return Ok(()),
+        match queue.pop(POLL_TIMEOUT) {
+            Some((payload, arrived)) => recorder.on_message(topic, payload, arrived)?,
+            None if queue.is_ended() => return Ok(()),
+            None => {}
         }
         recorder.on_tick(clock::wall())?;
     }

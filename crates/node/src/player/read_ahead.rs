@@ -2,45 +2,53 @@
 
 use std::{io, sync::Arc, thread, time::Duration};
 
-use crate::cache::{Cache, Pop};
 use eddy_bag::{BagError, BagMessage, Messages};
+use eddy_transport::Queue;
 
 /// How far to read ahead (bytes of messages).
 const CAPACITY: usize = 32 << 20;
+/// The same in messages, for bags of small ones.
+const MAX_MESSAGES: usize = 1 << 17;
 /// Duration of one wait for a message, after which the next begins.
 const WAIT: Duration = Duration::from_secs(1);
 
+/// A message, or damage of the bag.
+type Item = Result<BagMessage, BagError>;
+
 pub(super) struct ReadAhead {
-    cache: Arc<Cache<Result<BagMessage, BagError>>>,
+    queue: Arc<Queue<Item>>,
+}
+
+fn cost(message: &Item) -> usize {
+    message.as_ref().map_or(0, |message| message.data.len())
 }
 
 impl ReadAhead {
     /// Starts the thread.
     pub(super) fn start(messages: Messages) -> io::Result<Self> {
-        let cache = Cache::new(CAPACITY);
-        let producer = cache.producer();
+        let queue = Arc::new(Queue::with_cost(MAX_MESSAGES, CAPACITY, cost));
+        let producer = queue.producer();
         thread::Builder::new().name("bag reader".to_owned()).spawn(move || {
             for message in messages {
-                let size = message.as_ref().map_or(0, |message| message.data.len());
-                producer.push(message, size, Duration::MAX);
-                if producer.is_closed() {
+                // Fails when the queue was closed.
+                if producer.push_or_wait(message, Duration::MAX).is_err() {
                     break;
                 }
             }
         })?;
-        Ok(Self { cache })
+        Ok(Self { queue })
     }
 }
 
 impl Iterator for ReadAhead {
-    type Item = Result<BagMessage, BagError>;
+    type Item = Item;
 
-    fn next(&mut self) -> Option<Self::Item> {
+    fn next(&mut self) -> Option<Item> {
         loop {
-            match self.cache.pop(WAIT) {
-                Pop::Item(message) => return Some(message),
-                Pop::Timeout => {}
-                Pop::Ended => return None,
+            match self.queue.pop(WAIT) {
+                Some(message) => return Some(message),
+                None if self.queue.is_ended() => return None,
+                None => {}
             }
         }
     }
@@ -48,6 +56,6 @@ impl Iterator for ReadAhead {
 
 impl Drop for ReadAhead {
     fn drop(&mut self) {
-        self.cache.close();
+        self.queue.close();
     }
 }

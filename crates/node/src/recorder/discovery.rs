@@ -11,10 +11,9 @@ use std::{
 };
 
 use super::intake::Event;
-use crate::cache::Producer;
 use eddy_bag::TopicFilter;
 use eddy_frames::clock::Clock;
-use eddy_transport::{Link, TransportKind, Transports};
+use eddy_transport::{Link, Producer, TransportKind, Transports};
 
 /// Interval between searches. Messages published before their topic is found are missed.
 const SEARCH_INTERVAL: Duration = Duration::from_millis(200);
@@ -121,7 +120,7 @@ impl TopicDiscovery {
                     found.known.insert(topic.link.topic.clone());
                     found.failed.remove(&topic.link.topic);
                     drop(found);
-                    producer.push(Event::Opened(topic, subscriber), 0, Duration::MAX);
+                    let _ = producer.push_or_wait(Event::Opened(topic, subscriber), Duration::MAX);
                 }
                 Err(error) => self.note_failed(&topic.link, &error),
             }

@@ -6,13 +6,12 @@ use std::{
     time::Duration,
 };
 
-use crate::cache::{Producer, Push};
 use eddy_bag::TopicId;
 use eddy_frames::{
     Stamp,
     clock::{self, Clock},
 };
-use eddy_transport::{Link, Payload, SeenTopic, Subscriber, TransportError};
+use eddy_transport::{Link, Payload, Producer, PushError, SeenTopic, Subscriber, TransportError};
 
 /// Longest wait before the stop flag is checked.
 pub(super) const MAX_WAIT: Duration = Duration::from_millis(100);
@@ -28,6 +27,19 @@ pub(super) enum Event {
     Message(TopicId, Payload, Stamp),
     /// A subscriber failed; no more messages follow on its topic.
     Failed(Link, TransportError),
+}
+
+/// Memory of an event beside the bytes of its message: its slot in the queue and its allocation.
+const EVENT_OVERHEAD: usize = 256;
+
+impl Event {
+    /// Memory (bytes).
+    pub(super) fn cost(&self) -> usize {
+        match self {
+            Self::Message(_, payload, _) => payload.size() + EVENT_OVERHEAD,
+            Self::Opened(..) | Self::Failed(..) => EVENT_OVERHEAD,
+        }
+    }
 }
 
 /// Messages that were received or sent but are not in the bag.
@@ -81,17 +93,16 @@ pub(super) fn receive(
             Ok(None) if stopped.is_some() => break,
             Ok(None) => {}
             Ok(Some(payload)) => {
-                let size = payload.size();
                 let message = Event::Message(topic, payload, clock::wall());
-                match producer.push(message, size, timeout) {
-                    Push::Queued => {}
-                    Push::Full => queue_full += 1,
-                    Push::Closed => unwritten += 1,
+                match producer.push_or_wait(message, timeout) {
+                    Ok(()) => {}
+                    Err(PushError::Full(_)) => queue_full += 1,
+                    Err(PushError::Closed(_)) => unwritten += 1,
                 }
             }
             Err(error) => {
                 // Without a time limit: this event must not be lost.
-                producer.push(Event::Failed(link.clone(), error), 0, Duration::MAX);
+                let _ = producer.push_or_wait(Event::Failed(link.clone(), error), Duration::MAX);
                 break;
             }
         }
@@ -101,13 +112,12 @@ pub(super) fn receive(
 
 #[cfg(test)]
 mod tests {
-    use std::collections::VecDeque;
+    use std::{collections::VecDeque, sync::Arc};
 
     use super::*;
-    use crate::Cache;
     use eddy_bag::{BagWriter, WriterOptions};
     use eddy_messages::{Message, RosString};
-    use eddy_transport::TransportKind;
+    use eddy_transport::{Queue, TransportKind};
 
     /// Delivers messages of these sizes (bytes), then raises the stop flag and fails if there is a failure.
     struct Deliveries<'a> {
@@ -130,6 +140,10 @@ mod tests {
         }
     }
 
+    fn queue(capacity: usize) -> Arc<Queue<Event>> {
+        Arc::new(Queue::with_cost(usize::MAX, capacity, Event::cost))
+    }
+
     fn link() -> Link {
         Link { transport: TransportKind::Memory, topic: "/words".to_owned() }
     }
@@ -149,12 +163,12 @@ mod tests {
         failure: Option<TransportError>,
     ) -> (Vec<Event>, Losses) {
         let stop = &AtomicBool::new(false);
-        let cache = Cache::new(capacity);
+        let queue = queue(capacity);
         let sizes = sizes.iter().copied().collect();
         let mut subscriber = Deliveries { sizes, failure, stop };
         let losses =
-            receive(&link(), topic(), &mut subscriber, &cache.producer(), Duration::ZERO, stop);
-        (cache.close(), losses)
+            receive(&link(), topic(), &mut subscriber, &queue.producer(), Duration::ZERO, stop);
+        (queue.close(), losses)
     }
 
     #[test]
@@ -173,11 +187,11 @@ mod tests {
     #[test]
     fn messages_for_a_closed_queue_are_counted_as_unwritten() {
         let stop = &AtomicBool::new(false);
-        let cache = Cache::new(3_000);
-        cache.close();
+        let queue = queue(3_000);
+        queue.close();
         let mut subscriber = Deliveries { sizes: [10, 10].into(), failure: None, stop };
         let losses =
-            receive(&link(), topic(), &mut subscriber, &cache.producer(), Duration::ZERO, stop);
+            receive(&link(), topic(), &mut subscriber, &queue.producer(), Duration::ZERO, stop);
         assert_eq!(losses, Losses { in_transport: 7, queue_full: 0, unwritten: 2 });
         let sum: Losses = [losses, losses].into_iter().sum();
         assert_eq!(sum, Losses { in_transport: 14, queue_full: 0, unwritten: 4 });

@@ -1,7 +1,10 @@
 //! A recording: one thread per topic fills a bounded queue, this thread writes it into the bag.
 
 use std::{
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
     time::Duration,
 };
@@ -10,10 +13,9 @@ use super::{
     Losses, Recorder, TopicDiscovery,
     intake::{Event, FULL_QUEUE_TIMEOUT, MAX_WAIT, receive},
 };
-use crate::cache::{Cache, Pop};
 use eddy_bag::BagError;
 use eddy_frames::clock::{self, Clock};
-use eddy_transport::{Link, SeenTopic, Subscriber, TransportError};
+use eddy_transport::{Link, Queue, SeenTopic, Subscriber, TransportError};
 
 /// When a recording ends, and where it reports to.
 pub struct RecordingOptions<'a> {
@@ -53,14 +55,14 @@ pub fn record(
     options: &RecordingOptions<'_>,
 ) -> (Result<(), RecordError>, Losses) {
     let stop = AtomicBool::new(false);
-    let cache = Cache::new(options.cache_bytes);
+    let queue = Arc::new(Queue::with_cost(usize::MAX, options.cache_bytes, Event::cost));
     thread::scope(|scope| {
         let (stop, mut receivers) = (&stop, Vec::new());
         let mut open =
             |recorder: &mut Recorder, topic: SeenTopic, mut subscriber: Box<dyn Subscriber>| {
                 let id = recorder.topic_of(&topic.link.topic, &topic.type_support(), topic.kept)?;
                 (options.on_topic)(&topic);
-                let producer = cache.producer();
+                let producer = queue.producer();
                 let link = topic.link;
                 receivers.push(scope.spawn(move || {
                     receive(&link, id, subscriber.as_mut(), &producer, FULL_QUEUE_TIMEOUT, stop)
@@ -74,13 +76,13 @@ pub fn record(
             }
         }
         if !discovery.is_empty() {
-            let producer = cache.producer();
+            let producer = queue.producer();
             scope.spawn(move || discovery.run(&producer, stop));
         }
         let outcome =
-            opened.and_then(|()| write(recorder, &cache, &mut open, discovery, options, stop));
+            opened.and_then(|()| write(recorder, &queue, &mut open, discovery, options, stop));
         stop.store(true, Ordering::Relaxed);
-        let queued = cache.close().into_iter();
+        let queued = queue.close().into_iter();
         let queued = queued.filter(|event| matches!(event, Event::Message(..))).count() as u64;
         let losses = receivers.into_iter().map(|receiver| match receiver.join() {
             Ok(losses) => losses,
@@ -103,7 +105,7 @@ type Open<'a> =
 /// Writes events until the recording ends, raises `stop`, then writes the messages that had already arrived.
 fn write(
     recorder: &mut Recorder,
-    cache: &Cache<Event>,
+    queue: &Queue<Event>,
     open: &mut Open<'_>,
     discovery: &TopicDiscovery,
     options: &RecordingOptions<'_>,
@@ -118,11 +120,11 @@ fn write(
         if timed_out || interrupted || failure.is_some() {
             stop.store(true, Ordering::Relaxed);
         }
-        match cache.pop(MAX_WAIT) {
-            Pop::Item(Event::Message(topic, payload, arrived)) => {
+        match queue.pop(MAX_WAIT) {
+            Some(Event::Message(topic, payload, arrived)) => {
                 recorder.on_message(topic, payload, arrived).map_err(RecordError::Bag)?;
             }
-            Pop::Item(Event::Opened(topic, subscriber)) => {
+            Some(Event::Opened(topic, subscriber)) => {
                 let link = topic.link.clone();
                 match open(recorder, topic, subscriber) {
                     Err(RecordError::Bag(error @ BagError::TopicType { .. })) => {
@@ -132,12 +134,12 @@ fn write(
                 }
             }
             // Topics of `--all` and `--regex` are recorded as far as possible.
-            Pop::Item(Event::Failed(link, error)) if !options.required.contains(&link) => {
+            Some(Event::Failed(link, error)) if !options.required.contains(&link) => {
                 discovery.note_ended(&link, &error);
             }
-            Pop::Item(Event::Failed(_, error)) => failure = Some(RecordError::Transport(error)),
-            Pop::Timeout => {}
-            Pop::Ended => break,
+            Some(Event::Failed(_, error)) => failure = Some(RecordError::Transport(error)),
+            None if queue.is_ended() => break,
+            None => {}
         }
         recorder.on_tick(clock::wall()).map_err(RecordError::Bag)?;
         let messages = recorder.bag().messages();

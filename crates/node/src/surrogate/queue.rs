@@ -55,8 +55,8 @@ impl FrameQueue {
                 Reliability::Drop => {
                     let dropped = self
                         .messages
-                        .push_or_give_up(message, |waiting| oldest_of_largest(waiting, stream));
-                    if let Some(stream) = dropped.and_then(|message| message.stream) {
+                        .push_or_drop(message, |waiting| oldest_of_largest(waiting, stream));
+                    dropped.iter().filter_map(|message| message.stream).for_each(|stream| {
                         self.count(stream);
                     });
                     return true;

@@ -128,7 +128,7 @@ impl Hub {
     pub fn observed(&self, frame: &FrameView<'_>) {
         self.observed.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_replace(FrameCopy::Truth(frame.to_frame()));
+            self.inbox.push_or_drop_oldest(FrameCopy::Truth(frame.to_frame()));
         }
     }
 
@@ -136,7 +136,7 @@ impl Hub {
     pub fn predicted(&self, frame: &Frame, info: PredictionInfo) {
         self.predicted.fetch_add(1, Ordering::Relaxed);
         if self.is_watched() && self.wants(frame.stream) {
-            self.inbox.push_or_replace(FrameCopy::Prediction(frame.clone(), info));
+            self.inbox.push_or_drop_oldest(FrameCopy::Prediction(frame.clone(), info));
         }
     }
 
