@@ -3,7 +3,8 @@
 //! Imports run one way, from the end of this list to its start.
 //!
 //! Export:
-//! 1. `streams`: the streams of bags, their properties and frames.
+//! 1. `streams`: the streams of bags, their properties and frames. `aligned`: frames of several topics, matched by
+//!    sequence number.
 //! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, `npz` has arrays,
 //!    `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a `metadata.json` (`metadata`).
 //!
@@ -13,6 +14,7 @@
 //!
 //! Both: `arrays`, NumPy arrays in a zip archive, without pickles.
 
+mod aligned;
 mod arrays;
 mod csv;
 mod data_set;
@@ -29,6 +31,7 @@ mod streams;
 mod trajectory;
 mod vtu;
 
+pub use aligned::{AlignedFrames, Frames};
 pub use error::ExchangeError;
 pub use export::{ExportFormat, export};
 pub use import::{ImportFormat, Imported, import};

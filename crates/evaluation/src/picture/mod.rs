@@ -6,6 +6,7 @@
 //! 4. `backend`: plots of [`page`](crate::page) on a canvas.
 //! 5. `file`: PNG files and animations.
 //! 6. `quantize`: the 256 colours of a GIF.
+//! 7. `sampling`: which frames a strip or an animation shows.
 
 mod backend;
 mod canvas;
@@ -13,9 +14,11 @@ mod file;
 mod palette;
 mod panel;
 mod quantize;
+mod sampling;
 
 pub(crate) use backend::CanvasBackend;
 pub use canvas::Canvas;
 pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
 pub use palette::{Rgb, of_material as material_color, scale as scale_colors};
 pub use panel::{Coloring, Painter};
+pub use sampling::{animation_timing, evenly_spaced};
