@@ -109,6 +109,6 @@ pub(crate) fn progress_bar(length: u64, unit: &str, quiet: bool) -> ProgressBar 
     } else {
         ProgressBar::new(length)
     };
-    let template = format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left");
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left  {{wide_msg}}");
     bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

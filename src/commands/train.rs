@@ -13,7 +13,7 @@ use eddy_learning::{
 use eddy_settings::Overrides;
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, allocator, progress_bar};
+use super::{Interrupt, TerminalProgress, allocator, progress_bar};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
@@ -38,6 +38,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let mut outcomes = Vec::new();
     let mut failure = None;
+    let progress = TerminalProgress::new(quiet, interrupt);
     // Measured once for all runs: memory that one frees stays with this process.
     let memory = available_memory();
     for (config, output) in &runs {

@@ -12,6 +12,11 @@ pub trait Progress: Sync {
         let _ = steps;
     }
 
+    /// The state of the running task, in a few words that a terminal shows beside the bar.
+    fn status(&self, text: &str) {
+        let _ = text;
+    }
+
     /// The task has ended, complete or not.
     fn finish(&self) {}
 
