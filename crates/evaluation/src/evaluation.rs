@@ -142,8 +142,8 @@ pub struct Evaluation {
     references: References,
     /// Paths of the checkpoints.
     names: Vec<String>,
-    /// The models, `[thread][checkpoint]`, each loaded for a single thread.
-    models: Vec<Vec<Surrogate>>,
+    /// The checkpoints' models, whose steppers have one thread.
+    models: Vec<Surrogate>,
     join_late: bool,
     remarks: Vec<String>,
     pool: rayon::ThreadPool,
@@ -172,14 +172,12 @@ impl Evaluation {
                 EvaluationError::Checkpoint { checkpoint: name.clone(), reason: Box::new(reason) }
             })
         };
-        let models: Vec<Vec<Surrogate>> = (0..pool.current_num_threads())
-            .map(|_| checkpoints.iter().map(load).collect())
-            .collect::<Result<_, EvaluationError>>()?;
+        let models: Vec<Surrogate> = checkpoints.iter().map(load).collect::<Result<_, _>>()?;
         let names: Vec<String> = checkpoints.into_iter().map(|(name, _)| name).collect();
         let mut counted = BTreeMap::new();
         for stream in &selection.streams {
             let first = stream.cut(0..1)?.frame(0);
-            for (name, model) in names.iter().zip(&models[0]) {
+            for (name, model) in names.iter().zip(&models) {
                 model.fits(&first).map_err(|reason| EvaluationError::Stream {
                     checkpoint: name.clone(),
                     bag: stream.source.clone(),
@@ -218,9 +216,8 @@ impl Evaluation {
             if progress.cancelled() {
                 return Err(EvaluationError::Cancelled);
             }
-            let models = &self.models[rayon::current_thread_index().unwrap_or(0)];
             let whole = stream.cut(0..stream.frames)?;
-            let predictors = self.predictors(models);
+            let predictors = self.predictors();
             let result =
                 evaluate_scene(context, &predictors, &whole, scene.as_ref()).map_err(|error| {
                     let reason = Box::new(EvaluationError::from(error));
@@ -235,7 +232,7 @@ impl Evaluation {
         progress.finish();
         let scenes = scenes?;
         let samples = self.samples()?;
-        let timed = self.predictors(&self.models[0]).into_iter();
+        let timed = self.predictors().into_iter();
         let costs = timed.map(|predictor| cost::time(context, predictor, &samples));
         let costs = costs.collect::<Result<_, _>>()?;
         let snapshots = self.snapshots(&samples)?;
@@ -261,7 +258,7 @@ impl Evaluation {
         &self,
         samples: &[(Stream, Option<Scene>)],
     ) -> Result<(Vec<usize>, Vec<Snapshot>), EvaluationError> {
-        let all = self.predictors(&self.models[0]);
+        let all = self.predictors();
         let numbers = |wanted: fn(&Predictor<'_>) -> bool, most: usize| {
             let found = all.iter().enumerate().filter(move |(_, predictor)| wanted(predictor));
             found.map(|(number, _)| number).take(most)
@@ -278,12 +275,12 @@ impl Evaluation {
         Ok((chosen, snapshots))
     }
 
-    /// All predictors, given the models of one thread.
-    fn predictors<'a>(&self, models: &'a [Surrogate]) -> Vec<Predictor<'a>> {
-        let late = models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
+    /// All predictors.
+    fn predictors(&self) -> Vec<Predictor<'_>> {
+        let late = self.models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
         let references = self.references.predictors.iter().copied();
         let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
-        let models = models.iter().map(Predictor::Model).chain(late);
+        let models = self.models.iter().map(Predictor::Model).chain(late);
         models.chain(baselines).chain(references).chain([Predictor::Truth]).collect()
     }
 
@@ -296,7 +293,7 @@ impl Evaluation {
     ) -> Report {
         let short = short_names(&self.names);
         let mut models = 0;
-        let predictors = self.predictors(&self.models[0]);
+        let predictors = self.predictors();
         let infos = predictors.iter().map(|predictor| {
             // Models follow the order of the checkpoints, once or twice.
             let number = models % self.names.len();
