@@ -14,7 +14,7 @@ use crate::commands::simulate;
 use eddy_bag::Compression;
 use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
-use eddy_learning::model::{Architecture, Core, DeviceKind};
+use eddy_learning::model::{Architecture, Core, DeviceKind, Precision};
 use eddy_mpm::Law;
 use eddy_node::surrogate::{NodeOptions, PredictOptions};
 use eddy_transport::{Link, ListenAddress, Reliability, TransportKind};
@@ -79,6 +79,8 @@ pub enum Command {
     Topic(TopicArgs),
     /// Run benchmarks on this machine.
     Bench(BenchArgs),
+    /// List the devices that networks can be trained on.
+    Devices,
     /// Print a shell completion script.
     Completions(CompletionsArgs),
     /// Write manual pages, one per command.
@@ -378,6 +380,9 @@ pub struct TrainArgs {
     /// Compute device.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
+    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    pub precision: Precision,
 }
 
 /// `eddy node`

@@ -62,6 +62,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
+        Command::Devices => commands::devices::run(),
         Command::Completions(args) => commands::completions::run(&args),
         Command::Man(args) => commands::completions::man(&args, quiet),
     }

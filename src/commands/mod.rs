@@ -3,6 +3,7 @@
 pub mod bag;
 pub mod completions;
 pub mod demo;
+pub mod devices;
 pub mod eval;
 pub mod lab;
 pub mod launch;

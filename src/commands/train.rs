@@ -7,7 +7,7 @@ use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 use eddy_evaluation::dataset::{Dataset, available_memory};
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::Architecture,
+    model::{Architecture, GpuOptions},
     train::{Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, check_output, train},
 };
 use eddy_settings::Overrides;
@@ -31,7 +31,9 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     for (_, output) in &runs {
         check_output(output, args.resume)?;
     }
-    args.device.check()?;
+    let device = args.device.resolve(config.architecture);
+    device.check()?;
+    let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;
     if !quiet {
         introduce(&config, &dataset);
@@ -43,7 +45,8 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     let memory = available_memory();
     for (config, output) in &runs {
         let run = Run {
-            device: args.device,
+            device,
+            gpu: GpuOptions { precision: args.precision, kernel_cache: kernel_cache.as_deref() },
             output,
             resume: args.resume,
             machine: Machine::with_free_disk(memory, output)?,
@@ -83,6 +86,11 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             Err(anyhow::Error::new(error).context(format!("seed {seed}")))
         }
     }
+}
+
+/// Where kernels compiled for a GPU are kept: in the user's cache folder, if there is one.
+fn kernel_cache() -> Option<PathBuf> {
+    Some(dirs::cache_dir()?.join("eddy").join("kernels"))
 }
 
 /// The defaults of the architecture, then the file, then the command line.

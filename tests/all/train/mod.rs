@@ -21,7 +21,7 @@ use eddy_frames::{
 };
 use eddy_inference::checkpoint::{Architecture, Core, Normalization};
 use eddy_learning::{
-    model::DeviceKind,
+    model::{DeviceKind, GpuOptions},
     train::{Machine, Outcome, Run, TrainConfig, TrainError, UnrollStage, train},
 };
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
@@ -106,6 +106,7 @@ pub fn small(architecture: Architecture, core: Core) -> TrainConfig {
 /// A run in `output` that nothing limits or stops.
 pub fn settings<'a>(output: &'a Path, progress: &'a dyn Progress) -> Run<'a> {
     Run {
+        gpu: GpuOptions::default(),
         device: DeviceKind::Flex,
         output,
         resume: false,

@@ -30,6 +30,11 @@ pub fn run(
 ) -> anyhow::Result<()> {
     ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure!(args.windows > 0, "windows: found 0, expected at least 1");
+    ensure!(
+        args.device == args.device.through_burn(),
+        "--device: found {}, expected a device that burn computes on: flex, ndarray or vulkan",
+        args.device.name()
+    );
     args.device.check()?;
     let steps = if args.step.is_empty() { paper_steps(&FRAMES) } else { args.step.clone() };
     progress.begin(steps.len() as u64, "steps");

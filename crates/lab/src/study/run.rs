@@ -26,7 +26,10 @@ use eddy_evaluation::{
 };
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
-use eddy_learning::{model::DeviceKind, train::TrainConfig};
+use eddy_learning::{
+    model::{Architecture, DeviceKind},
+    train::TrainConfig,
+};
 
 /// A comparison to run.
 #[derive(Clone, Debug)]
@@ -83,6 +86,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
             device.name()
         );
     }
+    let device = device.resolve(Architecture::Frame);
     device.check()?;
     let work = Work {
         folders: Folders::new(output),
@@ -91,7 +95,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
         presets: comparison.presets(study),
         study,
         jobs: jobs.get(),
-        device: *device,
+        device,
         progress,
         failed: AtomicBool::new(false),
     };

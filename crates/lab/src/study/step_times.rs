@@ -7,10 +7,11 @@ use eddy_evaluation::page::Machine;
 /// Windows per batch.
 const WINDOWS: usize = 16;
 
-/// Times a step of every recurrent core for each window length, unless already done.
+/// Times a step of every recurrent core for each window length through burn, unless already done.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let folder = work.folders.report(work.comparison);
-    if Speed::find(&folder, work.device)?.is_some() {
+    let device = work.device.through_burn();
+    if Speed::find(&folder, device)?.is_some() {
         return Ok(());
     }
     let kinds = paper_steps(&work.study.step_frames);
@@ -21,10 +22,10 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             work.progress.finish();
             return Ok(());
         }
-        steps.push(step.time(WINDOWS, work.study.step_seconds, work.device));
+        steps.push(step.time(WINDOWS, work.study.step_seconds, device));
         work.progress.advance(1);
     }
     work.progress.finish();
-    Speed { machine: Machine::here(), device: work.device, steps }.save(&folder)?;
+    Speed { machine: Machine::here(), device, steps }.save(&folder)?;
     Ok(())
 }

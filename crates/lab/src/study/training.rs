@@ -13,7 +13,10 @@ use eddy_evaluation::{
     page::command_line,
 };
 use eddy_frames::progress::Progress;
-use eddy_learning::train::{LAST_FOLDER, Machine, Run, TrainConfig, train};
+use eddy_learning::{
+    model::GpuOptions,
+    train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
+};
 
 /// A network with one seed.
 struct Task {
@@ -76,6 +79,7 @@ impl Task {
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let run = Run {
             device: work.device,
+            gpu: GpuOptions::default(),
             output,
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,

@@ -5,6 +5,7 @@ use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 /// Dropout with its own random numbers: a seed gives the same masks whatever else is computed on the device.
+#[derive(Clone)]
 pub(crate) struct Dropout {
     /// Share of the values set to zero, and the generator of the masks.
     training: Option<(f32, ChaCha8Rng)>,

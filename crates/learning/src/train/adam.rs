@@ -35,17 +35,36 @@ pub(super) struct Moments {
     pub(super) average: Vec<f32>,
 }
 
+/// The numbers that change from step to step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Correction {
+    /// Learning rate with the bias correction of the first moment.
+    pub(super) rate: f32,
+    /// Square root of the bias correction of the second moment.
+    pub(super) root: f32,
+    /// Decay of the average.
+    pub(super) kept: f32,
+}
+
+impl Correction {
+    /// Of step number `steps`, from 1.
+    pub(super) fn new(steps: u32, rate: f64, config: &OptimizerConfig) -> Self {
+        let power = i32::try_from(steps).unwrap_or(i32::MAX);
+        Self {
+            rate: (rate / (1.0 - f64::from(BETA_1).powi(power))) as f32,
+            root: (1.0 - f64::from(BETA_2).powi(power)).sqrt() as f32,
+            // A shorter average in the first steps, to forget the initial weights quickly.
+            kept: config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
+        }
+    }
+}
+
 /// A step for all tensors.
 pub(super) struct AdamStep<'a> {
     adam: &'a mut Adam,
-    /// Learning rate with the bias correction of the first moment.
-    rate: f32,
-    /// Square root of the bias correction of the second moment.
-    correction: f32,
+    correction: Correction,
     epsilon: f32,
     clip: f32,
-    /// Decay of the average.
-    kept: f32,
     /// Whether norms are computed even without clipping.
     measured: bool,
     /// Sum of the squared norms of the gradients so far.
@@ -56,15 +75,11 @@ impl Adam {
     /// Starts a step.
     pub(super) fn step(&mut self, rate: f64, config: &OptimizerConfig) -> AdamStep<'_> {
         self.steps += 1;
-        let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
         AdamStep {
+            correction: Correction::new(self.steps, rate, config),
             adam: self,
-            rate: (rate / (1.0 - f64::from(BETA_1).powi(steps))) as f32,
-            correction: (1.0 - f64::from(BETA_2).powi(steps)).sqrt() as f32,
             epsilon: config.epsilon,
             clip: config.clip,
-            // A shorter average in the first steps, to forget the initial weights quickly.
-            kept: config.average.min((1.0 + steps as f32) / (10.0 + steps as f32)),
             measured: false,
             squares: 0.0,
         }
@@ -86,8 +101,8 @@ impl AdamStep<'_> {
         let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
         let constants = Constants {
             scale,
-            rate: self.rate,
-            inverse: 1.0 / self.correction,
+            rate: self.correction.rate,
+            inverse: 1.0 / self.correction.root,
             epsilon: self.epsilon,
         };
         values
@@ -97,10 +112,11 @@ impl AdamStep<'_> {
             .for_each(|((values, gradient), (first, second))| {
                 Arch::new().dispatch(Change { constants, values, gradient, first, second });
             });
-        if self.kept > 0.0 {
+        let kept = self.correction.kept;
+        if kept > 0.0 {
             average.resize(values.len(), 0.0);
             for (mean, value) in average.iter_mut().zip(values) {
-                *mean = *value + self.kept * (*mean - *value);
+                *mean = *value + kept * (*mean - *value);
             }
         }
     }

@@ -139,7 +139,8 @@ pub fn train_dense(
                 error(network.forward(Tensor::from_inner(input)), Tensor::from_inner(target));
             let found: f32 = loss.clone().inner().into_scalar();
             if !found.is_finite() {
-                let windows = window::names(&windows);
+                let origins: Vec<_> = windows.iter().map(Window::origin).collect();
+                let windows = window::names(&origins);
                 return Err(TrainError::NotFinite { epoch, batch, windows, found });
             }
             let mut step = adam.step(config.learning_rate, &optimizer);

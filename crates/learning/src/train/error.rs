@@ -10,6 +10,19 @@ use eddy_inference::{checkpoint::CheckpointError, engine::ModelError};
 /// Why a network cannot be trained, or training cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
+    /// The GPU, or a library it needs.
+    #[cfg(feature = "cuda")]
+    #[error(transparent)]
+    Cuda(#[from] eddy_cuda::CudaError),
+    /// A gradient is not finite although the loss is.
+    #[cfg(feature = "cuda")]
+    #[error(
+        "the gradient is not finite (windows {windows}), expected numbers; a smaller learning rate or a shorter unroll helps"
+    )]
+    GradientNotFinite {
+        /// Stream and first frame of each window.
+        windows: String,
+    },
     /// A setting is out of range.
     #[error("{field}: found {found}, expected {expected}")]
     Setting {

@@ -65,7 +65,12 @@ impl GradientTask<'_> {
     }
 
     /// The means over windows that go through the network together.
-    fn group(&self, network: Network, windows: &[Window], dropout: &mut Dropout) -> BatchGradient {
+    pub(super) fn group(
+        &self,
+        network: Network,
+        windows: &[Window],
+        dropout: &mut Dropout,
+    ) -> BatchGradient {
         let Self { config, description, scale, .. } = self;
         let (warm_up, grid) = (config.windows.warm_up, description.grid.as_ref());
         let batch = Batch::new(windows, warm_up, scale, grid, &self.device.device());

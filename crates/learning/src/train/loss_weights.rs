@@ -36,45 +36,63 @@ impl LossScale<'_> {
     /// to the divisors give the sum 1.
     pub(super) fn weights(&self, window: &Window, unroll: usize) -> [Vec<f32>; 2] {
         let particles = window.material.len();
-        let sums = [self.loss.position_weight, self.loss.velocity_weight].map(f64::from);
-        let sum = sums[0] + sums[1];
-        let mut weights = [Vec::new(), Vec::new()];
         match self.loss.kind {
             LossKind::Mse => {
-                let even = (unroll * particles * 2) as f64 * sum;
-                for (part, weights) in weights.iter_mut().enumerate() {
-                    let axis = |axis: usize| {
-                        let feature = 2 * part + axis;
-                        let low = self.normalization.minimum[feature];
-                        let range = f64::from(self.normalization.maximum[feature] - low);
-                        (sums[part] / (range * range * even)) as f32
-                    };
-                    let pair = [axis(0), axis(1)];
-                    *weights = pair.repeat(unroll * particles);
-                }
+                let [x, y, vx, vy] = self.squared(unroll * particles);
+                [[x, y], [vx, vy]].map(|pair| pair.repeat(unroll * particles))
             }
             LossKind::Relative => {
-                let own = self.trivial(window, unroll);
-                let counts = counts(&window.material);
-                let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
-                let share = f64::from(self.loss.common_share);
-                for (own, common) in own.iter().zip(&self.common) {
-                    for (part, weights) in weights.iter_mut().enumerate() {
-                        let floor = self.floor(part);
-                        let of = |m: usize| {
-                            let error = (own[m][part] + floor).powf(1.0 - share)
-                                * (common[m][part] + floor).powf(share);
-                            let even = counts[m] * present * unroll as f64 * sum;
-                            (sums[part] / (error * even)) as f32
-                        };
-                        let weight: [f32; Material::COUNT] = std::array::from_fn(of);
-                        let own = window.material.iter().map(|&kind| weight[kind as usize]);
-                        weights.extend(own.flat_map(|weight| [weight; 2]));
-                    }
-                }
+                let frames = self.relative(window, unroll);
+                [0, 1].map(|part| {
+                    let kinds = |frame: &[[f32; Material::COUNT]; 2]| {
+                        let weight = frame[part];
+                        window.material.iter().flat_map(move |&kind| [weight[kind as usize]; 2])
+                    };
+                    frames.iter().flat_map(kinds).collect()
+                })
             }
         }
-        weights
+    }
+
+    /// Weights of squared errors of x, y, vx, vy in the mean squared error of `count` scaled states.
+    pub(super) fn squared(&self, count: usize) -> [f32; 4] {
+        let sums = self.shares();
+        let even = (count * 2) as f64 * (sums[0] + sums[1]);
+        std::array::from_fn(|feature| {
+            let low = self.normalization.minimum[feature];
+            let range = f64::from(self.normalization.maximum[feature] - low);
+            (sums[feature / 2] / (range * range * even)) as f32
+        })
+    }
+
+    /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material.
+    pub(super) fn relative(
+        &self,
+        window: &Window,
+        unroll: usize,
+    ) -> Vec<[[f32; Material::COUNT]; 2]> {
+        let sums = self.shares();
+        let own = self.trivial(window, unroll);
+        let counts = counts(&window.material);
+        let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
+        let share = f64::from(self.loss.common_share);
+        let frame = |(own, common): (&[Pair; Material::COUNT], &[Pair; Material::COUNT])| {
+            [0, 1].map(|part| {
+                let floor = self.floor(part);
+                std::array::from_fn(|m| {
+                    let error = (own[m][part] + floor).powf(1.0 - share)
+                        * (common[m][part] + floor).powf(share);
+                    let even = counts[m] * present * unroll as f64 * (sums[0] + sums[1]);
+                    (sums[part] / (error * even)) as f32
+                })
+            })
+        };
+        own.iter().zip(&self.common).map(frame).collect()
+    }
+
+    /// Weights of positions and velocities.
+    fn shares(&self) -> [f64; 2] {
+        [self.loss.position_weight, self.loss.velocity_weight].map(f64::from)
     }
 
     /// The smallest relevant squared error, of positions or velocities.

@@ -6,7 +6,7 @@
 //! 4. `batch`: windows as tensors.
 //! 5. `loss`, `density`: the network observes the warm-up and predicts the rest from its own output; the loss of that.
 //! 6. `gradients`: the loss of a batch and its gradients, windows in parallel.
-//! 7. `adam`: the optimizer.
+//! 7. `adam`: the optimizer. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
 //! 8. `schedule`: learning rate and length of unroll over the run.
 //! 9. `validate`: free rollouts over streams that are not trained on.
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file.
@@ -19,6 +19,10 @@
 mod adam;
 mod batch;
 mod config;
+#[cfg(feature = "cuda")]
+mod cuda;
+#[cfg(all(test, feature = "cuda"))]
+mod cuda_tests;
 pub mod dense;
 mod density;
 mod description;
@@ -37,6 +41,7 @@ mod resume;
 mod schedule;
 mod state;
 pub mod step_benchmark;
+mod steps;
 mod validate;
 mod window;
 
@@ -50,17 +55,18 @@ pub use resume::{LAST_FOLDER, check_output};
 
 use std::path::Path;
 
-use crate::model::DeviceKind;
+use crate::model::{DeviceKind, GpuOptions};
 use eddy_evaluation::dataset::Dataset;
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::Ballistic,
 };
-use gradients::{BatchGradient, GradientTask};
+use gradients::GradientTask;
 use loss_weights::{LossScale, TrivialErrors, TrivialSums};
 use monitor::{BatchMetrics, Monitor};
 use state::RunState;
+use steps::{Learner, Step};
 use window::Sampler;
 
 /// Windows over which trivial errors are averaged at the start of an unroll stage.
@@ -72,6 +78,8 @@ const COMMON_GROUP: usize = 32;
 pub struct Run<'a> {
     /// Compute device.
     pub device: DeviceKind,
+    /// Options of an NVIDIA GPU, if that is the device.
+    pub gpu: GpuOptions<'a>,
     /// Directory for the best checkpoint, `metrics.csv`, the event files and [`LAST_FOLDER`].
     pub output: &'a Path,
     /// Whether to resume the run in `output`; if it has no epoch yet, a new run begins.
@@ -162,7 +170,10 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     };
     let monitor = Monitor::new(run.output, config, &state, run.progress)?;
     let description = &description;
-    let mut trainer = Trainer { config, dataset, run, description, state, sampler, scale, monitor };
+    let learner = Learner::new(run, description, dataset)?;
+    let mut trainer =
+        Trainer { config, dataset, run, description, state, sampler, scale, monitor, learner };
+    trainer.begin_stage()?;
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
         match trainer.epoch()? {
@@ -183,6 +194,7 @@ struct Trainer<'a> {
     sampler: Sampler<'a>,
     scale: LossScale<'a>,
     monitor: Monitor<'a>,
+    learner: Learner,
 }
 
 /// Training loss and learning rate of an epoch.
@@ -196,43 +208,47 @@ impl Trainer<'_> {
     /// Trains for an epoch; none if it was interrupted.
     fn epoch(&mut self) -> Result<Option<EpochMeans>, TrainError> {
         let (config, epoch) = (self.config, self.state.epoch() + 1);
-        let (mut losses, mut learning_rate) = (0.0, 0.0);
-        for number in 1..=config.batches() {
+        let (mut losses, mut learning_rate, mut number) = (0.0, 0.0, 1);
+        while number <= config.batches() {
             if self.run.progress.cancelled() {
                 return Ok(None);
             }
-            let progress = schedule::progress(config, epoch, number);
-            self.set_unroll(config.unroll[schedule::stage(&config.unroll, progress)].frames)?;
+            let progress = |number| schedule::progress(config, epoch, number);
+            let stage = schedule::stage(&config.unroll, progress(number));
+            self.set_unroll(config.unroll[stage].frames)?;
 
-            let left = || schedule::batches_of_stage(config, epoch, number);
-            let windows = self.sampler.batch(config.windows.batch, left, &mut self.state.order)?;
+            let left = schedule::batches_of_stage(config, epoch, number);
+            let count = self.learner.group().min(left);
+            let rate = |number| schedule::learning_rate(&config.optimizer, progress(number));
+            let rates: Vec<f64> = (number..number + count).map(rate).collect();
             let task = GradientTask {
                 config,
                 description: self.description,
                 scale: &self.scale,
                 device: self.run.device,
             };
-            let RunState { network, adam, dropout, .. } = &mut self.state;
-            let BatchGradient { loss, gradients } = task.compute(network, &windows, dropout);
-            if !loss.is_finite() {
-                let windows = window::names(&windows);
-                return Err(TrainError::NotFinite { epoch, batch: number, windows, found: loss });
-            }
-            learning_rate = schedule::learning_rate(&config.optimizer, progress);
-            let mut step = adam.step(learning_rate, &config.optimizer).measured();
-            network.layers_mut().exchange(|tensor, values| {
-                if !gradients[tensor].is_empty() {
-                    step.change(tensor, values, &gradients[tensor]); // clips it first
+            let steps =
+                self.learner.steps(&task, &mut self.sampler, left, &rates, &mut self.state)?;
+            for (Step { loss, gradient_norm, windows }, rate) in steps.into_iter().zip(rates) {
+                if !loss.is_finite() {
+                    let windows = window::names(&windows);
+                    return Err(TrainError::NotFinite {
+                        epoch,
+                        batch: number,
+                        windows,
+                        found: loss,
+                    });
                 }
-            });
-            let gradient_norm = step.gradient_norm();
-
-            losses += f64::from(loss);
-            self.state.samples += windows.len() as u64;
-            let samples = self.state.samples;
-            let metrics = BatchMetrics { epoch, samples, loss, learning_rate, gradient_norm };
-            self.monitor.batch(&metrics)?;
+                learning_rate = rate;
+                losses += f64::from(loss);
+                self.state.samples += windows.len() as u64;
+                let samples = self.state.samples;
+                let metrics = BatchMetrics { epoch, samples, loss, learning_rate, gradient_norm };
+                self.monitor.batch(&metrics)?;
+                number += 1;
+            }
         }
+        self.learner.sync(&mut self.state)?;
         Ok(Some(EpochMeans { loss: losses / config.batches() as f64, learning_rate }))
     }
 
@@ -241,11 +257,19 @@ impl Trainer<'_> {
         if frames == self.state.unroll {
             return Ok(());
         }
+        self.learner.sync(&mut self.state)?;
         self.state.unroll = frames;
         self.sampler = sampler(self.config, self.dataset, frames)?;
         self.state.common = self.trivial_errors()?;
         self.scale.common = self.state.common.clone();
-        Ok(())
+        self.begin_stage()
+    }
+
+    /// Takes the weights to where the steps of a stage are computed.
+    fn begin_stage(&mut self) -> Result<(), TrainError> {
+        let Self { config, description, scale, run, learner, state, .. } = self;
+        let task = GradientTask { config, description, scale, device: run.device };
+        learner.begin(&task, state)
     }
 
     /// Errors of the best trivial predictor over many windows; empty if the loss does not use them.

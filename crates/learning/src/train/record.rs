@@ -111,7 +111,7 @@ pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
     Ok(record)
 }
 
-/// Rejects other data, settings or devices than those of the run to resume.
+/// Rejects other data or settings than those of the run to resume; warns about another device.
 pub(super) fn same_run(
     file: &Path,
     config: &TrainConfig,
@@ -134,9 +134,12 @@ pub(super) fn same_run(
     {
         return differs(&field, found, expected);
     }
-    let device = run.device.name().to_owned();
+    let device = run.device.name();
     if record.device != device {
-        return differs("device", device, record.device.clone());
+        tracing::warn!(
+            "the run started on {}, resuming on {device}: results differ in their last bits",
+            record.device
+        );
     }
     let done = record.epochs.len();
     if (config.epochs as usize) < done {

@@ -42,14 +42,15 @@ pub(super) struct Sampler<'a> {
 }
 
 /// A window that was drawn but not read yet.
-struct Draw {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Draw {
     /// Index of the stream.
-    stream: usize,
+    pub(super) stream: usize,
     /// First frame.
-    start: usize,
-    mirrored: bool,
+    pub(super) start: usize,
+    pub(super) mirrored: bool,
     /// Seed of the noise.
-    noise: Option<u64>,
+    pub(super) noise: Option<u64>,
 }
 
 impl<'a> Sampler<'a> {
@@ -103,21 +104,31 @@ impl<'a> Sampler<'a> {
         count: usize,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<Window>, TrainError> {
+        let mut draws: Vec<_> = self.choose_many(count, random).into_iter().enumerate().collect();
+        draws.sort_by_key(|(_, draw)| (draw.stream, draw.start));
+        let cut = |(place, draw): (usize, Draw)| Ok((place, self.cut(draw)?));
+        let mut windows = draws.into_iter().map(cut).collect::<Result<Vec<_>, TrainError>>()?;
+        windows.sort_by_key(|&(place, _)| place);
+        Ok(windows.into_iter().map(|(_, window)| window).collect())
+    }
+
+    /// `count` windows, drawn with replacement, not read.
+    pub(super) fn choose_many(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<Draw> {
         let windows = self.ends.last().copied().unwrap_or(0);
-        let mut draws: Vec<_> = (0..count)
+        (0..count)
             .map(|_| {
                 let window = random.random_range(0..windows);
                 let stream = self.ends.partition_point(|&end| end <= window);
                 let before = if stream == 0 { 0 } else { self.ends[stream - 1] };
                 self.choose(stream, window - before, random)
             })
-            .enumerate()
-            .collect();
-        draws.sort_by_key(|(_, draw)| (draw.stream, draw.start));
-        let cut = |(place, draw): (usize, Draw)| Ok((place, self.cut(draw)?));
-        let mut windows = draws.into_iter().map(cut).collect::<Result<Vec<_>, TrainError>>()?;
-        windows.sort_by_key(|&(place, _)| place);
-        Ok(windows.into_iter().map(|(_, window)| window).collect())
+            .collect()
+    }
+
+    /// The id of a window's stream, and the window's first frame in it.
+    #[cfg(feature = "cuda")]
+    pub(super) fn origin(&self, draw: &Draw) -> (u64, usize) {
+        (self.streams[draw.stream].id, draw.start)
     }
 
     fn choose(&self, stream: usize, start: usize, random: &mut ChaCha8Rng) -> Draw {
@@ -127,7 +138,7 @@ impl<'a> Sampler<'a> {
         Draw { stream, start, mirrored, noise }
     }
 
-    fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
+    pub(super) fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
         let Draw { stream, start, mirrored, noise } = draw;
         let stream = &self.streams[stream];
         let sides = stream.domain.lower[0] + stream.domain.upper[0];
@@ -152,10 +163,16 @@ impl<'a> Sampler<'a> {
     }
 }
 
+impl Window {
+    /// Its stream, and its first frame in it.
+    pub(super) fn origin(&self) -> (u64, usize) {
+        (self.stream, self.start)
+    }
+}
+
 /// Stream and first frame of each window, to identify a batch.
-pub(super) fn names(windows: &[Window]) -> String {
-    let names: Vec<_> =
-        windows.iter().map(|window| format!("{}:{}", window.stream, window.start)).collect();
+pub(super) fn names(windows: &[(u64, usize)]) -> String {
+    let names: Vec<_> = windows.iter().map(|(stream, start)| format!("{stream}:{start}")).collect();
     names.join(" ")
 }
 

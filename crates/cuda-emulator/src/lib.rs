@@ -1,0 +1,202 @@
+//! A device made of the CPU, for tests where there is no GPU: the same text of the kernels, compiled by g++, with
+//! products as plain sums. It finds wrong indices and formulas; it says nothing about speed.
+
+#![expect(unsafe_code, reason = "memory and functions of a library compiled at run time")]
+
+use std::{
+    ffi::c_void,
+    fs,
+    process::Command,
+    sync::{Arc, Mutex, OnceLock},
+};
+
+use libloading::Library;
+
+use eddy_cuda::{
+    CudaError, Result,
+    device::{Address, Argument, Buffer, Device, Product, Queue, Recording, Shape},
+    kernels::{Constants, Kernel, SOURCE},
+};
+
+/// What every kernel of the library is called by.
+type Launch = unsafe extern "C" fn(u32, *const u32, *const u32, *mut *mut c_void);
+
+/// The device.
+pub struct Emulator {
+    /// The kernels keep blocks and fibers in static memory: one launch at a time.
+    library: Arc<Mutex<Library>>,
+}
+
+/// Compiled libraries by their text; tests of one process share them.
+static LIBRARIES: OnceLock<Mutex<Vec<(String, Arc<Mutex<Library>>)>>> = OnceLock::new();
+
+impl Emulator {
+    /// Compiles the kernels for these constants.
+    ///
+    /// # Errors
+    /// [`CudaError::Compile`] with what g++ says, or that there is none.
+    pub fn new(constants: &Constants) -> Result<Self> {
+        let source = text(constants);
+        let mut known = LIBRARIES
+            .get_or_init(Mutex::default)
+            .lock()
+            .unwrap_or_else(|broken| broken.into_inner());
+        if let Some((_, library)) = known.iter().find(|(text, _)| *text == source) {
+            return Ok(Self { library: library.clone() });
+        }
+        let library = Arc::new(Mutex::new(compile(&source)?));
+        known.push((source, library.clone()));
+        Ok(Self { library })
+    }
+}
+
+/// Constants, emulator, kernels, and one function that calls any of them by number.
+fn text(constants: &Constants) -> String {
+    let mut text = String::from(include_str!("emulator.cpp"));
+    for (name, value) in constants.definitions() {
+        text += &format!("#define {name} {value}\n");
+    }
+    text += SOURCE;
+    text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(unsigned kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
+    for (number, kernel) in Kernel::ALL.iter().enumerate() {
+        text += &format!("  if (kernel == {number}) call({}, grid, block, a);\n", kernel.name());
+    }
+    text + "}\n"
+}
+
+fn compile(source: &str) -> Result<Library> {
+    let failed = |log: String| CudaError::Compile { log };
+    let folder = tempfile::tempdir().map_err(|reason| failed(reason.to_string()))?;
+    let [input, output] = ["kernels.cpp", "kernels.so"].map(|name| folder.path().join(name));
+    fs::write(&input, source).map_err(|reason| failed(reason.to_string()))?;
+    // Hidden: kernels must not be taken for functions of the C library of the same name.
+    let compiler = Command::new("g++")
+        .args([
+            "-std=c++17",
+            "-O1",
+            "-shared",
+            "-fPIC",
+            "-fvisibility=hidden",
+            "-fno-gnu-unique",
+            "-Wno-unknown-pragmas",
+            "-o",
+        ])
+        .arg(&output)
+        .arg(&input)
+        .output()
+        .map_err(|reason| failed(format!("g++: {reason}")))?;
+    if !compiler.status.success() {
+        return Err(failed(String::from_utf8_lossy(&compiler.stderr).into_owned()));
+    }
+    // SAFETY: the library is the one just compiled; loading it runs no code but constructors of the C++ library. It
+    // stays mapped when the folder goes.
+    unsafe { Library::new(&output) }.map_err(|reason| failed(reason.to_string()))
+}
+
+fn pointer(at: Address) -> *mut u8 {
+    at.0 as *mut u8
+}
+
+impl Device for Emulator {
+    fn allocate(&self, bytes: usize) -> Result<Buffer> {
+        let memory = vec![0u128; bytes.div_ceil(16).max(1)];
+        Ok(Buffer::new(Address(memory.as_ptr() as u64), bytes, memory))
+    }
+
+    fn free_memory(&self) -> Result<u64> {
+        Ok(u64::MAX)
+    }
+
+    fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
+        // SAFETY: addresses are those of buffers, which are as large as the caller says.
+        unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), pointer(to), bytes.len()) };
+        Ok(())
+    }
+
+    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
+        // SAFETY: as above.
+        unsafe { std::ptr::copy_nonoverlapping(pointer(from), bytes.as_mut_ptr(), bytes.len()) };
+        Ok(())
+    }
+
+    fn clear(&self, _: Queue, at: Address, bytes: usize) -> Result<()> {
+        // SAFETY: as above.
+        unsafe { std::ptr::write_bytes(pointer(at), 0, bytes) };
+        Ok(())
+    }
+
+    fn copy(&self, _: Queue, from: Address, to: Address, bytes: usize) -> Result<()> {
+        // SAFETY: as above.
+        unsafe { std::ptr::copy(pointer(from), pointer(to), bytes) };
+        Ok(())
+    }
+
+    unsafe fn launch(
+        &self,
+        _: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> Result<()> {
+        let number = Kernel::ALL.iter().position(|&one| one == kernel).unwrap_or_default() as u32;
+        let grid = shape.grid.map(|size| size as u32);
+        let block = shape.block.map(|size| size as u32);
+        let mut pointers: Vec<*mut c_void> = arguments
+            .iter()
+            .map(|argument| std::ptr::from_ref(argument).cast_mut().cast())
+            .collect();
+        let library = self.library.lock().unwrap_or_else(|broken| broken.into_inner());
+        // SAFETY: the library has this function, see `text`; the arguments are the caller's promise.
+        unsafe {
+            let launch = library
+                .get::<Launch>(b"launch")
+                .map_err(|reason| CudaError::Call { call: "dlsym", reason: reason.to_string() })?;
+            launch(number, grid.as_ptr(), block.as_ptr(), pointers.as_mut_ptr());
+        }
+        Ok(())
+    }
+
+    unsafe fn multiply(&self, _: Queue, product: &Product) -> Result<()> {
+        let [rows, inner, columns] = product.sizes;
+        let at = |address: Address, index: usize| (address.0 as *mut f32).wrapping_add(index);
+        for row in 0..rows {
+            for column in 0..columns {
+                let mut sum = 0f64;
+                for i in 0..inner {
+                    let left = match product.left.transposed {
+                        false => row * product.left.stride + i,
+                        true => i * product.left.stride + row,
+                    };
+                    let right = match product.right.transposed {
+                        false => i * product.right.stride + column,
+                        true => column * product.right.stride + i,
+                    };
+                    // SAFETY: the sizes are the caller's promise.
+                    sum += unsafe {
+                        f64::from(*at(product.left.at, left))
+                            * f64::from(*at(product.right.at, right))
+                    };
+                }
+                let to = at(product.result, row * product.stride + column);
+                // SAFETY: as above.
+                unsafe { *to = if product.add { *to } else { 0.0 } + sum as f32 };
+            }
+        }
+        Ok(())
+    }
+
+    fn wait(&self, _: Queue, _: Queue) -> Result<()> {
+        Ok(())
+    }
+
+    fn record(
+        &self,
+        _: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<Box<dyn Recording + Send>>> {
+        Ok(None)
+    }
+
+    fn finish(&self) -> Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,239 @@
+//! What the networks need of a device: memory, kernels, products, two queues, recorded steps. A GPU has it,
+//! and in tests the emulator.
+
+#![expect(unsafe_code, reason = "launches cannot be checked by the compiler")]
+
+use std::any::Any;
+
+use crate::{error::Result, kernels::Kernel};
+
+/// A place in the memory of a device (bytes); 0 is nowhere.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Address(pub u64);
+
+impl Address {
+    /// Nowhere: what a kernel gets for data that it is not to use.
+    pub const NULL: Self = Self(0);
+
+    /// The place so many numbers of 4 bytes further on.
+    #[must_use]
+    pub fn plus(self, numbers: usize) -> Self {
+        Self(self.0 + 4 * numbers as u64)
+    }
+
+    /// The place so many bytes further on.
+    #[must_use]
+    pub fn plus_bytes(self, bytes: usize) -> Self {
+        Self(self.0 + bytes as u64)
+    }
+}
+
+/// Memory of a device, given back when it is dropped.
+pub struct Buffer {
+    /// Where it starts.
+    pub address: Address,
+    /// Its size.
+    pub bytes: usize,
+    /// What gives it back.
+    _owner: Box<dyn Any + Send + Sync>,
+}
+
+impl Buffer {
+    /// Memory that `owner` gives back when it is dropped.
+    pub fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
+        Self { address, bytes, _owner: Box::new(owner) }
+    }
+}
+
+/// Which of the two queues work is put into. Work in one queue runs in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Queue {
+    /// The one that results are read from.
+    Main,
+    /// Runs beside it.
+    Side,
+}
+
+/// A value passed to a kernel: a number, an address, or a struct of C of at most 32 bytes.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(8))]
+pub struct Argument([u8; 32]);
+
+impl Argument {
+    /// From the bytes of a value as C has it.
+    ///
+    /// # Panics
+    /// When there are more than 32.
+    pub fn from_bytes(bytes: &[u8]) -> Self {
+        let mut all = [0; 32];
+        all[..bytes.len()].copy_from_slice(bytes);
+        Self(all)
+    }
+}
+
+impl From<Address> for Argument {
+    fn from(value: Address) -> Self {
+        Self::from_bytes(&value.0.to_le_bytes())
+    }
+}
+
+impl From<u64> for Argument {
+    fn from(value: u64) -> Self {
+        Self::from_bytes(&value.to_le_bytes())
+    }
+}
+
+impl From<f32> for Argument {
+    fn from(value: f32) -> Self {
+        Self::from_bytes(&value.to_le_bytes())
+    }
+}
+
+/// A C int: sizes and counts, all below 2^31.
+impl From<usize> for Argument {
+    fn from(value: usize) -> Self {
+        let value = i32::try_from(value).expect("sizes are checked before work starts");
+        Self::from_bytes(&value.to_le_bytes())
+    }
+}
+
+/// The blocks and threads of a launch.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    /// Blocks along x, y, z.
+    pub grid: [usize; 3],
+    /// Threads of a block along x, y.
+    pub block: [usize; 2],
+    /// Dynamic shared memory of a block (bytes).
+    pub shared: usize,
+}
+
+impl Shape {
+    /// Blocks of `threads` in a row, in a grid of two dimensions.
+    pub fn new(x: usize, y: usize, threads: usize) -> Self {
+        Self { grid: [x, y, 1], block: [threads, 1], shared: 0 }
+    }
+}
+
+/// A factor of a product, row by row in memory.
+#[derive(Clone, Copy, Debug)]
+pub struct Factor {
+    /// Where it is.
+    pub at: Address,
+    /// Numbers from a row to the next one.
+    pub stride: usize,
+    /// Whether it is stored the other way round.
+    pub transposed: bool,
+}
+
+/// `result[rows, columns] = left[rows, inner] right[inner, columns]`, or added to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Product {
+    /// The left factor.
+    pub left: Factor,
+    /// The right factor.
+    pub right: Factor,
+    /// The result.
+    pub result: Address,
+    /// Numbers from a row of the result to the next one.
+    pub stride: usize,
+    /// Rows, inner size, columns.
+    pub sizes: [usize; 3],
+    /// Whether the product is added to what is there.
+    pub add: bool,
+}
+
+/// Work that was recorded once and is repeated without its launches.
+pub trait Recording {
+    /// Repeats it, in the main queue.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call).
+    fn repeat(&self) -> Result<()>;
+}
+
+/// A device.
+pub trait Device: Send + Sync {
+    /// Memory, all zero.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
+    fn allocate(&self, bytes: usize) -> Result<Buffer>;
+
+    /// Memory that is free (bytes).
+    ///
+    /// # Errors
+    /// As above.
+    fn free_memory(&self) -> Result<u64>;
+
+    /// Copies to the device, after what is in the main queue; returns when the bytes may be changed.
+    ///
+    /// # Errors
+    /// As above.
+    fn write(&self, to: Address, bytes: &[u8]) -> Result<()>;
+
+    /// Copies from the device, after what is in the main queue; returns when the bytes are there.
+    ///
+    /// # Errors
+    /// As above.
+    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()>;
+
+    /// Sets memory to zero, in a queue.
+    ///
+    /// # Errors
+    /// As above.
+    fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()>;
+
+    /// Copies within the device, in a queue.
+    ///
+    /// # Errors
+    /// As above.
+    fn copy(&self, queue: Queue, from: Address, to: Address, bytes: usize) -> Result<()>;
+
+    /// Puts a kernel into a queue.
+    ///
+    /// # Safety
+    /// The arguments must be those of the kernel, in type and order, and the memory they name must be as large as
+    /// the kernel and the shape ask for.
+    ///
+    /// # Errors
+    /// As above.
+    unsafe fn launch(
+        &self,
+        queue: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> Result<()>;
+
+    /// Puts a product into a queue.
+    ///
+    /// # Safety
+    /// The memory must be as large as the sizes and strides ask for.
+    ///
+    /// # Errors
+    /// As above.
+    unsafe fn multiply(&self, queue: Queue, product: &Product) -> Result<()>;
+
+    /// Lets one queue go on only after what is in the other one now.
+    ///
+    /// # Errors
+    /// As above.
+    fn wait(&self, queue: Queue, for_queue: Queue) -> Result<()>;
+
+    /// Records what `work` puts into the queues, without running it; `None` where a device cannot, and `work` is to be
+    /// called each time.
+    ///
+    /// # Errors
+    /// As above, and those of `work`.
+    fn record(
+        &self,
+        work: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<Box<dyn Recording + Send>>>;
+
+    /// Waits for all work.
+    ///
+    /// # Errors
+    /// As above.
+    fn finish(&self) -> Result<()>;
+}

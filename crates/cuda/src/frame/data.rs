@@ -1,0 +1,147 @@
+//! Trajectories on a device, and which windows of them a step takes.
+
+use crate::{
+    device::{Buffer, Device},
+    error::Result,
+    kernels::MATERIALS,
+};
+
+/// Trajectories in the memory of a device.
+pub struct Store {
+    /// Bodies, frame after frame, stream after stream.
+    pub(super) bodies: Buffer,
+    /// `[streams, N]`.
+    pub(super) material: Buffer,
+    /// Particles in the order of their materials, `[streams, N]`.
+    pub(super) order: Buffer,
+    /// Where each material starts in that order, `[streams, MATERIALS + 1]`.
+    pub(super) segments: Buffer,
+    /// First body of each stream.
+    first: Vec<u64>,
+    particles: usize,
+}
+
+impl Store {
+    /// Memory that so many frames take (bytes).
+    pub fn bytes(frames: usize, particles: usize) -> u64 {
+        frames as u64 * particles as u64 * 16
+    }
+
+    /// A window as the kernels have it.
+    pub(super) fn window(&self, window: &Window) -> [u32; 14] {
+        let first = self.first[window.stream] + (window.start * self.particles) as u64;
+        let mut words = [0; 14];
+        words[0] = first as u32;
+        words[1] = (first >> 32) as u32;
+        words[2] = window.stream as u32;
+        words[3] = u32::from(window.mirrored);
+        if let Some(seed) = window.noise {
+            words[4] = 1;
+            words[6..].copy_from_slice(&key(seed));
+        }
+        words
+    }
+}
+
+/// Copies streams of N particles to a device, frame by frame.
+pub struct StoreWriter<'a> {
+    device: &'a dyn Device,
+    particles: usize,
+    bodies: Buffer,
+    materials: Vec<u8>,
+    order: Vec<u32>,
+    segments: Vec<u32>,
+    first: Vec<u64>,
+    /// Bodies written so far.
+    written: u64,
+}
+
+impl<'a> StoreWriter<'a> {
+    /// Memory for so many frames in all streams.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
+    pub fn new(device: &'a dyn Device, particles: usize, frames: usize) -> Result<Self> {
+        Ok(Self {
+            device,
+            particles,
+            bodies: device.allocate(Store::bytes(frames, particles) as usize)?,
+            materials: Vec::new(),
+            order: Vec::new(),
+            segments: Vec::new(),
+            first: Vec::new(),
+            written: 0,
+        })
+    }
+
+    /// Begins a stream of particles of these materials (by number), `[N]`.
+    ///
+    /// # Panics
+    /// When there are not N.
+    pub fn stream(&mut self, material: &[u8]) {
+        assert_eq!(material.len(), self.particles, "materials of a stream");
+        self.first.push(self.written);
+        let mut order: Vec<u32> = (0..self.particles as u32).collect();
+        order.sort_by_key(|&particle| material[particle as usize]);
+        let before =
+            |kind: usize| material.iter().filter(|&&one| usize::from(one) < kind).count() as u32;
+        self.segments.extend((0..=MATERIALS).map(before));
+        self.materials.extend_from_slice(material);
+        self.order.extend(order);
+    }
+
+    /// Adds a frame of x, y, vx, vy to the last stream, `[N]`.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    ///
+    /// # Panics
+    /// When there are not N bodies, or more frames than there is memory for.
+    pub fn frame(&mut self, bodies: &[[f32; 4]]) -> Result<()> {
+        assert_eq!(bodies.len(), self.particles, "bodies of a frame");
+        let at = 16 * self.written as usize;
+        assert!(at + 16 * bodies.len() <= self.bodies.bytes, "frames of the store");
+        self.written += bodies.len() as u64;
+        self.device.write(self.bodies.address.plus_bytes(at), bytemuck::cast_slice(bodies))
+    }
+
+    /// The store.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn finish(self) -> Result<Store> {
+        let keep = |bytes: &[u8]| -> Result<Buffer> {
+            let buffer = self.device.allocate(bytes.len())?;
+            self.device.write(buffer.address, bytes)?;
+            Ok(buffer)
+        };
+        Ok(Store {
+            material: keep(&self.materials)?,
+            order: keep(bytemuck::cast_slice(&self.order))?,
+            segments: keep(bytemuck::cast_slice(&self.segments))?,
+            bodies: self.bodies,
+            first: self.first,
+            particles: self.particles,
+        })
+    }
+}
+
+/// A piece of a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// The stream's number in the store.
+    pub stream: usize,
+    /// Its first frame.
+    pub start: usize,
+    /// Whether left and right are exchanged.
+    pub mirrored: bool,
+    /// Seed of ChaCha8 (32 bytes) for the noise on the last observed frame; none without noise.
+    pub noise: Option<[u8; 32]>,
+}
+
+/// A seed as words.
+pub(super) fn key(seed: [u8; 32]) -> [u32; 8] {
+    std::array::from_fn(|word| {
+        u32::from_le_bytes(std::array::from_fn(|byte| seed[4 * word + byte]))
+    })
+}

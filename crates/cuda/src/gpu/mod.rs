@@ -1,0 +1,239 @@
+//! An NVIDIA GPU through the driver: a context, two streams, kernels, products, graphs.
+//!
+//! 1. `library`: which of the libraries that are loaded at run time are there.
+//! 2. `compile`: the kernels' text to machine code, kept on disk.
+//! 3. `products`: products by cuBLASLt.
+
+#![expect(unsafe_code, reason = "calls of the driver and its libraries")]
+
+mod compile;
+mod library;
+mod products;
+
+pub use compile::{Target, compile};
+pub use library::{GpuDescription, check, list};
+
+use std::{collections::HashMap, path::Path, sync::Arc};
+
+use cudarc::{
+    driver::{
+        CudaContext, CudaFunction, CudaGraph, CudaSlice, CudaStream, DevicePtr as _, result, sys,
+    },
+    nvrtc::Ptx,
+};
+
+use crate::{
+    device::{Address, Argument, Buffer, Device, Product, Queue, Recording, Shape},
+    error::{Context as _, Result},
+    kernels::{Constants, Kernel, SOURCE},
+};
+use products::Products;
+
+/// How products are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// Factors rounded to TF32 (10 bits of mantissa), sums in f32, on tensor cores.
+    #[default]
+    Tf32,
+    /// All in f32.
+    Fp32,
+}
+
+impl Precision {
+    /// The word in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tf32 => "tf32",
+            Self::Fp32 => "fp32",
+        }
+    }
+}
+
+/// A GPU, ready to compute with the kernels of some constants.
+pub struct Gpu {
+    context: Arc<CudaContext>,
+    streams: [Arc<CudaStream>; 2],
+    kernels: HashMap<Kernel, CudaFunction>,
+    products: Products,
+}
+
+impl Gpu {
+    /// GPU number `device`. Compiled kernels are kept in the folder `cache`, if there is one.
+    ///
+    /// # Errors
+    /// [`CudaError`](crate::CudaError): no driver, a library missing, no such GPU, a call that failed.
+    pub fn new(
+        device: usize,
+        constants: &Constants,
+        precision: Precision,
+        cache: Option<&Path>,
+    ) -> Result<Self> {
+        check(device)?;
+        let context = CudaContext::new(device).context("cuCtxCreate")?;
+        // SAFETY: memory is used in the two streams of this struct only, which wait for each other by hand;
+        // tracking would record events into graphs.
+        unsafe { context.disable_event_tracking() };
+        let stream = || context.new_stream().context("cuStreamCreate");
+        let streams = [stream()?, stream()?];
+        let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
+        let target = Target::Machine(major as u32 * 10 + minor as u32);
+        let image = compile::cached(SOURCE, &constants.definitions(), target, cache)?;
+        let module = context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData")?;
+        let mut kernels = HashMap::new();
+        for &kernel in Kernel::ALL {
+            let function = module.load_function(kernel.name()).context("cuModuleGetFunction")?;
+            kernels.insert(kernel, function);
+        }
+        let products = Products::new(&streams[0], precision)?;
+        Ok(Self { context, streams, kernels, products })
+    }
+
+    fn stream(&self, queue: Queue) -> &Arc<CudaStream> {
+        &self.streams[match queue {
+            Queue::Main => 0,
+            Queue::Side => 1,
+        }]
+    }
+
+    /// Lets the kernel have that much dynamic shared memory.
+    fn allow_shared(&self, kernel: Kernel, bytes: usize) -> Result<()> {
+        use sys::CUfunction_attribute_enum::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES;
+        let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
+        self.kernels[&kernel]
+            .set_attribute(CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, bytes)
+            .context("cuFuncSetAttribute")
+    }
+
+    /// Milliseconds that `work` takes on the device.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call), and those of `work`.
+    pub fn time(&self, work: impl FnOnce() -> Result<()>) -> Result<f32> {
+        let flags = Some(sys::CUevent_flags::CU_EVENT_DEFAULT);
+        let from = self.streams[0].record_event(flags).context("cuEventRecord")?;
+        work()?;
+        let to = self.streams[0].record_event(flags).context("cuEventRecord")?;
+        from.elapsed_ms(&to).context("cuEventElapsedTime")
+    }
+}
+
+/// Dynamic shared memory that a kernel may have without asking (bytes).
+const SHARED_LIMIT: usize = 48 << 10;
+
+impl Device for Gpu {
+    fn allocate(&self, bytes: usize) -> Result<Buffer> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        let memory: CudaSlice<u8> =
+            self.streams[0].alloc_zeros(bytes.max(16)).context("cuMemAlloc")?;
+        let address = Address(memory.device_ptr(&self.streams[0]).0);
+        Ok(Buffer::new(address, bytes, memory))
+    }
+
+    fn free_memory(&self) -> Result<u64> {
+        let (free, _) = self.context.mem_get_info().context("cuMemGetInfo")?;
+        Ok(free as u64)
+    }
+
+    fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
+        self.streams[0].synchronize().context("cuStreamSynchronize")?;
+        // SAFETY: the buffer is as large as the caller says; the call returns when the bytes are copied.
+        unsafe { result::memcpy_htod_sync(to.0, bytes) }.context("cuMemcpyHtoD")
+    }
+
+    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
+        self.streams[0].synchronize().context("cuStreamSynchronize")?;
+        // SAFETY: as above.
+        unsafe { result::memcpy_dtoh_sync(bytes, from.0) }.context("cuMemcpyDtoH")
+    }
+
+    fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()> {
+        // SAFETY: the buffer is as large as the caller says.
+        unsafe { result::memset_d8_async(at.0, 0, bytes, self.stream(queue).cu_stream()) }
+            .context("cuMemsetD8Async")
+    }
+
+    fn copy(&self, queue: Queue, from: Address, to: Address, bytes: usize) -> Result<()> {
+        // SAFETY: as above.
+        unsafe { result::memcpy_dtod_async(to.0, from.0, bytes, self.stream(queue).cu_stream()) }
+            .context("cuMemcpyDtoDAsync")
+    }
+
+    unsafe fn launch(
+        &self,
+        queue: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> Result<()> {
+        if shape.shared > SHARED_LIMIT {
+            self.allow_shared(kernel, shape.shared)?;
+        }
+        let mut pointers: Vec<_> = arguments
+            .iter()
+            .map(|argument| std::ptr::from_ref(argument).cast_mut().cast())
+            .collect();
+        let [x, y, z] = shape.grid.map(|size| size as u32);
+        let [threads, rows] = shape.block.map(|size| size as u32);
+        // SAFETY: the caller's promise; the driver copies the arguments before it returns.
+        unsafe {
+            result::launch_kernel(
+                self.kernels[&kernel].cu_function(),
+                (x, y, z),
+                (threads, rows, 1),
+                shape.shared as u32,
+                self.stream(queue).cu_stream(),
+                &mut pointers,
+            )
+        }
+        .context(kernel.name())
+    }
+
+    unsafe fn multiply(&self, queue: Queue, product: &Product) -> Result<()> {
+        let workspace = match queue {
+            Queue::Main => 0,
+            Queue::Side => 1,
+        };
+        // SAFETY: the caller's promise.
+        unsafe { self.products.multiply(self.stream(queue), workspace, product) }
+    }
+
+    fn wait(&self, queue: Queue, for_queue: Queue) -> Result<()> {
+        self.stream(queue).join(self.stream(for_queue)).context("cuStreamWaitEvent")
+    }
+
+    fn record(
+        &self,
+        work: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<Box<dyn Recording + Send>>> {
+        // Once without recording: cuBLASLt chooses its algorithms, modules are loaded.
+        self.finish()?;
+        let stream = &self.streams[0];
+        stream
+            .begin_capture(sys::CUstreamCaptureMode::CU_STREAM_CAPTURE_MODE_THREAD_LOCAL)
+            .context("cuStreamBeginCapture")?;
+        let outcome = work();
+        let graph =
+            stream.end_capture(sys::CUgraphInstantiate_flags(0)).context("cuStreamEndCapture");
+        outcome?;
+        Ok(graph?.map(|graph| Box::new(Graph(graph)) as Box<dyn Recording + Send>))
+    }
+
+    fn finish(&self) -> Result<()> {
+        self.streams
+            .iter()
+            .try_for_each(|stream| stream.synchronize())
+            .context("cuStreamSynchronize")
+    }
+}
+
+/// A recorded step.
+struct Graph(CudaGraph);
+
+// SAFETY: a graph may be launched from any thread, one at a time.
+unsafe impl Send for Graph {}
+
+impl Recording for Graph {
+    fn repeat(&self) -> Result<()> {
+        self.0.launch().context("cuGraphLaunch")
+    }
+}

@@ -1,0 +1,216 @@
+//! The kernels' text, their names, and the constants they are compiled for.
+
+use eddy_inference::checkpoint::{
+    Activation, Core, Description, FeatureScaling, Form, MaterialInput, Pooling,
+};
+
+use crate::error::{CudaError, Result};
+
+/// All kernels, as one text.
+pub const SOURCE: &str = concat!(
+    include_str!("common.cu"),
+    include_str!("windows.cu"),
+    include_str!("encoder.cu"),
+    include_str!("cells.cu"),
+    include_str!("loss.cu"),
+    include_str!("adam.cu"),
+);
+
+/// Materials that the kernels know, [`Material::COUNT`](eddy_frames::Material::COUNT).
+pub const MATERIALS: usize = 4;
+/// Axes of space.
+pub const AXES: usize = 2;
+
+macro_rules! kernels {
+    ($($(#[$doc:meta])* $variant:ident = $name:literal),* $(,)?) => {
+        /// A kernel by its name in the text.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Kernel { $($(#[$doc])* $variant),* }
+
+        impl Kernel {
+            /// Every kernel.
+            pub const ALL: &[Self] = &[$(Self::$variant),*];
+
+            /// Its name in the text.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name),* }
+            }
+        }
+    };
+}
+
+kernels! {
+    /// Observed frames out of the trajectories.
+    Observe = "observe",
+    /// Pointwise encoder with the sums for its gradient.
+    Encode = "encode",
+    /// Pointwise encoder alone.
+    EncodeValues = "encode_values",
+    /// Means over the particles.
+    Pool = "pool",
+    /// Gradient of the encoder's weights.
+    EncoderGradient = "encoder_gradient",
+    /// Gradient of the encoder's input.
+    EncoderPointsGradient = "encoder_points_gradient",
+    /// minGRU over frames.
+    MinGruForward = "mingru_forward",
+    /// Its gradient.
+    MinGruBackward = "mingru_backward",
+    /// minLSTM over frames.
+    MinLstmForward = "minlstm_forward",
+    /// Its gradient.
+    MinLstmBackward = "minlstm_backward",
+    /// A frame of GRU.
+    GruForward = "gru_forward",
+    /// Its gradient.
+    GruBackward = "gru_backward",
+    /// A frame of LSTM.
+    LstmForward = "lstm_forward",
+    /// Its gradient.
+    LstmBackward = "lstm_backward",
+    /// The activation in place.
+    ActivationForward = "activation_forward",
+    /// Its gradient.
+    ActivationBackward = "activation_backward",
+    /// Zeros in the padding of gradients.
+    ClearPadding = "clear_padding",
+    /// Dropout, both ways.
+    Dropout = "dropout",
+    /// Predicted frames and their squared errors.
+    Advance = "advance",
+    /// The loss of a batch.
+    Loss = "loss",
+    /// Gradient by the decoder's output.
+    LossGradient = "loss_gradient",
+    /// Density maps and their gradient.
+    Density = "density",
+    /// Sums of squares of gradients.
+    SquaresOfGradient = "squares_of_gradient",
+    /// What shortens gradients.
+    Clip = "clip",
+    /// Adam.
+    Adam = "adam",
+    /// The end of a step.
+    Finish = "finish",
+}
+
+/// Rounds up to a multiple.
+pub(crate) fn round_up(number: usize, multiple: usize) -> usize {
+    number.div_ceil(multiple) * multiple
+}
+
+/// What the kernels are compiled for: the widths and choices of a frame model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Constants {
+    /// N.
+    pub particles: usize,
+    /// Whether materials enter as one number each.
+    pub one_hot: bool,
+    /// E.
+    pub encoder: usize,
+    /// H.
+    pub hidden: usize,
+    /// Of the encoder, the MLP core and the mixer.
+    pub activation: Activation,
+    /// Form of the minimal recurrences.
+    pub form: Form,
+    /// Whether minLSTM's gates are divided by their sum.
+    pub normalized: bool,
+}
+
+impl Constants {
+    /// Of a described frame model.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`] for the particle model and for a pooling by the maximum.
+    pub fn of(description: &Description) -> Result<Self> {
+        let unsupported = |setting: &str, expected| CudaError::Unsupported {
+            setting: setting.to_owned(),
+            expected,
+        };
+        let Some(particles) = description.sizes.particles else {
+            return Err(unsupported("architecture particle", "architecture frame"));
+        };
+        if description.frame.pooling != Pooling::Mean {
+            return Err(unsupported(
+                "a pooling by the maximum",
+                "network.frame.pooling = \"mean\"",
+            ));
+        }
+        Ok(Self {
+            particles,
+            one_hot: description.frame.material == MaterialInput::OneHot,
+            encoder: description.sizes.encoder,
+            hidden: description.sizes.hidden,
+            activation: description.frame.activation,
+            form: description.form,
+            normalized: description.normalize_gates,
+        })
+    }
+
+    /// Rows of the encoder's first matrix without the bias.
+    pub fn inputs(&self) -> usize {
+        2 * AXES + if self.one_hot { MATERIALS } else { 1 }
+    }
+
+    /// E rounded up: columns of the encoder's first matrix.
+    pub fn encoder_columns(&self) -> usize {
+        round_up(self.encoder, 4)
+    }
+
+    /// E with the ones, rounded up.
+    pub fn pooled_columns(&self) -> usize {
+        round_up(self.encoder + 1, 8)
+    }
+
+    /// H with the ones, rounded up.
+    pub fn hidden_columns(&self) -> usize {
+        round_up(self.hidden + 1, 8)
+    }
+
+    /// Columns of the decoder.
+    pub fn output_columns(&self) -> usize {
+        round_up(AXES * self.particles, 8)
+    }
+
+    /// Names and values for the compiler.
+    pub fn definitions(&self) -> Vec<(&'static str, usize)> {
+        let activation = Activation::ALL.iter().position(|&kind| kind == self.activation);
+        vec![
+            ("DIM", AXES),
+            ("MATERIALS", MATERIALS),
+            ("N", self.particles),
+            ("ONE_HOT", usize::from(self.one_hot)),
+            ("E", self.encoder),
+            ("EL", self.encoder_columns()),
+            ("EP", self.pooled_columns()),
+            ("H", self.hidden),
+            ("HP", self.hidden_columns()),
+            ("OP", self.output_columns()),
+            ("ACTIVATION", activation.unwrap_or_default()),
+            ("LOG_FORM", usize::from(self.form == Form::Log)),
+            ("NORMALIZED", usize::from(self.normalized)),
+        ]
+    }
+}
+
+/// What features are divided by: `x' = (x - least) inverse_range`, x, y, vx, vy.
+pub(crate) fn scaling(description: &Description) -> [[f32; 4]; 2] {
+    let scale = &description.normalization;
+    match description.frame.scaling {
+        FeatureScaling::MinMax => {
+            [scale.minimum, std::array::from_fn(|k| 1.0 / (scale.maximum[k] - scale.minimum[k]))]
+        }
+        FeatureScaling::ZScore => [scale.mean, scale.standard_deviation.map(|d| 1.0 / d)],
+    }
+}
+
+/// Gates that a layer of the core computes from its input, side by side in one matrix.
+pub(crate) fn gates(core: Core) -> usize {
+    match core {
+        Core::Mlp => 1,
+        Core::MinGru => 2,
+        Core::Gru | Core::MinLstm => 3,
+        Core::Lstm => 4,
+    }
+}

@@ -1,0 +1,17 @@
+//! eddy's networks on NVIDIA GPUs.
+//!
+//! 1. [`device`]: what the networks need of a device; [`gpu`] is one; tests have another, that of the
+//!    crate `eddy-cuda-emulator`.
+//! 2. [`kernels`]: the kernels' text and the constants they are compiled for.
+//! 3. [`frame`]: the frame model.
+//!
+//! No CUDA toolkit is needed to build: the driver, NVRTC and cuBLASLt are loaded at run time.
+
+pub mod device;
+pub mod frame;
+pub mod gpu;
+pub mod kernels;
+
+mod error;
+
+pub use error::{CudaError, Result};

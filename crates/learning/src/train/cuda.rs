@@ -1,0 +1,247 @@
+//! Training of the frame model on a GPU: the same windows, dropout masks, loss and steps as on the CPU.
+
+use std::sync::Arc;
+
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    LossKind, TrainConfig, TrainError,
+    adam::{Correction, Moments},
+    gradients::GradientTask,
+    loss_weights::LossScale,
+    state::RunState,
+    steps::Step,
+    window::{Draw, Sampler, names},
+};
+use crate::model::{GpuOptions, Precision};
+use eddy_cuda::{
+    CudaError,
+    device::Device,
+    frame::{Batch, GROUP, Outcome, Settings, Store, StoreWriter, Training, Window},
+    gpu::{self, Gpu},
+    kernels::Constants,
+};
+use eddy_evaluation::dataset::Trajectory;
+use eddy_frames::Material;
+use eddy_inference::checkpoint::Description;
+
+/// What a step is made of in the stage with so many free frames.
+pub(super) fn settings(config: &TrainConfig, unroll: usize) -> Settings {
+    Settings {
+        batch: config.windows.batch,
+        warm_up: config.windows.warm_up,
+        unroll,
+        relative: config.loss.kind == LossKind::Relative,
+        observed_weight: config.loss.observed_weight,
+        density_weight: config.loss.density_weight,
+        density_nodes: config.loss.density_grid,
+        dropout: config.network.dropout,
+        noise: [config.windows.noise.position, config.windows.noise.velocity],
+        clip: config.optimizer.clip,
+        epsilon: config.optimizer.epsilon,
+        average: config.optimizer.average > 0.0,
+    }
+}
+
+/// All frames of all streams, in the memory of the device.
+pub(super) fn store(device: &dyn Device, streams: &[Trajectory]) -> Result<Store, TrainError> {
+    let particles = streams.first().map_or(0, |stream| stream.material.len());
+    let frames = streams.iter().map(|stream| stream.frames).sum();
+    let (needed, free) = (Store::bytes(frames, particles), device.free_memory()?);
+    if needed > free {
+        let mebibytes = |bytes: u64| bytes >> 20;
+        return Err(TrainError::Cuda(CudaError::Memory {
+            device: 0,
+            what: "the training streams",
+            needed: mebibytes(needed),
+            free: mebibytes(free),
+            remedy: "train on fewer scenes or with --device flex",
+        }));
+    }
+    let mut store = StoreWriter::new(device, particles, frames)?;
+    for stream in streams {
+        let material: Vec<u8> = stream.material.iter().map(|&material| material as u8).collect();
+        store.stream(&material);
+        let mut outcome = Ok(());
+        stream.visit(0..stream.frames, |state| {
+            let pairs = state.position.iter().zip(&state.velocity);
+            let bodies: Vec<_> = pairs.map(|(&[x, y], &[vx, vy])| [x, y, vx, vy]).collect();
+            if outcome.is_ok() {
+                outcome = store.frame(&bodies);
+            }
+        })?;
+        outcome?;
+    }
+    Ok(store.finish()?)
+}
+
+/// A step on windows that were drawn. `dropout` is the generator of its masks.
+pub(super) fn batch(
+    draws: &[Draw],
+    correction: &Correction,
+    dropout: Option<&ChaCha8Rng>,
+    weights: Option<Vec<[f32; 4]>>,
+) -> Batch {
+    let window = |draw: &Draw| Window {
+        stream: draw.stream,
+        start: draw.start,
+        mirrored: draw.mirrored,
+        noise: draw.noise.map(|seed| ChaCha8Rng::seed_from_u64(seed).get_seed()),
+    };
+    Batch {
+        windows: draws.iter().map(window).collect(),
+        rate: correction.rate,
+        correction: 1.0 / correction.root,
+        kept: correction.kept,
+        dropout: dropout.map_or([0; 32], ChaCha8Rng::get_seed),
+        weights,
+    }
+}
+
+/// Weights of squared errors of x, y, vx, vy: the same for all batches, or none if they differ.
+pub(super) fn common_weights(
+    scale: &LossScale,
+    unroll: usize,
+    particles: usize,
+) -> Option<[f32; 4]> {
+    (scale.loss.kind == LossKind::Mse).then(|| scale.squared(unroll * particles))
+}
+
+/// Weights of squared errors of a batch, `[K, B, materials]`, for a loss that compares with the best trivial predictor
+/// in each window.
+pub(super) fn weights(
+    scale: &LossScale,
+    sampler: &Sampler,
+    draws: &[Draw],
+    unroll: usize,
+) -> Result<Vec<[f32; 4]>, TrainError> {
+    let windows = draws.iter().map(|&draw| sampler.cut(draw)).collect::<Result<Vec<_>, _>>()?;
+    let weights: Vec<_> = windows.iter().map(|window| scale.relative(window, unroll)).collect();
+    let of = |frame: usize, window: usize, material: usize| {
+        let [position, velocity] = weights[window][frame].map(|part| part[material]);
+        [position, position, velocity, velocity]
+    };
+    let frames = 0..unroll;
+    Ok(frames
+        .flat_map(|frame| (0..draws.len()).map(move |window| (frame, window)))
+        .flat_map(|(frame, window)| {
+            (0..Material::COUNT).map(move |material| (frame, window, material))
+        })
+        .map(|(frame, window, material)| of(frame, window, material))
+        .collect())
+}
+
+/// A network that learns on a GPU. Between epochs the run's state on the CPU is brought up to date.
+pub(super) struct Learner {
+    device: Arc<dyn Device>,
+    store: Arc<Store>,
+    /// Steps of the stage at hand.
+    training: Option<Training>,
+}
+
+/// Batches that are prepared and run at once.
+pub(super) const BATCHES: usize = GROUP;
+
+impl Learner {
+    /// Opens a GPU and copies the training streams to it.
+    pub(super) fn new(
+        number: usize,
+        options: GpuOptions,
+        description: &Description,
+        streams: &[Trajectory],
+    ) -> Result<Self, TrainError> {
+        let constants = Constants::of(description)?;
+        let precision = match options.precision {
+            Precision::Tf32 => gpu::Precision::Tf32,
+            Precision::Fp32 => gpu::Precision::Fp32,
+        };
+        let gpu = Gpu::new(number, &constants, precision, options.kernel_cache)?;
+        Self::on(Arc::new(gpu), streams)
+    }
+
+    /// Of any device.
+    pub(super) fn on(device: Arc<dyn Device>, streams: &[Trajectory]) -> Result<Self, TrainError> {
+        let store = Arc::new(store(&*device, streams)?);
+        Ok(Self { device, store, training: None })
+    }
+
+    /// Takes the run's weights and moments onto the device, for steps of its stage.
+    pub(super) fn begin(
+        &mut self,
+        task: &GradientTask,
+        state: &RunState,
+    ) -> Result<(), TrainError> {
+        let GradientTask { config, description, scale, .. } = task;
+        // The memory of the stage before goes first.
+        self.training = None;
+        let settings = settings(config, state.unroll);
+        let training =
+            Training::new(self.device.clone(), self.store.clone(), description, &settings)?;
+        training.set_weights(&state.network.layers().tensors(description))?;
+        let moments = state.adam.moments.iter().map(|Moments { first, second, average }| {
+            [first.as_slice(), second.as_slice(), average.as_slice()]
+        });
+        training.set_moments(moments)?;
+        let particles = description.sizes.particles.unwrap_or_default();
+        if let Some(weights) = common_weights(scale, state.unroll, particles) {
+            training.set_error_weights(weights)?;
+        }
+        self.training = Some(training);
+        Ok(())
+    }
+
+    /// One step for each learning rate, at most [`BATCHES`].
+    ///
+    /// # Errors
+    /// [`CudaError`], [`TrainError::GradientNotFinite`].
+    pub(super) fn steps(
+        &mut self,
+        task: &GradientTask,
+        sampler: &Sampler,
+        rates: &[f64],
+        state: &mut RunState,
+    ) -> Result<Vec<Step>, TrainError> {
+        let GradientTask { config, scale, .. } = task;
+        let Some(training) = &mut self.training else { return Ok(Vec::new()) };
+        let (mut batches, mut drawn) = (Vec::new(), Vec::new());
+        for &rate in rates {
+            let draws = sampler.choose_many(config.windows.batch, &mut state.order);
+            let masks = state.dropout.fork();
+            state.adam.steps += 1;
+            let correction = Correction::new(state.adam.steps, rate, &config.optimizer);
+            let relative = config.loss.kind == LossKind::Relative;
+            let own =
+                relative.then(|| weights(scale, sampler, &draws, state.unroll)).transpose()?;
+            batches.push(batch(&draws, &correction, masks.random(), own));
+            drawn.push(draws);
+        }
+        training.start(&batches)?;
+        let outcomes = training.outcomes(batches.len())?.into_iter().zip(drawn);
+        outcomes.map(|(outcome, draws)| done(outcome, &draws, sampler)).collect()
+    }
+
+    /// Brings the run's weights and moments up to date.
+    pub(super) fn sync(&self, state: &mut RunState) -> Result<(), TrainError> {
+        let Some(training) = &self.training else { return Ok(()) };
+        let [weights, first, second, average] = training.state()?;
+        state
+            .network
+            .layers_mut()
+            .exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
+        let moments = first.into_iter().zip(second).zip(average);
+        state.adam.moments =
+            moments.map(|((first, second), average)| Moments { first, second, average }).collect();
+        Ok(())
+    }
+}
+
+/// What came of a step.
+fn done(outcome: Outcome, draws: &[Draw], sampler: &Sampler) -> Result<Step, TrainError> {
+    let Outcome { loss, gradient_norm, not_finite } = outcome;
+    let windows: Vec<_> = draws.iter().map(|draw| sampler.origin(draw)).collect();
+    if not_finite && loss.is_finite() {
+        return Err(TrainError::GradientNotFinite { windows: names(&windows) });
+    }
+    Ok(Step { loss, gradient_norm: gradient_norm.into(), windows })
+}

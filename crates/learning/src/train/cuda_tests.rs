@@ -1,0 +1,252 @@
+//! Training on a GPU beside training on the CPU: the kernels run in the emulator.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    LossKind, NoiseConfig, TrainConfig, UnrollStage, cuda,
+    gradients::GradientTask,
+    loss_weights::{LossScale, TrivialSums},
+    state::RunState,
+    window::{Sampler, Window},
+};
+use crate::model::DeviceKind;
+use eddy_cuda::{device::Device, frame::Training, kernels::Constants};
+use eddy_cuda_emulator::Emulator;
+use eddy_evaluation::dataset::{State, Stream, Trajectory};
+use eddy_frames::{Domain, Material, Stamp};
+use eddy_inference::{
+    checkpoint::{
+        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
+        MaterialInput, Weights, layout::linear_layers,
+    },
+    engine::Ballistic,
+};
+
+const PARTICLES: usize = 21;
+
+/// Two streams of particles that move at random.
+fn streams() -> Vec<Trajectory> {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut pairs = |low: f32, high: f32| -> Vec<[f32; 2]> {
+        (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
+    };
+    let mut stream = |id: u64| {
+        let states = (0..9)
+            .map(|_| State { position: pairs(0.1, 0.9), velocity: pairs(-1.0, 1.0) })
+            .collect();
+        let material = (0..PARTICLES).map(|p| Material::ALL[(p * 7 + id as usize) % 4]).collect();
+        Trajectory::from(Stream {
+            id,
+            source: "memory".into(),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            material,
+            first_sequence: 0,
+            first_stamp: Stamp::default(),
+            states,
+        })
+    };
+    vec![stream(0), stream(1)]
+}
+
+/// A small network, with everything that a training may ask for switched on.
+fn config(core: Core) -> TrainConfig {
+    let mut config = TrainConfig::defaults(Architecture::Frame);
+    config.core = core;
+    config.network.encoder = 13;
+    config.network.hidden = 10;
+    config.network.dropout = 0.2;
+    config.windows.batch = 3;
+    config.windows.warm_up = 3;
+    config.windows.noise = NoiseConfig { position: 0.01, velocity: 0.1, share: 0.5 };
+    config.unroll = vec![UnrollStage { share: 1.0, frames: 3 }];
+    config.loss.observed_weight = 0.5;
+    config.loss.density_weight = 0.3;
+    config.loss.density_grid = 9;
+    config.optimizer.clip = 0.05;
+    config.optimizer.epsilon = 1e-4;
+    config.optimizer.average = 0.9;
+    config
+}
+
+fn description(config: &TrainConfig) -> Description {
+    let mut description =
+        Description::untrained(Architecture::Frame, config.core, config.sizes(PARTICLES));
+    description.frame = config.network.frame;
+    description.form = config.network.form;
+    description.normalize_gates = config.network.normalize_gates;
+    description.warm_up = config.windows.warm_up as u32;
+    description
+}
+
+/// Weights of which none is zero: a decoder of zeros would leave the other layers without gradients.
+fn random_weights(description: &Description) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(11);
+    let mut tensors = eddy_inference::checkpoint::initial_weights(description, 5);
+    for values in tensors.values_mut().map(|weights| &mut weights.values) {
+        values.iter_mut().for_each(|value| *value = random.random_range(-0.4..0.4));
+    }
+    tensors
+}
+
+/// The names of the tensors in the order of the optimizer, with the widths of their layers.
+fn named(description: &Description, tensors: Vec<Vec<f32>>) -> BTreeMap<String, Vec<f32>> {
+    let layers = linear_layers(description);
+    let mut tensors = tensors.into_iter();
+    let mut named = BTreeMap::new();
+    for layer in layers {
+        let (weight, bias) = (tensors.next().unwrap(), tensors.next().unwrap());
+        let transposed = (0..layer.output)
+            .flat_map(|o| (0..layer.input).map(move |i| (i, o)))
+            .map(|(i, o)| weight[i * layer.output + o])
+            .collect();
+        named.insert(layer.weight, transposed);
+        named.insert(layer.bias, bias);
+    }
+    named
+}
+
+/// The difference of two lists, relative to the second.
+fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+    let difference = norm(&mut found.iter().zip(expected).map(|(a, b)| f64::from(a - b)));
+    difference / norm(&mut expected.iter().map(|&b| f64::from(b))).max(1e-12)
+}
+
+/// Steps on the CPU and in the emulator, from the same weights on the same windows.
+fn compare(config: &TrainConfig, scaling: FeatureScaling) {
+    let streams = streams();
+    let mut description = description(config);
+    description.frame.scaling = scaling;
+    let unroll = config.unroll[0].frames;
+    let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+    let mut scale = LossScale {
+        loss: &config.loss,
+        normalization: &description.normalization.clone(),
+        ballistic: Ballistic::new(&description),
+        common: Vec::new(),
+    };
+    let weights = random_weights(&description);
+    let checkpoint = Checkpoint { description: description.clone(), tensors: weights.clone() };
+    let mut state = RunState::new(config, &checkpoint.description, DeviceKind::Flex);
+    state.network = crate::model::network::Network::new(
+        &description,
+        &weights,
+        &DeviceKind::Flex.device().autodiff(),
+    );
+    state.unroll = unroll;
+    if config.loss.kind == LossKind::Relative {
+        let mut sums = TrivialSums::new(unroll);
+        for window in sampler.draw(20, &mut state.order).unwrap() {
+            sums.add(&window, &scale.ballistic);
+        }
+        scale.common = sums.best();
+    }
+
+    let device: Arc<dyn Device> =
+        Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
+    let store = Arc::new(cuda::store(&*device, &streams).unwrap());
+    let settings = cuda::settings(config, unroll);
+    let mut training = Training::new(device, store, &description, &settings).unwrap();
+    training.set_weights(&weights).unwrap();
+    if let Some(weights) = cuda::common_weights(&scale, unroll, PARTICLES) {
+        training.set_error_weights(weights).unwrap();
+    }
+
+    for step in 0..3 {
+        let draws = sampler.choose_many(config.windows.batch, &mut state.order);
+        let windows: Vec<Window> = draws.iter().map(|&draw| sampler.cut(draw).unwrap()).collect();
+        let task = GradientTask {
+            config,
+            description: &description,
+            scale: &scale,
+            device: DeviceKind::Flex,
+        };
+        let masks = state.dropout.fork();
+        let slope = task.group(state.network.detached(), &windows, &mut masks.clone());
+
+        let correction =
+            super::adam::Correction::new(state.adam.steps + 1, 1e-2, &config.optimizer);
+        let own = (config.loss.kind == LossKind::Relative)
+            .then(|| cuda::weights(&scale, &sampler, &draws, unroll).unwrap());
+        let batch = cuda::batch(&draws, &correction, masks.random(), own);
+        training.start(&[batch]).unwrap();
+        let outcome = training.outcomes(1).unwrap()[0];
+
+        let difference = f64::from(outcome.loss / slope.loss - 1.0).abs();
+        assert!(difference < 2e-5, "step {step}: loss {} on the CPU, {}", slope.loss, outcome.loss);
+        let gradients = training.gradients().unwrap();
+        for (name, expected) in named(&description, slope.gradients.clone()) {
+            let found = relative_error(&gradients[&name].values, &expected);
+            assert!(found < 5e-5, "step {step}: gradient by {name}: relative error {found:.1e}");
+        }
+
+        let mut adam = state.adam.step(1e-2, &config.optimizer).measured();
+        state.network.layers_mut().exchange(|tensor, values| {
+            adam.change(tensor, values, &slope.gradients[tensor]);
+        });
+        let norm = adam.gradient_norm();
+        assert!(
+            (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < 1e-4,
+            "norm of the gradient"
+        );
+        for (found, expected) in [
+            (training.weights().unwrap(), state.network.layers().tensors(&description)),
+            (training.average().unwrap(), state.tensors(&description)),
+        ] {
+            for (name, expected) in expected {
+                let found = relative_error(&found[&name].values, &expected.values);
+                assert!(found < 5e-5, "step {step}: {name}: relative error {found:.1e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_core_takes_the_steps_of_the_cpu() {
+    for core in Core::ALL {
+        compare(&config(core), FeatureScaling::MinMax);
+    }
+}
+
+#[test]
+fn the_log_form_and_gates_that_are_not_normalised_take_the_steps_of_the_cpu() {
+    for core in [Core::MinGru, Core::MinLstm] {
+        let mut config = config(core);
+        config.network.form = Form::Log;
+        config.network.normalize_gates = false;
+        compare(&config, FeatureScaling::ZScore);
+    }
+}
+
+#[test]
+fn every_activation_takes_the_steps_of_the_cpu() {
+    for activation in Activation::ALL {
+        let mut config = config(Core::Mlp);
+        config.network.frame.activation = activation;
+        config.network.frame.material = MaterialInput::Scalar;
+        compare(&config, FeatureScaling::MinMax);
+    }
+}
+
+#[test]
+fn a_relative_loss_takes_the_steps_of_the_cpu() {
+    let mut config = config(Core::MinGru);
+    config.loss.kind = LossKind::Relative;
+    config.loss.common_share = 0.5;
+    compare(&config, FeatureScaling::MinMax);
+}
+
+#[test]
+fn the_default_training_takes_the_steps_of_the_cpu() {
+    let mut config = TrainConfig::defaults(Architecture::Frame);
+    config.network.encoder = 260; // more than a block of the encoder has
+    config.network.hidden = 12;
+    config.windows.batch = 2;
+    config.optimizer.epsilon = 1e-4;
+    compare(&config, FeatureScaling::MinMax);
+}

@@ -1,0 +1,136 @@
+//! What takes the steps of a run: the network on the run's device through burn, batch by batch, or a GPU, many batches
+//! at once.
+
+#[cfg(feature = "cuda")]
+use super::cuda;
+use super::{
+    Run, TrainError,
+    gradients::{BatchGradient, GradientTask},
+    state::RunState,
+    window::{Sampler, Window},
+};
+use crate::model::DeviceKind;
+use eddy_evaluation::dataset::Dataset;
+use eddy_inference::checkpoint::Description;
+
+/// What came of a batch.
+pub(super) struct Step {
+    /// The loss before the step.
+    pub(super) loss: f32,
+    /// Norm of the gradient, before any tensor of it was shortened.
+    pub(super) gradient_norm: f64,
+    /// Stream and first frame of each window.
+    pub(super) windows: Vec<(u64, usize)>,
+}
+
+/// What takes the steps.
+pub(super) enum Learner {
+    /// burn, with the weights in the run's state.
+    Burn,
+    /// A GPU, with weights of its own.
+    #[cfg(feature = "cuda")]
+    Cuda(Box<cuda::Learner>),
+}
+
+impl Learner {
+    /// For a run on its device.
+    pub(super) fn new(
+        run: &Run,
+        description: &Description,
+        dataset: &Dataset,
+    ) -> Result<Self, TrainError> {
+        match run.device {
+            #[cfg(feature = "cuda")]
+            DeviceKind::Cuda(number) => {
+                let learner =
+                    cuda::Learner::new(number.into(), run.gpu, description, &dataset.train)?;
+                Ok(Self::Cuda(Box::new(learner)))
+            }
+            _ => {
+                let _ = (description, dataset);
+                Ok(Self::Burn)
+            }
+        }
+    }
+
+    /// Batches that are prepared and run at once.
+    pub(super) fn group(&self) -> usize {
+        match self {
+            Self::Burn => 1,
+            #[cfg(feature = "cuda")]
+            Self::Cuda(_) => cuda::BATCHES,
+        }
+    }
+
+    /// Begins a stage with the weights of the run's state.
+    #[cfg_attr(not(feature = "cuda"), expect(clippy::unnecessary_wraps, reason = "a GPU can fail"))]
+    pub(super) fn begin(
+        &mut self,
+        task: &GradientTask,
+        state: &RunState,
+    ) -> Result<(), TrainError> {
+        match self {
+            Self::Burn => {
+                let _ = (task, state);
+                Ok(())
+            }
+            #[cfg(feature = "cuda")]
+            Self::Cuda(learner) => learner.begin(task, state),
+        }
+    }
+
+    /// One step for each learning rate. At least `left` batches of the stage are still to come.
+    pub(super) fn steps(
+        &mut self,
+        task: &GradientTask,
+        sampler: &mut Sampler,
+        left: usize,
+        rates: &[f64],
+        state: &mut RunState,
+    ) -> Result<Vec<Step>, TrainError> {
+        match self {
+            Self::Burn => {
+                rates.iter().map(|&rate| step(task, sampler, left, rate, state)).collect()
+            }
+            #[cfg(feature = "cuda")]
+            Self::Cuda(learner) => learner.steps(task, sampler, rates, state),
+        }
+    }
+
+    /// Brings the run's state up to date with the weights.
+    #[cfg_attr(not(feature = "cuda"), expect(clippy::unnecessary_wraps, reason = "a GPU can fail"))]
+    pub(super) fn sync(&self, state: &mut RunState) -> Result<(), TrainError> {
+        match self {
+            Self::Burn => {
+                let _ = state;
+                Ok(())
+            }
+            #[cfg(feature = "cuda")]
+            Self::Cuda(learner) => learner.sync(state),
+        }
+    }
+}
+
+/// A step through burn: batch, loss, backward, clip, Adam.
+fn step(
+    task: &GradientTask,
+    sampler: &mut Sampler,
+    left: usize,
+    rate: f64,
+    state: &mut RunState,
+) -> Result<Step, TrainError> {
+    let windows = sampler.batch(task.config.windows.batch, || left, &mut state.order)?;
+    let BatchGradient { loss, gradients } =
+        task.compute(&state.network, &windows, &mut state.dropout);
+    let windows = windows.iter().map(Window::origin).collect();
+    if !loss.is_finite() {
+        return Ok(Step { loss, gradient_norm: f64::NAN, windows });
+    }
+    let mut step = state.adam.step(rate, &task.config.optimizer).measured();
+    state.network.layers_mut().exchange(|tensor, values| {
+        if !gradients[tensor].is_empty() {
+            step.change(tensor, values, &gradients[tensor]); // clips it first
+        }
+    });
+    Ok(Step { loss, gradient_norm: step.gradient_norm(), windows })
+}
