@@ -362,70 +362,54 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointEr
 
 /// Checks the values of a description.
 pub(super) fn check(file: &Path, description: &Description) -> Result<(), CheckpointError> {
-    let Description { architecture, dt, warm_up, gravity, materials, sizes, domain, .. } =
-        description;
-    let positive = "a positive number";
-    if !(dt.is_finite() && *dt > 0.0) {
-        return Err(field(file, "dt", dt.to_string(), positive));
-    }
-    if *warm_up == 0 {
-        return Err(field(file, "warm_up", "0".to_owned(), "at least 1 frame"));
-    }
-    if !gravity.iter().all(|g| g.is_finite()) {
-        return Err(field(file, "gravity", format!("{gravity:?}"), "finite numbers"));
-    }
-    if materials.is_empty() {
-        return Err(field(file, "materials", "[]".to_owned(), "at least one material"));
-    }
+    let Description { architecture, dt, warm_up, gravity, materials, .. } = description;
+    let Description { sizes, frame, grid, domain, .. } = description;
+    let require = |valid: bool, name: &str, found: &dyn ToString, expected: &str| match valid {
+        true => Ok(()),
+        false => Err(field(file, name, found.to_string(), expected)),
+    };
+    let positive =
+        |name: &str, x: f32| require(x.is_finite() && x > 0.0, name, &x, "a positive number");
+    positive("dt", *dt)?;
+    require(*warm_up > 0, "warm_up", warm_up, "at least 1 frame")?;
+    let finite = gravity.iter().all(|g| g.is_finite());
+    require(finite, "gravity", &format!("{gravity:?}"), "finite numbers")?;
+    require(!materials.is_empty(), "materials", &"[]", "at least one material")?;
     // The upper limit keeps a damaged description from exhausting the memory.
-    let widths = [("encoder", sizes.encoder), ("hidden", sizes.hidden), ("layers", sizes.layers)];
-    for (name, width) in widths {
-        if !(1..=1 << 16).contains(&width) {
-            let name = format!("sizes.{name}");
-            return Err(field(file, name, width.to_string(), "1 to 65536"));
+    for (name, width) in [
+        ("sizes.encoder", sizes.encoder),
+        ("sizes.hidden", sizes.hidden),
+        ("sizes.layers", sizes.layers),
+    ] {
+        require((1..=1 << 16).contains(&width), name, &width, "1 to 65536")?;
+    }
+    let particles = sizes.particles.map_or("nothing".to_owned(), |n| n.to_string());
+    match architecture {
+        Architecture::Frame => {
+            let valid = matches!(sizes.particles, Some(1..=0x100_0000));
+            let expected = "1 to 16777216 for the frame model";
+            require(valid, "sizes.particles", &particles, expected)?;
+            let expected = "nothing for the frame model";
+            require(grid.is_none(), "surroundings", &"a table", expected)?;
+            require(description.rules.is_empty(), "rules", &"a table", expected)?;
+        }
+        Architecture::Particle => {
+            let expected = "nothing for the particle model";
+            require(sizes.particles.is_none(), "sizes.particles", &particles, expected)?;
+            require(frame.is_default(), "frame", &format!("{frame:?}"), expected)?;
+            let expected = "a table for the particle model";
+            require(grid.is_some(), "surroundings", &"nothing", expected)?;
         }
     }
-    let particles = match (architecture, sizes.particles) {
-        (Architecture::Frame, Some(1..=0x100_0000)) | (Architecture::Particle, None) => None,
-        (Architecture::Frame, _) => Some("1 to 16777216 for the frame model"),
-        (Architecture::Particle, _) => Some("nothing for the particle model"),
-    };
-    if let Some(expected) = particles {
-        let found = sizes.particles.map_or("nothing".to_owned(), |n| n.to_string());
-        return Err(field(file, "sizes.particles", found, expected));
-    }
-    if *architecture == Architecture::Particle && !description.frame.is_default() {
-        let found = format!("{:?}", description.frame);
-        return Err(field(file, "frame", found, "nothing for the particle model"));
-    }
-    let grid = match (architecture, description.grid.is_some()) {
-        (Architecture::Frame, true) => Some(("a table", "nothing for the frame model")),
-        (Architecture::Particle, false) => Some(("nothing", "a table for the particle model")),
-        _ => None,
-    };
-    if let Some((found, expected)) = grid {
-        return Err(field(file, "surroundings", found.to_owned(), expected));
-    }
-    if let Some(GridOptions { cell_width, channels, spacing }) = description.grid {
-        for (name, length) in [("cell_width", cell_width), ("spacing", spacing)] {
-            if !(length.is_finite() && length > 0.0) {
-                let name = format!("surroundings.{name}");
-                return Err(field(file, name, length.to_string(), positive));
-            }
-        }
-        if channels.iter().any(|width| !(1..=1 << 12).contains(width)) {
-            let found = format!("{channels:?}");
-            return Err(field(file, "surroundings.channels", found, "1 to 4096 each"));
-        }
-    }
-    if *architecture == Architecture::Frame && !description.rules.is_empty() {
-        return Err(field(file, "rules", "a table".to_owned(), "nothing for the frame model"));
+    if let Some(GridOptions { cell_width, channels, spacing }) = *grid {
+        positive("surroundings.cell_width", cell_width)?;
+        positive("surroundings.spacing", spacing)?;
+        let valid = channels.iter().all(|width| (1..=1 << 12).contains(width));
+        require(valid, "surroundings.channels", &format!("{channels:?}"), "1 to 4096 each")?;
     }
     rules::check(file, &description.rules)?;
-    if !domain.is_valid() {
-        let found = format!("{:?}, {:?}", domain.lower, domain.upper);
-        return Err(field(file, "domain", found, "finite corners with lower < upper"));
-    }
+    let corners = format!("{:?}, {:?}", domain.lower, domain.upper);
+    require(domain.is_valid(), "domain", &corners, "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)
 }
 

@@ -189,15 +189,16 @@ pub(super) struct Columns<'a> {
     pub(super) length: usize,
 }
 
-impl Columns<'_> {
-    /// Adds the products of R rows with the weights of the first `width` inputs.
+impl Source for Columns<'_> {
+    /// The products with the weights of the first `width` inputs.
     #[inline(always)]
-    fn add_first<S: Simd, const G: usize, const R: usize>(
+    fn add<S: Simd, const G: usize, const R: usize>(
         &self,
         simd: S,
         linear: &Linear,
         panels: [usize; G],
         first: usize,
+        _: usize,
         mut sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
         let mut weights = [[].as_slice(); G];
@@ -226,21 +227,6 @@ impl Columns<'_> {
     }
 }
 
-impl Source for Columns<'_> {
-    #[inline(always)]
-    fn add<S: Simd, const G: usize, const R: usize>(
-        &self,
-        simd: S,
-        linear: &Linear,
-        panels: [usize; G],
-        first: usize,
-        _: usize,
-        sums: [[S::f32s; R]; G],
-    ) -> [[S::f32s; R]; G] {
-        self.add_first(simd, linear, panels, first, sums)
-    }
-}
-
 /// Rows in two parts: the first inputs from columns, the others from rows.
 pub(super) struct Concatenated<'a>(pub(super) Columns<'a>, pub(super) Rows<'a>);
 
@@ -256,7 +242,7 @@ impl Source for Concatenated<'_> {
         sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
         let Self(left, right) = self;
-        let sums = left.add_first(simd, linear, panels, first, sums);
+        let sums = left.add(simd, linear, panels, first, count, sums);
         let inputs = left.width..linear.input();
         add_part(simd, linear, panels, inputs, right.block::<R>(first, count), sums)
     }

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::{
     math::{sigmoid, tanh},
-    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
-    packed::Recurrent,
+    matrix::Matrix,
+    packed::{Recurrent, is_zero, recurrent_gradients},
     vectors::{parts, parts_mut, zip},
 };
 
@@ -75,7 +75,7 @@ impl Gru<'_> {
                 None => self.hidden,
                 Some(start) => &earlier[start..],
             };
-            if t > 0 || !self.starts_from_zero() {
+            if t > 0 || !is_zero(self.hidden) {
                 weight.add_product(Matrix::new(before, rows, width), recurrent);
             }
             gates
@@ -88,11 +88,6 @@ impl Gru<'_> {
                 });
         }
         States { states, gates, recurrent }
-    }
-
-    /// Whether the recurrent product of the first frame is zero.
-    fn starts_from_zero(&self) -> bool {
-        self.hidden.iter().all(|&h| h == 0.0)
     }
 
     /// The gradients from `gradient`, that by the `states`, `[T, R, H]`. `states`, `gates` and `recurrent` are the results of
@@ -147,16 +142,13 @@ impl Gru<'_> {
                 weight.add_product(Matrix::new(products, rows, GATES * width), &mut through);
             }
         }
-        let (first, rest) = products.split_at(frame);
-        let later = rest.len() / (GATES * width);
-        let before = Matrix::new(states, later, width).transposed();
-        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
-        if !self.starts_from_zero() {
-            let before = Matrix::new(self.hidden, rows, width).transposed();
-            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Accumulate::Add);
-        }
-        let mut bias = vec![0.0; self.bias.len()];
-        sum_rows(&products, &mut bias);
+        let [weight, bias] = recurrent_gradients(
+            states,
+            width,
+            self.hidden,
+            &products,
+            [rows, width, GATES * width],
+        );
         direct.iter_mut().zip(&through).for_each(|(direct, through)| *direct += through);
         Gradients { inputs, weight, bias, hidden: direct }
     }

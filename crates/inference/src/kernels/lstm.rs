@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::{
     math::{sigmoid, tanh},
-    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
-    packed::Recurrent,
+    matrix::Matrix,
+    packed::{Recurrent, is_zero, recurrent_gradients},
     vectors::{parts, parts_mut, zip},
 };
 
@@ -76,7 +76,7 @@ impl Lstm<'_> {
                 None => Matrix::new(self.hidden, rows, width),
                 Some(before) => Matrix::with_stride(before, rows, width, 2 * width),
             };
-            if t > 0 || !self.starts_from_zero() {
+            if t > 0 || !is_zero(self.hidden) {
                 weight.add_product(hidden, gates);
             }
             gates
@@ -93,11 +93,6 @@ impl Lstm<'_> {
                 });
         }
         States { states, gates }
-    }
-
-    /// Whether the recurrent product of the first frame is zero.
-    fn starts_from_zero(&self) -> bool {
-        self.hidden.iter().all(|&h| h == 0.0)
     }
 
     /// The gradients from `gradient`, that by the `states`, `[T, R, 2 H]`. `states` and `gates` are the results of `forward`.
@@ -146,16 +141,13 @@ impl Lstm<'_> {
                 weight.add_product(Matrix::new(sums, rows, GATES * width), &mut hidden);
             }
         }
-        let (first, rest) = inputs.split_at(frame);
-        let later = rest.len() / (GATES * width);
-        let before = Matrix::with_stride(states, later, width, 2 * width).transposed();
-        let mut weight = product(before, Matrix::new(rest, later, GATES * width));
-        if !self.starts_from_zero() {
-            let before = Matrix::new(self.hidden, rows, width).transposed();
-            multiply(before, Matrix::new(first, rows, GATES * width), &mut weight, Accumulate::Add);
-        }
-        let mut bias = vec![0.0; self.bias.len()];
-        sum_rows(&inputs, &mut bias);
+        let [weight, bias] = recurrent_gradients(
+            states,
+            2 * width,
+            self.hidden,
+            &inputs,
+            [rows, width, GATES * width],
+        );
         Gradients { inputs, weight, bias, hidden, cell }
     }
 }

@@ -7,7 +7,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{
-    matrix::{Accumulate, Matrix, multiply},
+    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
     vectors::Lanes,
 };
 
@@ -94,6 +94,33 @@ impl<'a> Recurrent<'a> {
             Self::Packed(packed) => packed.add_product(rows, sums),
         }
     }
+}
+
+/// Whether a state, and so its product with the weights, is zero.
+pub(super) fn is_zero(hidden: &[f32]) -> bool {
+    hidden.iter().all(|&h| h == 0.0)
+}
+
+/// The gradients by the recurrent weights, `[H, G]`, and their bias, `[G]`, from those by the products, `[T, R, G]`. The outputs
+/// of all frames are in rows of `states`, `stride` numbers apart; `hidden`, `[R, H]`, is the output before the first frame.
+pub(super) fn recurrent_gradients(
+    states: &[f32],
+    stride: usize,
+    hidden: &[f32],
+    by_products: &[f32],
+    [rows, width, gates]: [usize; 3],
+) -> [Vec<f32>; 2] {
+    let (first, rest) = by_products.split_at(rows * gates);
+    let later = rest.len() / gates;
+    let before = Matrix::with_stride(states, later, width, stride).transposed();
+    let mut weight = product(before, Matrix::new(rest, later, gates));
+    if !is_zero(hidden) {
+        let before = Matrix::new(hidden, rows, width).transposed();
+        multiply(before, Matrix::new(first, rows, gates), &mut weight, Accumulate::Add);
+    }
+    let mut bias = vec![0.0; gates];
+    sum_rows(by_products, &mut bias);
+    [weight, bias]
 }
 
 /// The product with one panel.

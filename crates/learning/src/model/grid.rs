@@ -33,6 +33,8 @@ impl GridLayers {
     ) -> Tensor<2> {
         let [a0, b0, down1, a1, down2, a2, b2, up1, b1, up0, c0] = &self.grid;
         let level = |level| GridLevel { context, level };
+        let fused = fused::runs_on(&encoded.device());
+        let write = if fused { fused_layers::write } else { sparse::write };
         let written = write(context, encoded, position.clone()); // [M0, C0 + 5]
         let fine = level(0).around(b0, level(0).around(a0, written, true), true); // [M0, C0]
         let middle = level(1).around(a1, level(1).down(down1, fine.clone()), true); // [M1, C1]
@@ -40,7 +42,8 @@ impl GridLayers {
         let coarse = level(2).around(b2, coarse, true);
         let middle = level(1).around(b1, level(1).up(up1, coarse, middle), true);
         let fine = level(0).around(c0, level(0).up(up0, middle, fine), false);
-        read(context, fine, position.clone())
+        let read = if fused { fused_layers::read } else { sparse::read };
+        read(context, fine, position.clone()) // [R, C0]
     }
 }
 
@@ -82,20 +85,4 @@ impl GridLevel<'_> {
         };
         relu(skip + spread)
     }
-}
-
-/// The inputs of the nodes: averages over particles, mass, and proximity to walls, `[R, C]` to `[M0, C + 5]`.
-fn write(context: &GridContext, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
-    if fused::runs_on(&encoded.device()) {
-        return fused_layers::write(context, encoded, position);
-    }
-    sparse::write(context, encoded, position)
-}
-
-/// The nodes' values interpolated at the particles, `[M0, C]` to `[R, C]`.
-fn read(context: &GridContext, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
-    if fused::runs_on(&rows.device()) {
-        return fused_layers::read(context, rows, position);
-    }
-    sparse::read(context, rows, position)
 }
