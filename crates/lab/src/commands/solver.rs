@@ -117,7 +117,7 @@ fn output(timings: &[Timing], limits: &[Limit]) -> BenchOutput {
     let first = "liquid, snow and jelly in equal parts; fastest of 5 rounds".to_owned();
     let limit = |Limit { threads, operations, bytes }: &Limit| {
         format!(
-            "limit on {threads} threads: {:.0} G operations/s in vectors, {:.1} GB/s of memory",
+            "limit (--threads {threads}): {:.0} G operations/s in vectors, {:.1} GB/s of memory",
             operations * 1e-9,
             bytes * 1e-9
         )
