@@ -269,7 +269,7 @@ fn data_without_a_scene_that_the_checkpoint_has_not_seen_is_refused() {
     let digest = dataset::digest(&streams.unwrap(), |_| ()).unwrap();
     let seen = changed(&folder, "seen", |description| description.data = digest);
     let message = fail(1, ["eval", "--checkpoint", &seen, "--data", &data, "--output", &output]);
-    assert!(message.contains("found 1 streams that a checkpoint was trained on"), "{message}");
+    assert!(message.contains("every stream was used to train a checkpoint"), "{message}");
 }
 
 #[test]
@@ -295,7 +295,7 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     assert!(message.contains("report: already has the report of another command, `"), "{message}");
     fs::remove_dir_all(&output).unwrap();
     let message = fail(1, judge(&format!("{data}/scene_0001")));
-    assert!(message.contains("found 1 streams that a checkpoint was trained on"), "{message}");
+    assert!(message.contains("every stream was used to train a checkpoint"), "{message}");
 }
 
 #[test]

@@ -83,13 +83,10 @@ pub enum EvaluationError {
     },
     /// Every stream was used to train a checkpoint.
     #[error(
-        "data: all {found} streams were used to train a checkpoint (training or validation part); \
+        "data: every stream was used to train a checkpoint (training or validation part); \
          evaluate on other data"
     )]
-    Seen {
-        /// How many streams there are.
-        found: usize,
-    },
+    Seen,
     /// The streams cannot be evaluated.
     #[error(transparent)]
     Eval(#[from] EvalError),
@@ -481,7 +478,7 @@ mod tests {
         assert_eq!(evaluation.run(&Silent).unwrap().streams, 1);
         seen.checkpoints[0].1.description.training.seen.push(streams[1].fingerprint().unwrap());
         let error = evaluate(seen).unwrap_err();
-        assert!(matches!(error, EvaluationError::Seen { found: 2 }), "{error}");
+        assert!(matches!(error, EvaluationError::Seen), "{error}");
     }
 
     #[test]

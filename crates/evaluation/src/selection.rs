@@ -42,7 +42,7 @@ impl Selection {
         let of_this_set = streams.len();
         streams = unseen(streams, descriptions)?;
         if streams.is_empty() {
-            return Err(EvaluationError::Seen { found: all });
+            return Err(EvaluationError::Seen);
         }
         if streams.len() < of_this_set {
             let excluded = of_this_set - streams.len();
