@@ -11,9 +11,10 @@ use toml::Table;
 use crate::documented::spans;
 
 /// External dependencies and the crate that each belongs to.
-const HOMES: [(&str, &str); 16] = [
+const HOMES: [(&str, &str); 17] = [
     ("axum", "node"),
     ("burn", "learning"),
+    ("cudarc", "cuda"),
     ("embedded-graphics", "evaluation"),
     ("foxglove", "transport"),
     ("gif", "evaluation"),
@@ -40,7 +41,8 @@ const MIDDLEWARE: [(&str, &str); 5] = [
 ];
 
 /// Dependencies that crates meant for use on their own must not pull in.
-const WITHOUT: [(&str, &[&str]); 4] = [
+const WITHOUT: [(&str, &[&str]); 5] = [
+    ("eddy-cuda", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),

@@ -93,6 +93,11 @@ fn compile(source: &str) -> Result<Library> {
     unsafe { Library::new(&output) }.map_err(|reason| failed(reason.to_string()))
 }
 
+/// The example of the README, run as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 fn pointer(at: Address) -> *mut u8 {
     at.0 as *mut u8
 }

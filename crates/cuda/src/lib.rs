@@ -15,3 +15,8 @@ pub mod kernels;
 mod error;
 
 pub use error::{CudaError, Result};
+
+/// The example of the README, run as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -69,6 +69,7 @@ pub fn compile(source: &str, definitions: &[(&str, usize)], target: Target) -> R
             .context("nvrtcGetPTX")?
             .into_iter()
             .map(|byte| byte as u8)
+            .take_while(|&byte| byte != 0) // it ends with a zero
             .collect(),
         Target::Machine(_) => {
             let mut size = 0;
