@@ -10,9 +10,10 @@ use super::{
     gradients::GradientTask,
     loss_weights::{LossScale, TrivialSums},
     state::RunState,
+    steps::Learner,
     window::{Sampler, Window},
 };
-use crate::model::DeviceKind;
+use crate::model::{DeviceKind, network::Network};
 use eddy_cuda::{device::Device, frame::Training, kernels::Constants};
 use eddy_cuda_emulator::Emulator;
 use eddy_evaluation::dataset::{State, Stream, Trajectory};
@@ -133,11 +134,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     let weights = random_weights(&description);
     let checkpoint = Checkpoint { description: description.clone(), tensors: weights.clone() };
     let mut state = RunState::new(config, &checkpoint.description, DeviceKind::Flex);
-    state.network = crate::model::network::Network::new(
-        &description,
-        &weights,
-        &DeviceKind::Flex.device().autodiff(),
-    );
+    state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
     state.unroll = unroll;
     if config.loss.kind == LossKind::Relative {
         let mut sums = TrivialSums::new(unroll);
@@ -249,4 +246,64 @@ fn the_default_training_takes_the_steps_of_the_cpu() {
     config.windows.batch = 2;
     config.optimizer.epsilon = 1e-4;
     compare(&config, FeatureScaling::MinMax);
+}
+
+/// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
+#[test]
+fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
+    let config = config(Core::MinLstm);
+    let (streams, description) = (streams(), description(&config));
+    let unroll = config.unroll[0].frames;
+    let scale = LossScale {
+        loss: &config.loss,
+        normalization: &description.normalization,
+        ballistic: Ballistic::new(&description),
+        common: Vec::new(),
+    };
+    let task = GradientTask {
+        config: &config,
+        description: &description,
+        scale: &scale,
+        device: DeviceKind::Flex,
+    };
+    let weights = random_weights(&description);
+    let run = |open: &dyn Fn() -> Learner| {
+        let mut state = RunState::new(&config, &description, DeviceKind::Flex);
+        state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
+        state.unroll = unroll;
+        let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+        let mut losses = Vec::new();
+        for rates in [&[1e-3, 2e-3][..], &[3e-3]] {
+            let mut learner = open();
+            learner.begin(&task, &state).unwrap();
+            let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
+            losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
+            learner.sync(&mut state).unwrap();
+        }
+        (state, losses)
+    };
+    let (expected, expected_losses) = run(&|| Learner::Burn);
+    let (found, found_losses) = run(&|| {
+        let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
+        Learner::Cuda(Box::new(cuda::Learner::on(device, &streams).unwrap()))
+    });
+
+    for ((found, same), (expected, windows)) in found_losses.iter().zip(&expected_losses) {
+        assert_eq!(same, windows, "the same windows are drawn");
+        assert!((found / expected - 1.0).abs() < 2e-5, "loss {expected} on the CPU, {found}");
+    }
+    assert_eq!(found.adam.steps, expected.adam.steps);
+    assert_eq!(found.order.get_word_pos(), expected.order.get_word_pos());
+    for (found, expected) in found.adam.moments.iter().zip(&expected.adam.moments) {
+        assert!(relative_error(&found.first, &expected.first) < 1e-4, "first moments");
+        assert!(relative_error(&found.second, &expected.second) < 1e-4, "second moments");
+        assert!(relative_error(&found.average, &expected.average) < 1e-4, "averages");
+    }
+    let (found, expected) = (
+        found.network.layers().tensors(&description),
+        expected.network.layers().tensors(&description),
+    );
+    for (name, expected) in expected {
+        assert!(relative_error(&found[&name].values, &expected.values) < 5e-5, "{name}");
+    }
 }
