@@ -3,7 +3,7 @@
 //! `frame_training check` compares small networks of every core with the emulator; `frame_training time` times steps
 //! of the paper's network; `frame_training once` takes one step, for a profiler.
 
-use std::{collections::BTreeMap, error::Error, sync::Arc, time::Instant};
+use std::{collections::BTreeMap, error::Error, sync::Arc};
 
 use eddy_cuda::{
     device::Device,
@@ -12,6 +12,7 @@ use eddy_cuda::{
     kernels::Constants,
 };
 use eddy_cuda_emulator::Emulator;
+use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{
     Architecture, Core, Description, MaterialInput, Sizes, Weights, initial_weights,
 };
@@ -108,8 +109,8 @@ impl Problem {
         let window = |i: usize| Window {
             stream: i * 7 % self.streams,
             start: i * 13 % (self.frames - self.settings.warm_up - self.settings.unroll),
-            mirrored: i % 3 == 0,
-            noise: (i % 2 == 0).then_some([i as u8; 32]),
+            mirrored: i.is_multiple_of(3),
+            noise: i.is_multiple_of(2).then_some([i as u8; 32]),
         };
         (1..=count)
             .map(|step| Batch {
@@ -241,14 +242,14 @@ fn time() -> Result<()> {
             for one_hot in [false, true] {
                 for precision in [Precision::Tf32, Precision::Fp32] {
                     let problem = Problem::new(core, PAPER, one_hot, settings.clone());
-                    let start = Instant::now();
+                    let clock = Clock::start();
                     let gpu = Arc::new(Gpu::new(
                         0,
                         &problem.constants()?,
                         precision,
                         Some("/tmp/kernels".as_ref()),
                     )?);
-                    let opened = start.elapsed();
+                    let opened = clock.now();
                     let mut training = problem.training(gpu.clone())?;
                     let time = median(&gpu, &mut training, &problem, 9)?;
                     let loss = training.outcomes(GROUP)?[GROUP - 1].loss;

@@ -4,6 +4,7 @@
 #![expect(unsafe_code, reason = "memory and functions of a library compiled at run time")]
 
 use std::{
+    collections::HashMap,
     ffi::c_void,
     fs,
     process::Command,
@@ -27,8 +28,11 @@ pub struct Emulator {
     library: Arc<Mutex<Library>>,
 }
 
-/// Compiled libraries by their text; tests of one process share them.
-static LIBRARIES: OnceLock<Mutex<Vec<(String, Arc<Mutex<Library>>)>>> = OnceLock::new();
+/// Compiled libraries by their text.
+type Libraries = HashMap<String, Arc<Mutex<Library>>>;
+
+/// Those of this process, whose tests share them.
+static LIBRARIES: OnceLock<Mutex<Libraries>> = OnceLock::new();
 
 impl Emulator {
     /// Compiles the kernels for these constants.
@@ -41,11 +45,11 @@ impl Emulator {
             .get_or_init(Mutex::default)
             .lock()
             .unwrap_or_else(|broken| broken.into_inner());
-        if let Some((_, library)) = known.iter().find(|(text, _)| *text == source) {
+        if let Some(library) = known.get(&source) {
             return Ok(Self { library: library.clone() });
         }
         let library = Arc::new(Mutex::new(compile(&source)?));
-        known.push((source, library.clone()));
+        known.insert(source, library.clone());
         Ok(Self { library })
     }
 }

@@ -21,7 +21,8 @@ mod batch;
 mod config;
 #[cfg(feature = "cuda")]
 mod cuda;
-#[cfg(all(test, feature = "cuda"))]
+#[cfg(test)]
+#[cfg(feature = "cuda")]
 mod cuda_tests;
 pub mod dense;
 mod density;
