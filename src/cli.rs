@@ -353,7 +353,7 @@ pub struct TrainArgs {
     #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
     /// Continue the run in --output from its last complete epoch, with bit-identical results, or start one if there is
-    /// none. Data, settings and device must be the same, except --epochs and patience; schedules follow the new number of
+    /// none. Data and settings must be the same, except --epochs and patience; schedules follow the new number of
     /// epochs.
     #[arg(long)]
     pub resume: bool,

@@ -7,7 +7,7 @@ use eddy_learning::model::DeviceKind;
 pub fn run() -> anyhow::Result<()> {
     let mut table = Table::new();
     table.load_style(UTF8_BORDERS_ONLY);
-    table.set_header(["--device", "what", "memory"]);
+    table.set_header(["--device", "description", "memory"]);
     let threads = std::thread::available_parallelism()?.get();
     table.add_row([DeviceKind::Flex.name(), &format!("this machine's CPU, {threads} threads"), ""]);
     #[cfg(feature = "cuda")]
@@ -15,12 +15,12 @@ pub fn run() -> anyhow::Result<()> {
     println!("{table}");
     #[cfg(feature = "cuda")]
     if let Some(reason) = missing {
-        println!("no NVIDIA GPU: {reason}");
+        println!("no usable NVIDIA GPU: {reason}");
     }
     Ok(())
 }
 
-/// Adds every GPU; gives the reason why none can be used.
+/// Adds every GPU; returns why none can be used.
 #[cfg(feature = "cuda")]
 fn gpus(table: &mut Table) -> Option<eddy_cuda::CudaError> {
     let gpus = match eddy_cuda::gpu::list() {

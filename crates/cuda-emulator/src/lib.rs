@@ -134,12 +134,6 @@ impl Device for Emulator {
         Ok(())
     }
 
-    fn copy(&self, _: Queue, from: Address, to: Address, bytes: usize) -> Result<()> {
-        // SAFETY: as above.
-        unsafe { std::ptr::copy(pointer(from), pointer(to), bytes) };
-        Ok(())
-    }
-
     unsafe fn launch(
         &self,
         _: Queue,

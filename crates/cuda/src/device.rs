@@ -184,12 +184,6 @@ pub trait Device: Send + Sync {
     /// As above.
     fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()>;
 
-    /// Copies within the device, in a queue.
-    ///
-    /// # Errors
-    /// As above.
-    fn copy(&self, queue: Queue, from: Address, to: Address, bytes: usize) -> Result<()>;
-
     /// Puts a kernel into a queue.
     ///
     /// # Safety

@@ -30,14 +30,10 @@ pub enum CudaError {
         expected: String,
     },
     /// The GPU has too little memory.
-    #[error(
-        "device memory: {needed} MiB needed for {what}, {free} MiB free on GPU {device}; {remedy}"
-    )]
+    #[error("GPU {device}: {needed} MiB more memory needed, {free} MiB free; {remedy}")]
     Memory {
         /// The GPU's number.
         device: usize,
-        /// What the memory is for.
-        what: &'static str,
         /// Memory needed (MiB).
         needed: u64,
         /// Memory free (MiB).

@@ -16,12 +16,26 @@ pub struct Store {
     pub(super) order: Buffer,
     /// Where each material starts in that order, `[streams, MATERIALS + 1]`.
     pub(super) segments: Buffer,
-    /// First body of each stream.
+    /// First body of each stream, and the end of the last one.
     first: Vec<u64>,
     particles: usize,
 }
 
 impl Store {
+    /// N.
+    pub fn particles(&self) -> usize {
+        self.particles
+    }
+
+    /// Whether a window of so many frames lies within its stream.
+    pub(super) fn contains(&self, window: &Window, frames: usize) -> bool {
+        let end = self.first.get(window.stream + 1);
+        end.is_some_and(|&end| {
+            let bodies = ((window.start + frames) * self.particles) as u64;
+            self.first[window.stream] + bodies <= end
+        })
+    }
+
     /// Memory that so many frames take (bytes).
     pub fn bytes(frames: usize, particles: usize) -> u64 {
         frames as u64 * particles as u64 * 16
@@ -109,7 +123,8 @@ impl<'a> StoreWriter<'a> {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn finish(self) -> Result<Store> {
+    pub fn finish(mut self) -> Result<Store> {
+        self.first.push(self.written);
         let keep = |bytes: &[u8]| -> Result<Buffer> {
             let buffer = self.device.allocate(bytes.len())?;
             self.device.write(buffer.address, bytes)?;

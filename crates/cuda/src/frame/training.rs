@@ -28,7 +28,7 @@ const BODY: usize = 2 * AXES;
 /// Parts of a sum of squares.
 const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
-const MOST_NODES: usize = 160;
+const MOST_NODES: usize = 110;
 
 /// What a training step is made of.
 #[derive(Clone, Debug, PartialEq)]
@@ -176,8 +176,15 @@ impl Training {
         let density = settings.density_weight > 0.0;
         if density && settings.density_nodes > MOST_NODES {
             let setting = format!("loss.density_grid = {}", settings.density_nodes);
-            return Err(CudaError::Unsupported { setting, expected: "at most 160" });
+            return Err(CudaError::Unsupported { setting, expected: "at most 110" });
         }
+        // Blocks of a grid along y.
+        if settings.warm_up * settings.batch > 65_535 {
+            let setting =
+                format!("windows.warm_up x windows.batch = {}", settings.warm_up * settings.batch);
+            return Err(CudaError::Unsupported { setting, expected: "at most 65535" });
+        }
+        assert_eq!(store.particles(), constants.particles, "particles of the store");
         let layout = Layout::new(description, &constants);
         let Settings { batch, warm_up, unroll, .. } = *settings;
         let frames = warm_up + unroll - 1;
@@ -225,7 +232,9 @@ impl Training {
             schedule: numbers(GROUP * 12)?,
             progress: numbers(1)?,
             outcomes: numbers(GROUP * 4)?,
-            error_weights: numbers(GROUP * unroll * batch * MATERIALS * BODY)?,
+            error_weights: numbers(
+                if settings.relative { GROUP } else { 1 } * unroll * batch * MATERIALS * BODY,
+            )?,
             scaling: numbers(2 * BODY)?,
             states: numbers(rows * particles * BODY)?,
             sums: numbers(rows * chunks * sums * constants.encoder)?,
@@ -364,6 +373,17 @@ impl Training {
         let (mut windows, mut schedule) = (Vec::new(), Vec::new());
         for batch in batches {
             assert_eq!(batch.windows.len(), self.settings.batch, "windows of a batch");
+            let frames = self.settings.warm_up + self.settings.unroll;
+            assert!(
+                batch.windows.iter().all(|window| self.store.contains(window, frames)),
+                "windows within their streams"
+            );
+            let weights = batch.weights.as_ref().map(Vec::len);
+            let expected = self
+                .settings
+                .relative
+                .then_some(self.settings.unroll * self.settings.batch * MATERIALS);
+            assert_eq!(weights, expected, "weights of a batch");
             windows.extend(batch.windows.iter().flat_map(|window| self.store.window(window)));
             schedule.extend([batch.rate, batch.correction, batch.kept].map(f32::to_bits));
             schedule.push(0);
@@ -406,6 +426,7 @@ impl Training {
     /// # Errors
     /// [`CudaError::Call`].
     pub fn outcomes(&self, steps: usize) -> Result<Vec<Outcome>> {
+        assert!(steps <= GROUP, "{steps} steps, at most {GROUP}");
         let mut words = vec![[0u32; 4]; steps];
         self.device.read(self.outcomes.address, bytemuck::cast_slice_mut(&mut words))?;
         let outcome = |&[loss, norm, not_finite, _]: &[u32; 4]| Outcome {
@@ -1097,5 +1118,14 @@ impl Training {
                 self.settings.epsilon.into(),
             ],
         )
+    }
+}
+
+impl Drop for Training {
+    /// Waits for all work, before memory that it uses is given back.
+    fn drop(&mut self) {
+        if let Err(reason) = self.device.finish() {
+            tracing::debug!("a GPU was lost: {reason}");
+        }
     }
 }

@@ -24,7 +24,7 @@ use cudarc::{
 
 use crate::{
     device::{Address, Argument, Buffer, Device, Product, Queue, Recording, Shape},
-    error::{Context as _, Result},
+    error::{Context as _, CudaError, Result},
     kernels::{Constants, Kernel, SOURCE},
 };
 use products::Products;
@@ -51,6 +51,7 @@ impl Precision {
 
 /// A GPU, ready to compute with the kernels of some constants.
 pub struct Gpu {
+    number: usize,
     context: Arc<CudaContext>,
     streams: [Arc<CudaStream>; 2],
     kernels: HashMap<Kernel, CudaFunction>,
@@ -85,7 +86,7 @@ impl Gpu {
             kernels.insert(kernel, function);
         }
         let products = Products::new(&streams[0], precision)?;
-        Ok(Self { context, streams, kernels, products })
+        Ok(Self { number: device, context, streams, kernels, products })
     }
 
     fn stream(&self, queue: Queue) -> &Arc<CudaStream> {
@@ -118,13 +119,24 @@ impl Gpu {
 }
 
 /// Dynamic shared memory that a kernel may have without asking (bytes).
-const SHARED_LIMIT: usize = 48 << 10;
+const SHARED_LIMIT: usize = (48 << 10) - STATIC_SHARED;
+/// Static shared memory of the kernels that have dynamic shared memory, at most (bytes).
+const STATIC_SHARED: usize = 1 << 10;
 
 impl Device for Gpu {
     fn allocate(&self, bytes: usize) -> Result<Buffer> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
-        let memory: CudaSlice<u8> =
-            self.streams[0].alloc_zeros(bytes.max(16)).context("cuMemAlloc")?;
+        let memory: CudaSlice<u8> = match self.streams[0].alloc_zeros(bytes.max(16)) {
+            Err(cudarc::driver::DriverError(sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY)) => {
+                return Err(CudaError::Memory {
+                    device: self.number,
+                    needed: (bytes as u64).div_ceil(1 << 20),
+                    free: self.free_memory()? >> 20,
+                    remedy: "use a smaller windows.batch, or fewer scenes",
+                });
+            }
+            memory => memory.context("cuMemAlloc")?,
+        };
         let address = Address(memory.device_ptr(&self.streams[0]).0);
         Ok(Buffer::new(address, bytes, memory))
     }
@@ -135,9 +147,11 @@ impl Device for Gpu {
     }
 
     fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
-        self.streams[0].synchronize().context("cuStreamSynchronize")?;
-        // SAFETY: the buffer is as large as the caller says; the call returns when the bytes are copied.
-        unsafe { result::memcpy_htod_sync(to.0, bytes) }.context("cuMemcpyHtoD")
+        // In the main stream: a copy in the default stream is not ordered before its launches.
+        // SAFETY: the buffer is as large as the caller says; the bytes live until the stream is done.
+        unsafe { result::memcpy_htod_async(to.0, bytes, self.streams[0].cu_stream()) }
+            .context("cuMemcpyHtoDAsync")?;
+        self.streams[0].synchronize().context("cuStreamSynchronize")
     }
 
     fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
@@ -150,12 +164,6 @@ impl Device for Gpu {
         // SAFETY: the buffer is as large as the caller says.
         unsafe { result::memset_d8_async(at.0, 0, bytes, self.stream(queue).cu_stream()) }
             .context("cuMemsetD8Async")
-    }
-
-    fn copy(&self, queue: Queue, from: Address, to: Address, bytes: usize) -> Result<()> {
-        // SAFETY: as above.
-        unsafe { result::memcpy_dtod_async(to.0, from.0, bytes, self.stream(queue).cu_stream()) }
-            .context("cuMemcpyDtoDAsync")
     }
 
     unsafe fn launch(
@@ -205,7 +213,7 @@ impl Device for Gpu {
         &self,
         work: &mut dyn FnMut() -> Result<()>,
     ) -> Result<Option<Box<dyn Recording + Send>>> {
-        // Once without recording: cuBLASLt chooses its algorithms, modules are loaded.
+        // `work` has run once before: products have their algorithms, kernels are loaded.
         self.finish()?;
         let stream = &self.streams[0];
         stream

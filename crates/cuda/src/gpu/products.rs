@@ -18,8 +18,8 @@ use crate::{
 /// Memory that an algorithm may use beside its factors (bytes).
 const WORKSPACE: usize = 32 << 20;
 
-/// What decides about an algorithm: sizes, strides, transpositions, whether the result is added.
-type Key = [usize; 9];
+/// What decides about an algorithm: sizes, strides, transpositions, whether the result is added, alignment.
+type Key = [usize; 10];
 
 /// A product's description and its algorithm.
 #[derive(Clone, Copy)]
@@ -29,6 +29,12 @@ struct Plan {
     right: sys::cublasLtMatrixLayout_t,
     result: sys::cublasLtMatrixLayout_t,
     algorithm: sys::cublasLtMatmulAlgo_t,
+}
+
+/// What all addresses of a product are multiples of (bytes): a power of two, at most 256.
+fn alignment(product: &Product) -> u32 {
+    let addresses = product.left.at.0 | product.right.at.0 | product.result.0;
+    1 << addresses.trailing_zeros().min(8)
 }
 
 /// cuBLASLt with workspaces for two streams.
@@ -85,6 +91,7 @@ impl Products {
             product.left.transposed.into(),
             product.right.transposed.into(),
             product.add.into(),
+            alignment(product) as usize,
         ];
         let known =
             self.plans.lock().unwrap_or_else(|broken| broken.into_inner()).get(&key).copied();
@@ -189,6 +196,22 @@ impl Products {
                 size_of_val(&most),
             )
             .context("cublasLtMatmulPreferenceSetAttribute")?;
+            let alignment = alignment(product);
+            for attribute in [
+                Preference::CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_A_BYTES,
+                Preference::CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_B_BYTES,
+                Preference::CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_C_BYTES,
+                Preference::CUBLASLT_MATMUL_PREF_MIN_ALIGNMENT_D_BYTES,
+            ] {
+                let value = (&raw const alignment).cast();
+                lt::set_matmul_pref_attribute(
+                    preference,
+                    attribute,
+                    value,
+                    size_of_val(&alignment),
+                )
+                .context("cublasLtMatmulPreferenceSetAttribute")?;
+            }
             sys::cublasLtMatmulAlgoGetHeuristic(
                 self.handle,
                 operation,

@@ -178,8 +178,8 @@ extern "C" __global__ void clear_padding(float* __restrict__ d, int rows) {
 
 // Dropout: number i of [rows, H] (without the padding) has word `first + i` of the step's generator, and is kept,
 // divided by the share that is kept, unless the word is below the rate. Forwards, and backwards on gradients
-// (`ones` 0). grid ceil(rows * H / 16 / 128), block 128: a thread has the 16 words of a block.
-extern "C" __global__ void dropout(const float* __restrict__ from, float* __restrict__ to, const Schedule* __restrict__ schedule,
+// (`ones` 0, `from` is `to`). grid ceil((rows * H / 16 + 1) / 128), block 128: a thread has the 16 words of a block.
+extern "C" __global__ void dropout(const float* from, float* to, const Schedule* __restrict__ schedule,
     const Progress* __restrict__ progress, u64 first, int rows, float rate, float ones) {
   const u64 block = first / 16 + blockIdx.x * blockDim.x + threadIdx.x, last = first + (u64)rows * H;
   if (block * 16 >= last) return;

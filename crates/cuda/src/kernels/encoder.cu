@@ -30,8 +30,7 @@ __device__ __forceinline__ float material_bias(const float* w, int material, int
 }
 
 // grid (chunks, rows, ceil(E / 256)), block 256: 128 pairs of units j, j + 128, twice for half of the particles
-template <bool SLOPES>
-__device__ __forceinline__ void encode_body(const Body* __restrict__ states, const u32* __restrict__ order,
+extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restrict__ states, const u32* __restrict__ order,
     const u32* __restrict__ segments, const Window* __restrict__ windows, const Progress* __restrict__ progress,
     const float* __restrict__ w, const Scaling* __restrict__ scaling, float* __restrict__ sums, int batch) {
   __shared__ float tile[TILE][FEATURES];
@@ -91,9 +90,8 @@ __device__ __forceinline__ void encode_body(const Body* __restrict__ states, con
 #endif
           value[q] += y;
           slopes[q] += s;
-          if (SLOPES)
 #pragma unroll
-            for (int k = 0; k < FEATURES; k++) slope[q][k] = fmaf(s, x[k], slope[q][k]);
+          for (int k = 0; k < FEATURES; k++) slope[q][k] = fmaf(s, x[k], slope[q][k]);
         }
       }
     }
@@ -121,20 +119,11 @@ __device__ __forceinline__ void encode_body(const Body* __restrict__ states, con
 #pragma unroll
     for (int q = 0; q < 2; q++)
       if (is[q]) {
-        if (SLOPES)
 #pragma unroll
-          for (int k = 0; k < FEATURES; k++) to[k * E + unit[q]] = slope[q][k] + other[k * 256 + lane + 128 * q];
+        for (int k = 0; k < FEATURES; k++) to[k * E + unit[q]] = slope[q][k] + other[k * 256 + lane + 128 * q];
         const float total = value[q] + other[FEATURES * 256 + lane + 128 * q];
         to[(FEATURES + MATERIALS) * E + unit[q]] = ACTIVATION >= 2 ? total * (1.0f / LOG2E) : total;
       }
-}
-#define ENCODE_ARGUMENTS const Body* states, const u32* order, const u32* segments, const Window* windows, \
-    const Progress* progress, const float* w, const Scaling* scaling, float* sums, int batch
-extern "C" __global__ void __launch_bounds__(256, 4) encode(ENCODE_ARGUMENTS) {
-  encode_body<true>(states, order, segments, windows, progress, w, scaling, sums, batch);
-}
-extern "C" __global__ void __launch_bounds__(256, 4) encode_values(ENCODE_ARGUMENTS) {
-  encode_body<false>(states, order, segments, windows, progress, w, scaling, sums, batch);
 }
 
 // Means over the particles, and the ones beside them. grid rows, block 256

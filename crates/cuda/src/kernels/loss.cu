@@ -141,7 +141,7 @@ extern "C" __global__ void __launch_bounds__(256) loss_gradient(const Body* __re
 struct Grid { float least[DIM]; float inverse_cell[DIM]; int nodes; };
 #define FIXED_POINT 1073741824.0f
 
-__device__ __forceinline__ int corner(const Grid& grid, const float* x, int number, int* cell, float* share) {
+__device__ __forceinline__ int corner(const Grid& grid, int number, const int* cell) {
   int node = 0, stride = 1;
 #pragma unroll
   for (int a = 0; a < DIM; a++) {
@@ -184,7 +184,7 @@ extern "C" __global__ void __launch_bounds__(256) density(const Body* __restrict
         float part = side ? -FIXED_POINT : FIXED_POINT;
 #pragma unroll
         for (int a = 0; a < DIM; a++) part *= (number >> a) & 1 ? share[a] : 1.0f - share[a];
-        atomicAdd((u64*)&map[corner(grid, body.x, number, cell, share)], (u64)(long long)part);
+        atomicAdd((u64*)&map[corner(grid, number, cell)], (u64)(long long)part);
       }
     }
   __syncthreads();
@@ -204,7 +204,7 @@ extern "C" __global__ void __launch_bounds__(256) density(const Body* __restrict
 #pragma unroll
     for (int a = 0; a < DIM; a++) slope[a] = 0.0f;
     for (int number = 0; number < 1 << DIM; number++) {
-      const float difference = (float)map[corner(grid, body.x, number, cell, share)] * to_units;
+      const float difference = (float)map[corner(grid, number, cell)] * to_units;
 #pragma unroll
       for (int a = 0; a < DIM; a++) {
         float part = (number >> a) & 1 ? 1.0f : -1.0f;

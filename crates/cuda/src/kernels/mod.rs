@@ -44,8 +44,6 @@ kernels! {
     Observe = "observe",
     /// Pointwise encoder with the sums for its gradient.
     Encode = "encode",
-    /// Pointwise encoder alone.
-    EncodeValues = "encode_values",
     /// Means over the particles.
     Pool = "pool",
     /// Gradient of the encoder's weights.

@@ -204,6 +204,16 @@ pub enum Precision {
     Fp32,
 }
 
+impl Precision {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tf32 => "tf32",
+            Self::Fp32 => "fp32",
+        }
+    }
+}
+
 /// How a GPU is used.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GpuOptions<'a> {

@@ -180,7 +180,7 @@ impl WithSimd for Change<'_> {
 }
 
 /// Euclidean norm. Summed chunk by chunk in a fixed order, so that the number of threads does not
-/// fixed.
+/// change the result.
 fn norm(gradient: &[f32]) -> f32 {
     let sums: Vec<f64> = gradient
         .par_chunks(CHUNK)

@@ -12,19 +12,21 @@ use super::{
     loss_weights::LossScale,
     state::RunState,
     steps::Step,
-    window::{Draw, Sampler, names},
+    window::{Draw, Sampler},
 };
 use crate::model::{GpuOptions, Precision};
 use eddy_cuda::{
-    CudaError,
     device::Device,
     frame::{Batch, GROUP, Outcome, Settings, Store, StoreWriter, Training, Window},
     gpu::{self, Gpu},
-    kernels::Constants,
+    kernels::{Constants, MATERIALS},
 };
 use eddy_evaluation::dataset::Trajectory;
 use eddy_frames::Material;
 use eddy_inference::checkpoint::Description;
+
+/// Materials as the kernels count them.
+const _: () = assert!(Material::COUNT == MATERIALS);
 
 /// What a step is made of in the stage with so many free frames.
 pub(super) fn settings(config: &TrainConfig, unroll: usize) -> Settings {
@@ -48,17 +50,6 @@ pub(super) fn settings(config: &TrainConfig, unroll: usize) -> Settings {
 pub(super) fn store(device: &dyn Device, streams: &[Trajectory]) -> Result<Store, TrainError> {
     let particles = streams.first().map_or(0, |stream| stream.material.len());
     let frames = streams.iter().map(|stream| stream.frames).sum();
-    let (needed, free) = (Store::bytes(frames, particles), device.free_memory()?);
-    if needed > free {
-        let mebibytes = |bytes: u64| bytes >> 20;
-        return Err(TrainError::Cuda(CudaError::Memory {
-            device: 0,
-            what: "the training streams",
-            needed: mebibytes(needed),
-            free: mebibytes(free),
-            remedy: "train on fewer scenes or with --device flex",
-        }));
-    }
     let mut store = StoreWriter::new(device, particles, frames)?;
     for stream in streams {
         let material: Vec<u8> = stream.material.iter().map(|&material| material as u8).collect();
@@ -194,7 +185,7 @@ impl Learner {
     /// One step for each learning rate, at most [`BATCHES`].
     ///
     /// # Errors
-    /// [`CudaError`], [`TrainError::GradientNotFinite`].
+    /// [`TrainError::Cuda`].
     pub(super) fn steps(
         &mut self,
         task: &GradientTask,
@@ -203,7 +194,7 @@ impl Learner {
         state: &mut RunState,
     ) -> Result<Vec<Step>, TrainError> {
         let GradientTask { config, scale, .. } = task;
-        let Some(training) = &mut self.training else { return Ok(Vec::new()) };
+        let training = self.training.as_mut().expect("a stage begins before its steps");
         let (mut batches, mut drawn) = (Vec::new(), Vec::new());
         for &rate in rates {
             let draws = sampler.choose_many(config.windows.batch, &mut state.order);
@@ -218,7 +209,7 @@ impl Learner {
         }
         training.start(&batches)?;
         let outcomes = training.outcomes(batches.len())?.into_iter().zip(drawn);
-        outcomes.map(|(outcome, draws)| done(outcome, &draws, sampler)).collect()
+        Ok(outcomes.map(|(outcome, draws)| step(outcome, &draws, sampler)).collect())
     }
 
     /// Brings the run's weights and moments up to date.
@@ -236,12 +227,9 @@ impl Learner {
     }
 }
 
-/// What came of a step.
-fn done(outcome: Outcome, draws: &[Draw], sampler: &Sampler) -> Result<Step, TrainError> {
+/// The result of a step.
+fn step(outcome: Outcome, draws: &[Draw], sampler: &Sampler) -> Step {
     let Outcome { loss, gradient_norm, not_finite } = outcome;
-    let windows: Vec<_> = draws.iter().map(|draw| sampler.origin(draw)).collect();
-    if not_finite && loss.is_finite() {
-        return Err(TrainError::GradientNotFinite { windows: names(&windows) });
-    }
-    Ok(Step { loss, gradient_norm: gradient_norm.into(), windows })
+    let windows = draws.iter().map(|draw| sampler.origin(draw)).collect();
+    Step { loss, gradient_norm: gradient_norm.into(), finite: !not_finite, windows }
 }

@@ -288,12 +288,14 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         Learner::Cuda(Box::new(cuda::Learner::on(device, &streams).unwrap()))
     });
 
+    assert_eq!(found_losses.len(), 3);
     for ((found, same), (expected, windows)) in found_losses.iter().zip(&expected_losses) {
         assert_eq!(same, windows, "the same windows are drawn");
         assert!((found / expected - 1.0).abs() < 2e-5, "loss {expected} on the CPU, {found}");
     }
     assert_eq!(found.adam.steps, expected.adam.steps);
     assert_eq!(found.order.get_word_pos(), expected.order.get_word_pos());
+    assert_eq!(found.adam.moments.len(), expected.adam.moments.len());
     for (found, expected) in found.adam.moments.iter().zip(&expected.adam.moments) {
         assert!(relative_error(&found.first, &expected.first) < 1e-4, "first moments");
         assert!(relative_error(&found.second, &expected.second) < 1e-4, "second moments");

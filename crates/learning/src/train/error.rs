@@ -15,11 +15,14 @@ pub enum TrainError {
     #[error(transparent)]
     Cuda(#[from] eddy_cuda::CudaError),
     /// A gradient is not finite although the loss is.
-    #[cfg(feature = "cuda")]
     #[error(
-        "the gradient is not finite (windows {windows}), expected numbers; a smaller learning rate or a shorter unroll helps"
+        "epoch {epoch}, batch {batch}: the gradient is not finite (windows {windows}); try a smaller learning rate or a shorter unroll"
     )]
     GradientNotFinite {
+        /// The epoch, from 1.
+        epoch: u32,
+        /// The batch in it, from 1.
+        batch: usize,
         /// Stream and first frame of each window.
         windows: String,
     },
@@ -117,7 +120,7 @@ pub enum TrainError {
         /// Its contents.
         found: &'static str,
     },
-    /// The run to resume has other data, settings or another device.
+    /// The run to resume has other data or settings.
     #[error("{}: {field}: found {found}, expected {expected} as in the run to resume", file.display())]
     OtherRun {
         /// The record of the run.

@@ -30,7 +30,9 @@ pub(super) fn check(
     let numbers: usize =
         tensor_shapes(description).values().map(|shape| shape.iter().product::<usize>()).sum();
     let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
-    let batch = bytes(batch_numbers(config, description, particles));
+    // On an NVIDIA GPU, the batch is in the memory of the GPU.
+    let here = run.device == run.device.through_burn();
+    let batch = if here { bytes(batch_numbers(config, description, particles)) } else { 0 };
     let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
     let batch = if training.saturating_add(batch) < validation { 0 } else { batch };
     let weights = if batch == 0 { validation } else { training };

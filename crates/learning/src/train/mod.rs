@@ -95,6 +95,16 @@ pub struct Run<'a> {
 }
 
 impl Run<'_> {
+    /// The device as it is recorded: of an NVIDIA GPU with the precision, since results depend on it.
+    fn device_name(&self) -> String {
+        let name = self.device.name();
+        if self.device == self.device.through_burn() {
+            name.to_owned()
+        } else {
+            format!("{name} {}", self.gpu.precision.name())
+        }
+    }
+
     /// Whether there is an epoch to resume from.
     fn resumes(&self) -> bool {
         self.resume && self.output.join(LAST_FOLDER).exists()
@@ -174,7 +184,9 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let learner = Learner::new(run, description, dataset)?;
     let mut trainer =
         Trainer { config, dataset, run, description, state, sampler, scale, monitor, learner };
-    trainer.begin_stage()?;
+    if trainer.state.unroll > 0 {
+        trainer.begin_stage()?;
+    }
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
         match trainer.epoch()? {
@@ -230,15 +242,16 @@ impl Trainer<'_> {
             };
             let steps =
                 self.learner.steps(&task, &mut self.sampler, left, &rates, &mut self.state)?;
-            for (Step { loss, gradient_norm, windows }, rate) in steps.into_iter().zip(rates) {
+            for (step, rate) in steps.into_iter().zip(rates) {
+                let Step { loss, gradient_norm, finite, windows } = step;
+                let batch = number;
                 if !loss.is_finite() {
                     let windows = window::names(&windows);
-                    return Err(TrainError::NotFinite {
-                        epoch,
-                        batch: number,
-                        windows,
-                        found: loss,
-                    });
+                    return Err(TrainError::NotFinite { epoch, batch, windows, found: loss });
+                }
+                if !finite {
+                    let windows = window::names(&windows);
+                    return Err(TrainError::GradientNotFinite { epoch, batch, windows });
                 }
                 learning_rate = rate;
                 losses += f64::from(loss);
@@ -266,7 +279,7 @@ impl Trainer<'_> {
         self.begin_stage()
     }
 
-    /// Takes the weights to where the steps of a stage are computed.
+    /// Copies the weights to the device that computes the steps of a stage.
     fn begin_stage(&mut self) -> Result<(), TrainError> {
         let Self { config, description, scale, run, learner, state, .. } = self;
         let task = GradientTask { config, description, scale, device: run.device };

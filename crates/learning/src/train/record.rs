@@ -134,10 +134,10 @@ pub(super) fn same_run(
     {
         return differs(&field, found, expected);
     }
-    let device = run.device.name();
+    let device = run.device_name();
     if record.device != device {
         tracing::warn!(
-            "the run started on {}, resuming on {device}: results differ in their last bits",
+            "the run started on {}, resuming on {device}: the results differ by rounding",
             record.device
         );
     }

@@ -11,7 +11,7 @@
 //! The new folder is written as `last.new`; then `last` is renamed to `last.old` and `last.new` to `last`, and `last.old` is
 //! deleted. If only `last.old` is found, the replacement is completed.
 //!
-//! Data, settings and device must be unchanged, except `epochs` and `patience`. With another number of `epochs`, the schedules
+//! Data and settings must be unchanged, except `epochs` and `patience`. With another number of `epochs`, the schedules
 //! of learning rate and unroll continue as if it had been chosen from the start.
 
 use std::{
@@ -117,7 +117,7 @@ pub(super) fn save(
     let record = Record {
         format_version: RECORD_VERSION,
         data: last.description.data.clone(),
-        device: run.device.name().to_owned(),
+        device: run.device_name(),
         weights: checksum(&last.tensors),
         moments: checksum(&moments),
         steps: state.adam.steps,

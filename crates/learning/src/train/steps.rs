@@ -17,8 +17,10 @@ use eddy_inference::checkpoint::Description;
 pub(super) struct Step {
     /// The loss before the step.
     pub(super) loss: f32,
-    /// Norm of the gradient, before any tensor of it was shortened.
+    /// Norm of the gradient, before clipping.
     pub(super) gradient_norm: f64,
+    /// Whether the gradient is finite. Through burn, it is 0 where it was not.
+    pub(super) finite: bool,
     /// Stream and first frame of each window.
     pub(super) windows: Vec<(u64, usize)>,
 }
@@ -124,7 +126,7 @@ fn step(
         task.compute(&state.network, &windows, &mut state.dropout);
     let windows = windows.iter().map(Window::origin).collect();
     if !loss.is_finite() {
-        return Ok(Step { loss, gradient_norm: f64::NAN, windows });
+        return Ok(Step { loss, gradient_norm: f64::NAN, finite: true, windows });
     }
     let mut step = state.adam.step(rate, &task.config.optimizer).measured();
     state.network.layers_mut().exchange(|tensor, values| {
@@ -132,5 +134,5 @@ fn step(
             step.change(tensor, values, &gradients[tensor]); // clips it first
         }
     });
-    Ok(Step { loss, gradient_norm: step.gradient_norm(), windows })
+    Ok(Step { loss, gradient_norm: step.gradient_norm(), finite: true, windows })
 }
