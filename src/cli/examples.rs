@@ -36,6 +36,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
             "eddy train --data bags/mm --output checkpoints/lstm --core lstm --epochs 1 --seed 1 2",
         ],
     ),
+    ("devices", &["eddy devices"]),
     (
         "node",
         &[

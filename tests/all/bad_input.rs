@@ -56,7 +56,7 @@ fn a_truncated_bag_is_named_and_what_is_whole_is_predicted() {
     fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
 
     let bag = folder.path("truth/scene_0000");
-    says(&fail(1, ["bag", "check", &bag]), &["scene_0000", "findings"]);
+    says(&fail(1, ["bag", "check", &bag]), &["scene_0000", "problems found"]);
     says(&predict(&folder, &bag), &["scene_0000_0.mcap", "expected"]);
     let predicted = BagReader::open(&folder.join("out")).unwrap();
     assert!(predicted.message_count() > 5, "what could be read was predicted and kept");

@@ -90,9 +90,12 @@ fn what_is_there_is_never_overwritten_and_what_fails_leaves_nothing() {
         (vec!["bag", "merge", &whole, &whole, "-o", &taken], "already exists"),
         (vec!["bag", "cut", &whole, "--start", "99", "-o", &new], "found no message"),
         (vec!["bag", "filter", &whole, "-x", "/", "-o", &new], "found no message"),
-        (vec!["bag", "merge", &whole, &cut, "-o", &new], "eddy bag recover saves"),
+        (
+            vec!["bag", "merge", &whole, &cut, "-o", &new],
+            "`eddy bag recover` copies what can be read",
+        ),
         (vec!["bag", "cut", &cut, "-o", &new], "found the end of the file"),
-        (vec!["bag", "reindex", &cut], "eddy bag recover saves"),
+        (vec!["bag", "reindex", &cut], "`eddy bag recover` copies what can be read"),
     ] {
         let message = fail(1, arguments);
         assert!(message.contains(expected), "{message}");
@@ -192,7 +195,7 @@ fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
     let csv = ["bag", "export", "--cloud", "--format", "csv", "bags/sample"];
     assert!(fail(2, csv).contains("--cloud"));
     let message = fail(1, ["bag", "cloud", new, "--output", again.to_str().unwrap()]);
-    assert!(message.contains("found no topic of eddy_msgs/msg/ParticleFrame"), "{message}");
+    assert!(message.contains("no topic of eddy_msgs/msg/ParticleFrame"), "{message}");
 }
 
 #[test]

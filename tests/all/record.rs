@@ -257,7 +257,7 @@ fn all_is_counted_on_a_full_disk(pause: Duration) {
     }
     assert_eq!(recorder.wait().code(), Some(1));
     let said = recorder.rest();
-    let numbers = said.split("the bag is closed with ").nth(1).unwrap();
+    let numbers = said.split("the bag was closed with ").nth(1).unwrap();
     let mut numbers = numbers.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty());
     let mut number = || numbers.next().unwrap().parse::<u64>().unwrap();
     let (kept, lost) = (number(), number());

@@ -13,7 +13,7 @@ fn a_node_goes_on_when_its_peers_are_killed() {
     let mut node = talking_eddy();
     node.args(["node", "--input", &input.to_string(), "--output", &output.to_string()]);
     let mut node = Process::start_until(&mut node, "predicting");
-    assert!(node.line("shm:/").contains(" takes 16.5 MB (1 publishers, 0 subscribers)"));
+    assert!(node.line("shm:/").contains(" uses 16.5 MB (1 publishers, 0 subscribers)"));
     let watch = Transports::new(TransportOptions::new("eddy_test"));
     let users = |link| watch.shared_memory(link, ParticleFrame::TYPE).unwrap().unwrap();
     // More often than a topic has room for either.

@@ -76,5 +76,5 @@ fn the_summary_says_what_came_out_and_how_to_go_on() {
     ] {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }
-    assert_eq!(lines.lines().filter(|line| line.starts_with("epoch")).count(), 2, "{lines}");
+    assert_eq!(printed.lines().filter(|line| line.starts_with("epoch")).count(), 2, "{printed}");
 }
