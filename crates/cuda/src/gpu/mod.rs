@@ -62,7 +62,7 @@ impl Gpu {
     /// GPU number `device`. Compiled kernels are kept in the folder `cache`, if there is one.
     ///
     /// # Errors
-    /// [`CudaError`](crate::CudaError): no driver, a library missing, no such GPU, a call that failed.
+    /// [`CudaError`]: no driver, a library missing, no such GPU, a call that failed.
     pub fn new(
         device: usize,
         constants: &Constants,
@@ -108,7 +108,7 @@ impl Gpu {
     /// Milliseconds that `work` takes on the device.
     ///
     /// # Errors
-    /// [`CudaError::Call`](crate::CudaError::Call), and those of `work`.
+    /// [`CudaError::Call`], and those of `work`.
     pub fn time(&self, work: impl FnOnce() -> Result<()>) -> Result<f32> {
         let flags = Some(sys::CUevent_flags::CU_EVENT_DEFAULT);
         let from = self.streams[0].record_event(flags).context("cuEventRecord")?;

@@ -16,7 +16,7 @@ pub const SOURCE: &str = concat!(
     include_str!("adam.cu"),
 );
 
-/// Materials that the kernels know, [`Material::COUNT`](eddy_frames::Material::COUNT).
+/// Materials that the kernels know, `Material::COUNT` of eddy-frames.
 pub const MATERIALS: usize = 4;
 /// Axes of space.
 pub const AXES: usize = 2;
