@@ -9,6 +9,7 @@ use super::{
     state::RunState,
     window::{Sampler, Window},
 };
+#[cfg(feature = "cuda")]
 use crate::model::DeviceKind;
 use eddy_evaluation::dataset::Dataset;
 use eddy_inference::checkpoint::Description;
