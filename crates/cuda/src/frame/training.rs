@@ -25,6 +25,8 @@ use crate::{
 pub const GROUP: usize = 64;
 /// Numbers of a body.
 const BODY: usize = 2 * AXES;
+/// Sums of the encoder for each of its units, `SUMS` of the kernels.
+const SUMS: usize = BODY + MATERIALS + 1;
 /// Parts of a sum of squares.
 const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
@@ -217,7 +219,6 @@ impl Training {
             Ok(memory)
         };
         let layers = (0..description.sizes.layers).map(|_| layer()).collect::<Result<Vec<_>>>()?;
-        let sums = 2 * AXES + MATERIALS + 1;
         let cell = |axis: usize| {
             let width = description.domain.upper[axis] - description.domain.lower[axis];
             (settings.density_nodes as f32 - 1.0) / width
@@ -237,7 +238,7 @@ impl Training {
             )?,
             scaling: numbers(2 * BODY)?,
             states: numbers(rows * particles * BODY)?,
-            sums: numbers(rows * chunks * sums * constants.encoder)?,
+            sums: numbers(rows * chunks * SUMS * constants.encoder)?,
             pooled: numbers(rows * constants.pooled_columns())?,
             input: numbers(rows * wide)?,
             layers,
@@ -614,7 +615,7 @@ impl Training {
         let (batch, rows) = (self.settings.batch, frames * self.settings.batch);
         let Constants { encoder, particles, .. } = self.constants;
         let wide = self.constants.hidden_columns();
-        let sums = self.at(&self.sums, first, self.chunks * (2 * AXES + MATERIALS + 1) * encoder);
+        let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
         self.launch(
             Kernel::Encode,

@@ -164,7 +164,7 @@ impl Learner {
         state: &RunState,
     ) -> Result<(), TrainError> {
         let GradientTask { config, description, scale, .. } = task;
-        // The memory of the stage before goes first.
+        // Free the memory of the previous stage first.
         self.training = None;
         let settings = settings(config, state.unroll);
         let training =
