@@ -52,6 +52,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             machine: Machine::with_free_disk(memory, output)?,
             command: std::env::args().collect::<Vec<_>>().join(" "),
             progress: &progress,
+            on_epoch: &|_| (),
         };
         if !quiet && runs.len() > 1 {
             println!("seed {}", config.seed);

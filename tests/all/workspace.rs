@@ -59,8 +59,9 @@ const GUIDES: [&str; 5] = [
 ];
 
 /// Folders at the top of the repository.
-const FOLDERS: [&str; 9] =
-    [".ci", "bags", "checkpoints", "crates", "docs", "launch_configs", "msgs", "src", "tests"];
+const FOLDERS: [&str; 10] = [
+    ".ci", "bags", "checkpoints", "crates", "docs", "launch_configs", "msgs", "python", "src", "tests",
+];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

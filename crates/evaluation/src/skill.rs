@@ -3,10 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Kind, SceneResult,
+    Baseline, Kind, SceneResult,
     bootstrap::{MIN_SCENES, bootstrap},
-    numbers,
+    mean_squared_distance, numbers,
 };
+use crate::dataset::{Bounds, State};
+use eddy_inference::engine::Ballistic;
 
 /// Squared position errors of the scenes of one kind.
 struct KindErrors {
@@ -100,6 +102,48 @@ impl Skills {
     }
 }
 
+/// Skill of positions from any source, one number per frame ahead: 1 - their squared error / that of the best baseline at
+/// that frame, both summed over windows. `starts` are the last observed states of W windows of N particles; `truth` and
+/// `predicted` are `[W, T, N]`. The baselines' walls are the bounding box of the truth, as in an evaluation; `dt` is in s,
+/// gravity in domain lengths per s^2.
+///
+/// # Panics
+/// If the lengths do not agree, or there is no window.
+pub fn position_skill(
+    starts: &[State],
+    truth: &[[f32; 2]],
+    predicted: &[[f32; 2]],
+    dt: f32,
+    gravity: [f32; 2],
+) -> Vec<f64> {
+    let particles = starts[0].position.len();
+    let horizon = truth.len() / (starts.len() * particles);
+    assert_eq!([truth.len(), predicted.len()], [starts.len() * horizon * particles; 2]);
+    let mut walls = Bounds::default();
+    starts.iter().for_each(|state| walls.widen(state));
+    truth.iter().for_each(|&at| walls.join(&Bounds { lower: at, upper: at }));
+    let ballistic = Ballistic { gravity, dt, lower: walls.lower, upper: walls.upper };
+    let mut errors = vec![([0.0; Baseline::ALL.len()], 0.0); horizon];
+    let window = horizon * particles;
+    let windows = truth.chunks_exact(window).zip(predicted.chunks_exact(window));
+    for (start, (truth, predicted)) in starts.iter().zip(windows) {
+        let mut trivial = Baseline::ALL.map(|_| start.clone());
+        let frames = truth.chunks_exact(particles).zip(predicted.chunks_exact(particles));
+        for ((truth, predicted), (baselines, error)) in frames.zip(&mut errors) {
+            *error += mean_squared_distance(predicted, truth);
+            for ((baseline, state), error) in Baseline::ALL.iter().zip(&mut trivial).zip(baselines)
+            {
+                baseline.step(state, &ballistic);
+                *error += mean_squared_distance(&state.position, truth);
+            }
+        }
+    }
+    let skill = |(baselines, error): ([f64; 3], f64)| {
+        1.0 - error / baselines.into_iter().fold(f64::INFINITY, f64::min)
+    };
+    errors.into_iter().map(skill).collect()
+}
+
 fn intervals(
     skills: &Skills,
     kinds: &[KindErrors],
@@ -175,6 +219,30 @@ mod tests {
         // The first baseline itself has no skill.
         let expected = Interval { lower: 0.25, upper: 0.25 };
         assert_eq!(skills.intervals(&[0, 2], &[1]), Some(vec![expected]));
+    }
+
+    #[test]
+    fn positions_from_any_source_are_compared_with_the_best_baseline() {
+        // Two windows of one particle that falls freely for three frames: the ballistic step is exact.
+        let (dt, gravity) = (0.1, [0.0, -1.0]);
+        let start = |x: f32| State { position: vec![[x, 0.5]], velocity: vec![[1.0, 0.0]] };
+        let starts = [start(0.1), start(0.3)];
+        let free = Ballistic { gravity, dt, lower: [-9.0; 2], upper: [9.0; 2] };
+        let fall = |start: &State| Baseline::Ballistic.roll_out(start, 3, &free);
+        let truth: Vec<[f32; 2]> =
+            starts.iter().flat_map(fall).flat_map(|state| state.position).collect();
+        // Displaced sideways, the truth has an exact baseline no more: constant velocity and ballistic err alike by it.
+        let displaced: Vec<[f32; 2]> = truth.iter().map(|[x, y]| [x + 0.25, *y]).collect();
+        let skill = position_skill(&starts, &displaced, &displaced, dt, gravity);
+        assert_eq!(skill, [1.0; 3]);
+        let skill = position_skill(&starts, &displaced, &truth, dt, gravity);
+        assert!(
+            skill.iter().all(|skill| skill.abs() < 1e-6),
+            "as good as the ballistic step: {skill:?}"
+        );
+        let half: Vec<[f32; 2]> = truth.iter().map(|[x, y]| [x + 0.125, *y]).collect();
+        let skill = position_skill(&starts, &displaced, &half, dt, gravity);
+        assert!(skill.iter().all(|skill| (skill - 0.75).abs() < 1e-5), "half the error: {skill:?}");
     }
 
     #[test]

@@ -215,6 +215,11 @@ impl Simulation {
         self.most_frames
     }
 
+    /// Current number of particles.
+    pub fn particles(&self) -> usize {
+        self.solver.particles().len()
+    }
+
     /// The current energy.
     pub fn energy(&self) -> Energy {
         self.solver.energy()

@@ -113,6 +113,7 @@ pub fn settings<'a>(output: &'a Path, progress: &'a dyn Progress) -> Run<'a> {
         machine: Machine::UNLIMITED,
         command: "a test".to_owned(),
         progress,
+        on_epoch: &|_| (),
     }
 }
 

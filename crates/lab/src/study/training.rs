@@ -85,6 +85,7 @@ impl Task {
             machine: Machine::with_free_disk(memory, output)?,
             command: command.clone(),
             progress: &StopSignal(work),
+            on_epoch: &|_| (),
         };
         let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
         if outcome.interrupted {

@@ -194,8 +194,9 @@ impl clap::ValueEnum for DeviceKind {
 }
 
 /// How a GPU multiplies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// Factors rounded to 10 bits of mantissa, sums in f32, on tensor cores.
     #[default]

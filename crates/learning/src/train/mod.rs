@@ -92,6 +92,8 @@ pub struct Run<'a> {
     /// Receives batches, and a line per epoch. It is asked before every batch whether to stop; the best and the last epoch
     /// are then kept.
     pub progress: &'a dyn Progress,
+    /// Called after every epoch, when it is saved.
+    pub on_epoch: &'a (dyn Fn(&Epoch) + Sync),
 }
 
 impl Run<'_> {
@@ -327,6 +329,7 @@ impl Trainer<'_> {
             checkpoint.save(run.output)?;
             state.best = Some(checkpoint);
         }
+        (run.on_epoch)(&epoch);
         monitor.epoch(&epoch, config.validation.horizon)
     }
 

@@ -1,0 +1,298 @@
+from collections.abc import Callable, Sequence
+from os import PathLike
+from types import TracebackType
+from typing import Any, Literal, Protocol, TypedDict, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Bag",
+    "BagError",
+    "BagWriter",
+    "CheckpointError",
+    "EddyError",
+    "EvaluationError",
+    "Frame",
+    "Frames",
+    "Message",
+    "Messages",
+    "Report",
+    "Scene",
+    "SimulationError",
+    "Solver",
+    "Stream",
+    "Surrogate",
+    "TrainError",
+    "__version__",
+    "evaluate",
+    "skill",
+    "train",
+]
+
+__version__: str
+
+class _DLPack(Protocol):
+    def __dlpack__(self) -> object: ...
+    def __dlpack_device__(self) -> tuple[int, int]: ...
+
+_Array = NDArray[Any] | _DLPack
+_Path = str | PathLike[str]
+_Paths = _Path | Sequence[_Path]
+
+class EddyError(Exception): ...
+class BagError(EddyError): ...
+class CheckpointError(EddyError): ...
+class SimulationError(EddyError): ...
+class EvaluationError(EddyError): ...
+class TrainError(EddyError): ...
+
+@final
+class Frame:
+    def __new__(
+        cls,
+        position: _Array,
+        velocity: _Array,
+        material: _Array | str,
+        *,
+        stream: int = 0,
+        sequence: int = 0,
+        time: float = 0.0,
+        dt: float = 0.016,
+        lower: Sequence[float] = ...,
+        upper: Sequence[float] = ...,
+    ) -> Frame: ...
+    @property
+    def position(self) -> NDArray[np.float32]: ...
+    @property
+    def velocity(self) -> NDArray[np.float32]: ...
+    @property
+    def material(self) -> NDArray[np.uint8]: ...
+    @property
+    def stream(self) -> int: ...
+    @property
+    def sequence(self) -> int: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def stamp(self) -> int: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def lower(self) -> tuple[float, float]: ...
+    @property
+    def upper(self) -> tuple[float, float]: ...
+    def check(self) -> None: ...
+    def __len__(self) -> int: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Scene:
+    def __new__(cls, settings: dict[str, Any]) -> Scene: ...
+    @staticmethod
+    def generate(
+        preset: Literal["kinds", "multi-material", "fluid", "stiff"],
+        *,
+        seed: int = 0,
+        id: int = 0,
+        particles: int | None = None,
+    ) -> Scene: ...
+    @staticmethod
+    def load(path: _Path) -> Scene: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    @property
+    def duration(self) -> float: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def domain(self) -> tuple[float, float]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+class _Energy(TypedDict):
+    kinetic: float
+    elastic: float
+    potential: float
+
+@final
+class Solver:
+    def __new__(
+        cls,
+        scene: Scene,
+        *,
+        stiffness: float | None = None,
+        law: Literal["water", "taichi"] | None = None,
+        viscosity: float | None = None,
+        substeps: int | None = None,
+        duration: float | None = None,
+        threads: int = 1,
+    ) -> Solver: ...
+    def step(self) -> Frame | None: ...
+    def __iter__(self) -> Solver: ...
+    def __next__(self) -> Frame: ...
+    def displace(self, by: _Array) -> None: ...
+    def energy(self) -> _Energy: ...
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def substeps(self) -> int: ...
+
+@final
+class Surrogate:
+    def __new__(cls, checkpoint: _Path | None = None, *, threads: int | None = None) -> Surrogate: ...
+    def stream(self, first: Frame) -> Stream: ...
+    def step(self, streams: Sequence[Stream], frames: Sequence[Frame]) -> list[Frame]: ...
+    def warnings(self, first: Frame) -> list[str]: ...
+    @property
+    def warm_up(self) -> int: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def digest(self) -> str: ...
+    @property
+    def description(self) -> dict[str, Any]: ...
+
+@final
+class Stream:
+    def step(self, frame: Frame) -> Frame: ...
+    def step_arrays(
+        self, position: _Array, velocity: _Array
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def rollout(self, frame: Frame, frames: int) -> list[Frame]: ...
+    def copy(self) -> Stream: ...
+    def forget(self) -> None: ...
+    def __len__(self) -> int: ...
+
+class _Topic(TypedDict):
+    name: str
+    type: str
+    messages: int
+    definition: str
+
+class _Arrays(TypedDict):
+    position: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    material: NDArray[np.uint8]
+    sequence: NDArray[np.uint64]
+    time: NDArray[np.float64]
+
+@final
+class Bag:
+    def __new__(cls, path: _Path) -> Bag: ...
+    @property
+    def topics(self) -> list[_Topic]: ...
+    def frames(self, topic: str = "/particles") -> Frames: ...
+    def arrays(self, topic: str = "/particles", *, stream: int | None = None) -> _Arrays: ...
+    def messages(
+        self,
+        topics: str | Sequence[str] | None = None,
+        *,
+        start: int | None = None,
+        end: int | None = None,
+    ) -> Messages: ...
+    @property
+    def start(self) -> int | None: ...
+    @property
+    def end(self) -> int | None: ...
+    @property
+    def damage(self) -> str | None: ...
+    @property
+    def path(self) -> PathLike[str]: ...
+    def __len__(self) -> int: ...
+
+@final
+class Frames:
+    def __iter__(self) -> Frames: ...
+    def __next__(self) -> Frame: ...
+
+@final
+class Messages:
+    def __iter__(self) -> Messages: ...
+    def __next__(self) -> Message: ...
+
+@final
+class Message:
+    @property
+    def topic(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def log_time(self) -> int: ...
+    @property
+    def publish_time(self) -> int: ...
+    @property
+    def data(self) -> bytes: ...
+
+@final
+class BagWriter:
+    def __new__(
+        cls, path: _Path, *, compression: Literal["none", "lz4", "zstd"] = "zstd"
+    ) -> BagWriter: ...
+    def write_frame(
+        self, frame: Frame, topic: str = "/particles", *, log_time: int | None = None
+    ) -> None: ...
+    def write(
+        self,
+        topic: str,
+        type: str,
+        data: bytes,
+        *,
+        definition: str | None = None,
+        log_time: int | None = None,
+        publish_time: int | None = None,
+    ) -> None: ...
+    def close(self) -> int: ...
+    def __enter__(self) -> BagWriter: ...
+    def __exit__(
+        self,
+        *_error: type[BaseException] | BaseException | TracebackType | None,
+    ) -> bool: ...
+
+@final
+class Report:
+    def to_dict(self) -> dict[str, Any]: ...
+    def tables(self) -> str: ...
+    def save(self, folder: _Path) -> None: ...
+
+class _Epoch(TypedDict):
+    epoch: int
+    samples: int
+    unroll: int
+    training_loss: float
+    validation_loss: float
+    first_skill: float
+    last_skill: float
+    learning_rate: float
+    best: bool
+
+class _Outcome(TypedDict):
+    epochs: list[_Epoch]
+    seconds: float
+    samples: int
+    digest: str | None
+
+def evaluate(
+    data: _Paths,
+    checkpoints: _Paths | None = None,
+    *,
+    horizon: int = 100,
+    starts: int = 7,
+    references: Sequence[Literal["mpm", "chaos"]] = ...,
+    threads: int | None = None,
+) -> Report: ...
+def skill(
+    starts: Sequence[Frame],
+    truth: _Array,
+    predicted: _Array,
+    *,
+    gravity: Sequence[float] = ...,
+) -> NDArray[np.float64]: ...
+def train(
+    data: _Paths,
+    output: _Path,
+    config: dict[str, Any] | _Path | None = None,
+    *,
+    device: str = "auto",
+    precision: Literal["tf32", "fp32"] = "tf32",
+    resume: bool = False,
+    callback: Callable[[_Epoch], object] | None = None,
+) -> _Outcome: ...

@@ -1,0 +1,105 @@
+//! `train`: from bags to a checkpoint.
+
+use std::path::PathBuf;
+
+use eddy_evaluation::dataset::{Dataset, available_memory};
+use eddy_learning::{
+    model::{Architecture, DeviceKind, GpuOptions, Precision},
+    train::{self, Epoch, Machine, Run, TrainConfig},
+};
+use eddy_settings::Overrides;
+use pyo3::{
+    prelude::*,
+    types::{PyDict, PyString},
+};
+
+use crate::{
+    errors::{TrainError, raise},
+    interrupt,
+    values::{self, Paths},
+};
+
+/// Trains a network on the bags at `data` and writes the best checkpoint to `output`. `config` is a dictionary or a file with the
+/// keys of `eddy train --config`; what it leaves out has the defaults of its `architecture`. `callback` is called after each
+/// epoch with a dictionary (`epoch`, `samples`, `training_loss`, `validation_loss`, `first_skill`, `last_skill`, ..); an exception of
+/// it ends the run, as Ctrl-C does, after the last whole epoch was saved. Returns a dictionary with `epochs` (a list
+/// of these), `seconds`, `samples` and `digest` (of the best checkpoint).
+#[pyfunction(name = "train")]
+#[pyo3(signature = (data, output, config=None, *, device="auto", precision="tf32", resume=false, callback=None))]
+#[expect(clippy::too_many_arguments, reason = "the options of a run")]
+pub(crate) fn train_network<'py>(
+    py: Python<'py>,
+    data: Paths,
+    output: PathBuf,
+    config: Option<&Bound<'py, PyAny>>,
+    device: &str,
+    precision: &str,
+    resume: bool,
+    callback: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let config = settings(config)?;
+    let device: DeviceKind = values::word("device", device)?;
+    let device = device.resolve(config.architecture);
+    let precision: Precision = values::word("precision", precision)?;
+    let data: Vec<PathBuf> = data.into();
+    let work = |watch: &interrupt::Watch<Epoch>| -> Result<train::Outcome, String> {
+        let text = |error: &dyn std::fmt::Display| error.to_string();
+        device.check().map_err(|error| text(&error))?;
+        train::check_output(&output, resume).map_err(|error| text(&error))?;
+        let memory = available_memory();
+        let dataset =
+            Dataset::load(&data, memory / 2, &mut |_, _| ()).map_err(|error| text(&error))?;
+        let machine = Machine::with_free_disk(available_memory(), &output);
+        let run = Run {
+            device,
+            gpu: GpuOptions { precision, kernel_cache: None },
+            output: &output,
+            resume,
+            machine: machine.map_err(|error| text(&error))?,
+            command: "eddy.train".to_owned(),
+            progress: watch,
+            on_epoch: &|epoch| watch.report(*epoch),
+        };
+        train::train(&config, &dataset, &run).map_err(|error| text(&error))
+    };
+    let on_epoch = |py: Python<'_>, epoch: Epoch| match &callback {
+        None => Ok(()),
+        Some(callback) => callback.call1((values::render(py, &epoch)?,)).map(drop),
+    };
+    let outcome = interrupt::run(py, on_epoch, work)?.map_err(raise::<TrainError>)?;
+    let result = PyDict::new(py);
+    result.set_item("epochs", values::render(py, &outcome.epochs)?)?;
+    result.set_item("seconds", outcome.seconds)?;
+    result.set_item("samples", outcome.samples)?;
+    result.set_item("digest", outcome.best.map(|checkpoint| checkpoint.digest()))?;
+    Ok(result)
+}
+
+/// The defaults of the architecture, overridden by a file or a dictionary.
+fn settings(config: Option<&Bound<'_, PyAny>>) -> PyResult<TrainConfig> {
+    let overrides = match config {
+        None => Overrides::default(),
+        Some(config) if config.is_instance_of::<PyDict>() => {
+            let table: toml::Table = values::parse("config", config)?;
+            Overrides::parse("config".as_ref(), &table.to_string()).map_err(raise::<TrainError>)?
+        }
+        Some(path) if path.is_instance_of::<PyString>() || path.hasattr("__fspath__")? => {
+            let path: PathBuf = path.extract()?;
+            Overrides::read(&path).map_err(raise::<TrainError>)?
+        }
+        Some(other) => {
+            let found = other.get_type().name()?;
+            return Err(pyo3::exceptions::PyTypeError::new_err(format!(
+                "config: found {found}, expected a dictionary or the path of a TOML file"
+            )));
+        }
+    };
+    let architecture: Option<Architecture> =
+        overrides.get("architecture").map_err(raise::<TrainError>)?;
+    let architecture = architecture.unwrap_or_default();
+    let mut config =
+        overrides.over(&TrainConfig::defaults(architecture)).map_err(raise::<TrainError>)?;
+    config.architecture = architecture;
+    config.check().map_err(raise::<TrainError>)?;
+    Ok(config)
+}

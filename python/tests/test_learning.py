@@ -1,0 +1,96 @@
+"""Training and evaluation."""
+
+import os
+import signal
+import threading
+from pathlib import Path
+
+import eddy
+import numpy as np
+import pytest
+
+SMALL = {
+    "architecture": "particle",
+    "epochs": 2,
+    "network": {"encoder": 8, "hidden": 8, "channels": [4, 4, 4]},
+    "windows": {"per_epoch": 8, "batch": 4},
+    "unroll": [{"share": 1.0, "frames": 2}],
+    "validation": {"horizon": 5, "starts": 1},
+}
+
+
+def test_a_network_is_trained_evaluated_and_used(tmp_path: Path, bags: Path) -> None:
+    epochs: list[int] = []
+    outcome = eddy.train(bags, tmp_path / "model", SMALL, callback=lambda epoch: epochs.append(epoch["epoch"]))
+    assert epochs == [1, 2] == [epoch["epoch"] for epoch in outcome["epochs"]]
+    surrogate = eddy.Surrogate(tmp_path / "model")
+    assert surrogate.digest == outcome["digest"]
+
+    report = eddy.evaluate(bags, tmp_path / "model", horizon=5, starts=2)
+    results = report.to_dict()
+    assert results["horizon"] == 5
+    assert "Skill" in report.tables()
+    report.save(tmp_path / "report")
+    assert (tmp_path / "report" / "report.html").exists()
+
+    with pytest.raises(eddy.TrainError, match="exists|resume"):
+        eddy.train(bags, tmp_path / "model", SMALL)
+
+
+def test_skill_of_any_rollouts_is_that_of_eddy_eval(bags: Path) -> None:
+    """Of the trivial predictors: the best of them has skill 0, the truth 1."""
+    arrays = eddy.Bag(bags / "scene_0002").arrays()
+    frames = list(eddy.Bag(bags / "scene_0002").frames())
+    starts, horizon = [2, 9], 6
+    truth = np.stack([arrays["position"][s + 1 : s + 1 + horizon] for s in starts])
+    first = [frames[s] for s in starts]
+    assert np.array_equal(eddy.skill(first, truth, truth), np.ones(horizon))
+    still = np.stack([np.repeat(arrays["position"][s][None], horizon, axis=0) for s in starts])
+    assert (eddy.skill(first, truth, still) <= 0.0).all()
+    half = ((truth.astype(np.float64) + still) / 2).astype(np.float32)
+    assert (eddy.skill(first, truth, half) > eddy.skill(first, truth, still)).all()
+    with pytest.raises(ValueError, match="predicted: found shape"):
+        eddy.skill(first, truth, still[:, :3].copy())
+    with pytest.raises(ValueError, match="starts: found no frames"):
+        eddy.skill([], truth, still)
+
+
+def test_an_exception_of_the_callback_ends_the_run(tmp_path: Path, bags: Path) -> None:
+    def stop(epoch: object) -> None:
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        eddy.train(bags, tmp_path / "model", {**SMALL, "epochs": 1000}, callback=stop)
+    assert (tmp_path / "model" / "model.toml").exists(), "the epoch before is kept"
+
+
+def test_ctrl_c_ends_a_run_and_keeps_its_epochs(tmp_path: Path, bags: Path) -> None:
+    def interrupt(epoch: object) -> None:
+        # As a terminal does, from outside of the main thread.
+        threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)).start()
+
+    with pytest.raises(KeyboardInterrupt):
+        eddy.train(bags, tmp_path / "model", {**SMALL, "epochs": 1000}, callback=interrupt)
+    assert (tmp_path / "model" / "model.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"epoch": 3}, "unknown field `epoch`"),
+        ({"epochs": "many"}, "invalid type"),
+        ({"epochs": 0}, "epochs: found 0"),
+    ],
+)
+def test_wrong_settings_are_named(tmp_path: Path, bags: Path, config: dict[str, object], message: str) -> None:
+    with pytest.raises(eddy.TrainError, match=message):
+        eddy.train(bags, tmp_path / "model", config)
+
+
+def test_evaluation_names_what_is_wrong(tmp_path: Path, bags: Path) -> None:
+    with pytest.raises(eddy.EvaluationError, match="model.toml"):
+        eddy.evaluate(bags, tmp_path)
+    with pytest.raises(ValueError, match="references: found magic, expected mpm or chaos"):
+        eddy.evaluate(bags, references=["magic"])  # type: ignore[list-item]
+    with pytest.raises(eddy.EvaluationError, match="starts: found 0"):
+        eddy.evaluate(bags, starts=0)
