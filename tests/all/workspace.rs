@@ -60,7 +60,16 @@ const GUIDES: [&str; 5] = [
 
 /// Folders at the top of the repository.
 const FOLDERS: [&str; 10] = [
-    ".ci", "bags", "checkpoints", "crates", "docs", "launch_configs", "msgs", "python", "src", "tests",
+    ".ci",
+    "bags",
+    "checkpoints",
+    "crates",
+    "docs",
+    "launch_configs",
+    "msgs",
+    "python",
+    "src",
+    "tests",
 ];
 
 fn root() -> &'static Path {

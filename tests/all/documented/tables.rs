@@ -122,6 +122,22 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "ZENOH_SESSION_CONFIG_URI=/etc/eddy/player.json5 eddy replay bags/sample --to zenoh --wait-for 1",
         "needs files in /etc; tests/all/secure.rs runs both with the example",
     ),
+    ("python/build.sh", "builds the program again, for a wheel"),
+    ("pip install python/dist/eddy_surrogates-*.whl", "builds the program again, for a wheel"),
+    ("pip install taichi==1.7.4", "needs Taichi and a quarter of an hour"),
+    (
+        "python python/examples/mpm_taichi.py --output out/taichi",
+        "needs Taichi and a quarter of an hour",
+    ),
+    (
+        "docs/src/deploy/debian.sh target/release/eddy target/debian",
+        "tests/packages/check_deb installs what it makes",
+    ),
+    (
+        "apt install ./target/debian/eddy_0.1.0_amd64.deb",
+        "tests/packages/check_deb installs what it makes",
+    ),
+    ("systemctl enable --now eddy-node", "needs systemd, root or Docker"),
     ("install -D target/release/eddy /usr/local/bin/eddy", "needs systemd, root or Docker"),
     (
         "useradd --system --create-home --home-dir /var/lib/eddy eddy",
