@@ -169,7 +169,7 @@ def node(args, deadline):
     predictions = exchange_frames(args.topic, args.frames, deadline)
     refused = check_parameters(deadline)
     reset = Service(f"/{NODE}/reset", "std_srvs/srv/Trigger", deadline)()
-    expect(reset.success and reset.message == "1 streams reset", f"reset: found {reset}")
+    expect(reset.success and reset.message == "1 stream reset", f"reset: found {reset}")
     return {"topics": topics, "predictions": predictions, "refused": refused, "reset": reset.message}
 
 

@@ -1,8 +1,8 @@
-//! What applies to one node: its name, topics and parameters.
+//! Target applies to one node: its name, topics and parameters.
 
 use super::{
     Given, RosArguments,
-    remap::{Rule, What},
+    remap::{Rule, Target},
 };
 use eddy_transport::Link;
 
@@ -31,17 +31,17 @@ impl RosNode {
     /// Applies rules in the order of the design: node name, then namespace (with the rules for that node name), then
     /// topics and services. The first matching rule wins.
     pub(super) fn new(arguments: &RosArguments, name: &str) -> Self {
-        let first = |name: &str, what: What| -> Option<String> {
+        let first = |name: &str, target: Target| -> Option<String> {
             let rules = &mut for_node(&arguments.rules, name);
-            rules.find(|rule| rule.what == what).map(|rule| rule.to.clone())
+            rules.find(|rule| rule.target == target).map(|rule| rule.to.clone())
         };
-        let name = first(name, What::Node).unwrap_or(name.to_owned());
-        let namespace = first(&name, What::Namespace).unwrap_or("/".to_owned());
+        let name = first(name, Target::Node).unwrap_or(name.to_owned());
+        let namespace = first(&name, Target::Namespace).unwrap_or("/".to_owned());
         let (renamed, parameters) = (Vec::new(), Vec::new());
         let mut node = Self { name, namespace, renamed, parameters, directives: String::new() };
-        let absolute = |rule: &Rule| match &rule.what {
-            What::Node | What::Namespace => None,
-            &What::Name { ref from, topics, services } => {
+        let absolute = |rule: &Rule| match &rule.target {
+            Target::Node | Target::Namespace => None,
+            &Target::Name { ref from, topics, services } => {
                 let (from, to) = (node.absolute(from), node.absolute(&rule.to));
                 Some(Renamed { from, to, topics, services })
             }

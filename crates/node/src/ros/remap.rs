@@ -10,14 +10,14 @@ use eddy_transport::{is_absolute_name, is_name_token};
 pub(super) struct Rule {
     /// Name (without namespace) of the only node that it applies to.
     pub(super) node: Option<String>,
-    pub(super) what: What,
+    pub(super) target: Target,
     /// The new name, not yet expanded.
     pub(super) to: String,
 }
 
 /// What a rule renames.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum What {
+pub(super) enum Target {
     /// `__node` or `__name`.
     Node,
     /// `__ns`.
@@ -45,12 +45,12 @@ impl FromStr for Rule {
             Some((node, from)) => (Some(node.to_owned()), from),
             None => (None, left),
         };
-        let what = match from {
-            "__node" | "__name" if is_name_token(to) => What::Node,
+        let target = match from {
+            "__node" | "__name" if is_name_token(to) => Target::Node,
             "__node" | "__name" => {
                 return Err(invalid(to, "the name of a node: letters, digits and _"));
             }
-            "__ns" if to == "/" || is_absolute_name(to) => What::Namespace,
+            "__ns" if to == "/" || is_absolute_name(to) => Target::Namespace,
             "__ns" => return Err(invalid(to, "an absolute namespace such as /robot1")),
             _ => {
                 let (from, topics, services) =
@@ -67,10 +67,10 @@ impl FromStr for Rule {
                         ));
                     }
                 }
-                What::Name { from: from.to_owned(), topics, services }
+                Target::Name { from: from.to_owned(), topics, services }
             }
         };
-        Ok(Self { node, what, to: to.to_owned() })
+        Ok(Self { node, target, to: to.to_owned() })
     }
 }
 
@@ -92,18 +92,18 @@ mod tests {
     fn rules_are_parsed() {
         let rule = |text: &str| text.parse::<Rule>().unwrap();
         let name =
-            |from: &str, topics, services| What::Name { from: from.into(), topics, services };
-        for (text, node, what, to) in [
-            ("__node:=a", None, What::Node, "a"),
-            ("__name:=a", None, What::Node, "a"),
-            ("__ns:=/a/b", None, What::Namespace, "/a/b"),
-            ("n:__ns:=/", Some("n"), What::Namespace, "/"),
+            |from: &str, topics, services| Target::Name { from: from.into(), topics, services };
+        for (text, node, target, to) in [
+            ("__node:=a", None, Target::Node, "a"),
+            ("__name:=a", None, Target::Node, "a"),
+            ("__ns:=/a/b", None, Target::Namespace, "/a/b"),
+            ("n:__ns:=/", Some("n"), Target::Namespace, "/"),
             ("/a:=b", None, name("/a", true, true), "b"),
             ("n:a/b:=~/c", Some("n"), name("a/b", true, true), "~/c"),
             ("rostopic://~/a:=/b", None, name("~/a", true, false), "/b"),
             ("n:rosservice:///a:=/b", Some("n"), name("/a", false, true), "/b"),
         ] {
-            assert_eq!(rule(text), Rule { node: node.map(str::to_owned), what, to: to.into() });
+            assert_eq!(rule(text), Rule { node: node.map(str::to_owned), target, to: to.into() });
         }
     }
 

@@ -53,7 +53,8 @@ fn answer<A: DeserializeOwned + 'static, B: Serialize + 'static>(
 fn reset(handle: &NodeHandle, _: Empty) -> TriggerResponse {
     match handle.request(NodeRequest::Reset, TIMEOUT) {
         Ok(NodeResponse::Reset(streams)) => {
-            TriggerResponse { success: true, message: format!("{streams} streams reset") }
+            let plural = if streams == 1 { "" } else { "s" };
+            TriggerResponse { success: true, message: format!("{streams} stream{plural} reset") }
         }
         Ok(_) => TriggerResponse { success: true, message: String::new() },
         Err(error) => TriggerResponse { success: false, message: error.to_string() },
