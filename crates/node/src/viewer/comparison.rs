@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
+    ops::RangeInclusive,
     sync::Arc,
 };
 
@@ -81,6 +82,16 @@ pub struct Comparison {
     pairs: u64,
     /// Horizon of the last pair.
     last: Option<u32>,
+    newest: Published,
+    /// Horizons that are predicted at present.
+    present: RangeInclusive<u32>,
+}
+
+/// Horizons of the predictions from one observed frame.
+#[derive(Clone, Debug)]
+struct Published {
+    source: Option<u64>,
+    horizons: RangeInclusive<u32>,
 }
 
 impl Comparison {
@@ -108,6 +119,8 @@ impl Comparison {
             time: VecDeque::new(),
             pairs: 0,
             last: None,
+            newest: Published { source: None, horizons: 0..=0 },
+            present: 0..=u32::MAX,
         }
     }
 
@@ -137,6 +150,7 @@ impl Comparison {
     pub fn prediction(&mut self, frame: Arc<Frame>, info: PredictionInfo) -> Option<Pair> {
         // A free run may be far behind the truth: only the truth restarts the comparison.
         self.follow(frame.stream, false);
+        self.published(info);
         if let Some(truth) = self.truths.get(&frame.sequence) {
             let truth = Arc::clone(truth);
             return self.compare(&truth, frame, info);
@@ -146,6 +160,22 @@ impl Comparison {
         }
         self.waiting.insert((frame.sequence, info.horizon), (frame, info));
         None
+    }
+
+    /// Notes which horizons are predicted. From an observed frame they are complete when the next one is predicted from; a
+    /// free run adds one a frame.
+    fn published(&mut self, PredictionInfo { source, horizon, free_running }: PredictionInfo) {
+        let Published { source: newest, horizons } = &mut self.newest;
+        if *newest != Some(source) {
+            if newest.is_some() {
+                self.present = horizons.clone();
+            }
+            (*newest, *horizons) = (Some(source), horizon..=horizon);
+        }
+        *horizons = horizon.min(*horizons.start())..=horizon.max(*horizons.end());
+        if free_running {
+            self.present = horizons.clone();
+        }
     }
 
     /// Drops one waiting prediction. Where all frames of a long horizon are published, horizons that are powers of two and
@@ -281,11 +311,13 @@ impl Comparison {
 
     /// The curves.
     pub fn curves(&self) -> Curves {
-        let recent =
-            self.recent.iter().filter(|(_, recent)| recent.used + RECENT_PAIRS > self.pairs);
+        let present = self.recent.iter().filter(|(horizon, recent)| {
+            self.present.contains(horizon) && recent.used + RECENT_PAIRS > self.pairs
+        });
         Curves {
             time: self.time.iter().copied().collect(),
-            by_horizon: recent.filter_map(|(&horizon, recent)| recent.summary(horizon)).collect(),
+            by_horizon: present.filter_map(|(&horizon, recent)| recent.summary(horizon)).collect(),
+            now: self.summary(),
         }
     }
 }
@@ -395,6 +427,38 @@ mod tests {
         assert_eq!(comparison.rollouts.len(), 1, "one rollout that is continued");
         assert_eq!(comparison.curves().by_horizon.len(), 19);
         assert_eq!(comparison.curves().time.len(), 19);
+    }
+
+    #[test]
+    fn only_horizons_that_are_predicted_at_present_are_in_the_curve() {
+        let mut comparison = comparison();
+        let mut sequence = 0;
+        let mut run = |comparison: &mut Comparison, frames: u64, horizons: RangeInclusive<u32>| {
+            for source in sequence..sequence + frames {
+                comparison.truth(falling(source, 0.0));
+                for horizon in horizons.clone() {
+                    let ahead = source + u64::from(horizon);
+                    comparison.prediction(falling(ahead, 0.001), info(source, horizon));
+                }
+            }
+            sequence += frames;
+            let rows = comparison.curves().by_horizon;
+            rows.iter().map(|row| row.horizon).collect::<Vec<_>>()
+        };
+        assert_eq!(run(&mut comparison, 5, 1..=1), [1]);
+        // Nothing has met its truth yet.
+        assert_eq!(run(&mut comparison, 5, 20..=20), [0; 0]);
+        assert_eq!(run(&mut comparison, 20, 20..=20), [20]);
+        assert_eq!(run(&mut comparison, 30, 1..=4), [1, 2, 3, 4]);
+        assert_eq!(run(&mut comparison, 2, 2..=2), [2]);
+    }
+
+    #[test]
+    fn skill_is_undefined_at_rest_and_without_a_baseline() {
+        let of = |error, baseline| Summary { horizon: 1, error, baseline }.skill();
+        assert_eq!(of(0.1, Some((Baseline::Ballistic, 0.2))), Some(0.75));
+        assert_eq!(of(0.1, Some((Baseline::Persistence, 1e-5))), None);
+        assert_eq!(of(0.1, None), None);
     }
 
     #[test]

@@ -22,8 +22,12 @@ const CURVES_INTERVAL: Duration = Duration::from_millis(200);
 const MAX_UNPAIRED_FRAMES: u32 = 4;
 /// Frames, beyond its horizon, between a prediction and the truth beside which it is displayed.
 const MAX_SKEW_FRAMES: u64 = 4;
-/// Relative decay of the top speed per frame, so that colours do not flicker.
+/// Relative decay of the top speed per frame.
 const TOP_SPEED_DECAY: f32 = 0.002;
+/// Percentile of the speeds, and its largest multiple that speeds are encoded up to: beyond it, a few particles that are
+/// absurdly fast would leave no levels for the others.
+const TYPICAL_PERCENTILE: f64 = 0.98;
+const MAX_TOP_SPEED: f32 = 64.0;
 /// Streams kept beside the displayed ones.
 const KEPT_STREAMS: usize = 8;
 
@@ -127,14 +131,22 @@ impl StreamView {
         (!expected).then(|| DisplayedFrame { truth, prediction, ..DisplayedFrame::default() })
     }
 
-    /// Speed of the fastest recent particle (domain lengths per second).
+    /// Speed of the fastest recent particle, unless it is absurd (domain lengths per second).
     fn top_speed(&mut self, displayed: &DisplayedFrame) -> f32 {
         let prediction = displayed.prediction.as_ref().map(|(frame, _)| frame);
         let frame = displayed.truth.as_ref().or(prediction);
-        let square = |v: &[f32; 2]| v[0] * v[0] + v[1] * v[1];
-        let fastest = frame.into_iter().flat_map(|frame| frame.velocity.iter().map(square));
-        let fastest = fastest.fold(0.0, f32::max).sqrt();
-        self.top_speed = fastest.max(self.top_speed * (1.0 - TOP_SPEED_DECAY)).max(1e-3);
+        let velocity = frame.map_or(&[][..], |frame| &frame.velocity);
+        let mut speeds: Vec<f32> = velocity.iter().map(|v| v[0].hypot(v[1])).collect();
+        let fastest = speeds.iter().copied().fold(0.0, f32::max);
+        let index = (TYPICAL_PERCENTILE * speeds.len().saturating_sub(1) as f64) as usize;
+        let typical = match speeds.is_empty() {
+            true => 0.0,
+            false => *speeds.select_nth_unstable_by(index, f32::total_cmp).1,
+        };
+        // Where nearly all rest, the fastest are not absurd.
+        let limit = if typical > 1e-3 { MAX_TOP_SPEED * typical } else { f32::INFINITY };
+        let kept = self.top_speed * (1.0 - TOP_SPEED_DECAY);
+        self.top_speed = fastest.max(kept).min(limit).max(1e-3);
         self.top_speed
     }
 }
@@ -235,6 +247,24 @@ mod tests {
         // When it ends, the truth continues alone.
         let alone = (0..9).map(|more| sides(view.truth(frame(100 + BEHIND + more))));
         assert_eq!(alone.last().unwrap(), Some([Some(108 + BEHIND), None]));
+    }
+
+    #[test]
+    fn one_absurd_particle_leaves_levels_for_the_others() {
+        let mut view = view();
+        let mut fast = (*frame(1)).clone();
+        fast.position = vec![[0.5; 2]; 100];
+        fast.velocity = vec![[0.0, 0.5]; 100];
+        fast.material = vec![Material::Liquid; 100];
+        let mut shown = |velocity: [f32; 2]| {
+            fast.velocity[0] = velocity;
+            let truth = Some(Arc::new(fast.clone()));
+            view.top_speed(&DisplayedFrame { truth, ..DisplayedFrame::default() })
+        };
+        assert_eq!(shown([9.0, 0.0]), 9.0);
+        // Kept for a while.
+        assert!((8.9..9.0).contains(&shown([0.0, 0.5])));
+        assert_eq!(shown([1e6, 0.0]), 32.0);
     }
 
     #[test]

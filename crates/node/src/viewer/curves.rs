@@ -6,6 +6,8 @@ use eddy_evaluation::Baseline;
 
 /// Simulation time over which errors are averaged (s).
 const WINDOW: f64 = 1.0;
+/// Error of the best baseline below which skill is undefined (domain lengths): at rest it is exact.
+const AT_REST: f64 = 1e-4;
 /// Maximum number of pairs in it.
 const WINDOW_PAIRS: usize = 1024;
 
@@ -36,8 +38,18 @@ pub struct Point {
 pub struct Curves {
     /// Error over time.
     pub time: Vec<Point>,
-    /// Error by horizon.
+    /// Error by frames ahead, for those that are predicted at present.
     pub by_horizon: Vec<Summary>,
+    /// Mean errors over the last second at the horizon of the last pair.
+    pub now: Option<Summary>,
+}
+
+impl Summary {
+    /// 1 - squared error / squared error of the best baseline; `None` at rest, or without a baseline.
+    pub fn skill(&self) -> Option<f64> {
+        let (_, best) = self.baseline.filter(|&(_, best)| best > AT_REST)?;
+        Some(1.0 - (self.error / best).powi(2))
+    }
 }
 
 /// Squared errors of one pair (domain lengths squared).

@@ -104,6 +104,7 @@ pub(super) fn metrics(hub: &Hub, mailbox: &Mailbox, state: &ControlState, sent: 
         "streams": streams,
         "stream": stream.map(|stream| stream.to_string()),
         "following": mailbox.stream().is_none(),
+        "skill": curves.as_ref().and_then(|curves| curves.now).map(|now| skill(&now)),
         "curves": curves.map(|curves| curve_rows(&curves)),
     })
     .to_string()
@@ -121,8 +122,13 @@ fn node_metrics(status: &NodeStatus) -> Value {
     })
 }
 
+fn skill(now: &Summary) -> Value {
+    let baseline = now.baseline.map(|(best, _)| best.name());
+    json!({ "horizon": now.horizon, "value": now.skill(), "baseline": baseline })
+}
+
 /// `time`: rows of time, model, baseline. `horizon`: rows of horizon, model, baseline. Errors in domain lengths.
-fn curve_rows(Curves { time, by_horizon }: &Curves) -> Value {
+fn curve_rows(Curves { time, by_horizon, .. }: &Curves) -> Value {
     let time: Vec<Value> =
         time.iter().map(|point| json!([point.time, point.error, point.baseline])).collect();
     let error = |summary: &Summary| summary.baseline.map(|(_, error)| error);

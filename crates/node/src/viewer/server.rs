@@ -55,16 +55,26 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
+const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
+
 /// Path, content type and content of each file.
-const FILES: [(&str, &str, &str); 8] = [
+const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
-    ("/app.js", "text/javascript; charset=utf-8", include_str!("page/app.js")),
-    ("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
-    ("/frame.js", "text/javascript; charset=utf-8", include_str!("page/frame.js")),
-    ("/painter.js", "text/javascript; charset=utf-8", include_str!("page/painter.js")),
-    ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
+    ("/app.js", JAVASCRIPT, include_str!("page/app.js")),
+    ("/camera.js", JAVASCRIPT, include_str!("page/camera.js")),
+    ("/chart.js", JAVASCRIPT, include_str!("page/chart.js")),
+    ("/frame.js", JAVASCRIPT, include_str!("page/frame.js")),
+    ("/history.js", JAVASCRIPT, include_str!("page/history.js")),
+    ("/keys.js", JAVASCRIPT, include_str!("page/keys.js")),
+    ("/legend.js", JAVASCRIPT, include_str!("page/legend.js")),
+    ("/link.js", JAVASCRIPT, include_str!("page/link.js")),
+    ("/metrics.js", JAVASCRIPT, include_str!("page/metrics.js")),
+    ("/painter.js", JAVASCRIPT, include_str!("page/painter.js")),
+    ("/picture.js", JAVASCRIPT, include_str!("page/picture.js")),
+    ("/scale.js", JAVASCRIPT, include_str!("page/scale.js")),
+    ("/theme.js", JAVASCRIPT, include_str!("page/theme.js")),
 ];
 
 /// Why the page cannot be served.

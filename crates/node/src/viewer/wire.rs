@@ -18,7 +18,9 @@
 //! | | u8 `[N]` ×4 | speed of the truth, speed of the prediction, error, material |
 //!
 //! Positions are for display only: rounded to 1/65535 of the domain and clamped to it. The error of a particle is on a
-//! logarithmic scale from 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). A missing side is zero.
+//! logarithmic scale from 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). The speed of a particle is
+//! 255 times the square root of its share of the speed in the header, so that slow particles differ where few are fast. A
+//! missing side is zero.
 
 use std::sync::Arc;
 
@@ -28,7 +30,7 @@ use eddy_frames::{Domain, Frame};
 /// Bytes before the particles.
 pub const HEADER: usize = 96;
 /// Version of this layout.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Bytes per particle, both sides together.
 const PARTICLE: usize = 12;
 /// The error of a particle that 0 stands for (domain lengths).
@@ -60,7 +62,7 @@ impl DisplayedFrame {
     }
 }
 
-/// Encodes a frame. `top_speed` is the speed of the last colour (domain lengths per second).
+/// Encodes a frame. `top_speed` is the highest speed that can be told apart (domain lengths per second).
 pub fn encode(displayed: &DisplayedFrame, top_speed: f32) -> Vec<u8> {
     let truth = displayed.truth.as_deref();
     let (prediction, info) = match &displayed.prediction {
@@ -138,8 +140,9 @@ fn speeds(bytes: &mut Vec<u8>, side: Option<&Frame>, particles: usize, top_speed
         bytes.resize(bytes.len() + particles, 0);
         return;
     };
-    let scale = f32::from(u8::MAX) / top_speed.max(f32::MIN_POSITIVE);
-    let level = |v: &[f32; 2]| ((v[0] * v[0] + v[1] * v[1]).sqrt() * scale + 0.5) as u8;
+    let share = |v: &[f32; 2]| v[0].hypot(v[1]) / top_speed.max(f32::MIN_POSITIVE);
+    // The cast saturates.
+    let level = |v: &[f32; 2]| (share(v).sqrt() * f32::from(u8::MAX) + 0.5) as u8;
     bytes.extend(frame.velocity.iter().map(level));
 }
 
@@ -180,7 +183,7 @@ mod tests {
         };
         let bytes = encode(&displayed, 5.0);
         assert_eq!(bytes.len(), HEADER + 2 * PARTICLE);
-        assert_eq!(&bytes[..4], b"EDY\x01");
+        assert_eq!(&bytes[..4], b"EDY\x02");
         let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
         let f64_at = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
@@ -193,7 +196,8 @@ mod tests {
         assert!(f32_at(80).is_nan());
         assert_eq!([96, 98, 100, 102].map(u16_at), [0, 0, 32768, 32768]);
         assert_eq!([104, 106, 108, 110].map(u16_at), [0, 6554, 32768, 32768]);
-        assert_eq!(bytes[112..], [51, 255, 51, 255, 255, 0, 0, 3]);
+        // The square root of 1 / 5 is 0.447.
+        assert_eq!(bytes[112..], [114, 255, 114, 255, 255, 0, 0, 3]);
     }
 
     #[test]

@@ -1,65 +1,43 @@
 // The live page: shows what the program sends, and sends it the commands of the user.
 
+import { Camera } from "/camera.js";
 import { draw as drawChart } from "/chart.js";
-import { read } from "/frame.js";
+import { aspectOf, read, timeOf } from "/frame.js";
+import { History } from "/history.js";
+import { listen } from "/keys.js";
+import { Legend } from "/legend.js";
 import { Link } from "/link.js";
-import { Painter, scaleStart } from "/painter.js";
+import { rows, show as showMetrics, skillText } from "/metrics.js";
+import { Painter } from "/painter.js";
+import { compose, save } from "/picture.js";
+import { ErrorScale, SpeedScale } from "/scale.js";
+import * as theme from "/theme.js";
 
 const $ = (id) => document.getElementById(id);
-const root = document.documentElement;
 
 /** The state of the page. */
 const now = {
   hello: null, metrics: null, frame: null, next: null, undrawn: 0,
   state: {}, pending: 0, until: 0,
-  held: false, steps: 0, dirty: true, drawn: [], available: new Set(), curves: null,
+  held: false, steps: 0, past: null, predicted: false,
+  dirty: true, drawn: [], available: new Set(), curves: null,
 };
 const view = { over: false, colour: "material" };
-
-// --- colours
-
-const probe = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
-/** A colour of the style sheet as components from 0 to 1. */
-function components(name) {
-  const element = document.createElement("i");
-  element.style.color = `var(${name})`;
-  root.append(element);
-  probe.fillStyle = getComputedStyle(element).color;
-  element.remove();
-  probe.fillRect(0, 0, 1, 1);
-  return [...probe.getImageData(0, 0, 1, 1).data].slice(0, 3).map((part) => part / 255);
-}
-/** The same as a CSS colour. */
-const solid = (name) => `rgb(${components(name).map((part) => Math.round(255 * part)).join(" ")})`;
-const system = matchMedia("(prefers-color-scheme: dark)");
-const isDark = () => (root.dataset.theme ?? (system.matches ? "dark" : "light")) === "dark";
-let theme = null;
-function colours() {
-  theme ??= {
-    background: components("--plot"), plain: components("--ghost"), dark: isDark(),
-    chart: {
-      ink: solid("--ink"), muted: solid("--muted"), line: solid("--line"),
-      model: solid("--accent"), baseline: solid("--warm"),
-    },
-  };
-  return theme;
-}
-function resetTheme() {
-  theme = null;
-  now.dirty = true;
+const history = new History();
+const scales = { speed: new SpeedScale(), error: new ErrorScale() };
+const redraw = () => { now.dirty = true; };
+const legend = new Legend(scales, redraw, notify);
+const camera = new Camera(document.querySelectorAll(".plot"), () => {
+  redraw();
+  $("unzoom").hidden = camera.zoom === 1;
+  $("unzoom").textContent = `${camera.zoom.toFixed(1)}× zoom, reset`;
+  $("stage").dataset.zoomed = String(camera.zoom > 1);
+});
+theme.onChange(() => {
+  redraw();
   drawLegend();
   drawCurves();
-}
-system.addEventListener("change", resetTheme);
-function toggleTheme() {
-  root.dataset.theme = isDark() ? "light" : "dark";
-  resetTheme();
-  try { localStorage.setItem("eddy-theme", root.dataset.theme); } catch { /* private windows store nothing */ }
-}
-try {
-  const kept = localStorage.getItem("eddy-theme");
-  if (kept === "light" || kept === "dark") root.dataset.theme = kept;
-} catch { /* the same */ }
+});
 
 // --- the connection
 
@@ -113,11 +91,12 @@ function acknowledge() {
 }
 
 let notifying = 0;
+/** Shows a message in the place of the title. */
 function notify(text) {
   $("message").textContent = text;
-  $("message").classList.add("shown");
+  document.body.dataset.message = "shown";
   clearTimeout(notifying);
-  notifying = setTimeout(() => $("message").classList.remove("shown"), 4000);
+  notifying = setTimeout(() => { delete document.body.dataset.message; }, 4000);
 }
 
 function start(hello) {
@@ -132,7 +111,7 @@ function start(hello) {
   $("horizon-label").hidden = !now.available.has("horizon");
   const { horizon, free_run: freeRun } = hello.settings;
   [$("horizon").min, $("horizon").max] = horizon.range;
-  $("horizon").title = `${horizon.help} (+, −)`;
+  $("horizon-label").title = `${horizon.help} (+, −)`;
   $("free_run").title = `${freeRun.help} (f)`;
   // The source of a node cannot be paused, but the view can be held.
   $("hold").hidden = now.available.has("pause");
@@ -141,11 +120,24 @@ function start(hello) {
   if (restarted) {
     notify("the program was restarted");
     now.frame = now.curves = null;
-    now.dirty = true;
+    forget();
     drawCurves();
   }
+  scales.error.ends = hello.errors;
+  $("evaluation").hidden = !hello.model;
   painter?.colours(hello.materials.map((material) => material.color), hello.scale);
+  arrange();
   drawLegend();
+  listControls();
+}
+
+/** Forgets the frames of another stream. */
+function forget() {
+  history.clear();
+  now.predicted = false;
+  now.past = null;
+  for (const scale of Object.values(scales)) scale.automatic = null;
+  redraw();
 }
 
 // --- particles
@@ -153,156 +145,146 @@ function start(hello) {
 let painter = null;
 let failure = "";
 try {
-  painter = new Painter($("particles"), () => { now.dirty = true; });
+  painter = new Painter($("particles"), redraw);
 } catch (error) {
   failure = error.message;
   $("waiting").textContent = `${failure}: cannot draw particles`;
 }
 
+/** Whether there are predictions, or will be. */
+const predicts = () => Boolean(now.hello?.model) || now.predicted;
+
+/** Arranges the panels: without predictions there is one, and wide domains are stacked. */
+function arrange() {
+  const aspect = now.frame ? aspectOf(now.frame) : 1;
+  const shape = now.frame ? (aspect > 2 ? "wide" : "square") : "square";
+  const stage = $("stage");
+  stage.style.setProperty("--aspect", Math.min(Math.max(aspect, 0.5), 16));
+  stage.dataset.shape = shape;
+  stage.dataset.view = !predicts() ? "alone" : view.over ? "over" : "beside";
+  $("view-label").hidden = $("time-card").hidden = !predicts();
+  $("colour").querySelector("[value=error]").disabled = !predicts();
+  $("waiting").hidden = Boolean(now.frame) && !failure;
+}
+
 function panels() {
-  const layers = (side) => [{ side, colouring: view.colour }];
+  const colouring = view.colour === "error" && !now.frame?.pair ? "plain" : view.colour;
   const plot = (id) => $(id).querySelector(".plot");
-  if (!view.over) {
-    return [
-      { element: plot("truth"), layers: layers("truth") },
-      { element: plot("prediction"), layers: layers("prediction") },
-    ];
+  if ($("stage").dataset.view !== "over") {
+    return ["truth", "prediction"].map((side) => ({ element: plot(side), layers: [{ side, colouring }] }));
   }
   // The truth is drawn larger, so that it is visible as a rim below the prediction.
   const below = { side: "truth", colouring: "plain", growth: 1.5 };
-  return [{ element: plot("prediction"), layers: [below, { side: "prediction", colouring: view.colour, growth: 0.8 }] }];
+  return [{ element: plot("prediction"), layers: [below, { side: "prediction", colouring, growth: 0.8 }] }];
+}
+
+function draw() {
+  const scale = scales[view.colour];
+  painter?.draw(now.frame, panels(), theme.colours(), camera, now.frame && scale ? scale.mapping(now.frame) : [0, 1]);
 }
 
 function tick(time) {
   requestAnimationFrame(tick);
-  const wanted = now.next && (!now.held || now.steps > 0);
-  if (wanted) {
-    now.frame = now.next;
+  if (now.next && now.past === null && (!now.held || now.steps > 0)) {
+    const frame = now.next;
     now.next = null;
     if (now.held) now.steps -= 1;
     acknowledge();
     now.drawn.push(time);
-    now.dirty = true;
-    caption();
+    if (now.frame && now.frame.stream !== frame.stream) forget();
+    history.add(frame);
+    scales[view.colour]?.update(frame);
+    present(frame);
   }
   while (now.drawn.length && now.drawn[0] < time - 2000) now.drawn.shift();
   if (now.dirty) {
     now.dirty = false;
-    painter?.draw(now.frame, panels(), colours());
+    draw();
   }
 }
 requestAnimationFrame(tick);
 
+/** Makes a frame the one that is shown. */
+function present(frame) {
+  const paired = now.frame?.pair;
+  now.frame = frame;
+  now.predicted ||= frame.prediction.present;
+  redraw();
+  caption();
+  arrange();
+  timeline();
+  if (view.colour === "error" && paired !== frame.pair) drawLegend();
+}
+
 function caption() {
-  const frame = now.frame;
-  const { truth, prediction } = frame;
+  const { truth, prediction, horizon, freeRunning } = now.frame;
   const when = (side) => (side.present ? `t = ${side.stamp.toFixed(2)} s, frame ${side.sequence}` : "");
-  const frames = frame.horizon === 1 ? "frame" : "frames";
-  const info = frame.horizon ? `, ${frame.horizon} ${frames} ahead${frame.freeRunning ? ", free run" : ""}` : "";
+  const frames = horizon === 1 ? "frame" : "frames";
+  const info = horizon ? `, ${horizon} ${frames} ahead${freeRunning ? ", free run" : ""}` : "";
   $("truth").querySelector(".when").textContent = when(truth);
   const predicted = prediction.present ? when(prediction) + info : now.hello?.model ? "warming up" : "no prediction";
   $("prediction").querySelector(".when").textContent = predicted;
-  const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
-  $("stage").style.setProperty("--aspect", Math.min(Math.max(aspect, 0.5), 4));
-  $("waiting").hidden = !failure;
 }
 
 function drawLegend() {
   const { hello } = now;
   if (!hello) return;
-  const legend = $("legend");
-  const svg = (width, height, content) => {
-    const holder = document.createElement("span");
-    holder.innerHTML = `<svg width="${width}" height="${height}" aria-hidden="true">${content}</svg>`;
-    return holder;
-  };
-  const css = (parts) => `rgb(${parts.join(",")})`;
-  const entries = [];
-  const named = (fill, text) => {
-    const entry = svg(12, 12, `<circle cx="6" cy="6" r="5.5" fill="${fill}"/>`);
-    entry.append(text);
-    entries.push(entry);
-  };
-  if (view.colour === "material") {
-    for (const { name, color } of hello.materials) named(css(color), name);
-  } else {
-    const from = scaleStart(isDark());
-    const at = (share) => {
-      const place = (from + (1 - from) * share) * 8;
-      const below = Math.min(Math.floor(place), 7);
-      return css([0, 1, 2].map((part) => Math.round(
-        hello.scale[below][part] + (hello.scale[below + 1][part] - hello.scale[below][part]) * (place - below))));
-    };
-    const bars = Array.from({ length: 60 }, (_, i) => `<rect x="${3 * i}" width="3.5" height="10" fill="${at(i / 59)}"/>`);
-    const [low, high] = view.colour === "speed"
-      ? ["0", `${(now.frame?.topSpeed ?? 0).toFixed(1)} domain lengths/s`]
-      : [hello.errors[0].toExponential(0), `${hello.errors[1].toExponential(0)} domain lengths, logarithmic`];
-    const entry = svg(180, 10, bars.join(""));
-    entry.prepend(low);
-    entry.append(high);
-    entries.push(entry);
-  }
-  if (view.over) named(solid("--ghost"), "truth, below the prediction");
-  legend.replaceChildren(...entries);
+  const css = (parts) => `rgb(${parts.join(" ")})`;
+  const { ghost, dark } = theme.colours();
+  const dots = view.colour === "material" ? hello.materials.map(({ name, color }) => [css(color), name]) : [];
+  if (view.colour === "error" && !now.frame?.pair) dots.push([ghost, "no prediction to compare with"]);
+  if ($("stage").dataset.view === "over") dots.push([ghost, "truth, below the prediction"]);
+  legend.show(view.colour, dots, hello.scale, dark);
+}
+
+// --- the timeline
+
+function timeline() {
+  const last = history.length - 1;
+  $("timeline").hidden = last < 1;
+  $("scrub").max = Math.max(last, 0);
+  $("scrub").value = now.past ?? last;
+  const back = now.past === null ? 0 : history.entries[last].at - history.entries[now.past].at;
+  const text = `t = ${timeOf(now.frame).toFixed(2)} s${now.past === null ? "" : ` (${back.toFixed(2)} s back)`}`;
+  $("scrub").setAttribute("aria-valuetext", text);
+  $("moment").textContent = `${text}, last ${history.span.toFixed(1)} s`;
+  $("live").setAttribute("aria-pressed", String(now.past === null && !now.held));
+}
+
+/** Shows a kept frame. Meanwhile the page requests no new ones. */
+function scrub(index) {
+  if (history.length < 2) return;
+  if (index >= history.length - 1) return newest();
+  now.past = Math.max(index, 0);
+  present(history.frame(now.past));
+  drawCurves();
+}
+
+/** Returns to the newest frame. */
+function newest() {
+  if (now.past === null) return;
+  now.past = null;
+  present(history.frame(history.length - 1));
+  drawCurves();
+}
+
+/** Shows new frames as they arrive. */
+function live() {
+  if (now.held) hold(false);
+  newest();
 }
 
 // --- metrics and curves
 
-const duration = (seconds) =>
-  seconds >= 1 ? `${seconds.toFixed(1)} s` : `${(1e3 * seconds).toFixed(seconds < 0.01 ? 2 : 1)} ms`;
-const count = (number) => number.toLocaleString("en");
-let before = null;
-
-function rate(metrics) {
-  const time = performance.now();
-  const last = before;
-  if (!last || metrics.observed < last.metrics.observed) before = { time, metrics };
-  if (!last || time - last.time < 200) return null;
-  if (time - last.time > 2000) before = { time, metrics };
-  return (1e3 * (metrics.observed - last.metrics.observed)) / (time - last.time);
-}
-
-function rows(list, entries) {
-  list.replaceChildren(...entries.flatMap(([name, value]) => {
-    const [term, text] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    text.textContent = value;
-    text.dataset.name = name;
-    return [term, text];
-  }));
-}
-
 function show(metrics) {
   now.metrics = metrics;
   now.curves = metrics.curves;
-  const { node, page } = metrics;
-  const observed = rate(metrics);
-  const span = now.drawn.length > 1 ? now.drawn.at(-1) - now.drawn[0] : 0;
-  const drawnRate = span > 0 && performance.now() - now.drawn.at(-1) < 1000 ? (1e3 * (now.drawn.length - 1)) / span : 0;
-  const entries = [];
-  if (now.frame) entries.push(["particles", count(now.frame.particles)]);
-  if (observed != null) entries.push(["frames observed", `${observed.toFixed(0)} /s`]);
-  if (node) {
-    entries.push(["predictions", `${node.rate.toFixed(0)} /s`]);
-    entries.push(["latency p50, p99", node.rate > 0 ? `${duration(node.latency[0])}, ${duration(node.latency[1])}` : "-"]);
-    entries.push(["frames lost by the node", count(node.lost)]);
-    entries.push(["streams", count(node.streams)]);
-  } else {
-    entries.push(["streams", count(metrics.streams.length)]);
-  }
-  entries.push(["frames sent to this page", count(page.sent)]);
-  entries.push(["frames skipped by this page", count(page.dropped + page.skipped)]);
-  entries.push(["open pages", count(page.browsers)]);
-  entries.push(["display rate", `${drawnRate.toFixed(0)} /s`]);
-  if (now.hello?.model) entries.push(["model", now.hello.model.slice(0, 12)]);
-  rows($("metrics"), entries);
+  showMetrics(metrics, now.hello, now.frame, now.drawn);
   $("renderer").textContent = painter ? `renderer: ${painter.renderer}` : failure;
-  rows($("counters"), (node?.counters ?? []).map(([name, value]) => [name.replaceAll("_", " "), count(value)]));
-
   if (isSettled()) showState(metrics.state);
   streams(metrics);
-  drawCurves();
-  if (view.colour === "speed") drawLegend();
+  if (now.past === null) drawCurves();
+  legend.limits(false);
 }
 
 /** Shows the state of the controls; while commands are pending, the state they will lead to. */
@@ -337,17 +319,18 @@ function streams({ streams: all, stream, following }) {
 
 function drawCurves() {
   const curves = now.curves ?? { time: [], horizon: [], baseline: null };
-  const { chart } = colours();
+  const { chart } = theme.colours();
+  const mark = now.past === null ? null : timeOf(now.frame);
   const { baseline } = curves;
-  const time = drawChart($("error-time"), curves.time, { unit: "s", baseline, colours: chart, gap: 0.5 });
+  const time = drawChart($("error-time"), curves.time, { title: "simulation time (s)", baseline, colours: chart, gap: 0.5, mark });
   $("error-time").setAttribute("aria-label", `Error over time: ${time}`);
   $("horizon-card").hidden = curves.horizon.length < 2;
   if (curves.horizon.length >= 2) {
-    const horizon = drawChart($("error-horizon"), curves.horizon, { unit: "frames ahead", baseline, colours: chart, decimals: 0 });
-    $("error-horizon").setAttribute("aria-label", `Error by horizon: ${horizon}`);
+    const horizon = drawChart($("error-horizon"), curves.horizon, { title: "frames ahead", baseline, colours: chart, decimals: 0 });
+    $("error-horizon").setAttribute("aria-label", `Error by frames ahead: ${horizon}`);
   }
 }
-addEventListener("resize", () => { now.dirty = true; drawCurves(); });
+addEventListener("resize", () => { redraw(); drawCurves(); });
 
 // --- commands
 
@@ -374,6 +357,7 @@ function hold(held) {
   now.held = held;
   now.steps = 0;
   $("hold").setAttribute("aria-pressed", String(held));
+  if (now.frame) timeline();
   $("step").hidden = !(now.available.has("step") || held);
 }
 const actions = {
@@ -382,12 +366,15 @@ const actions = {
     else hold(!now.held);
   },
   step() {
-    if (now.held) now.steps += 1;
+    if (now.past !== null) scrub(now.past + 1);
+    else if (now.held) now.steps += 1;
     else if (now.available.has("step")) {
       if (!now.state.paused) pause(true);
       send("step");
     }
   },
+  previous: () => scrub((now.past ?? history.length - 1) - 1),
+  live,
   reset: () => now.available.has("reset") && send("reset"),
   free_run: () => toggle("free_run"),
   publish_all: () => toggle("publish_all"),
@@ -401,28 +388,55 @@ const actions = {
   longer: (by) => actions.horizon(Math.max(1, (now.state.horizon ?? 1) + by)),
   skip: (seconds) => now.available.has("skip") && send("skip", { seconds }),
   view() {
+    if (!predicts()) return;
     view.over = !view.over;
     $("view").value = view.over ? "over" : "beside";
-    $("stage").dataset.view = $("view").value;
     $("prediction").querySelector("b").textContent = view.over ? "Truth and prediction" : "Prediction";
-    now.dirty = true;
+    arrange();
+    redraw();
     drawLegend();
   },
   colour(to) {
-    const all = ["material", "speed", "error"];
+    const all = ["material", "speed", ...(predicts() ? ["error"] : [])];
     view.colour = to ?? all[(all.indexOf(view.colour) + 1) % all.length];
     $("colour").value = view.colour;
-    now.dirty = true;
+    const scale = scales[view.colour];
+    if (now.frame) scale?.update(now.frame);
+    redraw();
     drawLegend();
   },
-  theme: toggleTheme,
+  zoom: (factor) => camera.magnify(factor, shownPlot()),
+  pan: (right, up) => camera.pan([right, up].map((share) => share * 60), shownPlot()),
+  unzoom: () => camera.reset(),
+  picture() {
+    if (!now.frame) return notify("no frame yet");
+    const { dark, chart, paper } = theme.colours();
+    const { hello, metrics } = now;
+    const [skill, of] = skillText(metrics?.skill);
+    const lines = [`eddy ${hello.command}: ${hello.title}`];
+    if (skill && now.past === null) lines.push(`${skill} ${of}`);
+    draw();
+    const picture = compose($("stage"), $("particles"), lines,
+      (pen, left, y, ink) => legend.draw(pen, left, y, hello.scale, dark, ink), { ...chart, paper });
+    save(picture, `eddy-${timeOf(now.frame).toFixed(2)}s.png`).then(() => notify("picture saved"));
+  },
+  more() {
+    const open = $("controls").dataset.open !== "true";
+    $("controls").dataset.open = String(open);
+    $("more").setAttribute("aria-expanded", String(open));
+    $("more").textContent = open ? "Less" : "More";
+    redraw();
+  },
+  theme: theme.toggle,
   help: () => ($("keys").open ? $("keys").close() : $("keys").showModal()),
 };
 
-for (const name of ["pause", "step", "reset", "free_run", "publish_all", "theme", "help"]) {
+const shownPlot = () => [...document.querySelectorAll(".plot")].find((plot) => plot.clientWidth > 0);
+for (const name of ["pause", "step", "reset", "free_run", "publish_all", "theme", "help", "picture", "more", "live", "unzoom"]) {
   $(name).addEventListener("click", () => actions[name]());
 }
 $("hold").addEventListener("click", () => actions.pause());
+$("scrub").addEventListener("input", (event) => scrub(Number(event.target.value)));
 $("back").addEventListener("click", () => actions.skip(-5));
 $("forward").addEventListener("click", () => actions.skip(5));
 $("horizon").addEventListener("change", (event) => actions.horizon(Number(event.target.value)));
@@ -434,28 +448,14 @@ $("view").addEventListener("change", () => actions.view());
 $("colour").addEventListener("change", (event) => actions.colour(event.target.value));
 $("stream").addEventListener("change", (event) => link.send({ select: event.target.value || null }));
 
-const KEYS = [
-  [" ", "space", "pause or resume", () => actions.pause()],
-  ["ArrowRight", "→", "advance by one frame", () => actions.step()],
-  ["r", "r", "reset all streams", () => actions.reset()],
-  ["f", "f", "free run on or off", () => actions.free_run()],
-  ["+", "+", "horizon + 1 frame", () => actions.longer(1)],
-  ["-", "−", "horizon − 1 frame", () => actions.longer(-1)],
-  ["o", "o", "side by side or overlaid", () => actions.view()],
-  ["c", "c", "next colour mode", () => actions.colour()],
-  ["t", "t", "light or dark", () => actions.theme()],
-  ["?", "?", "these keys", () => actions.help()],
-];
-rows($("key-list"), KEYS.map(([, shown, what]) => [shown, what]));
-addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const { target } = event;
-  if (target.closest("input, select, dialog")) return;
-  // The space bar presses a focused button.
-  if (event.key === " " && target.closest("button, summary")) return;
-  const found = KEYS.find(([key]) => key === event.key);
-  if (!found) return;
-  event.preventDefault();
-  found[3]();
-});
+/** Lists what the available controls do, for devices without tooltips. */
+function listControls() {
+  const controls = [...$("controls").querySelectorAll("button, label")]
+    .filter((control) => !control.hidden && control.id !== "more");
+  rows($("control-list"), controls.map((control) => {
+    const name = control.tagName === "LABEL" ? control.querySelector("span").textContent : control.textContent;
+    return [name, control.title];
+  }));
+}
+listen(actions);
 drawCurves();

@@ -1,6 +1,6 @@
 // Two curves on a logarithmic axis: the error of the model and of the best baseline.
 
-const MARGIN = { left: 46, right: 12, top: 22, bottom: 26 };
+const MARGIN = { left: 46, right: 12, top: 22, bottom: 40 };
 
 /** A power of ten as text: 10⁻⁴. */
 function power(exponent) {
@@ -15,8 +15,11 @@ function nice(span, parts) {
   return ten * [1, 2, 5, 10].find((step) => step * ten >= rough);
 }
 
-/** `rows` are [x, model, baseline or null]; returns a description of the last row. */
-export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap = Infinity }) {
+/**
+ * `rows` are [x, model, baseline or null], `title` that of the horizontal axis, `mark` a place on it. Returns a
+ * description of the last row.
+ */
+export function draw(canvas, rows, { title, baseline, colours, decimals = 1, gap = Infinity, mark = null }) {
   const density = devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   if (!width) return "";
@@ -60,10 +63,16 @@ export function draw(canvas, rows, { unit, baseline, colours, decimals = 1, gap 
   const step = Math.max(nice(last - first || 1, Math.max(2, width / 110)), decimals ? 0 : 1);
   const digits = step < 1 ? Math.max(decimals, Math.ceil(-Math.log10(step) - 1e-9)) : 0;
   for (let value = Math.ceil(first / step) * step; value <= last + 1e-9; value += step) {
-    pen.fillText(`${value.toFixed(digits)}`, x(value), height - 8);
+    pen.fillText(`${value.toFixed(digits)}`, x(value), height - MARGIN.bottom + 17);
   }
-  pen.textAlign = "right";
-  pen.fillText(unit, width - MARGIN.right, height - MARGIN.bottom - 6);
+  pen.fillText(title, MARGIN.left + (width - MARGIN.left - MARGIN.right) / 2, height - 6);
+  if (mark != null && mark >= first && mark <= last) {
+    pen.strokeStyle = colours.muted;
+    pen.beginPath();
+    pen.moveTo(x(mark), MARGIN.top);
+    pen.lineTo(x(mark), height - MARGIN.bottom);
+    pen.stroke();
+  }
 
   const curve = (column, colour, dashes) => {
     pen.strokeStyle = colour;

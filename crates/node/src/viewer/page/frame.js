@@ -1,6 +1,6 @@
 // A displayed frame as bytes; the layout is described in `viewer::wire`.
 
-const VERSION = 1;
+const VERSION = 2;
 const HEADER = 96;
 
 /** Decodes an ArrayBuffer; null if it is not a frame. Offsets are in bytes, for WebGL. */
@@ -37,3 +37,8 @@ export function read(buffer) {
     materials: HEADER + 11 * particles,
   };
 }
+
+/** Width over height of the domain. */
+export const aspectOf = ({ lower, upper }) => (upper[0] - lower[0]) / (upper[1] - lower[1]);
+/** Simulation time (s): of the truth, or of the prediction if it is alone. */
+export const timeOf = ({ truth, prediction }) => (truth.present ? truth : prediction).stamp;

@@ -1,15 +1,21 @@
 // Draws particles with WebGL 2, directly from the received bytes.
 
+import { aspectOf } from "/frame.js";
+import { colourStart } from "/scale.js";
+
 const VERTEX = `#version 300 es
 layout(location = 0) in vec2 position;  // 0 to 1 across the domain
-layout(location = 1) in float speed;    // 0 to 1 of the top speed
+layout(location = 1) in float speed;    // square root of the share of the top speed
 layout(location = 2) in float error;    // 0 to 1, logarithmic
 layout(location = 3) in uint material;
+uniform vec2 centre;                    // of the view, 0 to 1 across the domain
+uniform vec2 extent;                    // of the domain, 1 if it is as large as the plot
 uniform float size;
 uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
 uniform vec3 materials[4];
 uniform vec3 scale[9];
 uniform float from;                     // start of the scale
+uniform vec2 limits;                    // offset and factor that make a share of the scale of a level
 uniform vec3 plain;
 out vec3 colour;
 vec3 shade(float share) {
@@ -18,10 +24,11 @@ vec3 shade(float share) {
   return mix(scale[below], scale[below + 1], at - float(below));
 }
 void main() {
-  gl_Position = vec4(2.0 * position - 1.0, 0.0, 1.0);
+  gl_Position = vec4(2.0 * (position - centre) * extent, 0.0, 1.0);
   gl_PointSize = size;
+  float level = colouring == 1 ? speed * speed : error;
   colour = colouring == 0 ? materials[min(material, 3u)]
-    : colouring == 1 ? shade(speed) : colouring == 2 ? shade(error) : plain;
+    : colouring == 3 ? plain : shade((level - limits.x) * limits.y);
 }`;
 
 const FRAGMENT = `#version 300 es
@@ -39,8 +46,9 @@ void main() {
 const COLOURINGS = ["material", "speed", "error", "plain"];
 // Share of the domain that particles at rest cover, approximately.
 const COVERAGE = 0.22;
-/** Start of the colour scale, 0 to 1: its dark end is invisible on a dark background. */
-export const scaleStart = (dark) => (dark ? 0.18 : 0);
+// Largest particle (pixels), without and with zoom.
+const LARGEST = 10;
+const LARGEST_ZOOMED = 48;
 
 export class Painter {
   /** `redraw` is called when the drawing was lost. */
@@ -74,7 +82,7 @@ export class Painter {
     }
     gl.useProgram(program);
     this.uniform = Object.fromEntries(
-      ["size", "colouring", "materials", "scale", "from", "plain", "strength"]
+      ["centre", "extent", "size", "colouring", "materials", "scale", "from", "limits", "plain", "strength"]
         .map((name) => [name, gl.getUniformLocation(program, name)]));
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     for (let place = 0; place < 4; place++) gl.enableVertexAttribArray(place);
@@ -91,8 +99,11 @@ export class Painter {
     this.palette = [flat(materials), flat(scale)];
   }
 
-  /** Draws `frame` into panels: each has an element, and layers with side, colouring, strength and growth. */
-  draw(frame, panels, { background, plain, dark }) {
+  /**
+   * Draws `frame` into panels: each has an element, and layers with side, colouring, strength and growth. `limits` are
+   * those of the colour scale.
+   */
+  draw(frame, panels, { background, outside, plain, dark }, camera, limits) {
     const { gl, canvas, uniform } = this;
     if (gl.isContextLost() || !this.palette) return;
     const box = canvas.getBoundingClientRect();
@@ -109,31 +120,44 @@ export class Painter {
     }
     gl.uniform3fv(uniform.materials, this.palette[0]);
     gl.uniform3fv(uniform.scale, this.palette[1]);
-    gl.uniform1f(uniform.from, scaleStart(dark));
+    gl.uniform1f(uniform.from, colourStart(dark));
+    gl.uniform2fv(uniform.limits, limits);
     gl.uniform3fv(uniform.plain, plain);
+    gl.uniform2fv(uniform.centre, camera.centre);
     for (const { element, layers } of panels) {
       const rect = element.getBoundingClientRect();
       if (!rect.width) continue;
-      // Inside the border, with the aspect ratio of the domain.
-      let [left, top, wide, high] = [rect.left - box.left + 1, rect.top - box.top + 1, rect.width - 2, rect.height - 2];
-      if (frame) {
-        const aspect = (frame.upper[0] - frame.lower[0]) / (frame.upper[1] - frame.lower[1]);
-        const fitted = Math.min(wide, high * aspect);
-        left += (wide - fitted) / 2;
-        top += (high - fitted / aspect) / 2;
-        [wide, high] = [fitted, fitted / aspect];
+      const pixels = (left, top, wide, high) =>
+        [left, box.height - top - high, wide, high].map((length) => Math.round(length * density));
+      const [left, top, wide, high] = [rect.left - box.left, rect.top - box.top, rect.width, rect.height];
+      const plot = pixels(left, top, wide, high);
+      gl.viewport(...plot);
+      const fill = (place, colour) => {
+        gl.scissor(...place);
+        gl.clearColor(...colour, 1);
+        gl.clear(gl.COLOR_BUFFER_BIT);
+      };
+      if (!frame) {
+        fill(plot, background);
+        continue;
       }
-      const place = [left, box.height - top - high, wide, high].map((length) => Math.round(length * density));
-      gl.viewport(...place);
-      gl.scissor(...place);
-      gl.clearColor(...background, 1);
-      gl.clear(gl.COLOR_BUFFER_BIT);
-      if (!frame) continue;
-      const spacing = Math.sqrt(COVERAGE * place[2] * place[3] / frame.particles);
+      fill(plot, outside);
+      camera.aspect = aspectOf(frame);
+      const fitted = camera.fitted(wide, high).map((length) => length * camera.zoom);
+      const edge = (length, size, centre) => {
+        const low = length / 2 - centre * size;
+        return [Math.max(low, 0), Math.min(low + size, length)];
+      };
+      const [west, east] = edge(wide, fitted[0], camera.centre[0]);
+      const [south, north] = edge(high, fitted[1], camera.centre[1]);
+      fill(pixels(left + west, top + high - north, east - west, north - south), background);
+      gl.uniform2f(uniform.extent, fitted[0] / wide, fitted[1] / high);
+      const area = (fitted[0] * fitted[1] * density * density) / camera.zoom ** 2;
+      const spacing = Math.sqrt((COVERAGE * area) / frame.particles);
       for (const { side, colouring, strength = 1, growth = 1 } of layers) {
         if (!frame[side].present) continue;
-        const size = Math.min(Math.max(1.15 * growth * spacing, 1.3 * density), 10 * density);
-        gl.uniform1f(uniform.size, size);
+        const size = Math.min(Math.max(1.15 * growth * spacing, 1.3 * density), LARGEST * density);
+        gl.uniform1f(uniform.size, Math.min(size * camera.zoom, LARGEST_ZOOMED * density));
         gl.uniform1f(uniform.strength, strength);
         gl.uniform1i(uniform.colouring, COLOURINGS.indexOf(colouring));
         gl.vertexAttribPointer(0, 2, gl.UNSIGNED_SHORT, true, 4, frame[side].position);
