@@ -4,10 +4,11 @@
 //
 // Runs `eddy demo`, inspects the pixels of the page, uses its controls, kills and restarts the program, opens ten
 // tabs at once and narrow windows, and switches between light and dark. Prints the browser's frame rate and renderer.
+// `eddy replay` shows a recording without predictions, and one of a wide domain with them.
 
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
-import { mkdirSync, mkdtempSync, rmSync } from "node:fs";
+import { execFileSync, spawn } from "node:child_process";
+import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -43,15 +44,14 @@ function freePort() {
 
 let started = 0;
 const children = [];
-/** Starts `eddy demo` with its page on `port`. */
-async function demo(port) {
-  const output = join(work, `demo-${started++}`);
-  const child = spawn(eddy, ["demo", "--port", String(port), "--output", output], { stdio: ["ignore", "pipe", "inherit"] });
+/** Starts `eddy` with a page. */
+async function serve(...args) {
+  const child = spawn(eddy, args, { stdio: ["ignore", "pipe", "inherit"] });
   children.push(child);
   let printed = "";
   child.stdout.on("data", (bytes) => { printed += bytes; });
-  const url = await until("the demo prints the URL of its page", () => {
-    assert.equal(child.exitCode, null, `the demo ended: ${printed}`);
+  const url = await until("the program prints the URL of its page", () => {
+    assert.equal(child.exitCode, null, `${args} ended: ${printed}`);
     return printed.match(/page: +(http:\S+)/)?.[1];
   });
   const kill = async () => {
@@ -61,6 +61,15 @@ async function demo(port) {
   };
   return { url, kill };
 }
+/** Starts `eddy demo` with its page on `port`. */
+const demo = (port) => serve("demo", "--port", String(port), "--output", join(work, `demo-${started++}`));
+/** Plays a bag in a loop, with a page. */
+const replay = (bag) => {
+  // Topics that no other process on this machine uses.
+  const remap = ["", "/status"].map((end) => `/prediction${end}:=/check_page_${process.pid}/prediction${end}`);
+  const topics = [`/particles:=/check_page_${process.pid}/particles`, ...remap].flatMap((one) => ["--remap", one]);
+  return serve("replay", bag, "--to", "shm", "--loop", "--view", "0", ...topics);
+};
 
 const browser = await chromium.launch({
   executablePath: "/usr/bin/chromium",
@@ -109,6 +118,10 @@ async function colours(page, selector, palette, near = 40) {
   }, [png, palette, near]);
 }
 
+/** Width and height of a PNG. */
+const sizeOf = (png) => [png.readUInt32BE(16), png.readUInt32BE(20)];
+const VIRIDIS = [[68, 1, 84], [59, 81, 139], [33, 144, 141], [92, 200, 99], [253, 231, 37]];
+const GHOST = [185, 192, 201];
 const LIQUID = [0, 114, 178];
 const JELLY = [230, 159, 0];
 const metric = (page, name) => page.locator(`dd[data-name="${name}"]`).first().textContent({ timeout: DEADLINE });
@@ -158,6 +171,9 @@ try {
   await page.locator("#horizon").blur();
   await page.locator("#pause").click();
   await until("predictions are ten frames ahead", async () => /, 10 frames ahead$/.test(await caption(page, "prediction")));
+  // Only horizons that are predicted at present are in the curve: one is no curve.
+  await sleep(1000);
+  assert.ok(await page.locator("#horizon-card").isHidden(), "no curve by frames ahead of one horizon");
   await page.locator("#publish_all").click();
   await until("the curve by horizon appears", () => page.locator("#horizon-card").isVisible());
   await sleep(1500);
@@ -181,17 +197,118 @@ try {
   await until("the resets are counted", async () => (await resets()) >= before + 2);
   console.log("controls: pause, step, horizon, all frames, free run, reset");
 
-  for (const [colour, palette] of [["speed", [[68, 1, 84], [59, 81, 139]]], ["error", [[33, 144, 141], [59, 81, 139], [92, 200, 99]]]]) {
+  // Colours by speed and by error: limits from percentiles, or typed.
+  for (const colour of ["speed", "error"]) {
     await page.locator("#colour").selectOption(colour);
-    await until(`it is coloured by ${colour}`, async () => {
-      const shares = await colours(page, "#prediction .plot", palette, 70);
+    await until(`it is coloured by ${colour}, in many colours`, async () => {
+      const shares = await colours(page, "#prediction .plot", VIRIDIS, 60);
       const [liquid, jelly] = await colours(page, "#prediction .plot", [LIQUID, JELLY], 15);
-      return shares.some((share) => share > 0.01) && liquid + jelly < 0.05;
+      return shares.filter((share) => share > 0.002).length >= 3 && liquid + jelly < 0.05;
     });
+    const limits = await Promise.all(["#low", "#high"].map(async (field) => Number(await page.locator(field).inputValue())));
+    assert.ok(limits[0] < limits[1], `limits ${limits}`);
     await snap(page, colour);
   }
+  await page.locator("#colour").selectOption("speed");
+  await page.locator("#high").fill("1000");
+  await page.locator("#high").press("Enter");
+  await until("all is slow on the typed scale", async () => {
+    const [slow, ...others] = await colours(page, "#prediction .plot", VIRIDIS, 60);
+    return slow > 0.01 && others.every((share) => share < 0.002);
+  });
+  await page.locator("#low").fill("2000");
+  await page.locator("#low").press("Enter");
+  await until("limits in the wrong order are refused", async () => /expected the lower one first/.test(await page.locator("#message").textContent()));
+  // The message is in the header, and covers nothing.
+  assert.ok(await page.locator("#message").isVisible());
+  const [bar, toast] = await Promise.all(["header", "#message"].map((one) => page.locator(one).boundingBox()));
+  assert.ok(toast.y >= bar.y && toast.y + toast.height <= bar.y + bar.height, "the message is in the header");
+  await page.locator("#auto").click();
+  await until("the limits are automatic again", async () => Number(await page.locator("#high").inputValue()) < 100);
+
+  // Errors are grey without a prediction of the same instant.
+  await page.locator("#colour").selectOption("error");
+  await page.locator("#colour").blur();
+  await page.locator("#pause").click();
+  await until("it pauses", async () => (await page.locator("#pause").textContent()) === "Resume");
+  await page.keyboard.press("r");
+  await until("the streams are reset", async () => /Reset/.test(await page.locator("#message").textContent()));
+  await page.keyboard.press("ArrowRight");
+  await until("errors are grey while the model warms up", async () => {
+    const [grey, ...others] = await colours(page, "#truth .plot", [GHOST, ...VIRIDIS], 25);
+    return grey > 0.01 && others.every((share) => share < 0.001);
+  });
+  assert.match(await page.locator("#swatches").textContent(), /no prediction to compare with/);
+  await snap(page, "error-without-prediction");
   await page.locator("#colour").selectOption("material");
   await page.locator("#colour").blur();
+  await page.locator("#pause").click();
+  await draws(page);
+  await until("the skill is a number", async () => /^[+−][\d.]+$/.test(await page.locator("#skill b").textContent()));
+  console.log(`colour scales; skill ${await page.locator("#skill").textContent()}`);
+
+  // The timeline: back by keys and slider while the source goes on, and live again.
+  const newest = await frame(page);
+  for (let step = 0; step < 5; step++) await page.keyboard.press("ArrowLeft");
+  const past = await frame(page);
+  assert.equal(await page.locator("#live").getAttribute("aria-pressed"), "false");
+  await sleep(500);
+  assert.equal(await frame(page), past, "the past does not move");
+  await page.keyboard.press("ArrowLeft");
+  assert.ok((await frame(page)) < past, "one frame back");
+  await page.locator("#scrub").evaluate((slider) => { slider.value = 0; slider.dispatchEvent(new Event("input")); });
+  const oldest = await frame(page);
+  assert.ok(oldest < newest - 20, `the timeline goes back from ${newest} to ${oldest}`);
+  await snap(page, "scrubbed");
+  await page.locator("#live").click();
+  await until("it is live again", async () => (await frame(page)) > newest + 5);
+  const kept = Number((await page.locator("#moment").textContent()).match(/last ([\d.]+) s/)[1]);
+  assert.ok(kept > 0 && kept < 20.5, `${kept} s are kept`);
+
+  // Zoom and pan: wheel, dragging, keys, double click.
+  const covered = async () => (await colours(page, "#truth .plot", [LIQUID, JELLY])).reduce((sum, share) => sum + share);
+  const plot = await page.locator("#truth .plot").boundingBox();
+  const zoom = async () => Number((await page.locator("#unzoom").textContent()).match(/^([\d.]+)×/)?.[1] ?? 1);
+  await page.keyboard.press("Space");
+  await sleep(500);
+  const whole = await covered();
+  await page.mouse.move(plot.x + plot.width / 2, plot.y + 0.85 * plot.height);
+  await page.mouse.wheel(0, -700);
+  await until("the wheel zooms", async () => (await zoom()) > 2 && (await page.locator("#unzoom").isVisible()));
+  assert.notEqual((await covered()).toFixed(3), whole.toFixed(3), "another part of the domain");
+  await snap(page, "zoomed");
+  const pixels = async () => (await page.locator("#prediction .plot").screenshot()).toString("base64");
+  let seen = await pixels();
+  await page.mouse.down();
+  await page.mouse.move(plot.x + plot.width / 2 - 150, plot.y + 0.6 * plot.height, { steps: 4 });
+  await page.mouse.up();
+  await until("dragging pans both panels", async () => (await pixels()) !== seen);
+  seen = await pixels();
+  await page.keyboard.press("Shift+ArrowLeft");
+  await until("keys pan", async () => (await pixels()) !== seen);
+  const before2 = await zoom();
+  await page.keyboard.press("z");
+  await until("keys zoom", async () => (await zoom()) > before2);
+  await page.mouse.dblclick(plot.x + plot.width / 2, plot.y + plot.height / 2);
+  await until("a double click shows the whole domain", () => page.locator("#unzoom").isHidden());
+  await until("as before", async () => Math.abs((await covered()) - whole) < 0.002);
+
+  // The picture has both panels.
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#picture").click()]);
+  assert.match(download.suggestedFilename(), /^eddy-[\d.]+s\.png$/);
+  const png = readFileSync(await download.path());
+  const [wide, high] = sizeOf(png);
+  assert.ok(wide > 2 * plot.width && high > plot.height, `a picture of ${wide} x ${high} pixels`);
+  if (pictures) writeFileSync(join(pictures, "picture.png"), png);
+  await easel.setContent(`<img src="data:image/png;base64,${png.toString("base64")}">`);
+  for (const left of [0.05, 0.55]) {
+    const clip = { x: 8 + left * wide, y: 8 + 0.1 * high, width: 0.4 * wide, height: 0.7 * high };
+    await easel.setViewportSize({ width: wide + 20, height: high + 20 });
+    const half = await easel.screenshot({ clip });
+    assert.ok(half.length > 5000, `half of the picture from ${left} has ${half.length} bytes`);
+  }
+  await page.keyboard.press("Space");
+  console.log(`timeline of ${kept} s, zoom, a picture of ${wide} x ${high} pixels`);
 
   // Light and dark colour schemes.
   const ground = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
@@ -216,16 +333,34 @@ try {
     .filter((one) => !(one.ariaLabel || one.textContent.trim() || one.closest("label")?.textContent.trim()))
     .map((one) => one.id));
   assert.deepEqual(unnamed, [], "all controls have names");
+  const silent = await page.evaluate(() => [...document.querySelectorAll("main button, main input, main select, header button")]
+    .filter((one) => !(one.title || one.closest("label")?.title)).map((one) => one.id));
+  assert.deepEqual(silent, [], "all controls have tooltips");
 
   // A narrow screen.
-  for (const width of [320, 390]) {
-    const phone = await tab(running.url, { viewport: { width, height: 780 } });
+  for (const width of [320, 360, 390]) {
+    const phone = await tab(running.url, { viewport: { width, height: 780 }, hasTouch: true });
     await draws(phone);
     const [content, window] = await phone.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
     assert.ok(content <= window, `${content} pixels in a window of ${window}`);
     const [one, other] = await Promise.all(["#truth", "#prediction"].map((side) => phone.locator(side).boundingBox()));
     assert.ok(other.y >= one.y + one.height, "the panels are stacked");
+    const controls = (await phone.locator("#controls").boundingBox()).height;
+    assert.ok(width < 360 || controls < 120, `the controls take ${controls} pixels`);
     await snap(phone, `narrow-${width}`);
+    assert.ok(await phone.locator("#horizon").isHidden());
+    await phone.locator("#more").click();
+    assert.ok(await phone.locator("#horizon").isVisible(), "more controls");
+    // Two fingers zoom.
+    await phone.locator("#truth .plot").scrollIntoViewIfNeeded();
+    const { x, y, width: side } = await phone.locator("#truth .plot").boundingBox();
+    const touch = await phone.context().newCDPSession(phone);
+    for (const [type, apart] of [["touchStart", 20], ["touchMove", 40], ["touchMove", 60], ["touchMove", 80]]) {
+      const touchPoints = [-1, 1].map((sign, id) => ({ x: x + side / 2 + sign * apart, y: y + 100, id }));
+      await touch.send("Input.dispatchTouchEvent", { type, touchPoints });
+    }
+    await touch.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+    await until("two fingers zoom", () => phone.locator("#unzoom").isVisible());
     await phone.context().close();
   }
   console.log("narrow screens");
@@ -258,6 +393,40 @@ try {
   await draws(page);
   console.log("reconnects");
   await running.kill();
+
+  // A recording without predictions has no panel for them; wide domains are stacked.
+  const scene = join(work, "wide.toml");
+  writeFileSync(scene, `domain = [8.0, 1.0]\nframes.duration = 1.5\n[[bodies]]\nmaterial = "liquid"\n`
+    + `shape.rectangle.size = [2.0, 0.4]\nposition = [3.0, 0.3]\nvelocity = [1.0, 0.0]\n`);
+  const run = (...args) => execFileSync(eddy, [...args, "--quiet"], { stdio: ["ignore", "ignore", "inherit"] });
+  const [truthBag, predictedBag, both] = ["wide", "predicted", "both"].map((name) => join(work, name));
+  run("simulate", "--scene", scene, "--output", truthBag);
+  const recording = join(truthBag, "scene_0000");
+  run("predict", "--input", recording, "--output", predictedBag);
+  run("bag", "merge", recording, predictedBag, "--output", both);
+  const alone = await replay(recording);
+  const single = await tab(alone.url);
+  await until("the recording is drawn", async () => (await colours(single, "#truth .plot", [LIQUID]))[0] > 0.01);
+  assert.ok(await single.locator("#prediction").isHidden(), "no empty panel");
+  assert.ok(await single.locator("#time-card").isHidden(), "no empty chart");
+  await snap(single, "replay-alone");
+  await single.context().close();
+  await alone.kill();
+  const compared = await replay(both);
+  for (const width of [1280, 360]) {
+    const stacked = await tab(compared.url, { viewport: { width, height: 900 }, colorScheme: "dark" });
+    await until("both sides are drawn", async () => {
+      const shares = await Promise.all(["#truth .plot", "#prediction .plot"].map((one) => colours(stacked, one, [LIQUID])));
+      return shares.every(([liquid]) => liquid > 0.01);
+    });
+    const [one, other] = await Promise.all(["#truth .plot", "#prediction .plot"].map((side) => stacked.locator(side).boundingBox()));
+    assert.ok(other.y >= one.y + one.height, "wide domains are stacked");
+    assert.ok(one.height >= 70 && one.width > 0.9 * (width - 40), `a panel of ${one.width} x ${one.height} pixels`);
+    await snap(stacked, `wide-${width}`);
+    await stacked.context().close();
+  }
+  await compared.kill();
+  console.log("replays: without predictions, of a wide domain");
 
   assert.deepEqual(faults, []);
   console.log("no requests to other origins, no errors");
