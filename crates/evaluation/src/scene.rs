@@ -87,6 +87,8 @@ pub struct SceneResult {
     pub kind: Kind,
     /// Rollouts of each predictor with a true frame at each of [`SHOWN_FRAMES`] within the horizon.
     pub compared: Vec<usize>,
+    /// Frames ahead up to which every rollout has a true frame.
+    pub complete: usize,
     /// One per predictor.
     pub accumulators: Vec<Accumulator>,
 }
@@ -118,9 +120,11 @@ pub fn evaluate_scene(
     let kind = Kind::of(&stream.material);
     let shown = SHOWN_FRAMES.into_iter().filter(|&ahead| ahead <= horizon);
     let compared: Vec<usize> = shown.map(compared).collect();
+    let after_last = stream.states.len().saturating_sub(1 + starts.iter().max().unwrap_or(&0));
+    let complete = after_last.min(horizon);
     let result = |starts: Vec<usize>, accumulators: Vec<Accumulator>| {
         let (id, name, materials) = (stream.id, stream.name(), stream.materials());
-        SceneResult { id, name, materials, starts, kind, compared, accumulators }
+        SceneResult { id, name, materials, starts, kind, compared, complete, accumulators }
     };
     if starts.is_empty() {
         return Ok(result(starts, vec![Accumulator::new(context); predictors.len()]));
@@ -220,6 +224,8 @@ mod tests {
         let result = evaluate_scene(&context, &predictors, &stream, None).unwrap();
         assert_eq!(result.windows(), 4);
         assert_eq!(result.compared, [4, 4, 4, 4, 3, 1], "{:?}", context.starts(120));
+        let last_start = context.starts(120).into_iter().max().unwrap();
+        assert_eq!(result.complete, 119 - last_start);
         let [truth, straight] = &result.accumulators[..] else { panic!() };
 
         assert_eq!(truth.blow_ups, BlowUps::default());

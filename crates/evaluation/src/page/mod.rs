@@ -8,7 +8,8 @@
 //! 6. `grid`: pictures in rows and columns.
 //! 7. `provenance`: command, version, machine and date.
 //!
-//! A page has no scripts, fonts or external resources. All text is escaped.
+//! A page has no external resources. Its script adds values under the pointer and sortable tables; everything can be read
+//! without it, and in print. All text is escaped.
 
 mod document;
 mod grid;

@@ -27,10 +27,8 @@ pub struct Axis {
 const MARGIN: f64 = 0.04;
 /// Approximate number of ticks.
 const TICKS: f64 = 6.0;
-/// Maximum number of decades with ticks at 2 and 5.
-const FINE_DECADES: f64 = 1.6;
-/// Maximum number of decades with ticks at most multiples.
-const FINEST_DECADES: f64 = 0.8;
+/// Minimum number of ticks of a logarithmic axis.
+const MIN_TICKS: usize = 3;
 /// Maximum number of decades of an axis; smaller values are cut off. A prediction exact up to rounding would compress
 /// everything else.
 const DECADES: f64 = 12.0;
@@ -153,17 +151,25 @@ fn linear([least, most]: [f64; 2]) -> Vec<(f64, String)> {
     (0..=count.min(50)).map(tick).collect()
 }
 
-/// Powers of ten, and their multiples by 2 and 5 on short axes.
-fn logarithmic([least, most]: [f64; 2]) -> Vec<(f64, String)> {
-    let decades = most - least;
-    let factors: &[f64] = if decades <= FINEST_DECADES {
-        &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]
-    } else if decades <= FINE_DECADES {
-        &[1.0, 2.0, 5.0]
-    } else {
-        &[1.0]
-    };
-    let every = (decades / (TICKS + 2.0)).ceil().max(1.0) as i32;
+/// Powers of ten; on short axes their multiples, and round numbers on very short ones: the coarsest of these with
+/// [`MIN_TICKS`].
+fn logarithmic(ends: [f64; 2]) -> Vec<(f64, String)> {
+    const FACTORS: [&[f64]; 3] = [&[1.0], &[1.0, 2.0, 5.0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]];
+    for factors in FACTORS {
+        let ticks = multiples(ends, factors);
+        if ticks.len() >= MIN_TICKS {
+            return ticks;
+        }
+    }
+    let of_number = |(number, label): (f64, String)| (number.log10(), label);
+    let numbers = linear(ends.map(|end| 10_f64.powf(end))).into_iter().map(of_number);
+    // Ends whose numbers are too large, or too similar, for double precision have none.
+    numbers.filter(|(place, _)| (ends[0]..=ends[1]).contains(place)).collect()
+}
+
+/// Powers of ten times each factor.
+fn multiples([least, most]: [f64; 2], factors: &[f64]) -> Vec<(f64, String)> {
+    let every = ((most - least) / (TICKS + 2.0)).ceil().max(1.0) as i32;
     let mut ticks = Vec::new();
     for power in least.floor() as i32..=most.ceil() as i32 {
         if power.rem_euclid(every) != 0 {
@@ -217,7 +223,9 @@ mod tests {
         let axis = Axis::logarithmic("y");
         assert_eq!(labels(&axis.range([-4.2, -1.8]).ticks), ["10⁻⁴", "10⁻³", "0.01"]);
         assert_eq!(labels(&axis.range([-0.4, 0.8]).ticks), ["0.5", "1", "2", "5"]);
-        assert_eq!(labels(&axis.range([0.03, 0.6]).ticks), ["2", "3"]);
+        // From 1.07 to 3.98, and from 0.65 to 13.
+        assert_eq!(labels(&axis.range([0.03, 0.6]).ticks), ["1.5", "2.0", "2.5", "3.0", "3.5"]);
+        assert_eq!(labels(&axis.range([-0.19, 1.11]).ticks), ["1", "2", "5", "10"]);
     }
 
     #[test]

@@ -7,7 +7,26 @@ use maud::{Markup, html};
 pub struct Table {
     caption: String,
     header: Vec<String>,
-    rows: Vec<(Cell, Vec<Cell>)>,
+    rows: Vec<Row>,
+}
+
+/// A row with its name.
+#[derive(Clone, Debug)]
+struct Row {
+    name: Cell,
+    cells: Vec<Cell>,
+    order: RowOrder,
+}
+
+/// Where a row is in a table that a reader has sorted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum RowOrder {
+    /// Sorted.
+    Sorted,
+    /// Stays in its place.
+    Fixed,
+    /// Stays below the row above it.
+    Detail,
 }
 
 /// A cell of a table.
@@ -56,7 +75,34 @@ impl Table {
         name: impl Into<Cell>,
         cells: impl IntoIterator<Item = C>,
     ) -> &mut Self {
-        self.rows.push((name.into(), cells.into_iter().map(Into::into).collect()));
+        self.add(name.into(), cells, RowOrder::Sorted)
+    }
+
+    /// Appends a row that stays in its place when a reader sorts the table, such as a row of averages.
+    pub fn fixed_row<C: Into<Cell>>(
+        &mut self,
+        name: impl Into<Cell>,
+        cells: impl IntoIterator<Item = C>,
+    ) -> &mut Self {
+        self.add(name.into(), cells, RowOrder::Fixed)
+    }
+
+    /// Appends a row that belongs to the one above it, such as its intervals.
+    pub fn detail_row<C: Into<Cell>>(
+        &mut self,
+        name: impl Into<Cell>,
+        cells: impl IntoIterator<Item = C>,
+    ) -> &mut Self {
+        self.add(name.into(), cells, RowOrder::Detail)
+    }
+
+    fn add<C: Into<Cell>>(
+        &mut self,
+        name: Cell,
+        cells: impl IntoIterator<Item = C>,
+        order: RowOrder,
+    ) -> &mut Self {
+        self.rows.push(Row { name, cells: cells.into_iter().map(Into::into).collect(), order });
         self
     }
 
@@ -87,7 +133,7 @@ impl Table {
         text.push_str(&line(self.header.iter().map(|title| escaped(title)).collect()));
         let ruler = (0..self.header.len()).map(|column| if column == 0 { "---" } else { "---:" });
         text.push_str(&line(ruler.map(str::to_owned).collect()));
-        for (name, cells) in &self.rows {
+        for Row { name, cells, .. } in &self.rows {
             text.push_str(&line([name].into_iter().chain(cells).map(word).collect()));
         }
         text
@@ -95,7 +141,7 @@ impl Table {
 
     /// The text of each row, including its name.
     pub fn rows(&self) -> impl Iterator<Item = Vec<&str>> {
-        self.rows.iter().map(|(name, cells)| {
+        self.rows.iter().map(|Row { name, cells, .. }| {
             std::iter::once(name).chain(cells).map(|cell| cell.text.as_str()).collect()
         })
     }
@@ -108,8 +154,8 @@ impl Table {
                     caption { (self.caption) }
                     thead { tr { @for title in &self.header { th scope="col" { (title) } } } }
                     tbody {
-                        @for (name, cells) in &self.rows {
-                            tr {
+                        @for Row { name, cells, order } in &self.rows {
+                            tr class=[order.class()] {
                                 th scope="row" {
                                     @if name.bold { b { (name.text) } } @else { (name.text) }
                                 }
@@ -126,9 +172,30 @@ impl Table {
     }
 }
 
+impl RowOrder {
+    /// Class of the row, for `page.js`.
+    fn class(self) -> Option<&'static str> {
+        match self {
+            Self::Sorted => None,
+            Self::Fixed => Some("fixed"),
+            Self::Detail => Some("detail"),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_that_are_not_sorted_say_so() {
+        let mut table = Table::new("speeds", ["what", "ms"]);
+        table.fixed_row("scenes", ["3"]).row("fast", ["1"]).detail_row("interval", ["0 to 2"]);
+        let html = table.markup().into_string();
+        assert!(html.contains(r#"<tr class="fixed"><th scope="row">scenes"#), "{html}");
+        assert!(html.contains(r#"<tr><th scope="row">fast"#), "{html}");
+        assert!(html.contains(r#"<tr class="detail"><th scope="row">interval"#), "{html}");
+    }
 
     #[test]
     fn the_lowest_numbers_are_bold_and_nan_is_a_dash() {

@@ -261,8 +261,8 @@ impl Comparison {
             series: rows
                 .iter()
                 .map(|row| {
-                    let curve = of(row.entry);
-                    Series::ahead(&row.name, &curve[..curve.len().min(self.horizon)])
+                    let drawn = row.report.drawn(of(row.entry));
+                    Series::ahead(&row.name, &drawn[..drawn.len().min(self.horizon)])
                 })
                 .collect(),
         };

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Report;
 use crate::{Bulk, Errors, Mean, StepSums, numbers};
 
 /// Error curves of free rollouts; one number per frame ahead.
@@ -56,6 +57,38 @@ impl BulkCurves {
             kinetic_energy: curve(|sums| &sums.kinetic_energy).collect(),
             centre_rmse: curve(|sums| &sums.centre).map(f64::sqrt).collect(),
             outside: curve(|sums| &sums.outside).collect(),
+        })
+    }
+}
+
+impl Report {
+    /// Frames ahead up to which mean curves are drawn: beyond, the mean is of fewer rollouts, and a step would look like a
+    /// failure of every predictor. Tables have all frames, with the number of rollouts.
+    pub fn drawn_frames(&self) -> usize {
+        match self.complete {
+            0 => {
+                let all =
+                    self.shown.iter().zip(&self.compared).filter(|(_, n)| **n == self.windows);
+                all.map(|(&ahead, _)| ahead).last().unwrap_or(self.horizon)
+            }
+            complete => complete,
+        }
+    }
+
+    /// The part of a curve over frames ahead that is drawn.
+    pub(super) fn drawn<'a>(&self, curve: &'a [f64]) -> &'a [f64] {
+        &curve[..curve.len().min(self.drawn_frames())]
+    }
+
+    /// A sentence on curves that end before the horizon.
+    pub(super) fn curves_note(&self) -> Option<String> {
+        let drawn = self.drawn_frames();
+        (drawn < self.horizon).then(|| {
+            format!(
+                "Mean curves end at frame {drawn}, the last at which all {} rollouts have a true frame; the tables go on \
+                 with fewer rollouts.",
+                self.windows
+            )
         })
     }
 }

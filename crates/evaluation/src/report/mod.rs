@@ -81,6 +81,9 @@ pub struct Report {
     pub shown: Vec<usize>,
     /// Rollouts of each predictor with a true frame at each of the frames shown: the truth of late starts ends early.
     pub compared: Vec<usize>,
+    /// Frames ahead up to which every rollout has a true frame; 0 in reports of older versions.
+    #[serde(default)]
+    pub complete: usize,
     /// All predictors, in the order of the tables.
     pub predictors: Vec<Entry>,
     /// Networks that differ only in their training.
@@ -162,6 +165,7 @@ impl Report {
             kinds,
             shown,
             compared,
+            complete: scenes.iter().map(|scene| scene.complete).min().unwrap_or(0),
             predictors,
             groups,
             scenes: scenes.iter().map(SceneEntry::new).collect(),

@@ -20,7 +20,8 @@ impl Report {
              (MinMax) or standard deviation (z-score) in the first checkpoint's training data.",
         );
         let plots = CURVES.map(|(title, of)| {
-            let series = self.fallible().map(|entry| Series::ahead(&entry.name, of(entry)));
+            let series =
+                self.fallible().map(|entry| Series::ahead(&entry.name, self.drawn(of(entry))));
             let title = title.to_owned();
             LinePlot { y: error_axis(&title), title, x: frames_ahead(), series: series.collect() }
         });
@@ -52,7 +53,7 @@ impl Report {
                 x: frames_ahead(),
                 y: error_axis("position RMSE (domain lengths)"),
                 series: step_curves(entry)
-                    .map(|(name, curve)| Series::ahead(name, curve))
+                    .map(|(name, curve)| Series::ahead(name, self.drawn(curve)))
                     .collect(),
             })
             .collect();

@@ -26,7 +26,7 @@ impl Report {
         let mut table = Table::new(format!("Skill at frame {ahead} by kind of scene"), titles);
         let place = self.shown.iter().position(|&shown| shown == ahead);
         let streams = self.kinds.iter().map(|kind| kind.streams).chain([self.streams]);
-        table.row("streams", streams.map(|count| count.to_string()));
+        table.fixed_row("streams", streams.map(|count| count.to_string()));
         for entry in self.skilled() {
             let skills = entry.kinds.iter().map(|kind| at(&kind.skill, ahead));
             let all = skills.chain([at(&entry.skill, ahead)]);
@@ -36,7 +36,7 @@ impl Report {
                 let all = intervals.chain([entry.skill_intervals.as_ref()]);
                 if all.clone().any(|intervals| intervals.is_some()) {
                     let all = all.map(|intervals| between(intervals, place));
-                    table.row("95 % interval over scenes", all);
+                    table.detail_row("95 % interval over scenes", all);
                 }
             }
         }

@@ -112,7 +112,8 @@ impl Report {
             [ahead as f64, interval.lower, interval.upper]
         };
         let band = intervals.iter().flat_map(|all| self.shown.iter().zip(*all)).map(band);
-        Series { band: band.collect(), ..Series::ahead(name, curve) }
+        let band = band.filter(|[ahead, ..]| *ahead <= self.drawn_frames() as f64);
+        Series { band: band.collect(), ..Series::ahead(name, self.drawn(curve)) }
     }
 }
 

@@ -119,16 +119,15 @@ impl Report {
             let average =
                 |column: usize| mean(&rows.iter().map(|row| row[column]).collect::<Vec<_>>());
             let averages: Vec<f64> = (0..columns.len()).map(average).collect();
-            table.row(Cell::bold("Average"), Cell::lowest_bold(&averages, error));
+            table.fixed_row(Cell::bold("Average"), Cell::lowest_bold(&averages, error));
             section.table(&table);
         }
     }
 
     fn scene_plot(&self, scene: &SceneEntry) -> LinePlot {
-        let series = self
-            .columns()
-            .into_iter()
-            .map(|(number, name)| Series::ahead(name, &scene.errors[number].minmax_mse));
+        let series = self.columns().into_iter().map(|(number, name)| {
+            Series::ahead(name, self.drawn(&scene.errors[number].minmax_mse))
+        });
         LinePlot {
             title: scene.title(),
             x: frames_ahead(),

@@ -39,7 +39,8 @@ impl Report {
              the truth is included for comparison.",
         );
         let measured = |entry: &Entry, of: fn(&Measures) -> f64| -> Vec<[f64; 2]> {
-            entry.measures.iter().map(|m| [m.frame as f64, of(m)]).collect()
+            let drawn = entry.measures.iter().filter(|m| m.frame <= self.drawn_frames());
+            drawn.map(|m| [m.frame as f64, of(m)]).collect()
         };
         let density = self.fallible().map(|entry| Series {
             name: entry.name.clone(),
@@ -61,7 +62,7 @@ impl Report {
             // The truth is last, so that predictors keep their styles.
             let series = self.predictors.iter().map(|entry| {
                 let curve = entry.bulk.as_ref().map_or(&[][..], |bulk| of(bulk));
-                Series::ahead(&entry.name, curve)
+                Series::ahead(&entry.name, self.drawn(curve))
             });
             plots.push(LinePlot {
                 title: title.into(),

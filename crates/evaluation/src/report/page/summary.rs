@@ -16,6 +16,9 @@ impl Report {
         for note in &self.notes {
             section.note(note);
         }
+        if let Some(note) = self.curves_note() {
+            section.note(&note);
+        }
         section.table(&self.skill_table()).plots(&[self.skill_plot()]);
         section.heading("Seeds and intervals").table(&self.seed_table());
         section.paragraph(
@@ -29,7 +32,7 @@ impl Report {
         let caption = format!("Skill, mean of {} kinds of scenes", self.kinds.len());
         let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms per frame"]);
         let compared = self.compared.iter().map(usize::to_string);
-        table.row("rollouts with truth", compared);
+        table.fixed_row("rollouts with truth", compared);
         for entry in self.skilled() {
             let mut cells = self.at_shown(&entry.skill, skill);
             cells.extend(counts(&entry.blow_ups, self.windows));
@@ -40,6 +43,8 @@ impl Report {
     }
 
     fn skill_plot(&self) -> LinePlot {
+        let has_intervals = self.fallible().any(|entry| entry.skill_intervals.is_some());
+        let intervals = if has_intervals { " with 95 % intervals over scenes" } else { "" };
         let series = self.fallible().map(|entry| match entry.role {
             Role::Mean => Series::default(),
             _ => self.banded(&entry.name, &entry.skill, entry.skill_intervals.as_ref()),
@@ -52,7 +57,7 @@ impl Report {
             series
         });
         LinePlot {
-            title: "Skill with 95 % intervals over scenes (cut off at -1)".into(),
+            title: format!("Skill{intervals} (cut off at -1)"),
             x: frames_ahead(),
             y: Axis::linear("skill"),
             series: series.collect(),
@@ -71,11 +76,12 @@ impl Report {
             let plural = if seeds == 1 { "" } else { "s" };
             table.row(format!("{}, mean of {seeds} seed{plural}", group.name), cells);
             if seeds > 1 {
-                table.row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
+                table
+                    .detail_row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
             }
             if skill_intervals.is_some() {
                 let at_shown = |at| between(skill_intervals.as_ref(), at);
-                table.row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
+                table.detail_row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
             }
         }
         table
