@@ -197,8 +197,8 @@ fn material(word: &str) -> Result<Material, String> {
 pub struct RenderArgs {
     /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// Output path, must not exist: *.png for a strip, *.gif or *.apng for an animation, otherwise a directory for strip.png
-    /// and animation.gif.
+    /// Output path, must not exist: *.png for a strip, *.gif, *.apng or *.mp4 (with ffmpeg) for an animation, otherwise a
+    /// directory for strip.png and animation.gif.
     #[arg(long, short, value_name = "PATH")]
     pub output: PathBuf,
     /// What colours show.
@@ -213,7 +213,8 @@ pub struct RenderArgs {
     /// Longer side of the domain (pixels) [default: 240 in the strip, 480 in the animation].
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
     pub size: Option<u32>,
-    /// Topics with the frames; several are drawn side by side, matched by sequence number with the first.
+    /// Topics with the frames; several are drawn as rows of the strip and side by side in an animation, matched by sequence
+    /// number with the first.
     #[arg(long, default_values = [TRUTH_TOPIC], num_args = 1..)]
     pub topic: Vec<String>,
     /// Stream to render [default: the lowest].

@@ -4,6 +4,7 @@ use std::{
     fs,
     io::Write,
     path::{Path, PathBuf},
+    process::Command,
 };
 
 use eddy_bag::{BagReader, BagWriter, WriterOptions};
@@ -17,7 +18,7 @@ use proptest::prelude::*;
 use tempfile::{TempDir, tempdir};
 use zip::{ZipArchive, ZipWriter, write::SimpleFileOptions};
 
-use crate::support::{fail, simulate, succeed};
+use crate::support::{eddy, fail, simulate, succeed};
 
 const WIDE: Domain = Domain { lower: [-2.0, 0.5], upper: [2.0, 1.5] };
 
@@ -485,6 +486,30 @@ fn positions_and_materials_come_back_from_hdf5() {
 }
 
 #[test]
+fn a_video_is_written_by_ffmpeg_and_without_it_the_error_says_what_to_do() {
+    let folder = tempdir().unwrap();
+    let truth = folder.path().join("truth");
+    simulate(&truth, 1, 0.4);
+    let (bag, out) = (truth.join("scene_0000"), folder.path().join("moving.mp4"));
+    let render = || {
+        let mut command = eddy();
+        command.args(["bag", "render", "--size", "101"]).arg(&bag).arg("--output").arg(&out);
+        command
+    };
+    let output = render().env("PATH", folder.path()).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("ffmpeg: not found on the PATH; install ffmpeg, or choose .gif"), "{error}");
+    assert!(!out.exists());
+    if Command::new("ffmpeg").arg("-version").output().is_ok() {
+        let output = render().output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let video = fs::read(&out).unwrap();
+        assert_eq!(&video[4..8], b"ftyp");
+    }
+}
+
+#[test]
 fn pictures_are_what_their_names_say() {
     let folder = tempdir().unwrap();
     let truth = folder.path().join("truth");
@@ -523,7 +548,13 @@ fn pictures_are_what_their_names_say() {
     assert!(fs::metadata(still).unwrap().len() > 1000);
     let beside = render("beside.png", &["--topic", "/particles", "/particles", "--frames", "3"]);
     let beside = png::Decoder::new(std::io::BufReader::new(fs::File::open(beside).unwrap()));
-    assert_eq!(beside.read_info().unwrap().info().width, 2 * 3 * 260);
+    let beside = beside.read_info().unwrap();
+    let single = render("single.png", &["--frames", "3"]);
+    let single = png::Decoder::new(std::io::BufReader::new(fs::File::open(single).unwrap()));
+    let single = single.read_info().unwrap();
+    assert_eq!([single.info().width, beside.info().width], [3 * 260; 2]);
+    // Two rows of panels instead of one, and one legend.
+    assert!(beside.info().height > single.info().height + 240, "{}", beside.info().height);
     let out = folder.path().join("other");
     let [bag, out] = [&bag, &out].map(|path| path.to_str().unwrap());
     let error = fail(1, ["bag", "render", bag, "--output", out, "--rate", "0"]);

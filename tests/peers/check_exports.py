@@ -121,6 +121,11 @@ def check_meshes(directory, truths, ending):
             if ending == "vtu":
                 same(mesh.cells_dict["vertex"].ravel(), range(len(mesh.points)), f"{what}: cells")
                 close(mesh.field_data["TimeValue"], [truth.stamp[frame] / 1e9], f"{what}: time")
+                expect(numpy.isfinite(data["density"]).all(), f"{what}: density")
+                expect(data["strain"].shape == (len(truth.material), 3), f"{what}: strain")
+                if frame == 0:
+                    close(numpy.median(data["density"]), 1.0, f"{what}: density")
+                    expect(abs(numpy.nan_to_num(data["strain"])).max() < 1e-3, f"{what}: strain")
 
 
 def check_collections(directory, truths):

@@ -5,8 +5,9 @@
 //! Export:
 //! 1. `streams`: the streams of bags, their properties and frames. `aligned`: frames of several topics, matched by
 //!    sequence number.
-//! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, `npz` has arrays,
-//!    `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a `metadata.json` (`metadata`).
+//! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, the latter with density
+//!    and strain (`fields`), `npz` has arrays, `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a
+//!    `metadata.json` (`metadata`).
 //!
 //! Import:
 //! 3. `trajectory`: checks the arrays of one stream and makes frames of them.
@@ -20,6 +21,7 @@ mod csv;
 mod data_set;
 mod error;
 mod export;
+mod fields;
 mod gns;
 #[cfg(feature = "hdf5")]
 mod hdf5;

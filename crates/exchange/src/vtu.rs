@@ -1,5 +1,5 @@
 //! VTK unstructured grids, one `.vtu` per frame, and a `.pvd` collection per stream to open in ParaView. Every
-//! particle is a vertex with `velocity` and `material`.
+//! particle is a vertex with `velocity`, `material`, and `density` and `strain` relative to the first frame.
 //!
 //! Format: "VTK XML Formats" (docs.vtk.org), inline base64 with 64-bit headers.
 
@@ -9,6 +9,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{
     error::ExchangeError,
+    fields::{Fields, Reference},
     streams::{Progress, Streams},
 };
 use eddy_frames::Frame;
@@ -28,7 +29,7 @@ pub(super) fn write(
         fs::create_dir(&folder).map_err(ExchangeError::io(&folder, "creating the directory"))?;
         let mut collection = header("Collection");
         collection.push_str("  <Collection>\n");
-        let mut number = 0;
+        let (mut number, mut reference) = (0, None);
         streams.read(track, progress, |frame| {
             let path = folder.join(format!("{number:06}.vtu"));
             let time = frame.stamp.seconds();
@@ -39,7 +40,8 @@ pub(super) fn write(
                 ),
             );
             number += 1;
-            fs::write(&path, grid(&frame)).map_err(ExchangeError::io(&path, "writing"))
+            let fields = reference.get_or_insert_with(|| Reference::new(&frame)).fields(&frame);
+            fs::write(&path, grid(&frame, &fields)).map_err(ExchangeError::io(&path, "writing"))
         })?;
         collection.push_str("  </Collection>\n</VTKFile>\n");
         let path = directory.join(format!("{name}.pvd"));
@@ -49,7 +51,7 @@ pub(super) fn write(
 }
 
 /// One frame as the text of a `.vtu` file.
-fn grid(frame: &Frame) -> String {
+fn grid(frame: &Frame, Fields { density, strain }: &Fields) -> String {
     let particles = frame.len();
     let spatial = |vectors: &[[f32; 2]]| -> Vec<f32> {
         vectors.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect()
@@ -77,6 +79,9 @@ fn grid(frame: &Frame) -> String {
     let velocity = spatial(&frame.velocity);
     array(&mut text, "velocity", "Float32", VECTOR, velocity.iter().map(|x| x.to_le_bytes()));
     array(&mut text, "material", "UInt8", "", material);
+    array(&mut text, "density", "Float32", "", density.iter().map(|x| x.to_le_bytes()));
+    let strain = strain.as_flattened().iter().map(|x| x.to_le_bytes());
+    array(&mut text, "strain", "Float32", STRAIN, strain);
     text.push_str("    </PointData>\n    <Cells>\n");
     array(&mut text, "connectivity", "Int64", "", (0..count).map(i64::to_le_bytes));
     array(&mut text, "offsets", "Int64", "", (1..=count).map(i64::to_le_bytes));
@@ -87,6 +92,10 @@ fn grid(frame: &Frame) -> String {
 
 /// Attribute of arrays with three numbers per particle.
 const VECTOR: &str = "NumberOfComponents=\"3\"";
+
+/// Attributes of the strain.
+const STRAIN: &str =
+    "NumberOfComponents=\"3\" ComponentName0=\"xx\" ComponentName1=\"yy\" ComponentName2=\"xy\"";
 
 fn header(kind: &str) -> String {
     format!(

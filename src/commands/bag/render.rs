@@ -16,7 +16,7 @@ use eddy_evaluation::picture::{
     Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
 };
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
-use eddy_frames::Material;
+use eddy_frames::{Frame, Material};
 use eddy_settings::atomic::Staged;
 
 /// Longer side of the domain in a strip (pixels).
@@ -34,7 +34,7 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     // Checked before anything is read.
     if let (Some(extension), None) = (args.output.extension(), strip_and_animation(&args.output)) {
         bail!(
-            "{}: found .{}, expected .png, .gif, .apng or a directory",
+            "{}: found .{}, expected .png, .gif, .apng, .mp4 or a directory",
             args.output.display(),
             extension.display()
         );
@@ -83,6 +83,7 @@ fn strip_and_animation(path: &Path) -> Option<(bool, Option<Kind>)> {
         "png" => Some((true, None)),
         "gif" => Some((false, Some(Kind::Gif))),
         "apng" => Some((false, Some(Kind::Apng))),
+        "mp4" => Some((false, Some(Kind::Mp4))),
         _ => None,
     }
 }
@@ -106,7 +107,8 @@ fn draw(
     let seconds = (track.last.seconds() - track.first.seconds()) / args.rate;
     let (pictures, delay) = animation_timing(seconds, track.frames);
     let in_animation = evenly_spaced(track.frames, if animation.is_some() { pictures } else { 0 });
-    let mut panels: Vec<Canvas> = Vec::new();
+    // One row per topic.
+    let mut rows: Vec<Vec<Canvas>> = vec![Vec::new(); sides.len()];
     let mut film = None;
     let bar = progress_bar(track.frames as u64, "frames", quiet);
     let mut sides = sides.iter().map(|side| frames_of(side, track.stream));
@@ -114,18 +116,21 @@ fn draw(
     let aligned = AlignedFrames::new(first, sides.collect::<Result<_, _>>()?);
     for (index, frames) in aligned.enumerate() {
         let frames = frames?;
-        let view = |painter: &Painter| match &frames[..] {
-            [Some(frame)] => painter.panel(frame),
-            _ => painter.beside(args.topic.iter().map(String::as_str).zip(&frames)),
+        let views = |painter: &Painter| -> Vec<Canvas> {
+            let panel = |(topic, frame): (&String, &Option<Frame>)| match frame {
+                Some(frame) if args.topic.len() == 1 => painter.panel(frame),
+                frame => painter.named_panel(topic, frame.as_ref()),
+            };
+            args.topic.iter().zip(&frames).map(panel).collect()
         };
         if interrupt.requested() {
             return Err(ExchangeError::Interrupted.into());
         }
         if in_strip.binary_search(&index).is_ok() {
-            panels.push(view(&small));
+            rows.iter_mut().zip(views(&small)).for_each(|(row, panel)| row.push(panel));
         }
         if let Some(kind) = animation.filter(|_| in_animation.binary_search(&index).is_ok()) {
-            let picture = large.picture(&view(&large));
+            let picture = large.picture(&large.beside(&views(&large)));
             let size = (picture.width(), picture.height());
             if film.is_none() {
                 film = Some(Animation::create(
@@ -142,7 +147,7 @@ fn draw(
     }
     bar.finish_and_clear();
     if strip {
-        write_png(&strip_file, &small.strip(&panels))?;
+        write_png(&strip_file, &small.strip(&rows))?;
     }
     film.map_or(Ok(()), Animation::finish)?;
     Ok(())

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{canvas::Canvas, quantize::Quantizer};
+use super::{canvas::Canvas, quantize::Quantizer, video::Video};
 
 /// Why a picture could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +24,13 @@ pub enum PictureError {
     /// The picture cannot be encoded.
     #[error("{path}: writing the picture: {reason}", path = .path.display())]
     Format {
+        /// The file.
+        path: PathBuf,
+        reason: String,
+    },
+    /// ffmpeg, which writes MP4, cannot be run or fails.
+    #[error("{path}: ffmpeg: {reason}", path = .path.display())]
+    Ffmpeg {
         /// The file.
         path: PathBuf,
         reason: String,
@@ -47,6 +54,8 @@ pub enum Kind {
     Gif,
     /// Animated PNG: all colours, supported by browsers.
     Apng,
+    /// MP4: small, for presentations and video players. Needs `ffmpeg` on the PATH.
+    Mp4,
 }
 
 /// Writes a PNG.
@@ -79,7 +88,7 @@ pub fn png_bytes(canvas: &Canvas) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Writes an animation that repeats forever.
+/// Writes an animation; GIF and PNG repeat forever.
 pub struct Animation {
     path: PathBuf,
     writer: Writer,
@@ -88,6 +97,7 @@ pub struct Animation {
 enum Writer {
     Gif { encoder: gif::Encoder<BufWriter<File>>, quantizer: Quantizer, delay: u16 },
     Apng(png::Writer<BufWriter<File>>),
+    Mp4(Video),
 }
 
 impl Animation {
@@ -124,6 +134,7 @@ impl Animation {
                     .and_then(|()| encoder.write_header());
                 Writer::Apng(begun.map_err(|error| of_png(&path, error))?)
             }
+            Kind::Mp4 => Writer::Mp4(Video::create(&path, (width, height), delay)?),
         };
         Ok(Self { path, writer })
     }
@@ -148,6 +159,7 @@ impl Animation {
             Writer::Apng(writer) => writer
                 .write_image_data(canvas.pixels().as_flattened())
                 .map_err(|error| of_png(path, error)),
+            Writer::Mp4(video) => video.add(path, canvas),
         }
     }
 
@@ -164,6 +176,7 @@ impl Animation {
                 file.flush().map_err(|reason| PictureError::Io { path, action, reason })
             }
             Writer::Apng(writer) => writer.finish().map_err(|error| of_png(&path, error)),
+            Writer::Mp4(video) => video.finish(&path),
         }
     }
 }

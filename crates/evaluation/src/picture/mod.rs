@@ -4,7 +4,7 @@
 //! 2. `canvas`: raster images: antialiased discs, rectangles, text.
 //! 3. `panel`: a frame with its time and a legend.
 //! 4. `backend`: plots of [`page`](crate::page) on a canvas.
-//! 5. `file`: PNG files and animations.
+//! 5. `file`: PNG files and animations. `video`: MP4, written by ffmpeg.
 //! 6. `quantize`: the 256 colours of a GIF.
 //! 7. `sampling`: which frames a strip or an animation shows.
 
@@ -15,6 +15,7 @@ mod palette;
 mod panel;
 mod quantize;
 mod sampling;
+mod video;
 
 pub(crate) use backend::CanvasBackend;
 pub use canvas::Canvas;

@@ -59,13 +59,15 @@ impl Painter {
         self.titled(Some(frame), &format!("t = {:.3} s", frame.stamp.seconds()))
     }
 
-    /// Draws frames side by side, each with its title and time below it; a missing frame leaves its domain empty.
-    pub fn beside<'a>(&self, frames: impl Iterator<Item = (&'a str, &'a Option<Frame>)>) -> Canvas {
-        let panel = |(title, frame): (&str, &Option<Frame>)| {
-            let time = frame.as_ref().map(|frame| format!("  t = {:.3} s", frame.stamp.seconds()));
-            self.titled(frame.as_ref(), &format!("{title}{}", time.unwrap_or_default()))
-        };
-        row(&frames.map(panel).collect::<Vec<_>>())
+    /// Draws a frame with its title and time below it. A missing frame leaves its domain empty, and says so.
+    pub fn named_panel(&self, title: &str, frame: Option<&Frame>) -> Canvas {
+        let time = frame.map(|frame| format!("t = {:.3} s", frame.stamp.seconds()));
+        self.titled(frame, &format!("{title}  {}", time.as_deref().unwrap_or("no frame")))
+    }
+
+    /// Panels side by side.
+    pub fn beside(&self, panels: &[Canvas]) -> Canvas {
+        row(panels)
     }
 
     /// Draws a frame with a line of text below it.
@@ -104,9 +106,11 @@ impl Painter {
         below(panel, &self.legend())
     }
 
-    /// Frames side by side with the legend below them.
-    pub fn strip(&self, panels: &[Canvas]) -> Canvas {
-        below(&row(panels), &self.legend())
+    /// Rows of panels with the legend below them.
+    pub fn strip(&self, rows: &[Vec<Canvas>]) -> Canvas {
+        let rows = rows.iter().map(|panels| row(panels));
+        let picture = rows.reduce(|above, next| below(&above, &next));
+        below(&picture.unwrap_or_else(|| Canvas::new(0, 0)), &self.legend())
     }
 
     /// Pixel coordinates of a position; the second axis points up.
@@ -220,13 +224,26 @@ mod tests {
     #[test]
     fn frames_are_drawn_side_by_side_and_a_missing_one_leaves_its_domain_empty() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
-        let [there, missing] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
-        let both = painter.beside([("/a", &missing), ("/b", &there)].into_iter());
+        let [there, missing]: [Option<Frame>; 2] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
+        let both = painter.beside(&[
+            painter.named_panel("/a", missing.as_ref()),
+            painter.named_panel("/b", there.as_ref()),
+        ]);
         let panel = painter.panel(there.as_ref().unwrap());
         assert_eq!((both.width(), both.height()), (2 * panel.width(), panel.height()));
         let color = palette::of_share(1.0);
         let [alone, beside] = [&panel, &both].map(|canvas| find(canvas, color).unwrap());
         assert_eq!(beside, [alone[0] + panel.width(), alone[1]]);
+    }
+
+    #[test]
+    fn a_strip_has_a_row_for_each_list_of_panels() {
+        let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
+        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]));
+        let one = painter.strip(&[vec![panel.clone(); 3]]);
+        let two = painter.strip(&[vec![panel.clone(); 3], vec![panel.clone(); 3]]);
+        assert_eq!((one.width(), two.width()), (3 * panel.width(), 3 * panel.width()));
+        assert_eq!(two.height() - one.height(), panel.height());
     }
 
     #[test]
