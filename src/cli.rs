@@ -217,6 +217,9 @@ pub struct SimulateArgs {
     /// Output directory; one bag per scene.
     #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
     pub output: Option<PathBuf>,
+    /// Also record pressure and energy of every particle, as point clouds on /particles/fields.
+    #[arg(long, requires = "output")]
+    pub fields: bool,
     /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
     /// time on /clock of the same transport.
     #[arg(long, value_name = "LINK")]

@@ -52,7 +52,7 @@ pub enum BagCommand {
     Export(ExportArgs),
     /// Import trajectories from formats of other programs, as one bag per stream.
     Import(ImportArgs),
-    /// Render a stream as a strip of frames (PNG) or an animation (GIF or animated PNG).
+    /// Render a stream as a strip of frames (PNG) or an animation (GIF, animated PNG or MP4).
     Render(RenderArgs),
 }
 

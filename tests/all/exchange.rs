@@ -13,7 +13,7 @@ use eddy_exchange::{
     import,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
-use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cdr, cloud};
 use proptest::prelude::*;
 use tempfile::{TempDir, tempdir};
 use zip::{ZipArchive, ZipWriter, write::SimpleFileOptions};
@@ -486,6 +486,46 @@ fn positions_and_materials_come_back_from_hdf5() {
 }
 
 #[test]
+fn recorded_pressure_and_energy_are_exported() {
+    let folder = tempdir().unwrap();
+    let truth = folder.path().join("truth");
+    let name = truth.to_str().unwrap();
+    let usual = ["simulate", "--preset", "fluid", "--duration", "0.1", "--output", name];
+    succeed(usual.iter().chain(&["--fields"]));
+    let error = fail(1, usual);
+    assert!(error.contains("fields"), "the directory is of another request: {error}");
+    let bag = truth.join("scene_0000");
+    let reader = BagReader::open(&bag).unwrap();
+    let particles = reader.frames("/particles").unwrap().next().unwrap().unwrap().len();
+    let mut clouds = 0;
+    for message in reader.messages_of("/particles/fields", PointCloud2::TYPE).unwrap() {
+        let cloud: PointCloud2 = cdr::decode(&message.unwrap().data).unwrap();
+        for name in ["pressure", "energy"] {
+            let values = cloud::property(&cloud, name).unwrap();
+            assert_eq!(values.len(), particles);
+            assert!(values.iter().all(|value| value.is_finite() && *value >= 0.0), "{name}");
+        }
+        clouds += 1;
+    }
+    assert_eq!(clouds, 7);
+    let vtu = folder.path().join("vtu");
+    try_export(&bag, ExportFormat::Vtu, &vtu).unwrap();
+    for frame in ["000000", "000006"] {
+        let grid = fs::read_to_string(vtu.join(format!("stream_0000/{frame}.vtu"))).unwrap();
+        for name in ["density", "strain", "pressure", "energy"] {
+            assert!(grid.contains(&format!(r#"Name="{name}""#)), "{name}");
+        }
+        // NaN, as base64.
+        assert!(!grid.contains("AADAfwAAwH8AAMB/"), "every particle has its properties");
+    }
+    simulate(&folder.path().join("without"), 1, 0.1);
+    let (bag, vtu) = (folder.path().join("without/scene_0000"), folder.path().join("vtu_without"));
+    try_export(&bag, ExportFormat::Vtu, &vtu).unwrap();
+    let grid = fs::read_to_string(vtu.join("stream_0000/000000.vtu")).unwrap();
+    assert!(grid.contains(r#"Name="strain""#) && !grid.contains(r#"Name="pressure""#));
+}
+
+#[test]
 fn a_video_is_written_by_ffmpeg_and_without_it_the_error_says_what_to_do() {
     let folder = tempdir().unwrap();
     let truth = folder.path().join("truth");
@@ -499,7 +539,10 @@ fn a_video_is_written_by_ffmpeg_and_without_it_the_error_says_what_to_do() {
     let output = render().env("PATH", folder.path()).output().unwrap();
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{error}");
-    assert!(error.contains("ffmpeg: not found on the PATH; install ffmpeg, or choose .gif"), "{error}");
+    assert!(
+        error.contains("ffmpeg: not found on the PATH; install ffmpeg, or choose .gif"),
+        "{error}"
+    );
     assert!(!out.exists());
     if Command::new("ffmpeg").arg("-version").output().is_ok() {
         let output = render().output().unwrap();

@@ -409,6 +409,7 @@ mod tests {
             scenes: 2,
             seed: 5,
             settings: mpm::Settings { duration: Some(0.2), ..mpm::Settings::default() },
+            fields: false,
             threads: None,
         };
         simulate(&request, folder.path(), &Silent).unwrap().complete().unwrap();

@@ -6,7 +6,7 @@
 //! 1. `streams`: the streams of bags, their properties and frames. `aligned`: frames of several topics, matched by
 //!    sequence number.
 //! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, the latter with density
-//!    and strain (`fields`), `npz` has arrays, `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a
+//!    and strain (`fields`), pressure and energy (`recorded`), `npz` has arrays, `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a
 //!    `metadata.json` (`metadata`).
 //!
 //! Import:
@@ -29,6 +29,7 @@ mod import;
 mod metadata;
 mod npz;
 mod ply;
+mod recorded;
 mod streams;
 mod trajectory;
 mod vtu;

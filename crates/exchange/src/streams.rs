@@ -214,6 +214,11 @@ impl Streams {
         self.tracks.iter().map(|track| track.frames).sum()
     }
 
+    /// The topic of the frames.
+    pub(super) fn topic(&self) -> &str {
+        &self.topic
+    }
+
     /// The frames of one stream, in order.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! VTK unstructured grids, one `.vtu` per frame, and a `.pvd` collection per stream to open in ParaView. Every
-//! particle is a vertex with `velocity`, `material`, and `density` and `strain` relative to the first frame.
+//! particle is a vertex with `velocity`, `material`, `density` and `strain` relative to the first frame, and
+//! `pressure` and `energy` where they were recorded.
 //!
 //! Format: "VTK XML Formats" (docs.vtk.org), inline base64 with 64-bit headers.
 
@@ -10,8 +11,10 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use super::{
     error::ExchangeError,
     fields::{Fields, Reference},
+    recorded::{self, RecordedProperties},
     streams::{Progress, Streams},
 };
+use eddy_bag::BagReader;
 use eddy_frames::Frame;
 
 /// Cell type of a vertex (`vtkCellType.h`).
@@ -30,6 +33,8 @@ pub(super) fn write(
         let mut collection = header("Collection");
         collection.push_str("  <Collection>\n");
         let (mut number, mut reference) = (0, None);
+        let mut recorded =
+            RecordedProperties::open(&BagReader::open(&track.bag)?, streams.topic())?;
         streams.read(track, progress, |frame| {
             let path = folder.join(format!("{number:06}.vtu"));
             let time = frame.stamp.seconds();
@@ -41,7 +46,9 @@ pub(super) fn write(
             );
             number += 1;
             let fields = reference.get_or_insert_with(|| Reference::new(&frame)).fields(&frame);
-            fs::write(&path, grid(&frame, &fields)).map_err(ExchangeError::io(&path, "writing"))
+            let recorded = recorded.as_mut().map(|recorded| recorded.of(&frame)).transpose()?;
+            fs::write(&path, grid(&frame, &fields, recorded.as_ref()))
+                .map_err(ExchangeError::io(&path, "writing"))
         })?;
         collection.push_str("  </Collection>\n</VTKFile>\n");
         let path = directory.join(format!("{name}.pvd"));
@@ -51,7 +58,11 @@ pub(super) fn write(
 }
 
 /// One frame as the text of a `.vtu` file.
-fn grid(frame: &Frame, Fields { density, strain }: &Fields) -> String {
+fn grid(
+    frame: &Frame,
+    Fields { density, strain }: &Fields,
+    recorded: Option<&[Vec<f32>; 2]>,
+) -> String {
     let particles = frame.len();
     let spatial = |vectors: &[[f32; 2]]| -> Vec<f32> {
         vectors.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect()
@@ -82,6 +93,9 @@ fn grid(frame: &Frame, Fields { density, strain }: &Fields) -> String {
     array(&mut text, "density", "Float32", "", density.iter().map(|x| x.to_le_bytes()));
     let strain = strain.as_flattened().iter().map(|x| x.to_le_bytes());
     array(&mut text, "strain", "Float32", STRAIN, strain);
+    for (name, values) in recorded::NAMES.iter().zip(recorded.into_iter().flatten()) {
+        array(&mut text, name, "Float32", "", values.iter().map(|x| x.to_le_bytes()));
+    }
     text.push_str("    </PointData>\n    <Cells>\n");
     array(&mut text, "connectivity", "Int64", "", (0..count).map(i64::to_le_bytes));
     array(&mut text, "offsets", "Int64", "", (1..=count).map(i64::to_le_bytes));

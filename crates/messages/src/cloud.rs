@@ -1,6 +1,6 @@
-//! A frame as `sensor_msgs/msg/PointCloud2`, for RViz, Foxglove and Rerun.
+//! A frame as `sensor_msgs/msg/PointCloud2`, for RViz, Foxglove and Rerun, and properties of its particles as another.
 //!
-//! A point has 24 bytes: `x y z vx vy` as `float32` in bytes 0 to 19, `material` as `uint8` in byte 20, three bytes of
+//! A point of a frame has 24 bytes: `x y z vx vy` as `float32` in bytes 0 to 19, `material` as `uint8` in byte 20, three bytes of
 //! padding. `z` is 0.
 
 use super::{Header, PointCloud2, PointField, cdr};
@@ -49,14 +49,55 @@ pub fn to_cdr(frame: &Frame) -> Vec<u8> {
     bytes
 }
 
+/// Encodes properties of the particles of a frame, by name, as the CDR bytes of a point cloud: `x y z` and the properties
+/// as `float32`. Each has a number per particle.
+pub fn properties_to_cdr(frame: &Frame, properties: &[(&str, &[f32])]) -> Vec<u8> {
+    let names = ["x", "y", "z"].into_iter().chain(properties.iter().map(|(name, _)| *name));
+    let fields = names.zip((0..).step_by(size_of::<f32>()));
+    let fields: Vec<PointField> =
+        fields.map(|(name, offset)| field(name, offset, FLOAT32)).collect();
+    let step = fields.len() * size_of::<f32>();
+    let mut data = Vec::with_capacity(frame.len() * step);
+    for (particle, [x, y]) in frame.position.iter().enumerate() {
+        let values = properties.iter().map(|(_, values)| values[particle]);
+        let numbers = [*x, *y, 0.0].into_iter().chain(values);
+        data.extend(numbers.flat_map(f32::to_le_bytes));
+    }
+    cdr::encode(&PointCloud2 {
+        fields,
+        point_step: step as u32,
+        row_step: (frame.len() * step) as u32,
+        data,
+        is_dense: true,
+        ..description(frame)
+    })
+}
+
+/// The numbers of a `float32` field of a point cloud, one per point; `None` if there is no such field, or the data is
+/// shorter than described.
+pub fn property(cloud: &PointCloud2, name: &str) -> Option<Vec<f32>> {
+    let field =
+        cloud.fields.iter().find(|field| field.name == name && field.datatype == FLOAT32)?;
+    let (step, offset) = (cloud.point_step as usize, field.offset as usize);
+    let points = (cloud.width as usize).checked_mul(cloud.height as usize)?;
+    let fits = offset.checked_add(size_of::<f32>()).is_some_and(|end| end <= step);
+    if cloud.is_bigendian || !fits || points.checked_mul(step)? > cloud.data.len() {
+        return None;
+    }
+    let number = |point: &[u8]| {
+        let bytes = point[offset..].first_chunk().copied().unwrap_or_default();
+        f32::from_le_bytes(bytes)
+    };
+    Some(cloud.data.chunks_exact(step).take(points).map(number).collect())
+}
+
+fn field(name: &str, offset: u32, datatype: u8) -> PointField {
+    PointField { name: name.to_owned(), offset, datatype, count: 1 }
+}
+
 /// The point cloud without its points.
 fn description(frame: &Frame) -> PointCloud2 {
-    let fields = FIELDS.map(|(name, offset, datatype)| PointField {
-        name: name.to_owned(),
-        offset,
-        datatype,
-        count: 1,
-    });
+    let fields = FIELDS.map(|(name, offset, datatype)| field(name, offset, datatype));
     PointCloud2 {
         header: Header::world(frame.stamp),
         height: 1,
@@ -108,6 +149,17 @@ mod tests {
             prop_assert_eq!((cloud.point_step, cloud.row_step), (24, 24 * cloud.width));
             prop_assert_eq!(cloud.data.len(), 24 * frame.len());
             prop_assert!(cloud.is_dense && !cloud.is_bigendian);
+            let values: Vec<f32> = (0..frame.len()).map(|k| k as f32 - 0.5).collect();
+            let other = properties_to_cdr(&frame, &[("a", &values), ("b", &values)]);
+            let mut other: PointCloud2 = cdr::decode(&other).unwrap();
+            prop_assert_eq!((other.point_step, &other.header), (20, &cloud.header));
+            prop_assert_eq!(property(&other, "b"), Some(values));
+            let x = frame.position.iter().map(|x| x[0]).collect::<Vec<_>>();
+            prop_assert_eq!(property(&other, "x"), Some(x));
+            prop_assert_eq!(property(&other, "c"), None);
+            prop_assert_eq!(property(&cloud, "material"), None);
+            other.data.pop();
+            prop_assert_eq!(property(&other, "b"), None);
             for point in 0..frame.len() {
                 let found = ["x", "y", "z", "vx", "vy"].map(|name| read(&cloud, point, name));
                 let ([x, y], [vx, vy]) = (frame.position[point], frame.velocity[point]);

@@ -40,14 +40,14 @@ pub trait Message: Serialize + DeserializeOwned {
     const TYPE: &'static str;
 }
 
-/// The message type of a topic of eddy, from the last part of its name: status, cloud, diagnostics, clock and parameter
-/// events have fixed names, all other topics carry frames.
+/// The message type of a topic of eddy, from the last part of its name: status, cloud, fields, diagnostics, clock and
+/// parameter events have fixed names, all other topics carry frames.
 pub fn topic_type(topic: &str) -> &'static str {
     match topic.rsplit('/').next() {
         Some("status") => PredictionStatus::TYPE,
         Some("diagnostics") => DiagnosticArray::TYPE,
         Some("clock") => Clock::TYPE,
-        Some("cloud") => PointCloud2::TYPE,
+        Some("cloud" | "fields") => PointCloud2::TYPE,
         Some("parameter_events") => ParameterEvent::TYPE,
         _ => ParticleFrame::TYPE,
     }

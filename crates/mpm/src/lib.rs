@@ -16,7 +16,8 @@
 //! 3. [`grid`]: convert momentum to velocity; apply gravity and walls.
 //! 4. [`g2p`]: gather velocities and their gradients; advance positions.
 //!
-//! [`fast`] does the same vectorised and on several threads; [`energy`] computes the total energy.
+//! [`fast`] does the same vectorised and on several threads; [`energy`] computes the total energy, [`state`]
+//! pressure and energy of every particle.
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
 //! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the constitutive law and its parameters as in Taichi's
@@ -46,6 +47,7 @@ mod simulation;
 mod solver;
 mod spline;
 mod stability;
+mod state;
 mod water;
 
 pub use attractor::Attractor;
@@ -64,6 +66,7 @@ pub use shape::Shape;
 pub use simulation::{Settings, Simulation};
 pub use solver::{Solver, SolverSettings};
 pub use stability::minimum_substeps;
+pub use state::ParticleState;
 
 /// Time between two frames (s).
 pub const FRAME_INTERVAL: f32 = 0.016;

@@ -12,6 +12,7 @@ use super::{
     scene::Scene,
     solver::{Solver, SolverSettings},
     stability::minimum_substeps,
+    state::ParticleState,
 };
 use eddy_frames::{Domain, Frame, Stamp, decimal};
 
@@ -223,6 +224,11 @@ impl Simulation {
     /// The current energy.
     pub fn energy(&self) -> Energy {
         self.solver.energy()
+    }
+
+    /// Pressure and energy of every particle of the last frame.
+    pub fn particle_state(&self) -> ParticleState {
+        self.solver.particle_state()
     }
 
     /// The box that holds the particles.

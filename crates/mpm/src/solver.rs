@@ -9,6 +9,7 @@ use super::{
     material::{Materials, Moduli},
     p2g,
     particle::Particle,
+    state::ParticleState,
 };
 
 /// Settings of a [`Solver`].
@@ -117,6 +118,11 @@ impl Solver {
     /// The energy of the particles.
     pub fn energy(&self) -> Energy {
         Energy::of(&self.particles, &self.settings)
+    }
+
+    /// Pressure and energy of every particle.
+    pub fn particle_state(&self) -> ParticleState {
+        ParticleState::of(&self.particles, &self.settings)
     }
 
     /// Mean kinetic energy per mass, `|v|^2 / 2` (domain lengths^2 per s^2).

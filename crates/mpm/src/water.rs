@@ -53,7 +53,7 @@ pub(super) fn stress(area: f32, gradient: Matrix2, moduli: &Moduli) -> Matrix2 {
 /// Tait's pressure with the exponent 7, none in tension (Becker and Teschner 2007, "Weakly
 /// compressible SPH for free surface flows", equation 7).
 #[inline]
-fn pressure(area: f32, bulk_modulus: f32) -> f32 {
+pub(super) fn pressure(area: f32, bulk_modulus: f32) -> f32 {
     let packed = 1.0 / area;
     let squared = packed * packed;
     let pressure = bulk_modulus / 7.0 * (squared * squared * squared * packed - 1.0);

@@ -66,6 +66,7 @@ fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
         scenes: args.scenes,
         seed: args.seed,
         settings: Settings { stiffness, law, viscosity, substeps, duration },
+        fields: args.fields,
         threads: args.threads,
     })
 }

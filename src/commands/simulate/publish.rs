@@ -49,7 +49,7 @@ pub(super) fn run(
             .run(&mut simulation, next, stop, |frame, simulation| {
                 topics.publish(frame)?;
                 if let Some(recording) = &mut recording {
-                    recording.add(frame, simulation.energy())?;
+                    recording.add(frame, simulation)?;
                 }
                 frames += 1;
                 Ok(())

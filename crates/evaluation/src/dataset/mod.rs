@@ -43,6 +43,8 @@ use statistics::Statistics;
 
 /// The topic that holds the truth.
 pub const TRUTH_TOPIC: &str = "/particles";
+/// The topic that holds pressure and energy of its particles.
+pub const FIELDS_TOPIC: &str = "/particles/fields";
 
 /// Trajectories, split into parts and described by statistics.
 #[derive(Clone, Debug)]

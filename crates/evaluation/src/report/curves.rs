@@ -69,7 +69,7 @@ impl Report {
             0 => {
                 let all =
                     self.shown.iter().zip(&self.compared).filter(|(_, n)| **n == self.windows);
-                all.map(|(&ahead, _)| ahead).last().unwrap_or(self.horizon)
+                all.map(|(&ahead, _)| ahead).next_back().unwrap_or(self.horizon)
             }
             complete => complete,
         }

@@ -210,6 +210,7 @@ impl DataConfig {
             scenes: self.scenes,
             seed: self.seed,
             settings: Settings { duration: self.duration, ..Settings::default() },
+            fields: false,
             threads: None,
         })
     }

@@ -33,6 +33,9 @@ pub(super) struct RecordedRequest {
     pub(super) particles: Option<usize>,
     /// Overrides of the scenes' own settings.
     pub(super) settings: Settings,
+    /// Whether pressure and energy of every particle are recorded.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) fields: bool,
 }
 
 /// Initial conditions of a scene.

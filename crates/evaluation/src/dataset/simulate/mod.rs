@@ -48,6 +48,8 @@ pub struct SimulationRequest {
     pub seed: u64,
     /// Overrides of the scenes' own settings.
     pub settings: Settings,
+    /// Whether to record pressure and energy of every particle.
+    pub fields: bool,
     /// Threads: one per scene; surplus threads share the work within scenes. By default one per scene, at most one per
     /// core.
     pub threads: Option<NonZeroUsize>,
@@ -81,6 +83,7 @@ impl SimulationRequest {
             seed: self.seed,
             particles: self.source.unusual_particles(),
             settings: self.settings,
+            fields: self.fields,
         }
     }
 

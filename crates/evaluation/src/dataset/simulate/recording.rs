@@ -12,17 +12,19 @@ use super::{
     manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start},
     staging::Staging,
 };
-use crate::dataset::TRUTH_TOPIC;
+use crate::dataset::{FIELDS_TOPIC, TRUTH_TOPIC};
 use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions};
 use eddy_frames::Frame;
-use eddy_messages::{FrameCdr, Message, ParticleFrame};
-use eddy_mpm::Energy;
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
+use eddy_mpm::{ParticleState, Simulation};
 
 /// The output directory, locked by this process.
 #[derive(Debug)]
 pub struct Store {
     staging: Staging,
     manifest: Mutex<Manifest>,
+    /// Whether pressure and energy of every particle are recorded.
+    records_fields: bool,
 }
 
 impl Store {
@@ -37,7 +39,8 @@ impl Store {
         if Some(&found) != manifest {
             return Err(SimulateError::Changed { output: output.to_owned() });
         }
-        Ok(Self { staging, manifest: Mutex::new(found) })
+        let records_fields = request.fields;
+        Ok(Self { staging, manifest: Mutex::new(found), records_fields })
     }
 
     /// The directory.
@@ -72,6 +75,8 @@ pub struct Recording {
     start: Start,
     writer: BagWriter,
     topic: TopicId,
+    /// The topic of pressure and energy, if they are recorded.
+    fields: Option<TopicId>,
     digest: Sha256,
     frames: u64,
     energy: EnergyCurve,
@@ -86,20 +91,29 @@ impl Recording {
         let place = store.staging.place(&directory(start.id))?;
         let mut writer = BagWriter::create(&place, WriterOptions::default())?;
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
+        let fields = store
+            .records_fields
+            .then(|| writer.topic(FIELDS_TOPIC, PointCloud2::TYPE))
+            .transpose()?;
         let (digest, energy) = (Sha256::new(), EnergyCurve::default());
-        Ok(Self { start: start.clone(), writer, topic, digest, frames: 0, energy })
+        Ok(Self { start: start.clone(), writer, topic, fields, digest, frames: 0, energy })
     }
 
-    /// Adds the next frame and its energy.
+    /// Adds the next frame of a simulation and its energy; pressure and energy of every particle, if requested.
     ///
     /// # Errors
     /// As [`BagWriter::write`].
-    pub fn add(&mut self, frame: &Frame, energy: Energy) -> Result<(), BagError> {
+    pub fn add(&mut self, frame: &Frame, simulation: &Simulation) -> Result<(), BagError> {
         let cdr = frame.to_cdr();
         self.digest.update(&cdr);
-        self.energy.push(frame.stamp.seconds(), energy);
+        self.energy.push(frame.stamp.seconds(), simulation.energy());
         self.frames += 1;
-        self.writer.write(self.topic, frame.stamp, frame.stamp, &cdr)
+        self.writer.write(self.topic, frame.stamp, frame.stamp, &cdr)?;
+        let Some(topic) = self.fields else { return Ok(()) };
+        let ParticleState { pressure, energy } = simulation.particle_state();
+        let properties = [("pressure", &pressure[..]), ("energy", &energy[..])];
+        let cdr = cloud::properties_to_cdr(frame, &properties);
+        self.writer.write(topic, frame.stamp, frame.stamp, &cdr)
     }
 
     /// Finishes the bag and syncs it to disk.

@@ -21,6 +21,7 @@ fn request(scenes: u32) -> SimulationRequest {
         scenes,
         seed: 1,
         settings: Settings { duration: Some(0.032), ..Settings::default() },
+        fields: false,
         threads: NonZeroUsize::new(1),
     }
 }
@@ -102,6 +103,7 @@ fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
     let more = Source::Random(Extent::of(Preset::Kinds, 2600).unwrap());
     for (other, expected) in [
         (SimulationRequest { seed: 2, ..request(1) }, vec!["seed"]),
+        (SimulationRequest { fields: true, ..request(1) }, vec!["fields"]),
         (SimulationRequest { settings: longer, ..request(1) }, vec!["settings.duration"]),
         (
             SimulationRequest { source: more, name: "other".to_owned(), ..request(1) },

@@ -132,7 +132,7 @@ impl Workers<'_> {
             if self.stops() {
                 return Ok(None);
             }
-            recording.add(&frame, simulation.energy())?;
+            recording.add(&frame, &simulation)?;
             frames += 1;
             self.progress.advance(1);
         }
