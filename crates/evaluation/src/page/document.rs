@@ -23,7 +23,15 @@ pub struct Page {
 #[derive(Clone, Debug)]
 pub struct Section {
     title: String,
-    content: Vec<Markup>,
+    content: Vec<Part>,
+}
+
+/// A part of a section.
+#[derive(Clone, Debug)]
+struct Part {
+    markup: Markup,
+    /// Whether it introduces what follows, like a heading or a paragraph: a printed page does not end with it.
+    introduces: bool,
 }
 
 impl Page {
@@ -69,8 +77,7 @@ impl Page {
                     main {
                         @for (number, section) in self.sections.iter().enumerate() {
                             section id=(identifier(number)) {
-                                h2 { (section.title) }
-                                @for part in &section.content { (part) }
+                                (kept_together(Some(html! { h2 { (section.title) } }), &section.content))
                             }
                         }
                     }
@@ -95,6 +102,25 @@ fn identifier(number: usize) -> String {
     format!("section-{}", number + 1)
 }
 
+/// The parts of a section. What introduces the next table or figure is in one element with it, which printed pages do not
+/// break.
+fn kept_together(heading: Option<Markup>, parts: &[Part]) -> Markup {
+    let mut open: Vec<Markup> = heading.into_iter().collect();
+    let mut all = Vec::new();
+    for Part { markup, introduces } in parts {
+        if *introduces {
+            open.push(markup.clone());
+        } else if open.is_empty() {
+            all.push(markup.clone());
+        } else {
+            let introduction = std::mem::take(&mut open);
+            all.push(html! { div.keep { @for part in &introduction { (part) } (markup) } });
+        }
+    }
+    all.append(&mut open);
+    html! { @for part in &all { (part) } }
+}
+
 impl Section {
     fn new(title: String) -> Self {
         Self { title, content: Vec::new() }
@@ -102,17 +128,17 @@ impl Section {
 
     /// A heading within the section.
     pub fn heading(&mut self, words: &str) -> &mut Self {
-        self.add(html! { h3 { (words) } })
+        self.introduce(html! { h3 { (words) } })
     }
 
     /// A paragraph.
     pub fn paragraph(&mut self, words: &str) -> &mut Self {
-        self.add(html! { p { (words) } })
+        self.introduce(html! { p { (words) } })
     }
 
     /// A highlighted paragraph.
     pub fn note(&mut self, words: &str) -> &mut Self {
-        self.add(html! { p.note { (words) } })
+        self.introduce(html! { p.note { (words) } })
     }
 
     /// Preformatted lines.
@@ -160,12 +186,17 @@ impl Section {
         let mut inner = Self::new(String::new());
         fill(&mut inner);
         self.add(html! {
-            details { summary { (summary) } @for part in &inner.content { (part) } }
+            details { summary { (summary) } (kept_together(None, &inner.content)) }
         })
     }
 
-    fn add(&mut self, part: Markup) -> &mut Self {
-        self.content.push(part);
+    fn add(&mut self, markup: Markup) -> &mut Self {
+        self.content.push(Part { markup, introduces: false });
+        self
+    }
+
+    fn introduce(&mut self, markup: Markup) -> &mut Self {
+        self.content.push(Part { markup, introduces: true });
         self
     }
 }
@@ -204,6 +235,20 @@ mod tests {
         }
         assert!(html.contains(r##"<a href="#section-2">e</a>"##), "{html}");
         assert!(html.contains(r#"<section id="section-2"><h2>e</h2>"#), "{html}");
+    }
+
+    #[test]
+    fn an_introduction_is_kept_together_with_what_it_introduces() {
+        let mut page = Page::new("a", "b");
+        let section = page.section("c");
+        section.paragraph("d").code("e").code("f").heading("g").note("h").code("i").paragraph("j");
+        let html = page.html();
+        let expected = concat!(
+            r#"<section id="section-1"><div class="keep"><h2>c</h2><p>d</p><pre><code>e</code></pre></div>"#,
+            r#"<pre><code>f</code></pre><div class="keep"><h3>g</h3><p class="note">h</p>"#,
+            r#"<pre><code>i</code></pre></div><p>j</p></section>"#,
+        );
+        assert!(html.contains(expected), "{html}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! 1. `document`: a page of sections, each with paragraphs, tables, plots and pictures.
 //! 2. `table`: rows of numbers under a caption.
-//! 3. `plot`: named curves on linear or logarithmic axes, as SVG.
+//! 3. `plot`: named curves on linear or logarithmic axes, as SVG. `hover`: their values for `page.js`.
 //! 4. `scale`: ranges and ticks of axes.
 //! 5. `style`: colours, dashes and marks, distinguishable in print and by colour-blind readers.
 //! 6. `grid`: pictures in rows and columns.
@@ -13,6 +13,7 @@
 
 mod document;
 mod grid;
+mod hover;
 mod plot;
 mod provenance;
 mod scale;

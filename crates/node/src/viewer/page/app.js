@@ -131,13 +131,18 @@ function start(hello) {
   listControls();
 }
 
-/** Forgets the frames of another stream. */
+/** Forgets the frames of another program. */
 function forget() {
   history.clear();
   now.predicted = false;
   now.past = null;
-  for (const scale of Object.values(scales)) scale.automatic = null;
+  followAnew();
   redraw();
+}
+
+/** Lets the limits of the colours start from the particles of the next frame. */
+function followAnew() {
+  for (const scale of Object.values(scales)) scale.automatic = null;
 }
 
 // --- particles
@@ -191,7 +196,7 @@ function tick(time) {
     if (now.held) now.steps -= 1;
     acknowledge();
     now.drawn.push(time);
-    if (now.frame && now.frame.stream !== frame.stream) forget();
+    if (now.frame && now.frame.stream !== frame.stream) followAnew();
     history.add(frame);
     scales[view.colour]?.update(frame);
     present(frame);
@@ -320,7 +325,7 @@ function streams({ streams: all, stream, following }) {
 function drawCurves() {
   const curves = now.curves ?? { time: [], horizon: [], baseline: null };
   const { chart } = theme.colours();
-  const mark = now.past === null ? null : timeOf(now.frame);
+  const mark = now.past !== null && now.frame.stream === now.metrics?.stream ? timeOf(now.frame) : null;
   const { baseline } = curves;
   const time = drawChart($("error-time"), curves.time, { title: "simulation time (s)", baseline, colours: chart, gap: 0.5, mark });
   $("error-time").setAttribute("aria-label", `Error over time: ${time}`);
