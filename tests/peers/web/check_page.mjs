@@ -341,7 +341,7 @@ try {
   assert.ok((await page.locator("#key-list dt").count()) >= 8);
   await page.keyboard.press("Escape");
   const unnamed = await page.evaluate(() => [...document.querySelectorAll("button, input, select, canvas")]
-    .filter((one) => !(one.ariaLabel || one.textContent.trim() || one.closest("label")?.textContent.trim()))
+    .filter((one) => !one.ariaHidden && !(one.ariaLabel || one.textContent.trim() || one.closest("label")?.textContent.trim()))
     .map((one) => one.id));
   assert.deepEqual(unnamed, [], "all controls have names");
   const silent = await page.evaluate(() => [...document.querySelectorAll("main button, main input, main select, header button")]

@@ -419,7 +419,7 @@ const actions = {
     const { hello, metrics } = now;
     const [skill, of] = skillText(metrics?.skill);
     const lines = [`eddy ${hello.command}: ${hello.title}`];
-    if (skill && now.past === null) lines.push(`${skill} ${of}`);
+    if (skill && now.past === null) lines.push(`${of}: ${skill}`);
     draw();
     const picture = compose($("stage"), $("particles"), lines,
       (pen, left, y, ink) => legend.draw(pen, left, y, hello.scale, dark, ink), { ...chart, paper });
