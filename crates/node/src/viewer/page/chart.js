@@ -60,7 +60,7 @@ export function draw(canvas, rows, { title, baseline, colours, decimals = 1, gap
   }
   pen.textAlign = "center";
   pen.textBaseline = "alphabetic";
-  const step = Math.max(nice(last - first || 1, Math.max(2, width / 110)), decimals ? 0 : 1);
+  const step = Math.max(nice(last - first || 1, Math.max(4, width / 110)), decimals ? 0 : 1);
   const digits = step < 1 ? Math.max(decimals, Math.ceil(-Math.log10(step) - 1e-9)) : 0;
   for (let value = Math.ceil(first / step) * step; value <= last + 1e-9; value += step) {
     pen.fillText(`${value.toFixed(digits)}`, x(value), height - MARGIN.bottom + 17);

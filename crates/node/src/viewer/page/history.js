@@ -44,6 +44,7 @@ export class History {
     this.entries.push({ frame, at });
     this.bytes += frame.buffer.byteLength;
     while (at - this.entries[0].at > SECONDS) this.bytes -= this.entries.shift().frame.buffer.byteLength;
+    if (this.stride > 1 && this.bytes < BYTES / 4) this.stride /= 2;
     if (this.bytes > BYTES && this.length > 2) {
       this.stride *= 2;
       this.entries = this.entries.filter((_, index) => (this.length - 1 - index) % 2 === 0);
