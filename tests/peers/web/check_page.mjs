@@ -64,11 +64,10 @@ async function serve(...args) {
 /** Starts `eddy demo` with its page on `port`. */
 const demo = (port) => serve("demo", "--port", String(port), "--output", join(work, `demo-${started++}`));
 /** Plays a bag in a loop, with a page. */
-const replay = (bag) => {
+const replay = (bag, ...topics) => {
   // Topics that no other process on this machine uses.
-  const remap = ["", "/status"].map((end) => `/prediction${end}:=/check_page_${process.pid}/prediction${end}`);
-  const topics = [`/particles:=/check_page_${process.pid}/particles`, ...remap].flatMap((one) => ["--remap", one]);
-  return serve("replay", bag, "--to", "shm", "--loop", "--view", "0", ...topics);
+  const remap = topics.flatMap((topic) => ["--remap", `${topic}:=/check_page_${process.pid}${topic}`]);
+  return serve("replay", bag, "--to", "shm", "--loop", "--view", "0", ...remap);
 };
 
 const browser = await chromium.launch({
@@ -235,13 +234,22 @@ try {
   await until("predictions are one frame ahead", async () => /, 1 frame ahead$/.test(await caption(page, "prediction")));
   await page.locator("#pause").click();
   await until("it pauses", async () => (await page.locator("#pause").textContent()) === "Resume");
+  // A slow node has frames in its queue.
+  const received = () => metric(page, "received");
+  await until("the node has seen all frames", async () => {
+    const count = await received();
+    await sleep(1500);
+    return (await received()) === count;
+  });
   await page.keyboard.press("r");
   await until("the streams are reset", async () => /Reset/.test(await page.locator("#message").textContent()));
   // The next frame has a prediction from before the reset.
   let grey = false;
-  for (let step = 0; step < 3 && !grey; step++) {
+  for (let step = 0; step < 4 && !grey; step++) {
+    const last = await frame(page);
     await page.keyboard.press("ArrowRight");
-    await sleep(600);
+    await until("the next frame is drawn", async () => (await frame(page)) !== last);
+    await sleep(300);
     const [ghost, ...others] = await colours(page, "#truth .plot", [GHOST, ...VIRIDIS], 25);
     grey = ghost > 0.01 && others.every((share) => share < 0.001);
   }
@@ -415,7 +423,7 @@ try {
   const recording = join(truthBag, "scene_0000");
   run("predict", "--input", recording, "--output", predictedBag);
   run("bag", "merge", recording, predictedBag, "--output", both);
-  const alone = await replay(recording);
+  const alone = await replay(recording, "/particles");
   const single = await tab(alone.url);
   await until("the recording is drawn", async () => (await colours(single, "#truth .plot", [LIQUID]))[0] > 0.01);
   assert.ok(await single.locator("#prediction").isHidden(), "no empty panel");
@@ -423,7 +431,7 @@ try {
   await snap(single, "replay-alone");
   await single.context().close();
   await alone.kill();
-  const compared = await replay(both);
+  const compared = await replay(both, "/particles", "/prediction", "/prediction/status");
   for (const width of [1280, 360]) {
     const stacked = await tab(compared.url, { viewport: { width, height: 900 }, colorScheme: "dark" });
     await until("both sides are drawn", async () => {

@@ -336,6 +336,8 @@ function drawCurves() {
   }
 }
 addEventListener("resize", () => { redraw(); drawCurves(); });
+// A caption that takes another line moves the panels.
+new ResizeObserver(redraw).observe($("stage"));
 
 // --- commands
 
