@@ -431,7 +431,7 @@ try {
   await snap(single, "replay-alone");
   await single.context().close();
   await alone.kill();
-  const compared = await replay(both, "/particles", "/prediction", "/prediction/status");
+  const compared = await replay(both, "/particles", "/prediction");
   for (const width of [1280, 360]) {
     const stacked = await tab(compared.url, { viewport: { width, height: 900 }, colorScheme: "dark" });
     await until("both sides are drawn", async () => {

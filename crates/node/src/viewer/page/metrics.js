@@ -61,6 +61,8 @@ export function show(metrics, hello, frame, drawn) {
 /** Skill as text: the number, and what it is of. */
 export function skillText(skill) {
   if (!skill) return ["", ""];
+  // A bag without statuses does not say what its predictions were made from.
+  if (skill.horizon === 0) return ["–", "skill: frames ahead unknown"];
   const ahead = `${skill.horizon} ${skill.horizon === 1 ? "frame" : "frames"} ahead`;
   if (skill.value == null) return ["–", `skill ${ahead}: ${skill.baseline ? "at rest" : "no baseline"}`];
   const value = Math.abs(skill.value) < 100 ? skill.value.toFixed(2) : skill.value.toFixed(0);
