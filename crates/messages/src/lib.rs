@@ -2,13 +2,14 @@
 //!
 //! 1. [`messages`]: one Rust struct per message, with the fields of the `.msg` file.
 //! 2. [`cdr`]: encoding and decoding (CDR, XCDR1, little-endian header `00 01 00 00`).
-//! 3. [`schema`]: the `.msg` text with its dependencies, as stored in MCAP files, and the type
-//!    description parsed from it.
-//! 4. [`services`], [`playback`]: requests and responses, also one struct each.
-//! 5. [`service_type`]: the `.srv` files and their type hashes.
-//! 6. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
-//! 7. `dds_type`: type names in DDS.
-//! 8. [`cloud`]: a frame as `PointCloud2`, for programs that do not know `ParticleFrame`.
+//! 3. `library`: the built-in `.msg` texts. `definition`: the language of these files.
+//! 4. [`schema`]: the `.msg` text with its dependencies, as stored in MCAP files, and the type
+//!    description parsed from it. [`type_descriptions`]: definitions from the nodes that use a type.
+//! 5. [`services`], [`playback`]: requests and responses, also one struct each.
+//! 6. [`service_type`]: the `.srv` files and their type hashes.
+//! 7. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
+//! 8. `dds_type`: type names in DDS. [`qos`]: quality of service.
+//! 9. [`cloud`]: a frame as `PointCloud2`, for programs that do not know `ParticleFrame`.
 //!
 //! The `.msg` and `.srv` files in `msgs/` are the source of truth: schema text and type hashes are derived from them,
 //! and a test compares the structs with them.
@@ -17,18 +18,25 @@ pub mod cdr;
 pub mod cloud;
 mod convert;
 mod dds_type;
+mod definition;
+mod library;
 mod messages;
 pub mod playback;
+pub mod qos;
 pub mod schema;
 pub mod service_type;
 pub mod services;
+pub mod type_descriptions;
 
 pub use convert::{BadFrame, FrameCdr};
 pub use dds_type::{dds_type, ros_type};
+pub use definition::InvalidDefinition;
+pub use library::{names as built_in_types, text_of as built_in_text};
 pub use messages::{
     Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
     PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
 };
+pub use qos::QosProfile;
 pub use schema::{TypeSupport, UnknownType, type_support};
 pub use service_type::{UnknownService, service_hash};
 

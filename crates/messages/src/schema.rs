@@ -1,14 +1,18 @@
-//! Parses the `.msg` files, makes their schema text, and hashes them.
+//! The type of a topic for other programs: its definition as MCAP stores it, and its type hash.
 //!
-//! Schema text is that of MCAP (`ros2msg`): the text of the message, then each dependency after a line of 80 `=` and a
-//! line `MSG: package/Type` (MCAP specification, appendix "ros2msg").
 //! The type hash is RIHS01: SHA-256 of the JSON type description (REP 2011, REP 2016).
 
-use std::{collections::BTreeMap, sync::LazyLock};
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, btree_map::Entry},
+    sync::{LazyLock, OnceLock},
+};
 
-use hiroz_schema::{
-    FieldDescription, FieldTypeDescription, TypeDescription, TypeDescriptionMsg, TypeId,
-    calculate_hash,
+use hiroz_schema::{TypeDescription, TypeDescriptionMsg, calculate_hash};
+
+use super::{
+    definition::{InvalidDefinition, full_name, parse, parts, render, short_name},
+    library,
 };
 
 /// Description of a message type for other programs.
@@ -16,16 +20,16 @@ use hiroz_schema::{
 pub struct TypeSupport {
     /// ROS 2 name, such as `eddy_msgs/msg/ParticleFrame`.
     pub name: String,
-    /// The `.msg` text of the type and all its dependencies.
+    /// The `.msg` text of the type and all its dependencies; empty if unknown.
     pub schema: String,
-    /// Type hash, `RIHS01_` and 64 hexadecimal digits.
+    /// Type hash, `RIHS01_` and 64 hexadecimal digits; empty if unknown.
     pub hash: String,
     /// The parsed type, and the referenced types sorted by name.
     pub description: TypeDescriptionMsg,
 }
 
 impl TypeSupport {
-    /// A type that is not built in: only its name and its type hash (empty if unknown).
+    /// A type without a definition: only its name and its type hash (empty if unknown).
     pub fn foreign(name: &str, hash: &str) -> Self {
         let type_description = TypeDescription { type_name: name.to_owned(), fields: Vec::new() };
         Self {
@@ -38,172 +42,144 @@ impl TypeSupport {
             },
         }
     }
+
+    /// The type `name` from `.msg` texts: `text_of` returns that of a full name such as `std_msgs/msg/Header`.
+    ///
+    /// # Errors
+    /// [`InvalidDefinition`] when a text is missing or is not a definition.
+    pub fn from_texts<'t>(
+        name: &str,
+        text_of: &dyn Fn(&str) -> Option<Cow<'t, str>>,
+    ) -> Result<Self, InvalidDefinition> {
+        let missing = |type_name: &str| InvalidDefinition::Missing {
+            type_name: type_name.to_owned(),
+            of: name.to_owned(),
+        };
+        let text = text_of(name).ok_or_else(|| missing(name))?;
+        let main = parse(name, &text)?;
+        let mut dependencies = BTreeMap::new();
+        let mut open = references(&main);
+        while let Some(dependency) = open.pop() {
+            if let Entry::Vacant(entry) = dependencies.entry(dependency) {
+                let dependency = entry.key();
+                let text = text_of(dependency).ok_or_else(|| missing(dependency))?;
+                let parsed = parse(dependency, &text)?;
+                open.extend(references(&parsed));
+                entry.insert((text, parsed));
+            }
+        }
+        let mut schema = written(&text, &main);
+        for (dependency, (text, parsed)) in &dependencies {
+            let (separator, short) = ("=".repeat(80), short_name(dependency));
+            schema.push_str(&format!("\n{separator}\nMSG: {short}\n{}", written(text, parsed)));
+        }
+        let dependencies = dependencies.into_values().map(|(_, parsed)| parsed).collect();
+        Ok(Self::new(schema, main, dependencies))
+    }
+
+    /// The type `name` from a `ros2msg` text, as in MCAP files. Dependencies that the text lacks are taken from the
+    /// built-in types.
+    ///
+    /// # Errors
+    /// As [`TypeSupport::from_texts`].
+    pub fn from_schema(name: &str, schema: &str) -> Result<Self, InvalidDefinition> {
+        let texts: BTreeMap<_, _> = parts(schema)
+            .into_iter()
+            .map(|(part, text)| (part.map_or_else(|| name.to_owned(), full_name), text))
+            .collect();
+        if texts.is_empty() {
+            let (type_name, of) = (name.to_owned(), name.to_owned());
+            return Err(InvalidDefinition::Missing { type_name, of });
+        }
+        let text_of = |of: &str| texts.get(of).copied().or_else(|| library::text_of(of));
+        Self::from_texts(name, &|of| text_of(of).map(Cow::Borrowed))
+    }
+
+    /// A type from its description. The schema has neither constants nor comments.
+    ///
+    /// # Errors
+    /// [`InvalidDefinition`] when a field has a type that `.msg` files lack.
+    pub fn from_description(description: &TypeDescriptionMsg) -> Result<Self, InvalidDefinition> {
+        let TypeDescriptionMsg { type_description, referenced_type_descriptions } = description;
+        let name = &type_description.type_name;
+        let parts = referenced_type_descriptions.iter().chain([type_description]);
+        let text_of = |of: &str| {
+            let part = parts.clone().find(|part| part.type_name == of)?;
+            render(part).map(Cow::Owned)
+        };
+        Self::from_texts(name, &text_of)
+    }
+
+    /// This type, if it has this name and, unless that is empty, this type hash.
+    ///
+    /// # Errors
+    /// [`InvalidDefinition::Hash`] when the hashes differ, [`InvalidDefinition::Missing`] when the names do.
+    pub fn checked(self, name: &str, hash: &str) -> Result<Self, InvalidDefinition> {
+        if self.name != name {
+            return Err(InvalidDefinition::Missing { type_name: name.to_owned(), of: self.name });
+        }
+        if !hash.is_empty() && self.hash != hash {
+            let (type_name, expected) = (self.name, hash.to_owned());
+            return Err(InvalidDefinition::Hash { type_name, found: self.hash, expected });
+        }
+        Ok(self)
+    }
+
+    fn new(schema: String, main: TypeDescription, dependencies: Vec<TypeDescription>) -> Self {
+        let name = main.type_name.clone();
+        let description = TypeDescriptionMsg {
+            type_description: main,
+            referenced_type_descriptions: dependencies,
+        };
+        let hash = calculate_hash(&description).to_rihs_string();
+        Self { name, schema, hash, description }
+    }
 }
 
 /// A message type that is not built in.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("message type: found {found}, expected one of {}", known_types().join(", "))]
+#[error(
+    "message type: found {found}, expected a type of one of the packages {}",
+    library::packages()
+)]
 pub struct UnknownType {
     /// The unknown name.
     pub found: String,
 }
 
-macro_rules! files {
-    ($($folder:literal $name:literal),* $(,)?) => {
-        [$(($name, include_str!(concat!("../msgs/", $folder, $name, ".msg")))),*]
-    };
-}
-
-/// Names and texts of the built-in `.msg` files.
-const FILES: [(&str, &str); 14] = files![
-    "standard/" "builtin_interfaces/msg/Time",
-    "standard/" "diagnostic_msgs/msg/DiagnosticArray",
-    "standard/" "diagnostic_msgs/msg/DiagnosticStatus",
-    "standard/" "diagnostic_msgs/msg/KeyValue",
-    "" "eddy_msgs/msg/ParticleFrame",
-    "" "eddy_msgs/msg/PredictionStatus",
-    "standard/" "rcl_interfaces/msg/Parameter",
-    "standard/" "rcl_interfaces/msg/ParameterEvent",
-    "standard/" "rcl_interfaces/msg/ParameterValue",
-    "standard/" "rosgraph_msgs/msg/Clock",
-    "standard/" "sensor_msgs/msg/PointCloud2",
-    "standard/" "sensor_msgs/msg/PointField",
-    "standard/" "std_msgs/msg/Header",
-    "standard/" "std_msgs/msg/String",
-];
-
-/// Names and texts of the `.msg` files of messages that are only fields of others.
-const NESTED_FILES: [(&str, &str); 6] = files![
-    "standard/" "rcl_interfaces/msg/FloatingPointRange",
-    "standard/" "rcl_interfaces/msg/IntegerRange",
-    "standard/" "rcl_interfaces/msg/ListParametersResult",
-    "standard/" "rcl_interfaces/msg/ParameterDescriptor",
-    "standard/" "rcl_interfaces/msg/SetParametersResult",
-    "standard/" "service_msgs/msg/ServiceEventInfo",
-];
-
-static TYPES: LazyLock<BTreeMap<&'static str, TypeSupport>> =
-    LazyLock::new(|| FILES.iter().map(|&(name, _)| (name, assemble(name))).collect());
+/// Each type is assembled when it is first asked for.
+static TYPES: LazyLock<BTreeMap<&'static str, OnceLock<TypeSupport>>> =
+    LazyLock::new(|| library::names().map(|name| (name, OnceLock::new())).collect());
 
 /// The type support of a message type.
 ///
 /// # Errors
 /// [`UnknownType`] when the type is not built in.
 pub fn type_support(name: &str) -> Result<&'static TypeSupport, UnknownType> {
-    TYPES.get(name).ok_or_else(|| UnknownType { found: name.to_owned() })
+    let known = TYPES.get(name).ok_or_else(|| UnknownType { found: name.to_owned() })?;
+    Ok(known.get_or_init(|| {
+        TypeSupport::from_texts(name, &|of| library::text_of(of).map(Cow::Borrowed))
+            .unwrap_or_else(|error| panic!("msgs/: {error}"))
+    }))
 }
 
-fn known_types() -> Vec<&'static str> {
-    FILES.iter().map(|(name, _)| *name).collect()
-}
-
-fn text_of(name: &str) -> &'static str {
-    let (_, text) =
-        FILES.iter().chain(&NESTED_FILES).find(|(known, _)| *known == name).unwrap_or_else(|| {
-            panic!("msgs/ does not have {name}, which another message references")
-        });
-    text
-}
-
-fn assemble(name: &str) -> TypeSupport {
-    let main = parse(name, text_of(name));
-    let mut dependencies = BTreeMap::new();
-    collect_dependencies(&main, &mut dependencies);
-
-    let mut schema = text_of(name).to_owned();
-    for dependency in dependencies.keys() {
-        let short = dependency.replace("/msg/", "/");
-        let separator = "=".repeat(80);
-        schema.push_str(&format!("\n{separator}\nMSG: {short}\n{}", text_of(dependency)));
-    }
-    let description = TypeDescriptionMsg {
-        type_description: main,
-        referenced_type_descriptions: dependencies.into_values().collect(),
-    };
-    let hash = calculate_hash(&description).to_rihs_string();
-    TypeSupport { name: name.to_owned(), schema, hash, description }
-}
-
-/// Adds all messages that `of` references, directly or indirectly.
-pub(super) fn collect_dependencies(
-    of: &TypeDescription,
-    into: &mut BTreeMap<String, TypeDescription>,
-) {
-    for field in &of.fields {
-        let name = &field.field_type.nested_type_name;
-        if !name.is_empty() && !into.contains_key(name) {
-            let dependency = parse(name, text_of(name));
-            into.insert(name.clone(), dependency.clone());
-            collect_dependencies(&dependency, into);
-        }
+/// The text of a definition; a line for the byte of an empty message, so that no schema is empty.
+fn written(text: &str, parsed: &TypeDescription) -> String {
+    match text.trim() {
+        "" => render(parsed).unwrap_or_default(),
+        _ => text.to_owned(),
     }
 }
 
-/// Parses the subset of the `.msg` language that the files use: comments, constants, fields of primitive, string or
-/// message type, arrays and sequences; defaults are ignored.
-pub(super) fn parse(name: &str, text: &str) -> TypeDescription {
-    let package = name.split('/').next().unwrap_or_default();
-    let fields = text
-        .lines()
-        .map(|line| line.split('#').next().unwrap_or_default().trim())
-        // Constants have a `=` that is not part of `<=`.
-        .filter(|line| !line.is_empty() && !line.replace("<=", "").contains('='))
-        .map(|line| {
-            let mut words = line.split_whitespace();
-            let (Some(kind), Some(name_of_field)) = (words.next(), words.next()) else {
-                panic!("{name}: found `{line}`, expected `type name`");
-            };
-            field(name_of_field, field_type(package, kind))
-        })
-        .collect();
-    TypeDescription { type_name: name.to_owned(), fields }
-}
-
-pub(super) fn field(name: &str, field_type: FieldTypeDescription) -> FieldDescription {
-    FieldDescription { name: name.to_owned(), field_type, default_value: String::new() }
-}
-
-fn field_type(package: &str, kind: &str) -> FieldTypeDescription {
-    let number = |text: &str| {
-        text.parse()
-            .unwrap_or_else(|_| panic!("{package}: found `{kind}`, expected a number in it"))
-    };
-    let (element, offset, capacity) =
-        match kind.strip_suffix(']').and_then(|kind| kind.split_once('[')) {
-            None => (kind, 0, 0),
-            Some((element, "")) => (element, TypeId::UNBOUNDED_SEQUENCE_OFFSET, 0),
-            Some((element, bound)) => match bound.strip_prefix("<=") {
-                Some(most) => (element, TypeId::BOUNDED_SEQUENCE_OFFSET, number(most)),
-                None => (element, TypeId::ARRAY_OFFSET, number(bound)),
-            },
-        };
-    let primitive = match element {
-        "bool" => TypeId::BOOL,
-        "byte" => TypeId::BYTE,
-        "uint8" | "char" => TypeId::UINT8,
-        "int32" => TypeId::INT32,
-        "uint32" => TypeId::UINT32,
-        "int64" => TypeId::INT64,
-        "uint64" => TypeId::UINT64,
-        "float32" => TypeId::FLOAT32,
-        "float64" => TypeId::FLOAT64,
-        "string" => TypeId::STRING,
-        message => {
-            let full = match message.split_once('/') {
-                Some((package, message)) => format!("{package}/msg/{message}"),
-                None => format!("{package}/msg/{message}"),
-            };
-            let kind = TypeId::NESTED_TYPE + offset;
-            return FieldTypeDescription::nested_array(kind, capacity, full);
-        }
-    };
-    FieldTypeDescription::array(primitive + offset, capacity)
+/// The types of the fields of a message that are messages themselves.
+pub(super) fn references(of: &TypeDescription) -> Vec<String> {
+    let names = of.fields.iter().map(|field| &field.field_type.nested_type_name);
+    names.filter(|name| !name.is_empty()).cloned().collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use std::{fs, path::Path};
-
+    use hiroz_schema::TypeId;
     use serde::de::DeserializeOwned;
     use serde_reflection::{ContainerFormat, Format, Registry, Samples, Tracer, TracerConfig};
 
@@ -217,6 +193,19 @@ mod tests {
     fn the_hash_of_a_standard_message_is_the_published_one() {
         // ros2 topic info --verbose, Jazzy.
         for (name, hash) in [
+            // The JSON files of rclpy's wheels, `share/<package>/msg/<name>.json`.
+            (
+                "geometry_msgs/msg/Twist",
+                "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+            ),
+            (
+                "sensor_msgs/msg/Imu",
+                "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
+            ),
+            (
+                "std_msgs/msg/Empty",
+                "20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
+            ),
             (RosString::TYPE, "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
             (PointCloud2::TYPE, "9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"),
             (
@@ -229,20 +218,11 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_type_is_rejected_with_the_known_ones() {
-        let message = type_support("sensor_msgs/msg/Imu").unwrap_err().to_string();
-        assert!(message.starts_with("message type: found sensor_msgs/msg/Imu, expected one of"));
-        assert!(message.contains("eddy_msgs/msg/ParticleFrame"));
-    }
-
-    #[test]
-    fn every_file_of_the_package_is_built_in() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("msgs/eddy_msgs/msg");
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = format!("eddy_msgs/msg/{}", path.file_stem().unwrap().to_str().unwrap());
-            assert_eq!(text_of(&name), fs::read_to_string(&path).unwrap());
-        }
+    fn an_unknown_type_is_rejected_with_the_known_packages() {
+        let message = type_support("acme_msgs/msg/Imu").unwrap_err().to_string();
+        let expected = "message type: found acme_msgs/msg/Imu, expected a type of one of the packages eddy_msgs,";
+        assert!(message.starts_with(expected), "{message}");
+        assert!(message.contains(" sensor_msgs,"), "{message}");
     }
 
     #[test]
@@ -250,6 +230,33 @@ mod tests {
         let schema = &type_support("eddy_msgs/msg/ParticleFrame").unwrap().schema;
         assert_eq!(schema.matches("MSG: std_msgs/Header\n").count(), 1);
         assert_eq!(schema.matches("MSG: builtin_interfaces/Time\n").count(), 1);
+    }
+
+    #[test]
+    fn a_schema_is_read_back_with_the_same_hash() {
+        for name in library::names() {
+            let known = type_support(name).unwrap();
+            assert!(!known.schema.is_empty(), "{name}");
+            assert_eq!(TypeSupport::from_schema(name, &known.schema).unwrap().hash, known.hash);
+            let described = TypeSupport::from_description(&known.description).unwrap();
+            assert_eq!(described.hash, known.hash, "{name}");
+            let again = TypeSupport::from_schema(name, &described.schema).unwrap();
+            assert_eq!(again.hash, known.hash, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_schema_without_its_standard_dependencies_is_completed() {
+        let whole = "std_msgs/Header header\nfloat64 x\n";
+        let support = TypeSupport::from_schema("acme_msgs/msg/Probe", whole).unwrap();
+        let again = TypeSupport::from_schema("acme_msgs/msg/Probe", &support.schema).unwrap();
+        assert!(support.schema.contains("MSG: builtin_interfaces/Time\n"), "{}", support.schema);
+        assert_eq!(support.hash, again.hash);
+        let error = TypeSupport::from_schema("acme_msgs/msg/Probe", "Other x\n").unwrap_err();
+        let expected =
+            "definition of acme_msgs/msg/Other: found none, expected one for acme_msgs/msg/Probe";
+        assert_eq!(error.to_string(), expected);
+        assert!(TypeSupport::from_schema("acme_msgs/msg/Probe", "").is_err());
     }
 
     #[test]

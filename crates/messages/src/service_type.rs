@@ -10,7 +10,10 @@ use hiroz_schema::{
     FieldTypeDescription, TypeDescription, TypeDescriptionMsg, TypeId, calculate_hash,
 };
 
-use super::schema::{collect_dependencies, field, parse};
+use super::{
+    definition::{field, parse},
+    schema::{references, type_support},
+};
 
 /// A service type that is not built in.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,7 +30,7 @@ macro_rules! files {
 }
 
 /// Names and texts of the built-in `.srv` files.
-const FILES: [(&str, &str); 15] = files![
+const FILES: [(&str, &str); 16] = files![
     "rcl_interfaces/srv/DescribeParameters",
     "rcl_interfaces/srv/GetParameterTypes",
     "rcl_interfaces/srv/GetParameters",
@@ -43,6 +46,7 @@ const FILES: [(&str, &str); 15] = files![
     "rosbag2_interfaces/srv/SetRate",
     "rosbag2_interfaces/srv/TogglePaused",
     "std_srvs/srv/Trigger",
+    "type_description_interfaces/srv/GetTypeDescription",
 ];
 
 static HASHES: LazyLock<BTreeMap<&'static str, String>> =
@@ -71,13 +75,7 @@ fn description(name: &str, text: &str) -> TypeDescriptionMsg {
         .split_once("---")
         .unwrap_or_else(|| panic!("{name}: found no `---`, expected one between two messages"));
     let [request, response] = [("Request", request), ("Response", response)].map(|(part, text)| {
-        let mut message = parse(&format!("{name}_{part}"), text);
-        if message.fields.is_empty() {
-            // IDL has no empty structs.
-            let byte = FieldTypeDescription::primitive(TypeId::UINT8);
-            message.fields.push(field("structure_needs_at_least_one_member", byte));
-        }
-        message
+        parse(&format!("{name}_{part}"), text).unwrap_or_else(|error| panic!("msgs/: {error}"))
     });
     let one = |name: &str| FieldTypeDescription::nested(TypeId::NESTED_TYPE, name);
     let at_most_one = |name: &str| {
@@ -101,10 +99,17 @@ fn description(name: &str, text: &str) -> TypeDescriptionMsg {
         ],
     };
     let parts = [request, response, event];
-    // Inserted first, since they have no `.msg` file.
-    let mut referenced: BTreeMap<_, _> =
-        parts.iter().map(|part| (part.type_name.clone(), part.clone())).collect();
-    parts.iter().for_each(|part| collect_dependencies(part, &mut referenced));
+    let mut referenced = BTreeMap::new();
+    for dependency in parts.iter().flat_map(references) {
+        // The parts have no `.msg` file.
+        if let Ok(known) = type_support(&dependency) {
+            let TypeDescriptionMsg { type_description, referenced_type_descriptions } =
+                known.description.clone();
+            let all = referenced_type_descriptions.into_iter().chain([type_description]);
+            referenced.extend(all.map(|of| (of.type_name.clone(), of)));
+        }
+    }
+    referenced.extend(parts.map(|part| (part.type_name.clone(), part)));
     TypeDescriptionMsg {
         type_description: service,
         referenced_type_descriptions: referenced.into_values().collect(),
@@ -116,7 +121,7 @@ mod tests {
     use super::*;
 
     /// From the type descriptions that ROS 2 Kilted installs, `share/<package>/srv/<name>.json`
-    /// (packages std_srvs 5.5.1 and rcl_interfaces 2.3.0).
+    /// (packages std_srvs 5.5.1 and rcl_interfaces 2.3.0, type_description_interfaces 2.3.0).
     #[test]
     fn hashes_of_standard_services_are_the_published_ones() {
         for (name, published) in [
@@ -147,6 +152,10 @@ mod tests {
             (
                 "rcl_interfaces/srv/SetParametersAtomically",
                 "0e192ef259c07fc3c07a13191d27002222e65e00ccec653ca05e856f79285fcd",
+            ),
+            (
+                "type_description_interfaces/srv/GetTypeDescription",
+                "69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5",
             ),
         ] {
             assert_eq!(service_hash(name).unwrap(), format!("RIHS01_{published}"), "{name}");

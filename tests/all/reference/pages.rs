@@ -1,10 +1,11 @@
 //! The pages on commands, messages, checkpoints and diagnostics.
 
-use std::{fs, path::Path};
+use std::fs;
 
 use eddy_inference::checkpoint::{Checkpoint, tensor_shapes};
 use eddy_learning::model::{Architecture, Core};
 use eddy_messages::{
+    built_in_types,
     services::{ParameterKind, ParameterValue},
     type_support,
 };
@@ -65,14 +66,12 @@ pub fn messages() -> String {
         let hash = &type_support(&full).unwrap().hash;
         text.push_str(&format!("\n## {full}\n\n`{hash}`\n\n```text\n{definition}```\n"));
     }
-    text.push_str("\n## Standard messages and services\n\n| type | type hash |\n|---|---|\n");
-    let mut standard = Vec::new();
-    collect(&root().join("msgs/standard"), &mut standard);
-    standard.sort();
-    for name in standard {
-        if let Ok(known) = type_support(&name) {
-            text.push_str(&format!("| `{name}` | `{}` |\n", known.hash));
-        }
+    text.push_str(
+        "\n## Standard messages\n\nTheir definitions, those of ROS 2 Jazzy, are built in; they are in `msgs/standard`.\n\n\
+        | type | type hash |\n|---|---|\n",
+    );
+    for name in built_in_types().filter(|name| !name.starts_with("eddy_msgs/")) {
+        text.push_str(&format!("| `{name}` | `{}` |\n", type_support(name).unwrap().hash));
     }
     let shm = Source::of(&[
         "crates/transport/src/shm/layout.rs",
@@ -93,19 +92,6 @@ pub fn messages() -> String {
         }
     }
     text
-}
-
-/// Collects the names of the types in a folder such as `msgs/standard`.
-fn collect(folder: &Path, names: &mut Vec<String>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            collect(&path, names);
-        } else {
-            let name = path.strip_prefix(root().join("msgs/standard")).unwrap().with_extension("");
-            names.push(name.to_str().unwrap().to_owned());
-        }
-    }
 }
 
 /// The page on `model.toml` and the tensors of each network.
