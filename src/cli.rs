@@ -279,6 +279,19 @@ pub struct RecordArgs {
     /// Compression of chunks.
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     pub compression: CompressionArg,
+    /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`
+    /// [default: what the publishers offer].
+    #[arg(long, value_name = "FILE")]
+    pub qos_profile_overrides_path: Option<PathBuf>,
+    /// Installations of ROS 2 with definitions of message types, separated by colons.
+    #[arg(
+        long,
+        value_name = "PATHS",
+        env = "AMENT_PREFIX_PATH",
+        hide_env_values = true,
+        value_delimiter = ':'
+    )]
+    pub ament_prefix_path: Vec<PathBuf>,
     #[command(flatten)]
     pub ros: RosArgs,
 }
@@ -338,6 +351,10 @@ pub struct ReplayArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block)]
     pub reliability: Reliability,
+    /// Offer these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag play`
+    /// [default: what was recorded].
+    #[arg(long, value_name = "FILE")]
+    pub qos_profile_overrides_path: Option<PathBuf>,
     /// Serve a live page of the bag on this port, address or both; port 0 takes any free port
     /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]

@@ -25,11 +25,13 @@ pub(crate) use progress::TerminalProgress;
 
 use std::{
     io::{Write as _, stdout},
+    path::Path,
     thread,
     time::Duration,
 };
 
-use anyhow::{bail, ensure};
+use anyhow::{Context as _, bail, ensure};
+use eddy_bag::{QosOverrides, read_qos_overrides};
 use eddy_frames::clock::Clock;
 use eddy_node::{ros::RosNode, viewer::LivePage};
 use eddy_transport::{Link, Publisher, TransportError, TransportKind, TransportOptions};
@@ -60,6 +62,12 @@ pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
         ),
         None => Ok(()),
     }
+}
+
+/// The QoS profiles of `--qos-profile-overrides-path`.
+pub(crate) fn qos_overrides(file: Option<&Path>) -> anyhow::Result<QosOverrides> {
+    let overrides = file.map(read_qos_overrides).transpose();
+    Ok(overrides.context("--qos-profile-overrides-path")?.unwrap_or_default())
 }
 
 /// How long to wait for subscribers.

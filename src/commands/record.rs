@@ -1,21 +1,26 @@
 //! `eddy record`: topics into a bag, by [`eddy_node::record`].
 
-use std::{collections::HashSet, time::Duration};
+use std::{collections::HashSet, mem, time::Duration};
 
 use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
 use crate::cli::RecordArgs;
-use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions};
+use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic};
 use eddy_frames::clock::{self, Clock};
 use eddy_messages::topic_type;
 use eddy_node::{
-    Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record, recorder::Reasons,
+    Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record,
+    recorder::{Reasons, TopicOpener},
     ros::RosNode,
+    topics::find_topics,
 };
 use eddy_transport::{SeenTopic, Transports};
 
+/// How long to look for the publishers of the links, which announce type and QoS. Without a publisher, the type of a link
+/// follows from its name.
+const FIND_TIMEOUT: Duration = Duration::from_millis(700);
 /// Key in `custom_data` of `metadata.yaml`: links that could not be recorded.
 const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
 /// The same for links that failed while they were recorded.
@@ -34,6 +39,15 @@ pub fn run(
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
     let transports = Transports::new(transport_options(ros)?);
+    let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
+    let opener =
+        TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);
+    let published = find_topics(&transports, &args.links, FIND_TIMEOUT, || interrupt.requested())?;
+    let mut inputs = Vec::new();
+    for ((link, type_name), published) in args.links.iter().zip(types).zip(published) {
+        let topic = published.unwrap_or_else(|| SeenTopic::new(link.clone(), type_name));
+        inputs.push(opener.open(topic)?);
+    }
     let known = args.links.iter().map(|link| link.topic.clone()).collect();
     let choice = TopicFilter {
         names: Vec::new(),
@@ -41,13 +55,7 @@ pub fn run(
         exclude: args.exclude.clone(),
         all: args.all,
     };
-    let discovery = TopicDiscovery::new(transports.clone(), args.from.clone(), choice, known);
-    let mut inputs = Vec::new();
-    for (link, type_name) in args.links.iter().zip(types) {
-        let topic = SeenTopic { link: link.clone(), type_name, hash: None, kept: 0 };
-        let subscriber = transports.subscriber_of(link, &topic.type_support())?;
-        inputs.push((topic, subscriber));
-    }
+    let discovery = TopicDiscovery::new(opener, args.from.clone(), choice, known);
     let split = Split {
         size: args.max_bag_size,
         duration: args.max_bag_duration.map(Duration::from_secs_f64),
@@ -149,6 +157,10 @@ fn disk_full(bag: &BagSummary, losses: &Losses) -> String {
 fn report(bag: &BagSummary, losses: &Losses, seconds: f64) {
     for topic in &bag.topics {
         println!("{}: {} messages", topic.name, topic.messages);
+    }
+    let undefined = bag.topics.iter().filter(|topic| !topic.has_definition());
+    for WrittenTopic { name, type_name, .. } in undefined {
+        println!("no definition: {name} ({type_name})");
     }
     if losses.in_transport > 0 {
         println!("not recorded: {} messages dropped by the transport", losses.in_transport);

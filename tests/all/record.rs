@@ -2,7 +2,6 @@
 
 use std::{
     fs,
-    num::NonZeroUsize,
     path::Path,
     process::Command,
     thread,
@@ -11,12 +10,17 @@ use std::{
 
 use eddy_bag::BagReader;
 use eddy_frames::clock;
-use eddy_messages::{Message, PredictionStatus, RosString, TypeSupport, cdr, type_support};
+use eddy_messages::{
+    Message, PredictionStatus, QosProfile, RosString, TypeSupport, cdr,
+    qos::{HistoryPolicy, ReliabilityPolicy},
+    type_support,
+};
 use eddy_transport::{Publisher, Reliability};
 use iceoryx2::prelude::{NodeBuilder, ipc};
 
 use crate::support::{
-    DEADLINE, Process, World, eddy, fail, findings, succeed, talking_eddy, wait_for, word,
+    DEADLINE, Process, World, domain, eddy, fail, findings, latched, succeed, talking_eddy,
+    wait_for, word,
 };
 
 /// How the recorder is started.
@@ -29,6 +33,7 @@ impl Recording for World {
     fn record(&self, arguments: &[&str]) -> Command {
         let mut command = talking_eddy();
         command.env("ZENOH_CONFIG_OVERRIDE", &self.overrides);
+        command.env("ROS_DOMAIN_ID", self.domain.to_string());
         command.args(["--quiet", "record", "--output", self.bag().to_str().unwrap()]);
         command.args(arguments);
         command
@@ -55,9 +60,11 @@ fn terminate(process: &Process) {
 fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
     let world = World::new("record");
     let (link, words) = (world.link("zenoh", "latched"), type_support(RosString::TYPE).unwrap());
-    let kept = NonZeroUsize::new(2);
-    let mut publisher =
-        world.transports.keeping_publisher_of(&link, words, Reliability::Block, kept).unwrap();
+    let latched = latched(2);
+    let mut publisher = world
+        .transports
+        .offering_publisher_of(&link, words, Reliability::Block, Some(latched))
+        .unwrap();
     for text in ["zero", "one", "two"] {
         publisher.publish_cdr(&word(text)).unwrap();
     }
@@ -71,9 +78,94 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
     ]));
     assert!(recorder.wait().success());
     let bag = BagReader::open(&world.bag()).unwrap();
-    assert_eq!(bag.topics()[0].kept, 2);
+    assert_eq!(bag.topics()[0].offered, [latched]);
     let recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
     assert_eq!(recorded, [word("one"), word("two")]);
+}
+
+#[test]
+fn quality_of_service_is_recorded_as_offered_and_kept_messages_are_received() {
+    let best_effort = QosProfile {
+        reliability: ReliabilityPolicy::BestEffort,
+        history: HistoryPolicy::KeepLast(5),
+        ..QosProfile::default()
+    };
+    let keep_all = QosProfile { history: HistoryPolicy::KeepAll, ..QosProfile::default() };
+    let profiles = [best_effort, keep_all, latched(1)];
+    for transport in ["zenoh", "dds"] {
+        let world = World::in_domain("record", domain());
+        let words = type_support(RosString::TYPE).unwrap();
+        let mut publishers =
+            [("a", profiles[0]), ("b", profiles[1]), ("c", profiles[2])].map(|(name, offered)| {
+                let link = world.link(transport, name);
+                let block = Reliability::Block;
+                world.transports.offering_publisher_of(&link, words, block, Some(offered)).unwrap()
+            });
+        publishers[2].publish_cdr(&word("old")).unwrap();
+        let pattern = format!("^{}/", world.prefix);
+        let mut recorder = Process::start(&mut world.record(&[
+            "-e",
+            &pattern,
+            "--from",
+            transport,
+            "--max-messages",
+            "3",
+        ]));
+        for publisher in &mut publishers[..2] {
+            wait_for_a_subscriber(&**publisher);
+            publisher.publish_cdr(&word("new")).unwrap();
+        }
+        assert!(recorder.wait().success());
+        let bag = BagReader::open(&world.bag()).unwrap();
+        let mut recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
+        recorded.sort();
+        assert_eq!(recorded, [word("new"), word("new"), word("old")], "{transport}");
+        let offered: Vec<_> = bag.topics().iter().map(|topic| topic.offered.clone()).collect();
+        let announced = |profile: QosProfile| match transport {
+            // Discovery has no history.
+            "dds" => QosProfile { history: HistoryPolicy::Unknown, ..profile },
+            _ => profile,
+        };
+        assert_eq!(offered, profiles.map(|profile| vec![announced(profile)]), "{transport}");
+    }
+}
+
+#[test]
+fn a_link_is_recorded_with_the_type_that_its_publisher_announces() {
+    for transport in ["zenoh", "dds", "shm"] {
+        let world = World::in_domain("record", domain());
+        let mut publisher = world.words(transport, "speech");
+        let link = world.link(transport, "speech").to_string();
+        let mut recorder = Process::start(&mut world.record(&[&link, "--max-messages", "1"]));
+        wait_for_a_subscriber(&*publisher);
+        publisher.publish_cdr(&word("eddy")).unwrap();
+        assert!(recorder.wait().success());
+        let bag = BagReader::open(&world.bag()).unwrap();
+        assert_eq!(bag.topics()[0].type_name, RosString::TYPE, "{transport}");
+        assert_eq!(findings(&world.bag()), [""; 0]);
+    }
+}
+
+#[test]
+fn a_type_without_a_definition_is_named_and_its_schema_has_only_its_name() {
+    let world = World::new("record");
+    let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", "");
+    let link = world.link("shm", "imu");
+    let mut publisher = world.transports.publisher_of(&link, &foreign, Reliability::Block).unwrap();
+    let pattern = format!("^{}/", world.prefix);
+    let arguments = ["-e", &pattern, "--from", "shm", "--max-messages", "1"];
+    let mut recorder = Process::start(&mut world.record(&arguments));
+    wait_for_a_subscriber(&*publisher);
+    publisher.publish_cdr(&[0, 1, 0, 0, 42]).unwrap();
+    assert!(recorder.wait().success());
+    let topic = world.topic("imu");
+    let expected = format!("no definition: {topic} (acme_msgs/msg/Imu)\n");
+    assert!(recorder.rest().contains(&expected));
+    assert!(succeed(["bag", "info", world.bag().to_str().unwrap()]).contains(&expected));
+    let bag = BagReader::open(&world.bag()).unwrap();
+    let schema = bag.channels()[0].schema.clone().unwrap();
+    assert_eq!(schema.name, "acme_msgs/msg/Imu");
+    assert_eq!((schema.encoding.as_str(), schema.data.as_slice()), ("", &[][..]));
 }
 
 #[test]

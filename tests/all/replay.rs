@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs::File,
+    fs::{self, File},
     io::{Read as _, Write as _},
     path::Path,
     process::{Command, Stdio},
@@ -17,8 +17,9 @@ use std::{
 use eddy_bag::{BagWriter, Channel, Schema, WriterOptions};
 use eddy_frames::Stamp;
 use eddy_messages::{
-    Clock, Message, RosString, Time, TypeSupport, cdr,
+    Clock, Message, QosProfile, RosString, Time, TypeSupport, cdr,
     playback::{Paused, PlayingRate, SeekRequest, Success},
+    qos::{HistoryPolicy, ReliabilityPolicy},
     services::Empty,
     type_support,
 };
@@ -30,7 +31,7 @@ use rustix::{
 
 use crate::{
     client::Client,
-    support::{Process, World, fail, talking_eddy, wait_for, word},
+    support::{Process, World, domain, fail, latched, talking_eddy, wait_for, word},
 };
 
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -55,6 +56,7 @@ impl Replaying for World {
     fn replay(&self, transport: &str, arguments: &[&str]) -> Command {
         let mut command = talking_eddy();
         command.env("ZENOH_CONFIG_OVERRIDE", &self.overrides);
+        command.env("ROS_DOMAIN_ID", self.domain.to_string());
         command.args([
             "replay",
             self.bag().to_str().unwrap(),
@@ -115,14 +117,15 @@ fn types_that_nobody_knows_here_pass_through_as_bytes() {
     let world = World::new("replay");
     let hash = format!("RIHS01_{}", "7".repeat(64));
     let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
-    let topic = bag.topic_with_schema("/a", "acme_msgs/msg/Imu", "float64 x", &hash).unwrap();
+    let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", &hash);
+    let foreign = TypeSupport { schema: "float64 x".to_owned(), ..foreign };
+    let topic = bag.offered_topic("/a", &foreign, &[]).unwrap();
     let data = [0, 1, 0, 0, 1, 2, 3];
     for time in [5, 200_000_000] {
         bag.write(topic, Stamp(time), Stamp(time), &data).unwrap();
     }
     bag.finish().unwrap();
     for transport in ["zenoh", "shm"] {
-        let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", &hash);
         let link = world.link(transport, "a");
         let mut subscriber = world.transports.subscriber_of(&link, &foreign).unwrap();
         let mut player = Process::start(&mut world.replay(transport, &[]));
@@ -200,7 +203,7 @@ fn a_stopped_player_gives_the_terminal_back_and_takes_it_again() {
     wait_for("the terminal is as before", || (modes(&ours) == before).then_some(()));
     let stat = format!("/proc/{}/stat", player.id());
     wait_for("the player is stopped", || {
-        std::fs::read_to_string(&stat).unwrap().contains(") T ").then_some(())
+        fs::read_to_string(&stat).unwrap().contains(") T ").then_some(())
     });
     // As `fg` does.
     assert!(
@@ -324,22 +327,86 @@ fn on_zenoh_the_player_does_what_its_services_are_asked() {
 
 #[test]
 fn what_was_kept_when_it_was_recorded_is_kept_when_it_is_replayed() {
+    for transport in ["zenoh", "dds"] {
+        let world = World::in_domain("replay", domain());
+        write_pause(&world.bag(), latched(1));
+        let mut first = world.subscriber(transport, "a", RosString::TYPE);
+        let player = Process::start(&mut world.replay(transport, &[]));
+        assert_eq!(next(&mut *first), word("000"));
+        let mut second = world.subscriber(transport, "a", RosString::TYPE);
+        assert_eq!(next(&mut *second), word("000"), "{transport}");
+        assert_eq!(offered(&world, transport), [announced(latched(1), transport)]);
+        player.kill();
+    }
+}
+
+#[test]
+fn quality_of_service_is_what_was_recorded_or_what_the_file_says() {
+    let best_effort = QosProfile {
+        reliability: ReliabilityPolicy::BestEffort,
+        history: HistoryPolicy::KeepLast(5),
+        ..QosProfile::default()
+    };
+    for transport in ["zenoh", "dds"] {
+        for (overridden, expected) in [(false, best_effort), (true, latched(2))] {
+            // On DDS, a killed player is seen for a while: each has its domain.
+            let world = World::in_domain("replay", domain());
+            write_pause(&world.bag(), best_effort);
+            let file = world.folder.path().join("qos.yaml");
+            fs::write(&file, "/a: {durability: transient_local, depth: 2}\n/b: {depth: 1}\n")
+                .unwrap();
+            let options = ["--qos-profile-overrides-path", file.to_str().unwrap()];
+            let options = if overridden { &options[..] } else { &[] };
+            let mut subscriber = world.subscriber(transport, "a", RosString::TYPE);
+            let player = Process::start(&mut world.replay(transport, options));
+            assert_eq!(next(&mut *subscriber), word("000"));
+            assert_eq!(offered(&world, transport), [announced(expected, transport)]);
+            player.kill();
+        }
+    }
+}
+
+#[test]
+fn a_file_of_qos_profiles_that_cannot_be_used_is_named() {
     let world = World::new("replay");
-    let mut bag = BagWriter::create(&world.bag(), WriterOptions::default()).unwrap();
+    write_words(&world.bag(), &[0]);
+    let file = world.folder.path().join("qos.yaml");
+    fs::write(&file, "/a: {reliability: sometimes}\n").unwrap();
+    let (bag, file) = (world.bag(), file.to_str().unwrap());
+    let arguments =
+        ["replay", bag.to_str().unwrap(), "--to", "shm", "--qos-profile-overrides-path", file];
+    let message = fail(1, arguments);
+    let expected = "reliability: found sometimes for /a, expected reliable or best_effort";
+    assert!(message.contains("--qos-profile-overrides-path"), "{message}");
+    assert!(message.contains(expected), "{message}");
+}
+
+/// A bag with words on `/a` at its start and ten minutes later.
+fn write_pause(path: &Path, offered: QosProfile) {
+    let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
     let words = type_support(RosString::TYPE).unwrap();
-    let topic = bag.kept_topic("/a", &words.name, &words.schema, &words.hash, 1).unwrap();
+    let topic = bag.offered_topic("/a", words, &[offered]).unwrap();
     for seconds in [0, 600] {
         let stamp = Stamp(seconds * 1_000_000_000);
-        bag.write(topic, stamp, stamp, &word(&seconds.to_string())).unwrap();
+        // Without the padding that DDS would add.
+        bag.write(topic, stamp, stamp, &word(&format!("{seconds:03}"))).unwrap();
     }
     bag.finish().unwrap();
-    let mut first = world.subscriber("zenoh", "a", RosString::TYPE);
-    let player = Process::start(&mut world.replay("zenoh", &[]));
-    assert_eq!(next(&mut *first), word("0"));
-    // The next message is ten minutes away.
-    let mut second = world.subscriber("zenoh", "a", RosString::TYPE);
-    assert_eq!(next(&mut *second), word("0"));
-    player.kill();
+}
+
+/// What the publishers of the topic `a` offer now.
+fn offered(world: &World, transport: &str) -> Vec<QosProfile> {
+    let link = world.link(transport, "a");
+    let topics = world.transports.topics(link.transport).unwrap();
+    topics.into_iter().find(|topic| topic.link == link).unwrap().offered
+}
+
+/// A profile as others see it: DDS does not announce the history.
+fn announced(profile: QosProfile, transport: &str) -> QosProfile {
+    match transport {
+        "dds" => QosProfile { history: HistoryPolicy::Unknown, ..profile },
+        _ => profile,
+    }
 }
 
 #[test]

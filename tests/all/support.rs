@@ -11,7 +11,10 @@ use std::{
 };
 
 use eddy_bag::{BagReader, Survey};
-use eddy_messages::{Message, RosString, cdr};
+use eddy_messages::{
+    Message, QosProfile, RosString, cdr,
+    qos::{DurabilityPolicy, HistoryPolicy},
+};
 use eddy_transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports};
 use tempfile::TempDir;
 
@@ -166,6 +169,12 @@ pub fn simulate(folder: &Path, scenes: u32, seconds: f64) {
     succeed(["simulate", "--scenes", &scenes, "--duration", &seconds, "--output", folder]);
 }
 
+/// The QoS of a publisher that keeps messages for late subscribers.
+pub fn latched(kept: usize) -> QosProfile {
+    let (durability, history) = (DurabilityPolicy::TransientLocal, HistoryPolicy::KeepLast(kept));
+    QosProfile { durability, history, ..QosProfile::default() }
+}
+
 /// A message with a text.
 pub fn word(words: &str) -> Vec<u8> {
     cdr::encode(&RosString { data: words.into() })
@@ -188,10 +197,17 @@ pub struct World {
     pub overrides: String,
     /// Where the program listens on Zenoh.
     pub port: u16,
+    /// `ROS_DOMAIN_ID` of the program.
+    pub domain: u16,
 }
 
 impl World {
     pub fn new(name: &str) -> Self {
+        Self::in_domain(name, 0)
+    }
+
+    /// On DDS, tests need domains of their own.
+    pub fn in_domain(name: &str, domain: u16) -> Self {
         let ports = [free_port(), free_port()];
         let overrides = |listen: usize| {
             let [mine, other] = [ports[listen], ports[1 - listen]];
@@ -201,12 +217,14 @@ impl World {
         };
         let mut options = TransportOptions::new("eddy_test");
         options.zenoh.overrides = overrides(0);
+        options.domain_id = domain;
         Self {
             folder: tempfile::tempdir().unwrap(),
             prefix: format!("/{}", unique(name)),
             transports: Transports::new(options),
             overrides: overrides(1),
             port: ports[1],
+            domain,
         }
     }
 

@@ -24,6 +24,7 @@ pub use error::BagError;
 pub use format::{
     channel::{Channel, Schema},
     layout::find_bags,
+    qos::{QosOverrides, read_qos_overrides},
     summary::{BagSummary, WrittenFile, WrittenTopic},
 };
 pub use read::{

@@ -1,7 +1,7 @@
 //! Topics found on a transport.
 
 use super::Link;
-use eddy_messages::{TypeSupport, type_support};
+use eddy_messages::{QosProfile, TypeSupport, type_support};
 
 /// A topic with a publisher.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -12,12 +12,17 @@ pub struct SeenTopic {
     pub type_name: String,
     /// RIHS01 type hash, if known.
     pub hash: Option<String>,
-    /// Number of messages that its publishers keep for late-joining subscribers (transient local); 0 if unknown.
-    pub kept: usize,
+    /// What each of its publishers offers, sorted; empty if unknown.
+    pub offered: Vec<QosProfile>,
 }
 
 impl SeenTopic {
-    /// The type support for a subscription: that of eddy-messages if the hashes are equal, else name and hash only.
+    /// A topic of which only the type is known.
+    pub fn new(link: Link, type_name: String) -> Self {
+        Self { link, type_name, hash: None, offered: Vec::new() }
+    }
+
+    /// The built-in type support, if there is one with this hash; else name and hash only.
     pub fn type_support(&self) -> TypeSupport {
         match type_support(&self.type_name) {
             Ok(ours) if self.hash.as_ref().is_none_or(|hash| *hash == ours.hash) => ours.clone(),

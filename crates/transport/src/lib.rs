@@ -62,7 +62,7 @@ use std::{
 use serde::Deserialize;
 
 use eddy_frames::Frame;
-use eddy_messages::{BadFrame, UnknownService, UnknownType};
+use eddy_messages::{BadFrame, InvalidDefinition, UnknownService, UnknownType};
 
 /// What a publisher does when a subscriber cannot keep up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -129,6 +129,9 @@ pub enum TransportError {
     /// The topic has another message type.
     #[error("{link}: found message type {found}, expected {expected}")]
     TopicType { link: Link, found: String, expected: String },
+    /// A publisher defines its type in another way than it announces.
+    #[error("{link}: {error}")]
+    Definition { link: Link, error: InvalidDefinition },
     /// An environment variable, or a part of it, cannot be used.
     #[error("{variable}: found `{found}`, expected {expected}")]
     Environment { variable: &'static str, found: String, expected: String },

@@ -2,7 +2,6 @@
 
 use std::{
     collections::HashMap,
-    num::NonZeroUsize,
     sync::{Arc, Mutex, Weak},
     time::Duration,
 };
@@ -14,7 +13,7 @@ use super::{
     transports,
 };
 use eddy_frames::Frame;
-use eddy_messages::TypeSupport;
+use eddy_messages::{QosProfile, TypeSupport};
 
 /// Capacity of a subscriber's queue (messages).
 const DEPTH: usize = 64;
@@ -59,7 +58,7 @@ impl Middleware for Broker {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        _kept: Option<NonZeroUsize>,
+        _offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let topic = self.topic(link, &support.name)?;
         let (link, patience) = (link.clone(), self.patience);
@@ -70,6 +69,7 @@ impl Middleware for Broker {
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
+        _requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
         let queue = Arc::new(Queue::new(DEPTH));
         lock(&self.topic(link, &support.name)?.queues).push(Arc::downgrade(&queue));

@@ -1,26 +1,27 @@
 //! The trait that [`Transports`](super::Transports) uses for each middleware.
 
-use std::{num::NonZeroUsize, sync::Arc};
+use std::{sync::Arc, time::Duration};
 
 use super::{Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError};
-use eddy_messages::TypeSupport;
+use eddy_messages::{QosProfile, TypeSupport};
 
 /// An open middleware.
 pub(crate) trait Middleware: Send + Sync {
-    /// A publisher; `kept` messages are kept for late-joining subscribers if the middleware supports it.
+    /// A publisher that announces `offered`, if the middleware has QoS; what follows from `reliability` if `None`.
     fn publisher(
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        kept: Option<NonZeroUsize>,
+        offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError>;
 
-    /// A subscriber.
+    /// A subscriber that requests `requested`, if the middleware has QoS; what suits the publishers if `None`.
     fn subscriber(
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
+        requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError>;
 
     /// A service; `None` if the middleware has no services.
@@ -31,6 +32,17 @@ pub(crate) trait Middleware: Send + Sync {
         _handler: Handler,
     ) -> Result<Option<Box<dyn Served>>, TransportError> {
         Ok(None)
+    }
+
+    /// Asks the publishers of a topic for the definition of its type; the answers are CDR bytes of
+    /// `type_description_interfaces/srv/GetTypeDescription_Response`. Empty if the middleware has no services.
+    fn describe(
+        &self,
+        _topic: &SeenTopic,
+        _request: &[u8],
+        _timeout: Duration,
+    ) -> Result<Vec<Vec<u8>>, TransportError> {
+        Ok(Vec::new())
     }
 
     /// The known topics. `link` is for error messages.

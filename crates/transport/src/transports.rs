@@ -1,7 +1,6 @@
 //! Opens publishers and subscribers by link, with one session per middleware.
 
 use std::{
-    num::NonZeroUsize,
     ops::RangeInclusive,
     path::PathBuf,
     sync::{Arc, Mutex},
@@ -12,7 +11,11 @@ use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
     TransportKind, lock, memory::Broker, middleware::Middleware,
 };
-use eddy_messages::{Message, ParticleFrame, TypeSupport, type_support};
+use eddy_messages::{
+    Message, ParticleFrame, QosProfile, TypeSupport, cdr,
+    type_descriptions::{TypeDescriptionRequest, TypeDescriptionResponse},
+    type_support,
+};
 
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
 const MAX_DOMAIN: u16 = 232;
@@ -178,26 +181,28 @@ impl Transports {
         support: &TypeSupport,
         reliability: Reliability,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        self.keeping_publisher_of(link, support, reliability, None)
+        self.offering_publisher_of(link, support, reliability, None)
     }
 
-    /// As [`Transports::publisher_of`]; on Zenoh the publisher keeps its last `kept` messages for late-joining
-    /// subscribers, as in ROS 2 for topics such as `/tf_static` (transient local). Other transports ignore `kept`.
+    /// As [`Transports::publisher_of`]; on Zenoh and DDS the publisher offers this quality of service. If that is
+    /// transient local, as in ROS 2 for topics such as `/tf_static`, it keeps its last messages for late-joining
+    /// subscribers. Other transports have no quality of service.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
-    pub fn keeping_publisher_of(
+    pub fn offering_publisher_of(
         &self,
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        kept: Option<NonZeroUsize>,
+        offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        self.middleware(link)?.publisher(link, support, reliability, kept)
+        self.middleware(link)?.publisher(link, support, reliability, offered)
     }
 
     /// A subscriber to messages of type `type_name` with a bounded queue. A full queue holds blocking publishers
-    /// back; messages of the others are dropped. On Zenoh it also receives the messages that publishers have kept.
+    /// back; messages of the others are dropped. On Zenoh and DDS it also receives the messages that publishers have
+    /// kept.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
@@ -218,7 +223,56 @@ impl Transports {
         link: &Link,
         support: &TypeSupport,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        self.middleware(link)?.subscriber(link, support)
+        self.requesting_subscriber_of(link, support, None)
+    }
+
+    /// As [`Transports::subscriber_of`]; on Zenoh and DDS the subscriber requests this quality of service.
+    ///
+    /// # Errors
+    /// As [`Transports::publisher`].
+    pub fn requesting_subscriber_of(
+        &self,
+        link: &Link,
+        support: &TypeSupport,
+        requested: Option<QosProfile>,
+    ) -> Result<Box<dyn Subscriber>, TransportError> {
+        self.middleware(link)?.subscriber(link, support, requested)
+    }
+
+    /// The type of a topic as its publishers define it: Zenoh and DDS ask their nodes
+    /// (`~/get_type_description`). `None` if the type hash is not known, or nobody answers within `timeout`.
+    ///
+    /// # Errors
+    /// [`TransportError`] when nobody can be asked, or the answers define another type.
+    pub fn described_type(
+        &self,
+        topic: &SeenTopic,
+        timeout: Duration,
+    ) -> Result<Option<TypeSupport>, TransportError> {
+        let Some(hash) = &topic.hash else { return Ok(None) };
+        let request = TypeDescriptionRequest {
+            type_name: topic.type_name.clone(),
+            type_hash: hash.clone(),
+            include_type_sources: true,
+        };
+        let middleware = self.middleware(&topic.link)?;
+        let mut invalid = None;
+        for answer in middleware.describe(topic, &cdr::encode(&request), timeout)? {
+            match cdr::decode::<TypeDescriptionResponse>(&answer) {
+                Ok(response) if response.successful => {
+                    match response.into_type(&topic.type_name, hash) {
+                        Ok(support) => return Ok(Some(support)),
+                        Err(error) => invalid = Some(error),
+                    }
+                }
+                Ok(response) => tracing::debug!("{}: {}", topic.link, response.failure_reason),
+                Err(error) => tracing::debug!("{}: {error}", topic.link),
+            }
+        }
+        match invalid {
+            Some(error) => Err(TransportError::Definition { link: topic.link.clone(), error }),
+            None => Ok(None),
+        }
     }
 
     /// Offers a service of type `type_name`, such as `std_srvs/srv/Trigger`. `handler` answers the requests on a

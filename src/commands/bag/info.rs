@@ -6,7 +6,7 @@ use comfy_table::{CellAlignment, Table, presets};
 
 use super::survey;
 use eddy_bag::{BagReader, TopicSurvey};
-use eddy_frames::decimal;
+use eddy_frames::{Stamp, decimal};
 
 /// Prints files, topics and streams of a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
@@ -27,8 +27,8 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     }
     println!("duration     {:.3} s", bag.duration());
     if let (Some(start), Some(end)) = (bag.start(), bag.end()) {
-        println!("start        {:.9} s", start.seconds());
-        println!("end          {:.9} s", end.seconds());
+        println!("start        {} s", exact(start));
+        println!("end          {} s", exact(end));
     }
     let mut table = Table::new();
     table.load_style(presets::NOTHING);
@@ -45,6 +45,9 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
         }
     }
     println!("{}", table.trim_fmt());
+    for topic in bag.topics().iter().filter(|topic| topic.schema.is_empty()) {
+        println!("no definition: {} ({})", topic.name, topic.type_name);
+    }
     if bag.is_unfinished() {
         println!("unfinished: the bag is still being written, or the recorder was killed");
     }
@@ -52,6 +55,12 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
         Some(damage) => Err(damage.into()),
         None => Ok(()),
     }
+}
+
+/// A time in seconds with all nanoseconds, which `f64` would round; times in bags are not negative.
+fn exact(Stamp(nanoseconds): Stamp) -> String {
+    const SECOND: i64 = 1_000_000_000;
+    format!("{}.{:09}", nanoseconds / SECOND, nanoseconds % SECOND)
 }
 
 /// Mean rate over the whole bag (Hz).
@@ -88,4 +97,16 @@ fn bytes(size: u64) -> String {
         unit += 1;
     }
     if unit == 0 { format!("{size} B") } else { format!("{value:.1} {}", UNITS[unit]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_printed_to_the_nanosecond() {
+        assert_eq!(exact(Stamp(1_000_000_000_190_000_000)), "1000000000.190000000");
+        assert_eq!(exact(Stamp(1_784_803_391_000_000_057)), "1784803391.000000057");
+        assert_eq!(exact(Stamp(0)), "0.000000000");
+    }
 }

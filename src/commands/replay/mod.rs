@@ -42,6 +42,7 @@ pub fn run(
         remap: args.remap.clone(),
         clock: args.clock.is_some(),
         reliability: args.reliability,
+        overrides: super::qos_overrides(args.qos_profile_overrides_path.as_deref())?,
     };
     let playable = playable_topics(&bag, &options)?;
     let mut player = Player::new(

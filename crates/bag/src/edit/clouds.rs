@@ -9,7 +9,9 @@ use crate::{
     read::{messages::BagMessage, reader::BagReader},
 };
 use eddy_frames::Frame;
-use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud, type_support};
+use eddy_messages::{
+    FrameCdr, Message, ParticleFrame, PointCloud2, QosProfile, cloud, type_support,
+};
 
 /// The topics of frames without a topic of clouds.
 pub fn without_cloud(bag: &BagReader) -> Vec<String> {
@@ -33,13 +35,7 @@ pub fn clouds(
     for topic in without_cloud(bag) {
         let support = type_support(PointCloud2::TYPE)
             .map_err(|reason| BagError::Type { topic: topic.clone(), reason })?;
-        let channel = Channel::ros(
-            &cloud_topic(&topic),
-            PointCloud2::TYPE,
-            &support.schema,
-            &support.hash,
-            0,
-        );
+        let channel = Channel::ros(&cloud_topic(&topic), support, &[QosProfile::default()]);
         channels.insert(topic, Arc::new(channel));
     }
     let with_clouds = bag.messages().flat_map(|message| {

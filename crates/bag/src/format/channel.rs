@@ -3,6 +3,10 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use super::qos;
+use eddy_messages::{QosProfile, TypeSupport};
+
+/// Encoding of `.msg` definitions.
+pub(crate) const ROS2MSG: &str = "ros2msg";
 
 /// Metadata key of a channel: the RIHS01 type hash.
 pub(crate) const TYPE_HASH: &str = "topic_type_hash";
@@ -34,21 +38,21 @@ pub struct Channel {
 }
 
 impl Channel {
-    /// A topic as rosbag2 describes it. `schema` is the `.msg` text of the type and all its dependencies,
-    /// `hash` its RIHS01 type hash; both empty if unknown. `kept` is the number of messages that publishers
-    /// keep for late-joining subscribers (transient local), 0 for volatile.
-    pub fn ros(topic: &str, type_name: &str, schema: &str, hash: &str, kept: usize) -> Self {
+    /// A topic as rosbag2 describes it, whose publishers offer `offered`. A type without a definition has a schema with
+    /// its name only: readers reject an empty definition, or decode empty messages with it.
+    pub fn ros(topic: &str, of: &TypeSupport, offered: &[QosProfile]) -> Self {
+        let encoding = if of.schema.is_empty() { "" } else { ROS2MSG };
         Self {
             topic: topic.to_owned(),
             schema: Some(Arc::new(Schema {
-                name: type_name.to_owned(),
-                encoding: "ros2msg".to_owned(),
-                data: schema.as_bytes().to_vec(),
+                name: of.name.clone(),
+                encoding: encoding.to_owned(),
+                data: of.schema.as_bytes().to_vec(),
             })),
             encoding: "cdr".to_owned(),
             metadata: BTreeMap::from([
-                (OFFERED_QOS.to_owned(), qos::offered_profiles(kept)),
-                (TYPE_HASH.to_owned(), hash.to_owned()),
+                (OFFERED_QOS.to_owned(), qos::offered_profiles(offered)),
+                (TYPE_HASH.to_owned(), of.hash.clone()),
             ]),
         }
     }
@@ -69,9 +73,14 @@ impl Channel {
         String::from_utf8_lossy(data).into_owned()
     }
 
-    /// Number of messages that its publishers kept for late-joining subscribers.
-    pub(crate) fn kept(&self) -> usize {
-        qos::kept(&qos::parse(self.offered_qos()))
+    /// Language of the definition, such as `ros2msg`; empty if there is none.
+    pub(crate) fn definition_encoding(&self) -> &str {
+        self.schema.as_ref().map_or("", |schema| &schema.encoding)
+    }
+
+    /// What its publishers offered; empty if unknown.
+    pub(crate) fn offered(&self) -> Vec<QosProfile> {
+        qos::profiles(self.offered_qos())
     }
 
     /// The offered QoS profiles as YAML text; empty if unknown.

@@ -9,7 +9,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    qos::{self, QosProfile},
+    qos::{self, YamlProfile},
     summary::BagSummary,
 };
 use crate::error::BagError;
@@ -64,7 +64,7 @@ struct TopicMetadata<'a> {
     name: &'a str,
     r#type: &'a str,
     serialization_format: &'a str,
-    offered_qos_profiles: Vec<QosProfile>,
+    offered_qos_profiles: Vec<YamlProfile>,
     type_description_hash: &'a str,
 }
 
@@ -233,6 +233,8 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use eddy_messages::QosProfile;
+
     use crate::format::{
         channel::{Channel, OFFERED_QOS},
         summary::{WrittenFile, WrittenTopic},
@@ -243,7 +245,10 @@ mod tests {
             topic: "/particles".into(),
             schema: None,
             encoding: "cdr".into(),
-            metadata: BTreeMap::from([(OFFERED_QOS.to_owned(), qos::offered_profiles(0))]),
+            metadata: BTreeMap::from([(
+                OFFERED_QOS.to_owned(),
+                qos::offered_profiles(&[QosProfile::default()]),
+            )]),
         };
         let topic = WrittenTopic {
             name: "/particles".into(),

@@ -3,7 +3,15 @@
 //! Up to version 8 of `metadata.yaml` policies are numbers (`rmw/types.h`), from version 9 names
 //! (`rosbag2_storage/src/rosbag2_storage/qos.cpp`). Both are read; names are written.
 
+use std::{collections::BTreeMap, fs, path::Path};
+
 use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::error::BagError;
+use eddy_messages::{
+    QosProfile,
+    qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
+};
 
 /// Names of `rmw_qos_history_policy_e`, by number.
 const HISTORY: &[&str] = &["system_default", "keep_last", "keep_all", "unknown"];
@@ -23,15 +31,19 @@ const LIVELINESS: &[&str] = &[
     "best_available",
 ];
 
-/// Durability of publishers that keep messages for late-joining subscribers.
+/// Names of policies.
+const KEEP_LAST: &str = "keep_last";
+const KEEP_ALL: &str = "keep_all";
+const BEST_EFFORT: &str = "best_effort";
 const TRANSIENT_LOCAL: &str = "transient_local";
+const UNKNOWN: &str = "unknown";
 
 /// `rmw_time_t` for an infinite duration: 2^63 - 1 nanoseconds.
 const INFINITE: QosTime = QosTime { sec: 9_223_372_036, nsec: 854_775_807 };
 
 /// One QoS profile, with the policy names of version 9.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct QosProfile {
+pub(crate) struct YamlProfile {
     #[serde(deserialize_with = "history")]
     history: String,
     depth: u64,
@@ -53,7 +65,7 @@ struct QosTime {
     nsec: u64,
 }
 
-impl Default for QosProfile {
+impl Default for YamlProfile {
     /// ROS 2's default profile; a player offers it again, so that replay is reliable.
     fn default() -> Self {
         Self {
@@ -70,39 +82,163 @@ impl Default for QosProfile {
     }
 }
 
-impl QosProfile {
-    /// The profile of a publisher that keeps `kept` messages for late-joining subscribers.
-    pub(crate) fn keeping(kept: usize) -> Self {
-        match kept {
-            0 => Self::default(),
-            kept => Self {
-                depth: kept as u64,
-                durability: TRANSIENT_LOCAL.to_owned(),
-                ..Self::default()
+impl YamlProfile {
+    /// The profile as ROS 2 describes it, with infinite times.
+    fn of(profile: &QosProfile) -> Self {
+        let (history, depth) = match profile.history {
+            HistoryPolicy::KeepLast(depth) => (KEEP_LAST, depth),
+            HistoryPolicy::KeepAll => (KEEP_ALL, 0),
+            HistoryPolicy::Unknown => (UNKNOWN, 0),
+        };
+        Self {
+            history: history.to_owned(),
+            depth: depth as u64,
+            reliability: match profile.reliability {
+                ReliabilityPolicy::Reliable => "reliable",
+                ReliabilityPolicy::BestEffort => BEST_EFFORT,
+            }
+            .to_owned(),
+            durability: match profile.durability {
+                DurabilityPolicy::Volatile => "volatile",
+                DurabilityPolicy::TransientLocal => TRANSIENT_LOCAL,
+            }
+            .to_owned(),
+            ..Self::default()
+        }
+    }
+
+    fn profile(&self) -> QosProfile {
+        let depth = usize::try_from(self.depth).unwrap_or(usize::MAX);
+        QosProfile {
+            reliability: match self.reliability.as_str() {
+                BEST_EFFORT => ReliabilityPolicy::BestEffort,
+                _ => ReliabilityPolicy::Reliable,
+            },
+            durability: match self.durability.as_str() {
+                TRANSIENT_LOCAL => DurabilityPolicy::TransientLocal,
+                _ => DurabilityPolicy::Volatile,
+            },
+            history: match self.history.as_str() {
+                KEEP_LAST => HistoryPolicy::KeepLast(depth),
+                KEEP_ALL => HistoryPolicy::KeepAll,
+                _ => HistoryPolicy::Unknown,
             },
         }
     }
 }
 
-/// Number of messages that publishers with these profiles keep together for late-joining subscribers; 0
-/// unless all of them are transient local.
-pub(crate) fn kept(profiles: &[QosProfile]) -> usize {
-    if profiles.iter().any(|profile| profile.durability != TRANSIENT_LOCAL) {
-        return 0;
-    }
-    let depth = |profile: &QosProfile| usize::try_from(profile.depth.max(1)).unwrap_or(usize::MAX);
-    profiles.iter().map(depth).fold(0, usize::saturating_add)
-}
-
-/// The value of `offered_qos_profiles` for publishers that keep `kept` messages.
-pub(crate) fn offered_profiles(kept: usize) -> String {
-    serde_saphyr::to_string(&[QosProfile::keeping(kept)])
+/// The value of `offered_qos_profiles`.
+pub(crate) fn offered_profiles(offered: &[QosProfile]) -> String {
+    let profiles: Vec<_> = offered.iter().map(YamlProfile::of).collect();
+    serde_saphyr::to_string(&profiles)
         .expect("structs of numbers and strings with fixed keys are always YAML")
 }
 
 /// Parses the value of `offered_qos_profiles`; empty if it is not a list of profiles.
-pub(crate) fn parse(text: &str) -> Vec<QosProfile> {
+pub(crate) fn parse(text: &str) -> Vec<YamlProfile> {
     serde_saphyr::from_str(text).unwrap_or_default()
+}
+
+/// The profiles in the value of `offered_qos_profiles`.
+pub(crate) fn profiles(text: &str) -> Vec<QosProfile> {
+    parse(text).iter().map(YamlProfile::profile).collect()
+}
+
+/// A profile in a file of overrides; missing policies have ROS 2's defaults.
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Override {
+    #[serde(deserialize_with = "history")]
+    history: String,
+    depth: u64,
+    #[serde(deserialize_with = "reliability")]
+    reliability: String,
+    #[serde(deserialize_with = "durability")]
+    durability: String,
+    // Of no effect: rosbag2's files may have them.
+    #[serde(rename = "deadline")]
+    _deadline: Option<PartialTime>,
+    #[serde(rename = "lifespan")]
+    _lifespan: Option<PartialTime>,
+    #[serde(rename = "liveliness")]
+    _liveliness: Option<Policy>,
+    #[serde(rename = "liveliness_lease_duration")]
+    _liveliness_lease_duration: Option<PartialTime>,
+    #[serde(rename = "avoid_ros_namespace_conventions")]
+    _avoid_ros_namespace_conventions: Option<bool>,
+}
+
+/// A time in a file of overrides.
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[derive(Default)]
+struct PartialTime {
+    #[serde(rename = "sec")]
+    _sec: u64,
+    #[serde(rename = "nsec")]
+    _nsec: u64,
+}
+
+impl Default for Override {
+    fn default() -> Self {
+        let YamlProfile { history, depth, reliability, durability, .. } = YamlProfile::default();
+        Self {
+            history,
+            depth,
+            reliability,
+            durability,
+            _deadline: None,
+            _lifespan: None,
+            _liveliness: None,
+            _liveliness_lease_duration: None,
+            _avoid_ros_namespace_conventions: None,
+        }
+    }
+}
+
+/// QoS profiles by topic.
+pub type QosOverrides = BTreeMap<String, QosProfile>;
+
+/// Reads a file of QoS profiles by topic, as rosbag2's `--qos-profile-overrides-path` does. Policies that the file lacks
+/// have ROS 2's defaults; deadline, lifespan and liveliness have no effect.
+///
+/// # Errors
+/// [`BagError::Io`], and [`BagError::Metadata`] when a topic or a policy is invalid.
+pub fn read_qos_overrides(path: &Path) -> Result<QosOverrides, BagError> {
+    let wrong = |field, found: String, expected| BagError::Metadata {
+        path: path.into(),
+        field,
+        found,
+        expected,
+    };
+    let text = fs::read_to_string(path).map_err(BagError::io(path, "reading the QoS profiles"))?;
+    let overrides: BTreeMap<String, Override> = serde_saphyr::from_str(&text).map_err(|error| {
+        let expected = "topics with QoS policies, such as `/scan: {reliability: best_effort}`";
+        wrong("topics", error.to_string(), expected)
+    })?;
+    let mut profiles = QosOverrides::new();
+    for (topic, policies) in overrides {
+        if !topic.starts_with('/') {
+            return Err(wrong("topics", topic, "names that start with `/`"));
+        }
+        let checks = [
+            ("history", &policies.history, HISTORY, "keep_last or keep_all"),
+            ("reliability", &policies.reliability, RELIABILITY, "reliable or best_effort"),
+            ("durability", &policies.durability, DURABILITY, "volatile or transient_local"),
+        ];
+        for (field, found, names, expected) in checks {
+            if !names.contains(&found.as_str()) || found == UNKNOWN {
+                return Err(wrong(field, format!("{found} for {topic}"), expected));
+            }
+        }
+        let Override { history, depth, reliability, durability, .. } = policies;
+        // `system_default` is the default of ROS 2.
+        let history = if history == KEEP_ALL { history } else { KEEP_LAST.to_owned() };
+        let profile =
+            YamlProfile { history, depth, reliability, durability, ..YamlProfile::default() };
+        profiles.insert(topic, profile.profile());
+    }
+    Ok(profiles)
 }
 
 /// A policy as a number or a name.
@@ -142,31 +278,82 @@ mod tests {
 
     #[test]
     fn policies_are_read_as_numbers_and_as_names() {
-        let numbers = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: \
+        let numbers = "- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n  deadline:\n    sec: \
             9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
             liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
             avoid_ros_namespace_conventions: false\n";
-        let expected = QosProfile { history: "unknown".into(), depth: 0, ..QosProfile::default() };
-        assert_eq!(parse(numbers), [expected]);
-        let names = serde_saphyr::to_string(&[QosProfile::default()]).unwrap();
-        assert_eq!(parse(&names), [QosProfile::default()]);
+        let expected = QosProfile {
+            reliability: ReliabilityPolicy::BestEffort,
+            durability: DurabilityPolicy::TransientLocal,
+            history: HistoryPolicy::Unknown,
+        };
+        assert_eq!(profiles(numbers), [expected]);
     }
 
     #[test]
-    fn kept_messages_add_up_if_all_publishers_are_transient_local() {
-        let profiles = [3, 0, 2].map(QosProfile::keeping);
-        assert_eq!(kept(&profiles), 0);
-        assert_eq!(kept(&[profiles[0].clone(), profiles[2].clone()]), 5);
-        assert_eq!(kept(&[]), 0);
-        // rosbag2 does not know the depth of publishers whose history is unknown.
-        let unknown = QosProfile { depth: 0, ..QosProfile::keeping(1) };
-        assert_eq!(kept(&[unknown]), 1);
+    fn profiles_are_read_back() {
+        let histories =
+            [HistoryPolicy::KeepLast(7), HistoryPolicy::KeepAll, HistoryPolicy::Unknown];
+        let offered = histories.map(|history| QosProfile { history, ..QosProfile::default() });
+        assert_eq!(profiles(&offered_profiles(&offered)), offered);
+        assert_eq!(profiles(&offered_profiles(&[])), []);
     }
 
     #[test]
     fn other_texts_have_no_profiles() {
         for text in ["", "[]", "nothing", "- history: 1\n", "{"] {
             assert_eq!(parse(text), [], "{text}");
+        }
+    }
+
+    fn overrides(text: &str) -> Result<QosOverrides, BagError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("qos.yaml");
+        fs::write(&path, text).unwrap();
+        read_qos_overrides(&path)
+    }
+
+    #[test]
+    fn overrides_are_read_as_rosbag2_writes_them() {
+        let text = "/scan:\n  reliability: best_effort\n  history: keep_all\n/map:\n  durability: transient_local\n  \
+            depth: 1\n  history: keep_last\n  deadline:\n    sec: 0\n    nsec: 0\n  liveliness: automatic\n\
+            /odom:\n  reliability: system_default\n";
+        let expected = [
+            (
+                "/map",
+                QosProfile {
+                    durability: DurabilityPolicy::TransientLocal,
+                    history: HistoryPolicy::KeepLast(1),
+                    ..QosProfile::default()
+                },
+            ),
+            ("/odom", QosProfile::default()),
+            (
+                "/scan",
+                QosProfile {
+                    reliability: ReliabilityPolicy::BestEffort,
+                    history: HistoryPolicy::KeepAll,
+                    ..QosProfile::default()
+                },
+            ),
+        ];
+        let expected = expected.map(|(topic, profile)| (topic.to_owned(), profile));
+        assert_eq!(overrides(text).unwrap(), QosOverrides::from(expected));
+    }
+
+    #[test]
+    fn invalid_overrides_are_rejected_with_field_found_and_expected() {
+        for (text, expected) in [
+            ("scan: {depth: 1}", "topics: found scan, expected names that start with `/`"),
+            (
+                "/scan: {reliability: sometimes}",
+                "reliability: found sometimes for /scan, expected reliable or best_effort",
+            ),
+            ("/scan: {reliable: true}", "topics: found "),
+            ("/scan: {depth: few}", "topics: found "),
+        ] {
+            let message = overrides(text).unwrap_err().to_string();
+            assert!(message.contains(&format!("qos.yaml: {expected}")), "{message}");
         }
     }
 }

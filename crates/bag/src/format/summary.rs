@@ -21,6 +21,11 @@ pub struct WrittenTopic {
 }
 
 impl WrittenTopic {
+    /// Whether the bag has a definition of its type.
+    pub fn has_definition(&self) -> bool {
+        self.channel.schema.as_ref().is_some_and(|schema| !schema.data.is_empty())
+    }
+
     /// A topic without messages.
     pub(crate) fn new(channel: &Arc<Channel>) -> Self {
         Self {

@@ -7,7 +7,11 @@ use std::{
 };
 
 use super::index::FileIndex;
-use crate::{error::BagError, format::channel::Channel};
+use crate::{
+    error::BagError,
+    format::channel::{Channel, ROS2MSG},
+};
+use eddy_messages::{InvalidDefinition, QosProfile, TypeSupport};
 
 /// A topic of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,14 +20,27 @@ pub struct TopicInfo {
     pub name: String,
     /// Name of its message type; empty if unknown.
     pub type_name: String,
-    /// Definition of the type: in bags of eddy the `.msg` text and that of every dependency.
+    /// Definition of the type: in bags of ROS 2 the `.msg` text and that of every dependency; empty if unknown.
     pub schema: String,
+    /// Language of the definition: `ros2msg` or `ros2idl` in bags of ROS 2; empty if there is none.
+    pub schema_encoding: String,
     /// RIHS01 type hash, if known.
     pub hash: Option<String>,
     /// Number of messages.
     pub message_count: u64,
-    /// Number of messages that its publishers kept for late-joining subscribers (transient local).
-    pub kept: usize,
+    /// What its publishers offered, each; empty if unknown.
+    pub offered: Vec<QosProfile>,
+}
+
+impl TopicInfo {
+    /// The type as the bag defines it; `None` if it does not, or in another language than `.msg`.
+    ///
+    /// # Errors
+    /// [`InvalidDefinition`] when the definition cannot be parsed.
+    pub fn defined_type(&self) -> Option<Result<TypeSupport, InvalidDefinition>> {
+        let is_msg = self.schema_encoding == ROS2MSG && !self.schema.is_empty();
+        is_msg.then(|| TypeSupport::from_schema(&self.type_name, &self.schema))
+    }
 }
 
 /// Name and type of a topic, shared by its messages.
@@ -92,6 +109,18 @@ impl Contents {
     }
 }
 
+/// Adds the profiles that another channel of a topic has more often: the files of a split bag have equal channels.
+fn add(known: &mut Vec<QosProfile>, offered: Vec<QosProfile>) {
+    let of = |profiles: &[QosProfile], profile| {
+        profiles.iter().filter(|other| **other == profile).count()
+    };
+    for &profile in &offered {
+        if of(known, profile) < of(&offered, profile) {
+            known.push(profile);
+        }
+    }
+}
+
 /// The topics of all files, sorted by name, then by type.
 fn topics(files: &[FileIndex]) -> Vec<TopicInfo> {
     let mut topics = BTreeMap::new();
@@ -102,11 +131,12 @@ fn topics(files: &[FileIndex]) -> Vec<TopicInfo> {
                 name: channel.topic.clone(),
                 type_name: channel.type_name().to_owned(),
                 schema: channel.definition(),
+                schema_encoding: channel.definition_encoding().to_owned(),
                 hash: channel.type_hash().map(str::to_owned),
                 message_count: 0,
-                kept: 0,
+                offered: Vec::new(),
             });
-            topic.kept = topic.kept.max(channel.kept());
+            add(&mut topic.offered, channel.offered());
             topic.message_count += file.counts.get(id).copied().unwrap_or_default();
         }
     }

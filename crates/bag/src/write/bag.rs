@@ -23,7 +23,7 @@ use crate::{
     read::{auxiliary::AuxiliaryRecord, messages::BagMessage},
 };
 use eddy_frames::Stamp;
-use eddy_messages::type_support;
+use eddy_messages::{QosProfile, TypeSupport, type_support};
 
 /// Key in `custom_data` of `metadata.yaml`: number of received messages that are not in the bag.
 const NOT_RECORDED: &str = "eddy_messages_not_recorded";
@@ -116,49 +116,32 @@ impl BagWriter {
     pub fn topic(&mut self, name: &str, type_name: &str) -> Result<TopicId, BagError> {
         let support = type_support(type_name)
             .map_err(|reason| BagError::Type { topic: name.into(), reason })?;
-        self.topic_with_schema(name, type_name, &support.schema, &support.hash)
+        self.offered_topic(name, support, &[QosProfile::default()])
     }
 
-    /// Adds a topic of any type. `schema` is the `.msg` text of the type and all its dependencies, `hash` its
-    /// RIHS01 type hash; both empty if unknown.
+    /// Adds a topic of any type, whose publishers offer `offered`, or returns its id if it exists.
     ///
     /// # Errors
     /// As [`BagWriter::topic`].
-    pub fn topic_with_schema(
+    pub fn offered_topic(
         &mut self,
         name: &str,
-        type_name: &str,
-        schema: &str,
-        hash: &str,
+        of: &TypeSupport,
+        offered: &[QosProfile],
     ) -> Result<TopicId, BagError> {
-        self.kept_topic(name, type_name, schema, hash, 0)
-    }
-
-    /// As [`BagWriter::topic_with_schema`], for publishers that keep the last `kept` messages for late-joining
-    /// subscribers (transient local).
-    ///
-    /// # Errors
-    /// As [`BagWriter::topic`].
-    pub fn kept_topic(
-        &mut self,
-        name: &str,
-        type_name: &str,
-        schema: &str,
-        hash: &str,
-        kept: usize,
-    ) -> Result<TopicId, BagError> {
+        let type_name = &of.name;
         if let Some(known) = self.topics.iter().position(|topic| topic.name == name) {
-            if self.topics[known].type_name != type_name {
+            if self.topics[known].type_name != *type_name {
                 return Err(BagError::TopicType {
                     path: self.directory.clone(),
                     topic: name.into(),
-                    found: type_name.into(),
+                    found: type_name.clone(),
                     expected: self.topics[known].type_name.clone(),
                 });
             }
             return Ok(TopicId(known));
         }
-        self.channel(&Arc::new(Channel::ros(name, type_name, schema, hash, kept)))
+        self.channel(&Arc::new(Channel::ros(name, of, offered)))
     }
 
     /// Adds a channel of another bag, or returns its id if it exists. As in MCAP, a topic may have several

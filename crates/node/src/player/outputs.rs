@@ -1,11 +1,11 @@
 //! A publisher for every topic of a bag, and one for the clock.
 
-use std::{collections::HashMap, num::NonZeroUsize, sync::Arc};
+use std::{collections::HashMap, sync::Arc};
 
 use crate::ros::RosNode;
-use eddy_bag::{BagMessage, BagReader, TopicInfo};
+use eddy_bag::{BagMessage, BagReader, QosOverrides, TopicInfo};
 use eddy_frames::Stamp;
-use eddy_messages::{Clock, Message, TypeSupport, UnknownType, cdr, type_support};
+use eddy_messages::{Clock, Message, QosProfile, TypeSupport, cdr, type_support};
 use eddy_transport::{
     InvalidLink, Link, Publisher, Reliability, TransportError, TransportKind, Transports,
 };
@@ -26,18 +26,22 @@ pub struct OutputOptions {
     pub clock: bool,
     /// What happens when a subscriber cannot keep up.
     pub reliability: Reliability,
+    /// Quality of service to offer in place of the recorded one, by the name of the topic in the bag.
+    pub overrides: QosOverrides,
 }
 
 /// Why a topic cannot be published.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum OutputError {
-    /// The transport needs the type hash of an unknown type.
-    #[error("topic {topic}: on {transport} without a type hash in the bag: {reason}")]
-    Unknown { topic: String, transport: TransportKind, reason: UnknownType },
-    /// The type is known under another type hash, or has no name.
-    #[error("topic {topic}: no type hash in the bag")]
-    NoHash { topic: String },
+    /// The transport needs the type hash, which the bag lacks and which cannot be computed.
+    #[error(
+        "topic {topic}: {transport} needs the type hash of {type_name}, which the bag lacks; {reason}"
+    )]
+    NoHash { topic: String, transport: TransportKind, type_name: String, reason: String },
+    /// The type has no name.
+    #[error("topic {topic}: no message type in the bag")]
+    NoType { topic: String },
     /// A rule for a new name is not of the form `FROM:=TO`.
     #[error("--remap: found `{found}`, expected FROM:=TO, for example /particles:=/truth")]
     Rule { found: String },
@@ -80,24 +84,33 @@ pub fn playable_topics<'b>(
     Ok(topics)
 }
 
-/// The type of a topic as the transport needs it. Unknown types pass through as bytes with the type hash in the bag,
-/// without which Zenoh subscribers would not find them.
+/// The type of a topic as the transport needs it. Without a type hash in the bag it is that of the definition in the
+/// bag, or that of the built-in type. Only Zenoh needs one: subscribers would not find the topic otherwise.
 fn support(topic: &TopicInfo, transport: TransportKind) -> Result<TypeSupport, OutputError> {
     let TopicInfo { name, type_name, hash, .. } = topic;
-    let unknown = match type_support(type_name) {
-        Ok(ours) if hash.as_ref().is_none_or(|hash| *hash == ours.hash) => return Ok(ours.clone()),
-        Ok(_) => None,
-        Err(unknown) => Some(unknown),
+    let built_in = type_support(type_name);
+    if let Some(hash) = hash {
+        return Ok(match built_in {
+            Ok(ours) if ours.hash == *hash => ours.clone(),
+            _ => TypeSupport::foreign(type_name, hash),
+        });
+    }
+    if type_name.is_empty() {
+        return Err(OutputError::NoType { topic: name.clone() });
+    }
+    let reason = match (topic.defined_type(), built_in) {
+        (Some(Ok(defined)), _) => return Ok(defined),
+        (None, Ok(ours)) => return Ok(ours.clone()),
+        (Some(Err(error)), _) => error.to_string(),
+        (None, Err(_)) if topic.schema.is_empty() => "the bag has no definition of it".to_owned(),
+        (None, Err(_)) => format!("its definition is {}, expected ros2msg", topic.schema_encoding),
     };
-    match (hash, unknown) {
-        (Some(hash), _) => Ok(TypeSupport::foreign(type_name, hash)),
-        (None, _) if transport == TransportKind::Shm && !type_name.is_empty() => {
-            Ok(TypeSupport::foreign(type_name, ""))
+    match transport {
+        TransportKind::Zenoh => {
+            let (topic, type_name) = (name.clone(), type_name.clone());
+            Err(OutputError::NoHash { topic, transport, type_name, reason })
         }
-        (None, Some(reason)) => {
-            Err(OutputError::Unknown { topic: name.clone(), transport, reason })
-        }
-        (None, None) => Err(OutputError::NoHash { topic: name.clone() }),
+        _ => Ok(TypeSupport::foreign(type_name, "")),
     }
 }
 
@@ -148,9 +161,10 @@ impl TopicOutputs {
         for topic in playable {
             let link = link_of(&topic.name)?;
             let support = support(topic, options.transport)?;
-            let kept = NonZeroUsize::new(topic.kept);
+            let recorded = QosProfile::in_place_of(&topic.offered);
+            let offered = options.overrides.get(&topic.name).copied().or(recorded);
             let publisher =
-                transports.keeping_publisher_of(&link, &support, options.reliability, kept)?;
+                transports.offering_publisher_of(&link, &support, options.reliability, offered)?;
             let (name, type_name) = (topic.name.clone(), topic.type_name.clone());
             by_key.insert((name.as_str().into(), type_name.as_str().into()), topics.len());
             topics.push(PlayedTopic { name, type_name, link, publisher });
@@ -235,15 +249,21 @@ mod tests {
     use eddy_messages::RosString;
     use eddy_transport::TransportOptions;
 
-    /// A bag with a word on `/words`, a clock, and a message of an unknown type without a type hash on `/imu`.
+    /// A bag with a word on `/words`, a clock, and messages of types that are not built in, without type hashes: with a
+    /// definition on `/imu`, without one on `/raw`.
     fn bag(folder: &Path) -> BagReader {
         let path = folder.join("bag");
         let mut writer = BagWriter::create(&path, WriterOptions::default()).unwrap();
         let words = writer.topic("/words", RosString::TYPE).unwrap();
         let clock = writer.topic(CLOCK, Clock::TYPE).unwrap();
-        let imu = writer.topic_with_schema("/imu", "acme_msgs/msg/Imu", "float64 x", "").unwrap();
+        let mut foreign = |name, schema: &str| {
+            let support = TypeSupport::foreign("acme_msgs/msg/Imu", "");
+            let support = TypeSupport { schema: schema.to_owned(), ..support };
+            writer.offered_topic(name, &support, &[]).unwrap()
+        };
+        let (imu, raw) = (foreign("/imu", "float64 x\n"), foreign("/raw", ""));
         let word = cdr::encode(&RosString { data: "eddy".into() });
-        for topic in [words, clock, imu] {
+        for topic in [words, clock, imu, raw] {
             writer.write(topic, Stamp(1), Stamp(1), &word).unwrap();
         }
         writer.finish().unwrap();
@@ -257,6 +277,7 @@ mod tests {
             remap: Vec::new(),
             clock: false,
             reliability: Reliability::Block,
+            overrides: QosOverrides::new(),
         }
     }
 
@@ -268,12 +289,27 @@ mod tests {
     fn topics_that_cannot_be_carried_are_left_out_unless_they_were_named() {
         let folder = tempfile::tempdir().unwrap();
         let bag = bag(folder.path());
-        assert_eq!(names(&playable_topics(&bag, &options()).unwrap()), [CLOCK, "/words"]);
-        let shm = OutputOptions { transport: TransportKind::Shm, ..options() };
-        assert_eq!(names(&playable_topics(&bag, &shm).unwrap()), [CLOCK, "/imu", "/words"]);
-        let named = OutputOptions { topics: vec!["/imu".to_owned()], ..options() };
+        for transport in [TransportKind::Shm, TransportKind::Dds] {
+            let options = OutputOptions { transport, ..options() };
+            let all = [CLOCK, "/imu", "/raw", "/words"];
+            assert_eq!(names(&playable_topics(&bag, &options).unwrap()), all, "{transport}");
+        }
+        let zenoh = OutputOptions { transport: TransportKind::Zenoh, ..options() };
+        assert_eq!(names(&playable_topics(&bag, &zenoh).unwrap()), [CLOCK, "/imu", "/words"]);
+        let named = OutputOptions { topics: vec!["/raw".to_owned()], ..zenoh };
         let message = playable_topics(&bag, &named).unwrap_err().to_string();
-        assert!(message.starts_with("topic /imu: on memory without a type hash"), "{message}");
+        let expected = "topic /raw: zenoh needs the type hash of acme_msgs/msg/Imu, which the bag lacks; the bag has no";
+        assert!(message.starts_with(expected), "{message}");
+    }
+
+    #[test]
+    fn a_type_hash_that_the_bag_lacks_is_that_of_its_definition() {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = bag(folder.path());
+        let topic = bag.topics().iter().find(|topic| topic.name == "/imu").unwrap();
+        let support = support(topic, TransportKind::Zenoh).unwrap();
+        let expected = TypeSupport::from_schema("acme_msgs/msg/Imu", "float64 x").unwrap().hash;
+        assert_eq!(support.hash, expected);
     }
 
     #[test]
@@ -281,7 +317,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = bag(folder.path());
         let with_clock = OutputOptions { clock: true, ..options() };
-        assert_eq!(names(&playable_topics(&bag, &with_clock).unwrap()), ["/words"]);
+        assert_eq!(names(&playable_topics(&bag, &with_clock).unwrap()), ["/imu", "/raw", "/words"]);
     }
 
     #[test]
@@ -292,7 +328,10 @@ mod tests {
         let ros = RosArguments::default().node("outputs");
         for (rule, expected) in [
             ("/words", "--remap: found `/words`, expected FROM:=TO"),
-            ("/word:=/a", "--remap: found topic `/word`, expected one of /clock, /words"),
+            (
+                "/word:=/a",
+                "--remap: found topic `/word`, expected one of /clock, /imu, /raw, /words",
+            ),
         ] {
             let options = OutputOptions { remap: vec![rule.to_owned()], ..options() };
             let playable = playable_topics(&bag, &options).unwrap();

@@ -10,10 +10,10 @@ use std::{
     time::Duration,
 };
 
-use super::intake::Event;
+use super::{TopicOpener, intake::Event};
 use eddy_bag::TopicFilter;
 use eddy_frames::clock::Clock;
-use eddy_transport::{Link, Producer, TransportKind, Transports};
+use eddy_transport::{Link, Producer, SeenTopic, TransportKind};
 
 /// Interval between searches. Messages published before their topic is found are missed.
 const SEARCH_INTERVAL: Duration = Duration::from_millis(200);
@@ -22,7 +22,7 @@ const MAX_SLEEP: Duration = Duration::from_millis(20);
 
 /// Searches for topics to record.
 pub struct TopicDiscovery {
-    transports: Transports,
+    opener: TopicOpener,
     from: Vec<TransportKind>,
     choice: TopicFilter,
     found: Mutex<Found>,
@@ -44,13 +44,13 @@ pub type Reasons = BTreeMap<String, String>;
 impl TopicDiscovery {
     /// Searches the transports `from` for chosen topics, except those named in `known`, which are recorded already.
     pub fn new(
-        transports: Transports,
+        opener: TopicOpener,
         from: Vec<TransportKind>,
         choice: TopicFilter,
         known: HashSet<String>,
     ) -> Self {
         let found = Found { known, ..Found::default() };
-        Self { transports, from, choice, found: Mutex::new(found) }
+        Self { opener, from, choice, found: Mutex::new(found) }
     }
 
     /// Whether no topic can be chosen.
@@ -100,7 +100,7 @@ impl TopicDiscovery {
     }
 
     fn search(&self, transport: TransportKind, producer: &Producer<Event>) {
-        let topics = match self.transports.topics(transport) {
+        let topics = match self.opener.transports().topics(transport) {
             Ok(topics) => topics,
             Err(error) => {
                 // Logged once: the next search will hardly fail differently.
@@ -110,20 +110,37 @@ impl TopicDiscovery {
                 return;
             }
         };
-        for topic in topics.into_iter().filter(|topic| self.choice.matches(&topic.link.topic)) {
-            if self.lock().known.contains(&topic.link.topic) {
-                continue;
+        let mut names = HashSet::new();
+        let new = |topic: &SeenTopic| {
+            let name = &topic.link.topic;
+            self.choice.matches(name)
+                && !self.lock().known.contains(name)
+                && names.insert(name.clone())
+        };
+        let (known, unknown): (Vec<_>, Vec<_>) = topics
+            .into_iter()
+            .filter(new)
+            .partition(|topic| !topic.type_support().schema.is_empty());
+        known.into_iter().for_each(|topic| self.open(topic, producer));
+        // Publishers may take a while to tell the definitions of their types.
+        thread::scope(|scope| {
+            for topic in unknown {
+                scope.spawn(|| self.open(topic, producer));
             }
-            match self.transports.subscriber_of(&topic.link, &topic.type_support()) {
-                Ok(subscriber) => {
-                    let mut found = self.lock();
-                    found.known.insert(topic.link.topic.clone());
-                    found.failed.remove(&topic.link.topic);
-                    drop(found);
-                    let _ = producer.push_or_wait(Event::Opened(topic, subscriber), Duration::MAX);
-                }
-                Err(error) => self.note_failed(&topic.link, &error),
+        });
+    }
+
+    fn open(&self, topic: SeenTopic, producer: &Producer<Event>) {
+        let link = topic.link.clone();
+        match self.opener.open(topic) {
+            Ok(opened) => {
+                let mut found = self.lock();
+                found.known.insert(link.topic.clone());
+                found.failed.remove(&link.topic);
+                drop(found);
+                let _ = producer.push_or_wait(Event::Opened(Box::new(opened)), Duration::MAX);
             }
+            Err(error) => self.note_failed(&link, &error),
         }
     }
 

@@ -6,12 +6,13 @@ use std::{
     time::Duration,
 };
 
+use super::OpenTopic;
 use eddy_bag::TopicId;
 use eddy_frames::{
     Stamp,
     clock::{self, Clock},
 };
-use eddy_transport::{Link, Payload, Producer, PushError, SeenTopic, Subscriber, TransportError};
+use eddy_transport::{Link, Payload, Producer, PushError, Subscriber, TransportError};
 
 /// Longest wait before the stop flag is checked.
 pub(super) const MAX_WAIT: Duration = Duration::from_millis(100);
@@ -23,7 +24,7 @@ pub(super) const FULL_QUEUE_TIMEOUT: Duration = Duration::from_secs(5);
 /// An item of the queue between subscribers and the writer.
 pub(super) enum Event {
     /// A topic was found and subscribed to.
-    Opened(SeenTopic, Box<dyn Subscriber>),
+    Opened(Box<OpenTopic>),
     Message(TopicId, Payload, Stamp),
     /// A subscriber failed; no more messages follow on its topic.
     Failed(Link, TransportError),

@@ -2,14 +2,17 @@
 //!
 //! 1. [`writer`]: messages into a bag, flushed at least once a second.
 //! 2. [`intake`]: messages of one topic into a bounded queue.
-//! 3. [`discovery`]: topics that appear while recording.
-//! 4. [`recording`]: the loop from the queue into the bag.
+//! 3. [`definitions`]: subscribers, and the definitions of their types.
+//! 4. [`discovery`]: topics that appear while recording.
+//! 5. [`recording`]: the loop from the queue into the bag.
 
+mod definitions;
 mod discovery;
 mod intake;
 mod recording;
 mod writer;
 
+pub use definitions::{OpenTopic, TopicOpener};
 pub use discovery::{Reasons, TopicDiscovery};
 pub use intake::Losses;
 pub use recording::{RecordError, RecordingOptions, record};

@@ -10,12 +10,12 @@ use std::{
 };
 
 use super::{
-    Losses, Recorder, TopicDiscovery,
+    Losses, OpenTopic, Recorder, TopicDiscovery,
     intake::{Event, FULL_QUEUE_TIMEOUT, MAX_WAIT, receive},
 };
 use eddy_bag::BagError;
 use eddy_frames::clock::{self, Clock};
-use eddy_transport::{Link, Queue, SeenTopic, Subscriber, TransportError};
+use eddy_transport::{Link, Queue, SeenTopic, TransportError};
 
 /// When a recording ends, and where it reports to.
 pub struct RecordingOptions<'a> {
@@ -50,7 +50,7 @@ pub enum RecordError {
 /// `recorder` in each case.
 pub fn record(
     recorder: &mut Recorder,
-    inputs: Vec<(SeenTopic, Box<dyn Subscriber>)>,
+    inputs: Vec<OpenTopic>,
     discovery: &TopicDiscovery,
     options: &RecordingOptions<'_>,
 ) -> (Result<(), RecordError>, Losses) {
@@ -58,21 +58,21 @@ pub fn record(
     let queue = Arc::new(Queue::with_cost(usize::MAX, options.cache_bytes, Event::cost));
     thread::scope(|scope| {
         let (stop, mut receivers) = (&stop, Vec::new());
-        let mut open =
-            |recorder: &mut Recorder, topic: SeenTopic, mut subscriber: Box<dyn Subscriber>| {
-                let id = recorder.topic_of(&topic.link.topic, &topic.type_support(), topic.kept)?;
-                (options.on_topic)(&topic);
-                let producer = queue.producer();
-                let link = topic.link;
-                receivers.push(scope.spawn(move || {
-                    receive(&link, id, subscriber.as_mut(), &producer, FULL_QUEUE_TIMEOUT, stop)
-                }));
-                Ok(())
-            };
+        let mut open = |recorder: &mut Recorder, opened: OpenTopic| {
+            let OpenTopic { topic, support, mut subscriber } = opened;
+            let id = recorder.topic_of(&topic.link.topic, &support, &topic.offered)?;
+            (options.on_topic)(&topic);
+            let producer = queue.producer();
+            let link = topic.link;
+            receivers.push(scope.spawn(move || {
+                receive(&link, id, subscriber.as_mut(), &producer, FULL_QUEUE_TIMEOUT, stop)
+            }));
+            Ok(())
+        };
         let mut opened = Ok(());
-        for (topic, subscriber) in inputs {
+        for input in inputs {
             if opened.is_ok() {
-                opened = open(recorder, topic, subscriber);
+                opened = open(recorder, input);
             }
         }
         if !discovery.is_empty() {
@@ -99,8 +99,7 @@ pub fn record(
 }
 
 /// Starts to record a topic.
-type Open<'a> =
-    dyn FnMut(&mut Recorder, SeenTopic, Box<dyn Subscriber>) -> Result<(), RecordError> + 'a;
+type Open<'a> = dyn FnMut(&mut Recorder, OpenTopic) -> Result<(), RecordError> + 'a;
 
 /// Writes events until the recording ends, raises `stop`, then writes the messages that had already arrived.
 fn write(
@@ -124,9 +123,9 @@ fn write(
             Some(Event::Message(topic, payload, arrived)) => {
                 recorder.on_message(topic, payload, arrived).map_err(RecordError::Bag)?;
             }
-            Some(Event::Opened(topic, subscriber)) => {
-                let link = topic.link.clone();
-                match open(recorder, topic, subscriber) {
+            Some(Event::Opened(opened)) => {
+                let link = opened.topic.link.clone();
+                match open(recorder, *opened) {
                     Err(RecordError::Bag(error @ BagError::TopicType { .. })) => {
                         discovery.note_failed(&link, &error);
                     }
@@ -156,10 +155,11 @@ mod tests {
     use std::{collections::HashSet, path::Path};
 
     use super::*;
-    use eddy_bag::{BagReader, BagWriter, TopicFilter, WriterOptions};
+    use crate::recorder::TopicOpener;
+    use eddy_bag::{BagReader, BagWriter, QosOverrides, TopicFilter, WriterOptions};
     use eddy_messages::{Message, RosString, cdr, topic_type};
     use eddy_transport::{
-        Payload, Publisher, Reliability, TransportKind, TransportOptions, Transports,
+        Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions, Transports,
     };
 
     const LONG: Duration = Duration::from_secs(60);
@@ -178,14 +178,16 @@ mod tests {
             let publisher = transports.publisher(&link, RosString::TYPE, Reliability::Block);
             let publisher = publisher.unwrap();
             let type_name = RosString::TYPE.to_owned();
-            let topic = SeenTopic { link, type_name, hash: None, kept: 0 };
+            let topic = SeenTopic::new(link, type_name);
             Self { transports, topic, publisher }
         }
 
-        fn input(&self) -> (SeenTopic, Box<dyn Subscriber>) {
-            let topic = self.topic.clone();
-            let subscriber = self.transports.subscriber_of(&topic.link, &topic.type_support());
-            (topic, subscriber.unwrap())
+        fn opener(&self) -> TopicOpener {
+            TopicOpener::new(self.transports.clone(), Vec::new(), QosOverrides::new())
+        }
+
+        fn input(&self) -> OpenTopic {
+            self.opener().open(self.topic.clone()).unwrap()
         }
 
         fn publish(&mut self, count: usize) {
@@ -199,11 +201,11 @@ mod tests {
         fn record(
             &self,
             bag: &Path,
-            inputs: Vec<(SeenTopic, Box<dyn Subscriber>)>,
+            inputs: Vec<OpenTopic>,
             options: &RecordingOptions<'_>,
         ) -> (u64, Result<(), RecordError>, Losses) {
             let none = (Vec::new(), TopicFilter::default(), HashSet::new());
-            let discovery = TopicDiscovery::new(self.transports.clone(), none.0, none.1, none.2);
+            let discovery = TopicDiscovery::new(self.opener(), none.0, none.1, none.2);
             let writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
             let mut recorder = Recorder::new(writer, clock::wall());
             let (outcome, losses) = record(&mut recorder, inputs, &discovery, options);
@@ -282,8 +284,8 @@ mod tests {
         let required = [broken.clone()];
         let inputs = |words: &Words| {
             let topic = SeenTopic { link: broken.clone(), ..words.topic.clone() };
-            let broken: Box<dyn Subscriber> = Box::new(Broken(broken.clone()));
-            vec![(topic, broken), words.input()]
+            let (support, subscriber) = (topic.type_support(), Box::new(Broken(broken.clone())));
+            vec![OpenTopic { topic, support, subscriber }, words.input()]
         };
         let all = inputs(&words);
         let (_, outcome, _) =

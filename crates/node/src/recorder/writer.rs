@@ -2,7 +2,7 @@
 
 use eddy_bag::{BagError, BagSummary, BagWriter, TopicId};
 use eddy_frames::Stamp;
-use eddy_messages::TypeSupport;
+use eddy_messages::{QosProfile, TypeSupport};
 use eddy_transport::Payload;
 
 /// Interval between flushes (ns of wall time). A killed recorder loses the messages of this interval and of one interval
@@ -31,18 +31,18 @@ impl Recorder {
         self.bag.topic(name, type_name)
     }
 
-    /// Adds a topic of any type, or returns its id. Its publishers keep the last `kept` messages for late subscribers
-    /// (transient local).
+    /// Adds a topic of any type, or returns its id. Its publishers offer `offered`, ROS 2's default profile if unknown.
     ///
     /// # Errors
-    /// As [`BagWriter::kept_topic`].
+    /// As [`BagWriter::topic`].
     pub fn topic_of(
         &mut self,
         name: &str,
         of: &TypeSupport,
-        kept: usize,
+        offered: &[QosProfile],
     ) -> Result<TopicId, BagError> {
-        self.bag.kept_topic(name, &of.name, &of.schema, &of.hash, kept)
+        let unknown = [QosProfile::default()];
+        self.bag.offered_topic(name, of, if offered.is_empty() { &unknown } else { offered })
     }
 
     /// Adds an entry to `custom_data` in `metadata.yaml`.

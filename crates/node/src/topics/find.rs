@@ -62,6 +62,33 @@ pub fn find_topic(
     }
 }
 
+/// Looks up to `timeout` for publishers of all `links`; `None` for those without. Topics in shared memory are listed at
+/// once.
+///
+/// # Errors
+/// [`TransportError`] when a transport cannot list its topics.
+pub fn find_topics(
+    transports: &Transports,
+    links: &[Link],
+    timeout: Duration,
+    is_stopped: impl Fn() -> bool,
+) -> Result<Vec<Option<SeenTopic>>, TransportError> {
+    let clock = Clock::start();
+    let mut found = vec![None; links.len()];
+    loop {
+        let mut missing = false;
+        for (link, found) in links.iter().zip(&mut found).filter(|(_, found)| found.is_none()) {
+            let topics = transports.topics(link.transport)?;
+            *found = topics.into_iter().find(|topic| topic.link == *link);
+            missing |= found.is_none() && link.transport != TransportKind::Shm;
+        }
+        if !missing || is_stopped() || clock.now() > timeout {
+            return Ok(found);
+        }
+        thread::sleep(SEARCH_INTERVAL);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -79,6 +106,14 @@ mod tests {
         let expected =
             "memory:/a: no publisher appeared within 0 s; available topics on memory: none";
         assert_eq!(message, expected);
+    }
+
+    #[test]
+    fn several_topics_are_looked_for_at_once() {
+        let transports = Transports::new(TransportOptions::new("find"));
+        let links = [Link::memory("/a"), Link::memory("/b")];
+        let found = find_topics(&transports, &links, Duration::ZERO, || false).unwrap();
+        assert_eq!(found, [None, None]);
     }
 
     #[test]

@@ -7,7 +7,10 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     io,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use ros2_client::{
@@ -24,12 +27,10 @@ use ros2_client::{
 use super::{event_loop::EventLoop, middleware};
 use crate::{Link, TransportError, TransportOptions, lock};
 
-/// Largest number of incompatible writers per reader. They are kept when they disappear, since their last messages may not
-/// have been received yet.
-const MAX_MISMATCHED: usize = 1_024;
-
 pub(super) struct Graph {
     state: Arc<Mutex<State>>,
+    /// Number of changes of the writers of other participants.
+    changes: Arc<AtomicU64>,
     announcer: Mutex<Announcer>,
     _events: EventLoop,
 }
@@ -39,10 +40,10 @@ pub(super) struct Graph {
 struct State {
     /// Readers matched with each local writer.
     readers: BTreeMap<GUID, BTreeSet<GUID>>,
-    /// Writers with a QoS that is incompatible with each local reader.
-    mismatched: BTreeMap<GUID, BTreeSet<GUID>>,
-    /// Wakers of local readers for incompatible writers.
-    wakers: BTreeMap<GUID, Arc<Waker>>,
+    /// Writers matched with each local reader.
+    writers: BTreeMap<GUID, BTreeSet<GUID>>,
+    /// Wakers of subscribers for writers that appear or disappear.
+    wakers: Vec<Weak<Waker>>,
 }
 
 struct Announcer {
@@ -62,9 +63,10 @@ impl Graph {
     ) -> Result<Self, TransportError> {
         let announcer = Announcer::open(link, participant, publisher, options)?;
         let state = Arc::<Mutex<State>>::default();
-        let events = watch(participant.status_listener(), Arc::clone(&state))
+        let changes = Arc::<AtomicU64>::default();
+        let events = watch(participant.status_listener(), Arc::clone(&state), Arc::clone(&changes))
             .map_err(|error| middleware(link, "watch the graph", &error))?;
-        let graph = Self { state, announcer: Mutex::new(announcer), _events: events };
+        let graph = Self { state, changes, announcer: Mutex::new(announcer), _events: events };
         graph.announce(|_| {});
         Ok(graph)
     }
@@ -94,19 +96,22 @@ impl Graph {
         self.announce(|announcer| {
             announcer.readers.remove(&reader);
         });
-        let mut state = lock(&self.state);
-        state.mismatched.remove(&reader);
-        state.wakers.remove(&reader);
+        lock(&self.state).writers.remove(&reader);
     }
 
-    /// Wakes `waker` whenever an incompatible writer for `reader` appears.
-    pub(super) fn watch(&self, reader: GUID, waker: &Arc<Waker>) {
-        lock(&self.state).wakers.insert(reader, Arc::clone(waker));
+    /// Wakes `waker`, as long as it lives, whenever a writer appears or disappears.
+    pub(super) fn watch(&self, waker: &Arc<Waker>) {
+        lock(&self.state).wakers.push(Arc::downgrade(waker));
     }
 
-    /// Writers with a QoS that is incompatible with `reader`.
-    pub(super) fn mismatched(&self, reader: GUID) -> BTreeSet<GUID> {
-        lock(&self.state).mismatched.get(&reader).cloned().unwrap_or_default()
+    /// Number of times that writers have appeared or disappeared.
+    pub(super) fn changes(&self) -> u64 {
+        self.changes.load(Ordering::Acquire)
+    }
+
+    /// Whether a local reader is matched with a writer.
+    pub(super) fn has_writer(&self, reader: GUID) -> bool {
+        lock(&self.state).writers.get(&reader).is_some_and(|writers| !writers.is_empty())
     }
 
     /// Number of readers matched with a local writer.
@@ -156,17 +161,42 @@ impl Announcer {
 fn watch(
     mut listener: DomainParticipantStatusListener,
     state: Arc<Mutex<State>>,
+    changes: Arc<AtomicU64>,
 ) -> io::Result<EventLoop> {
     let wait = EventLoop::poll()?;
     wait.0.registry().register(&mut listener, Token(1), Interest::READABLE)?;
     EventLoop::start("dds graph", "DDS graph", wait, move |_| {
+        let mut changed = false;
         while let Some(event) = listener.try_recv_status() {
+            changed |= matches!(
+                event,
+                Event::WriterDetected { .. }
+                    | Event::WriterLost { .. }
+                    | Event::ParticipantLost { .. }
+            );
             lock(&state).handle(event);
+        }
+        if changed {
+            changes.fetch_add(1, Ordering::Release);
+            lock(&state).wake();
         }
     })
 }
 
 impl State {
+    /// Wakes the subscribers.
+    fn wake(&mut self) {
+        self.wakers.retain(|waker| match waker.upgrade() {
+            Some(waker) => {
+                if let Err(error) = waker.wake() {
+                    tracing::warn!("cannot wake a DDS subscriber: {error}");
+                }
+                true
+            }
+            None => false,
+        });
+    }
+
     fn handle(&mut self, event: Event) {
         match event {
             Event::RemoteReaderMatched { local_writer, remote_reader } => {
@@ -177,19 +207,17 @@ impl State {
                     readers.remove(&guid);
                 });
             }
-            Event::ParticipantLost { id, .. } => {
-                self.readers
-                    .values_mut()
-                    .for_each(|readers| readers.retain(|reader| reader.prefix != id));
+            Event::RemoteWriterMatched { local_reader, remote_writer } => {
+                self.writers.entry(local_reader).or_default().insert(remote_writer);
             }
-            Event::RemoteWriterQosIncompatible { local_reader, remote_writer, .. } => {
-                let writers = self.mismatched.entry(local_reader).or_default();
-                writers.insert(remote_writer);
-                if writers.len() > MAX_MISMATCHED {
-                    writers.pop_first();
-                }
-                if let Some(Err(error)) = self.wakers.get(&local_reader).map(|w| w.wake()) {
-                    tracing::warn!("cannot wake a DDS subscriber: {error}");
+            Event::WriterLost { guid, .. } => {
+                self.writers.values_mut().for_each(|writers| {
+                    writers.remove(&guid);
+                });
+            }
+            Event::ParticipantLost { id, .. } => {
+                for peers in self.readers.values_mut().chain(self.writers.values_mut()) {
+                    peers.retain(|peer| peer.prefix != id);
                 }
             }
             Event::InconsistentTopic { previous_topic_data, discovered_topic_data, .. } => {

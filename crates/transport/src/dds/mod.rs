@@ -5,8 +5,8 @@
 //! 3. [`event_loop`]: a thread that handles events of RustDDS.
 //! 4. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
 //! 5. [`qos`]: QoS of the endpoints; largest message size.
-//! 6. [`publisher`], [`subscriber`]: messages.
-//! 7. [`service`]: requests and responses.
+//! 6. [`publisher`], [`subscriber`]: messages; [`writers`]: publishers of others.
+//! 7. [`service`]: requests and responses; [`client`]: the other side.
 //!
 //! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
 //! (<https://design.ros2.org/articles/topic_and_service_names.html>).
@@ -27,6 +27,7 @@
 //! counts the oldest. A killed subscriber is detected after its lease of 50 s.
 
 mod cdr;
+mod client;
 mod event_loop;
 mod graph;
 mod participant;
@@ -34,23 +35,23 @@ mod publisher;
 mod qos;
 mod service;
 mod subscriber;
+mod writers;
 
-use std::{num::NonZeroUsize, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use ros2_client::dds::rustdds::{
-    self, DomainParticipant, Topic, TopicKind, discovery::DiscoveredTopicData,
-};
+use ros2_client::dds::rustdds::{self, DomainParticipant, Topic, TopicKind};
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
     TransportKind, TransportOptions,
     middleware::{Middleware, error as middleware},
 };
-use eddy_messages::{TypeSupport, dds_type, ros_type};
+use eddy_messages::{QosProfile, TypeSupport, dds_type};
 use graph::Graph;
 use publisher::DdsPublisher;
 use service::DdsService;
 use subscriber::DdsSubscriber;
+use writers::RemoteWriter;
 
 /// This process in the ROS graph.
 pub(super) struct DdsNode {
@@ -76,6 +77,11 @@ impl DdsNode {
         Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
     }
 
+    /// The writers of ROS topics of other participants.
+    fn writers(&self) -> impl Iterator<Item = RemoteWriter> + use<> {
+        writers::discovered(&self.participant).into_iter()
+    }
+
     /// The DDS topic of a link.
     fn topic(&self, link: &Link, type_name: &str) -> Result<Topic, TransportError> {
         let (name, type_name) = (format!("rt{}", link.topic), dds_type(type_name));
@@ -91,17 +97,18 @@ impl Middleware for DdsNode {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        _kept: Option<NonZeroUsize>,
+        offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        Ok(Box::new(DdsPublisher::open(&self, link, support, reliability)?))
+        Ok(Box::new(DdsPublisher::open(&self, link, support, reliability, offered)?))
     }
 
     fn subscriber(
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
+        requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        Ok(Box::new(DdsSubscriber::open(&self, link, support)?))
+        Ok(Box::new(DdsSubscriber::open(&self, link, support, requested)?))
     }
 
     fn service(
@@ -113,17 +120,28 @@ impl Middleware for DdsNode {
         Ok(Some(Box::new(DdsService::open(&self, link, type_name, handler)?)))
     }
 
-    /// The topics announced by others, published or subscribed.
+    /// The topics that others publish.
     fn topics(&self, _link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
-        let topics = self.participant.discovered_topics().into_iter();
-        let seen = |name: &str, type_name: &str| {
-            let topic = name.strip_prefix("rt")?;
+        let mut topics: BTreeMap<_, Vec<QosProfile>> = BTreeMap::new();
+        for RemoteWriter { topic, type_name, hash, offered, .. } in self.writers() {
+            topics.entry((topic, type_name, hash)).or_default().push(offered);
+        }
+        let seen = |((topic, type_name, hash), mut offered): (_, Vec<_>)| {
+            offered.sort();
+            let topic: String = topic;
             let link = format!("{}:{topic}", TransportKind::Dds).parse().ok()?;
-            Some(SeenTopic { link, type_name: ros_type(type_name)?, hash: None, kept: 0 })
+            Some(SeenTopic { link, type_name, hash, offered })
         };
-        let named =
-            |topic: DiscoveredTopicData| seen(&topic.topic_data.name, &topic.topic_data.type_name);
-        Ok(topics.filter_map(named).collect())
+        Ok(topics.into_iter().filter_map(seen).collect())
+    }
+
+    fn describe(
+        &self,
+        topic: &SeenTopic,
+        request: &[u8],
+        timeout: Duration,
+    ) -> Result<Vec<Vec<u8>>, TransportError> {
+        client::describe(self, topic, request, timeout)
     }
 }
 

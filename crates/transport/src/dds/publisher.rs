@@ -1,6 +1,6 @@
 //! Publishes a topic.
 
-use std::{sync::Arc, thread, time::Duration};
+use std::{num::NonZeroUsize, sync::Arc, thread, time::Duration};
 
 use ros2_client::dds::rustdds::{RTPSEntity, Timestamp, dds::WriteError, no_key::DataWriter};
 
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{Link, Publisher, Reliability, TransportError, transports};
 use eddy_frames::Frame;
-use eddy_messages::{FrameCdr, TypeSupport};
+use eddy_messages::{FrameCdr, QosProfile, TypeSupport};
 
 /// How long a dropped publisher waits for acknowledgments, which a killed subscriber never sends.
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
@@ -36,12 +36,14 @@ impl DdsPublisher {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
+        offered: Option<QosProfile>,
     ) -> Result<Self, TransportError> {
         let topic = node.topic(link, &support.name)?;
-        let qos = PublisherQos::of(reliability, &support.name);
+        let qos = PublisherQos::of(reliability, &support.name, offered.as_ref());
+        let kept = offered.and_then(|offered| NonZeroUsize::new(offered.kept()));
         let writer = node
             .publisher
-            .create_datawriter_no_key(&topic, Some(qos.policies(node.patience)))
+            .create_datawriter_no_key(&topic, Some(qos.policies(node.patience, kept)))
             .map_err(|error| middleware(link, "create the publisher", &error))?;
         node.graph.add_writer(writer.guid());
         let (link, type_name) = (link.clone(), support.name.clone());

@@ -1,6 +1,6 @@
 //! QoS of the endpoints, and the largest message size.
 
-use std::{fs, time::Duration};
+use std::{fs, num::NonZeroUsize, time::Duration};
 
 use ros2_client::dds::rustdds::{
     DomainParticipantBuilder, QosPolicies, QosPolicyBuilder,
@@ -8,7 +8,7 @@ use ros2_client::dds::rustdds::{
 };
 
 use crate::{Reliability, transports::is_frames};
-use eddy_messages::{Message, PointCloud2};
+use eddy_messages::{Message, PointCloud2, QosProfile, qos::ReliabilityPolicy};
 
 /// History of a topic, and of a writer (messages).
 const HISTORY_LIMIT: i32 = 256;
@@ -16,6 +16,10 @@ const HISTORY_LIMIT: i32 = 256;
 /// History of a reliable writer that never waits (messages): a killed reader is detected after 50 s, and until then the
 /// writer keeps its small messages.
 const RELIABLE_HISTORY_LIMIT: i32 = 1 << 14;
+
+/// Smallest history of a writer that keeps messages for late-joining readers: RustDDS waits for acknowledgments when as
+/// many messages are not acknowledged.
+const LATCHED_HISTORY_MINIMUM: usize = 16;
 
 /// History depth of a dropping publisher, the default of rmw_zenoh.
 const DEPTH: i32 = 10;
@@ -56,31 +60,58 @@ pub(super) enum PublisherQos {
 }
 
 impl PublisherQos {
-    pub(super) fn of(reliability: Reliability, type_name: &str) -> Self {
-        match reliability {
-            Reliability::Block => Self::Blocking,
-            Reliability::Drop if is_frames(type_name) => Self::BestEffort,
-            Reliability::Drop if type_name == PointCloud2::TYPE => Self::ReliableLarge,
-            Reliability::Drop => Self::Reliable,
+    /// `offered`: what to announce; what follows from the rest if `None`.
+    pub(super) fn of(
+        reliability: Reliability,
+        type_name: &str,
+        offered: Option<&QosProfile>,
+    ) -> Self {
+        match (reliability, offered.map(|offered| offered.reliability)) {
+            (_, Some(ReliabilityPolicy::BestEffort)) => Self::BestEffort,
+            (Reliability::Block, _) => Self::Blocking,
+            // Of any size.
+            (Reliability::Drop, Some(ReliabilityPolicy::Reliable)) => Self::ReliableLarge,
+            (Reliability::Drop, None) if is_frames(type_name) => Self::BestEffort,
+            (Reliability::Drop, None) if type_name == PointCloud2::TYPE => Self::ReliableLarge,
+            (Reliability::Drop, None) => Self::Reliable,
         }
     }
 
-    pub(super) fn policies(self, patience: Duration) -> QosPolicies {
-        let basis = QosPolicyBuilder::new().durability(Durability::Volatile);
-        match self {
-            Self::Blocking => basis.reliable(patience.into()).history(History::KeepAll),
-            Self::Reliable | Self::ReliableLarge => {
-                basis.reliable(Duration::ZERO.into()).history(History::KeepLast { depth: DEPTH })
-            }
-            Self::BestEffort => basis.best_effort().history(History::KeepLast { depth: DEPTH }),
+    /// `kept`: number of messages for late-joining readers; volatile if `None`.
+    pub(super) fn policies(self, patience: Duration, kept: Option<NonZeroUsize>) -> QosPolicies {
+        let basis = QosPolicyBuilder::new();
+        let basis = match self {
+            Self::Blocking => basis.reliable(patience.into()),
+            Self::Reliable | Self::ReliableLarge => basis.reliable(Duration::ZERO.into()),
+            Self::BestEffort => basis.best_effort(),
+        };
+        if let Some(kept) = kept {
+            let clamp = |number| i32::try_from(number).unwrap_or(i32::MAX);
+            let (depth, limit) =
+                (clamp(kept.get()), clamp(kept.get().max(LATCHED_HISTORY_MINIMUM)));
+            return basis
+                .durability(Durability::TransientLocal)
+                .history(History::KeepLast { depth })
+                .resource_limits(limits(limit))
+                .build();
         }
-        .resource_limits(limits(if self == Self::Reliable {
-            RELIABLE_HISTORY_LIMIT
-        } else {
-            HISTORY_LIMIT
-        }))
-        .build()
+        let (history, limit) = match self {
+            Self::Blocking => (History::KeepAll, HISTORY_LIMIT),
+            Self::Reliable => (History::KeepLast { depth: DEPTH }, RELIABLE_HISTORY_LIMIT),
+            Self::ReliableLarge | Self::BestEffort => {
+                (History::KeepLast { depth: DEPTH }, HISTORY_LIMIT)
+            }
+        };
+        let basis = basis.durability(Durability::Volatile).history(history);
+        basis.resource_limits(limits(limit)).build()
     }
+}
+
+/// QoS of a reliable subscriber that also receives the messages which publishers keep.
+pub(super) fn latched_reader() -> QosPolicies {
+    let basis = QosPolicyBuilder::new().durability(Durability::TransientLocal);
+    let basis = basis.reliable(Duration::ZERO.into()).history(History::KeepAll);
+    basis.resource_limits(limits(HISTORY_LIMIT)).build()
 }
 
 /// QoS of a reliable subscriber.
@@ -116,12 +147,12 @@ mod tests {
 
     #[test]
     fn only_frames_of_dropping_publishers_are_best_effort() {
-        let qos = |mode, kind| PublisherQos::of(mode, kind);
+        let qos = |mode, kind| PublisherQos::of(mode, kind, None);
         assert_eq!(qos(Reliability::Block, ParticleFrame::TYPE), PublisherQos::Blocking);
         assert_eq!(qos(Reliability::Drop, ParticleFrame::TYPE), PublisherQos::BestEffort);
         assert_eq!(qos(Reliability::Drop, DiagnosticArray::TYPE), PublisherQos::Reliable);
         assert_eq!(qos(Reliability::Drop, PointCloud2::TYPE), PublisherQos::ReliableLarge);
-        let reliable = |qos: PublisherQos| qos.policies(Duration::from_secs(1)).is_reliable();
+        let reliable = |qos: PublisherQos| qos.policies(Duration::from_secs(1), None).is_reliable();
         let all = [
             PublisherQos::Blocking,
             PublisherQos::Reliable,
@@ -129,5 +160,22 @@ mod tests {
             PublisherQos::BestEffort,
         ];
         assert_eq!(all.map(reliable), [true, true, true, false]);
+    }
+
+    #[test]
+    fn an_offer_is_announced_whatever_the_type() {
+        let best_effort =
+            QosProfile { reliability: ReliabilityPolicy::BestEffort, ..QosProfile::default() };
+        for mode in [Reliability::Block, Reliability::Drop] {
+            for (offered, is_reliable) in [(best_effort, false), (QosProfile::default(), true)] {
+                let qos = PublisherQos::of(mode, ParticleFrame::TYPE, Some(&offered));
+                let policies = qos.policies(Duration::ZERO, NonZeroUsize::new(offered.kept()));
+                assert_eq!(policies.is_reliable(), is_reliable, "{mode:?} {offered:?}");
+                assert!(policies.is_volatile());
+            }
+        }
+        let kept = PublisherQos::Blocking.policies(Duration::ZERO, NonZeroUsize::new(3));
+        assert_eq!(kept.durability(), Some(Durability::TransientLocal));
+        assert_eq!(kept.history(), Some(History::KeepLast { depth: 3 }));
     }
 }

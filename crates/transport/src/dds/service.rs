@@ -74,7 +74,7 @@ impl Worker {
             .publisher
             .create_datawriter_no_key(
                 &responses,
-                Some(PublisherQos::Reliable.policies(Duration::ZERO)),
+                Some(PublisherQos::Reliable.policies(Duration::ZERO, None)),
             )
             .map_err(failed)?;
         let requests = topic(format!("rq{}Request", link.topic), request_type)?;

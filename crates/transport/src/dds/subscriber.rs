@@ -1,8 +1,10 @@
 //! Subscribes to one topic.
 //!
-//! A reliable reader does not match best-effort writers, and a best-effort reader gets no repairs, so the choice
-//! depends on the writers. The first reader is reliable. When writers appear that do not match it, a second,
-//! best-effort reader receives their messages, and no others.
+//! A reader receives nothing from writers that offer less than it requests, and each side reports such a pair as an
+//! error. A reader that requests less gets neither repairs nor the messages that writers keep for late-joining readers.
+//! So there is a reader for each kind of writers ([`Kind`]): it is opened when their first writer appears, receives
+//! their messages and no others, and is closed when writers of other kinds are left only. Before the first writer
+//! appears, the reader is reliable and volatile.
 
 use std::{
     collections::BTreeMap,
@@ -15,14 +17,17 @@ use std::{
 };
 
 use ros2_client::dds::rustdds::{
-    GUID, Topic,
+    GUID, QosPolicies, Topic,
     mio1::{Interest, Registry, Token},
     no_key::SimpleDataReader,
 };
 
 use super::{DdsNode, cdr::PassThrough, event_loop::EventLoop, middleware, qos};
 use crate::{Link, Payload, Subscriber, TransportError, queue::Queue};
-use eddy_messages::TypeSupport;
+use eddy_messages::{
+    Clock, Message as _, QosProfile, TypeSupport,
+    qos::{DurabilityPolicy, ReliabilityPolicy},
+};
 
 /// Capacity of the queue (messages).
 const DEPTH: usize = 1_024;
@@ -30,6 +35,8 @@ const DEPTH: usize = 1_024;
 const MAX_BYTES: usize = 64 << 20;
 /// Largest number of writers whose gaps are counted.
 const MAX_WRITERS: usize = 64;
+/// Largest number of writers whose kind is remembered.
+const MAX_KINDS: usize = 1_024;
 
 type Reader = SimpleDataReader<Vec<u8>, PassThrough>;
 
@@ -46,20 +53,33 @@ struct Shared {
 }
 
 impl DdsSubscriber {
+    /// Requests `requested` from all writers; from each what it offers if `None`.
     pub(super) fn open(
         node: &Arc<DdsNode>,
         link: &Link,
         support: &TypeSupport,
+        requested: Option<QosProfile>,
     ) -> Result<Self, TransportError> {
         let failed = |error: io::Error| middleware(link, "create the subscriber", &error);
         let ours = Arc::new(Shared::new(link.clone()));
         let wait = EventLoop::poll().map_err(failed)?;
-        let topic = node.topic(link, &support.name)?;
-        let (shared, node) = (Arc::clone(&ours), Arc::clone(node));
-        let reliable = open(&node, link, &topic, RELIABLE, wait.0.registry())?;
-        node.graph.watch(reliable.guid(), &wait.1);
-        let gaps = Gaps::default();
-        let mut receiver = Receiver { topic, reliable, best_effort: None, gaps, shared, node };
+        // As subscribers of ROS: the next time on the clock replaces a lost one.
+        let only = requested
+            .map(|qos| Kind::of(&qos))
+            .or_else(|| (support.name == Clock::TYPE).then_some(Kind::BestEffort));
+        let mut receiver = Receiver {
+            topic: node.topic(link, &support.name)?,
+            type_name: support.name.clone(),
+            only,
+            readers: [const { None }; Kind::ALL.len()],
+            kinds: BTreeMap::new(),
+            changes: None,
+            gaps: Gaps::default(),
+            shared: Arc::clone(&ours),
+            node: Arc::clone(node),
+        };
+        node.graph.watch(&wait.1);
+        receiver.adapt(wait.0.registry())?;
         let events = EventLoop::start("dds subscriber", link.clone(), wait, move |registry| {
             receiver.receive(registry);
         });
@@ -84,76 +104,170 @@ impl Shared {
     }
 }
 
-const RELIABLE: Token = Token(1);
-const BEST_EFFORT: Token = Token(2);
+/// Kinds of writers, by what they offer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Reliable and transient local.
+    Latched,
+    /// Reliable and volatile.
+    Reliable,
+    /// Best effort. Messages kept by such writers are not repaired, hence not requested.
+    BestEffort,
+}
+
+impl Kind {
+    const ALL: [Self; 3] = [Self::Latched, Self::Reliable, Self::BestEffort];
+
+    fn of(qos: &QosProfile) -> Self {
+        match (qos.reliability, qos.durability) {
+            (ReliabilityPolicy::Reliable, DurabilityPolicy::TransientLocal) => Self::Latched,
+            (ReliabilityPolicy::Reliable, DurabilityPolicy::Volatile) => Self::Reliable,
+            (ReliabilityPolicy::BestEffort, _) => Self::BestEffort,
+        }
+    }
+
+    /// What its reader requests.
+    fn qos(self) -> QosPolicies {
+        match self {
+            Self::Latched => qos::latched_reader(),
+            Self::Reliable => qos::reliable_reader(),
+            Self::BestEffort => qos::best_effort_reader(),
+        }
+    }
+
+    /// Of its reader's events; the waker has 0.
+    fn token(self) -> Token {
+        Token(1 + self as usize)
+    }
+}
 
 /// Receives messages from RustDDS on a thread of its own.
 struct Receiver {
     topic: Topic,
-    reliable: Reader,
-    best_effort: Option<Reader>,
+    type_name: String,
+    /// The kind of the only reader, if not that of each writer.
+    only: Option<Kind>,
+    /// Indexed by [`Kind`].
+    readers: [Option<Reader>; Kind::ALL.len()],
+    /// Whose reader receives the messages of each writer; `None` for messages of other types. Writers that disappear
+    /// are kept, since their last messages may not have been received yet.
+    kinds: BTreeMap<GUID, Option<Kind>>,
+    /// [`Graph::changes`](super::graph::Graph::changes) when the readers were chosen.
+    changes: Option<u64>,
     gaps: Gaps,
     shared: Arc<Shared>,
     node: Arc<DdsNode>,
 }
 
-fn open(
-    node: &DdsNode,
-    link: &Link,
-    topic: &Topic,
-    which: Token,
-    registry: &Registry,
-) -> Result<Reader, TransportError> {
-    let qos = if which == RELIABLE { qos::reliable_reader() } else { qos::best_effort_reader() };
-    let mut reader: Reader = node
-        .subscriber
-        .create_simple_datareader_no_key(topic, Some(qos))
-        .map_err(|error| middleware(link, "create the subscriber", &error))?;
-    registry
-        .register(&mut reader, which, Interest::READABLE)
-        .map_err(|error| middleware(link, "create the subscriber", &error))?;
-    node.graph.add_reader(reader.guid());
-    Ok(reader)
-}
-
 impl Receiver {
-    /// Opens the second reader if it is needed, and receives all available messages: from each reader those of its
-    /// writers, since both readers see the whole topic.
+    /// Receives all available messages: from each reader those of its writers, since all readers see the whole topic.
     fn receive(&mut self, registry: &Registry) {
-        let unreliable = self.node.graph.mismatched(self.reliable.guid());
-        if self.best_effort.is_none() && !unreliable.is_empty() {
-            match open(&self.node, &self.shared.link, &self.topic, BEST_EFFORT, registry) {
-                Ok(reader) => self.best_effort = Some(reader),
-                Err(error) => tracing::warn!("{error}"),
+        if let Err(error) = self.adapt(registry) {
+            tracing::warn!("{error}");
+        }
+        for kind in Kind::ALL {
+            self.drain(kind);
+        }
+    }
+
+    /// Opens and closes readers, if writers have appeared or disappeared since the last call.
+    fn adapt(&mut self, registry: &Registry) -> Result<(), TransportError> {
+        let changes = self.node.graph.changes();
+        if self.changes.replace(changes) == Some(changes) {
+            return Ok(());
+        }
+        let mut needed = Vec::new();
+        for writer in self.node.writers().filter(|writer| writer.topic == self.shared.link.topic) {
+            let kind = (writer.type_name == self.type_name)
+                .then(|| self.only.unwrap_or_else(|| Kind::of(&writer.offered)));
+            needed.extend(kind);
+            self.kinds.insert(writer.guid, kind);
+        }
+        while self.kinds.len() > MAX_KINDS {
+            self.kinds.pop_first();
+        }
+        if needed.is_empty() && self.readers.iter().all(Option::is_none) {
+            needed.push(self.only.unwrap_or(Kind::Reliable));
+        }
+        for &kind in &needed {
+            if self.readers[kind as usize].is_none() {
+                let reader = open(&self.node, &self.shared.link, &self.topic, kind, registry)?;
+                self.readers[kind as usize] = Some(reader);
             }
         }
-        let Self { reliable, best_effort, gaps, shared, .. } = self;
-        for (reader, repairs) in [(Some(&*reliable), true), (best_effort.as_ref(), false)] {
-            let Some(reader) = reader else { continue };
-            reader.drain_read_notifications();
-            loop {
-                match reader.try_take_one() {
-                    Ok(Some(sample)) if repairs == unreliable.contains(&sample.writer_guid) => {}
-                    Ok(Some(sample)) => {
-                        let number = i64::from(sample.sequence_number);
-                        let lost = gaps.count(sample.writer_guid, number);
-                        shared.lost.fetch_add(lost, Ordering::Relaxed);
-                        shared.queue.push_or_drop_oldest(sample.into_value());
+        for kind in Kind::ALL {
+            if !needed.is_empty() && !needed.contains(&kind) {
+                self.drain(kind);
+                self.close(kind, registry);
+            }
+        }
+        Ok(())
+    }
+
+    fn close(&mut self, kind: Kind, registry: &Registry) {
+        if let Some(mut reader) = self.readers[kind as usize].take() {
+            if let Err(error) = registry.deregister(&mut reader) {
+                tracing::debug!("{}: {error}", self.shared.link);
+            }
+            self.node.graph.remove_reader(reader.guid());
+        }
+    }
+
+    /// Receives the messages of the writers of a kind.
+    fn drain(&mut self, kind: Kind) {
+        let Self { readers, kinds, type_name, only, gaps, shared, node, .. } = self;
+        let Some(reader) = &readers[kind as usize] else { return };
+        reader.drain_read_notifications();
+        loop {
+            match reader.try_take_one() {
+                Ok(Some(sample)) => {
+                    let of_writer = kinds.entry(sample.writer_guid).or_insert_with(|| {
+                        // The message was faster than the event.
+                        match node.writers().find(|writer| writer.guid == sample.writer_guid) {
+                            Some(writer) if writer.type_name != *type_name => None,
+                            Some(writer) => only.or_else(|| Some(Kind::of(&writer.offered))),
+                            None => Some(kind),
+                        }
+                    });
+                    if *of_writer != Some(kind) {
+                        continue;
                     }
-                    Ok(None) => break,
-                    Err(error) => {
-                        tracing::debug!("{}: {error}", shared.link);
-                        shared.lost.fetch_add(1, Ordering::Relaxed);
-                    }
+                    let number = i64::from(sample.sequence_number);
+                    let lost = gaps.count(sample.writer_guid, number);
+                    shared.lost.fetch_add(lost, Ordering::Relaxed);
+                    shared.queue.push_or_drop_oldest(sample.into_value());
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    tracing::debug!("{}: {error}", shared.link);
+                    shared.lost.fetch_add(1, Ordering::Relaxed);
                 }
             }
         }
     }
 }
 
+fn open(
+    node: &DdsNode,
+    link: &Link,
+    topic: &Topic,
+    kind: Kind,
+    registry: &Registry,
+) -> Result<Reader, TransportError> {
+    let mut reader: Reader = node
+        .subscriber
+        .create_simple_datareader_no_key(topic, Some(kind.qos()))
+        .map_err(|error| middleware(link, "create the subscriber", &error))?;
+    registry
+        .register(&mut reader, kind.token(), Interest::READABLE)
+        .map_err(|error| middleware(link, "create the subscriber", &error))?;
+    node.graph.add_reader(reader.guid());
+    Ok(reader)
+}
+
 impl Drop for Receiver {
     fn drop(&mut self) {
-        for reader in [Some(&self.reliable), self.best_effort.as_ref()].into_iter().flatten() {
+        for reader in self.readers.iter().flatten() {
             self.node.graph.remove_reader(reader.guid());
         }
     }
@@ -203,6 +317,25 @@ mod tests {
         }
         assert_eq!(shared.queue.pop(Duration::ZERO).unwrap()[0], 2);
         assert_eq!(shared.queue.dropped(), 2);
+    }
+
+    #[test]
+    fn writers_are_read_as_they_offer() {
+        let (best_effort, latched) =
+            (ReliabilityPolicy::BestEffort, DurabilityPolicy::TransientLocal);
+        let default = QosProfile::default();
+        let cases = [
+            (default, Kind::Reliable),
+            (QosProfile { durability: latched, ..default }, Kind::Latched),
+            (QosProfile { reliability: best_effort, ..default }, Kind::BestEffort),
+            (
+                QosProfile { reliability: best_effort, durability: latched, ..default },
+                Kind::BestEffort,
+            ),
+        ];
+        for (offered, kind) in cases {
+            assert_eq!(Kind::of(&offered), kind, "{offered:?}");
+        }
     }
 
     #[test]

@@ -25,7 +25,7 @@ mod service;
 mod shared_frame;
 mod subscriber;
 
-use std::{num::NonZeroUsize, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use iceoryx2::service::port_factory::PortFactory as _;
 
@@ -38,9 +38,9 @@ use super::{
 pub use service::SharedMemory;
 pub use shared_frame::SharedFrame;
 
-use eddy_messages::TypeSupport;
 #[cfg(feature = "lab")]
 use eddy_messages::{Message, ParticleFrame};
+use eddy_messages::{QosProfile, TypeSupport};
 use layout::{FrameHeader, SharedParticle};
 use publisher::{BytesPublisher, FramePublisher, Writer};
 use service::Services;
@@ -70,7 +70,7 @@ impl Middleware for ShmNode {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        _kept: Option<NonZeroUsize>,
+        _offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         let type_name = support.name.as_str();
@@ -90,6 +90,7 @@ impl Middleware for ShmNode {
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
+        _requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         let type_name = support.name.as_str();

@@ -213,7 +213,7 @@ fn discovered(service: &StaticConfig) -> Option<SeenTopic> {
         let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
         (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
     })?;
-    Some(SeenTopic { link, type_name, hash: None, kept: 0 })
+    Some(SeenTopic::new(link, type_name))
 }
 
 /// Whether the service does not exist, or another process is creating or removing it.

@@ -2,14 +2,14 @@
 
 use std::{
     collections::{BTreeMap, HashSet},
-    num::NonZeroUsize,
     sync::{Arc, Mutex},
 };
 
 use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
-use super::keys::{Endpoint, kept_in, publishers, topic_in, type_in};
+use super::keys::{Endpoint, publishers, qos_in, topic_in, type_in};
 use crate::{SeenTopic, TransportKind, lock};
+use eddy_messages::QosProfile;
 
 /// The endpoints on the other side of a topic with the same type.
 pub(super) struct Graph {
@@ -57,28 +57,31 @@ impl Graph {
     }
 }
 
-/// The topics with a publisher. The kept messages of several publishers add up; a volatile publisher makes the topic
-/// volatile.
+/// The topics with a publisher.
 pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<SeenTopic>> {
-    let replies = session.liveliness().get(publishers(domain_id)).wait()?;
     let seen = |token: &str| {
         let (topic, (type_name, hash)) = (topic_in(token)?, type_in(token)?);
         let link = format!("{}:{topic}", TransportKind::Zenoh).parse().ok()?;
-        Some(SeenTopic { link, type_name, hash: Some(hash.to_owned()), kept: 0 })
+        Some(SeenTopic { hash: Some(hash.to_owned()), ..SeenTopic::new(link, type_name) })
     };
-    let mut topics: BTreeMap<SeenTopic, Option<usize>> = BTreeMap::new();
-    for token in replies.iter().filter_map(|reply| reply.into_result().ok()) {
-        let token = token.key_expr().as_str();
-        let Some(topic) = seen(token) else { continue };
-        let kept = kept_in(token).map(NonZeroUsize::get);
-        topics
-            .entry(topic)
-            .and_modify(|sum| *sum = sum.zip(kept).map(|(sum, kept)| sum.saturating_add(kept)))
-            .or_insert(kept);
+    let mut topics: BTreeMap<SeenTopic, Vec<QosProfile>> = BTreeMap::new();
+    for token in tokens(session, &publishers(domain_id))? {
+        if let Some(topic) = seen(&token) {
+            topics.entry(topic).or_default().extend(qos_in(&token));
+        }
     }
-    let with_kept =
-        |(topic, kept): (_, Option<_>)| SeenTopic { kept: kept.unwrap_or_default(), ..topic };
-    Ok(topics.into_iter().map(with_kept).collect())
+    let with_offered = |(topic, mut offered): (_, Vec<_>)| {
+        offered.sort();
+        SeenTopic { offered, ..topic }
+    };
+    Ok(topics.into_iter().map(with_offered).collect())
+}
+
+/// The tokens that match a key expression.
+pub(super) fn tokens(session: &Session, key_expr: &str) -> zenoh::Result<Vec<String>> {
+    let replies = session.liveliness().get(key_expr).wait()?;
+    let tokens = replies.iter().filter_map(|reply| reply.into_result().ok());
+    Ok(tokens.map(|token| token.key_expr().to_string()).collect())
 }
 
 /// Announces a node or an endpoint until the token is dropped.

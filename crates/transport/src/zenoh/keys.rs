@@ -1,19 +1,26 @@
 //! Names on the wire: key expressions, liveliness tokens, QoS, GIDs
 //! (`rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`).
 
-use std::num::NonZeroUsize;
-
 use zenoh::session::ZenohId;
 
 use crate::{Link, Reliability};
-use eddy_messages::{TypeSupport, dds_type, ros_type};
+use eddy_messages::{
+    QosProfile, TypeSupport, dds_type,
+    qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
+    ros_type, service_hash,
+    type_descriptions::{GET_TYPE_DESCRIPTION, SERVICE_NAME},
+};
 
 /// First chunk of every liveliness token.
 const ADMIN_SPACE: &str = "@ros2_lv";
 /// Replaces an empty enclave or namespace, and `/` in names.
 const EMPTY: &str = "%";
-/// Code of the durability transient local.
+/// Codes of policies (`rmw/types.h`); the others are the defaults, which are left out.
+const BEST_EFFORT: &str = "2";
 const TRANSIENT_LOCAL: &str = "1";
+const KEEP_ALL: &str = "2";
+/// Depth that is left out (`RMW_ZENOH_DEFAULT_HISTORY_DEPTH` of `rmw_zenoh_cpp/src/detail/qos.cpp`).
+const DEFAULT_DEPTH: usize = 42;
 /// History depth advertised for dropping publishers (the default of ROS 2).
 const ADVERTISED_DEPTH: usize = 10;
 
@@ -113,7 +120,7 @@ impl Endpoint {
     }
 }
 
-fn gid(token: &str) -> [u8; 16] {
+pub(super) fn gid(token: &str) -> [u8; 16] {
     xxhash_rust::xxh3::xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
@@ -133,23 +140,74 @@ pub(super) fn publishers(domain_id: u16) -> String {
     format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Publisher.code())
 }
 
-/// QoS of a publisher: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each empty for the
-/// defaults of rmw_zenoh (reliable, volatile, keep last). A publisher that keeps messages is transient local.
-pub(super) fn publisher_qos(reliability: Reliability, kept: Option<NonZeroUsize>) -> String {
-    match (reliability, kept) {
-        (Reliability::Block, Some(depth)) => format!(":{TRANSIENT_LOCAL}:,{depth}:,:,:,,"),
-        (Reliability::Drop, Some(depth)) => format!("2:{TRANSIENT_LOCAL}:,{depth}:,:,:,,"),
-        (Reliability::Block, None) => "::2,:,:,:,,".to_owned(),
-        (Reliability::Drop, None) => best_effort(ADVERTISED_DEPTH),
+/// The tokens of the publishers of a topic with this type.
+pub(super) fn publishers_of(domain_id: u16, topic: &str, type_name: &str, hash: &str) -> String {
+    let (code, mangled) = (Side::Publisher.code(), topic.replace('/', EMPTY));
+    let type_name = dds_type(type_name);
+    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{code}/*/*/*/{mangled}/{type_name}/{hash}/*")
+}
+
+/// The key of the service of the node with this token, or of the node of this endpoint, that describes its types.
+pub(super) fn describing_service(domain_id: u16, token: &str) -> Option<String> {
+    let mut chunks = token.split('/').skip(7);
+    let (namespace, node) = (chunks.next()?.replace(EMPTY, "/"), chunks.next()?);
+    let name = format!("{}/{node}/{SERVICE_NAME}", namespace.trim_end_matches('/'));
+    let (type_name, hash) =
+        (dds_type(GET_TYPE_DESCRIPTION), service_hash(GET_TYPE_DESCRIPTION).ok()?);
+    Some(format!("{domain_id}/{}/{type_name}/{hash}", name.trim_start_matches('/')))
+}
+
+/// QoS of an endpoint: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each empty for the
+/// defaults of rmw_zenoh (reliable, volatile, keep last).
+pub(super) fn qos(profile: &QosProfile) -> String {
+    let reliability = match profile.reliability {
+        ReliabilityPolicy::Reliable => "",
+        ReliabilityPolicy::BestEffort => BEST_EFFORT,
+    };
+    let durability = match profile.durability {
+        DurabilityPolicy::Volatile => "",
+        DurabilityPolicy::TransientLocal => TRANSIENT_LOCAL,
+    };
+    let history = match profile.history {
+        HistoryPolicy::KeepLast(depth) => format!(",{}", depth.max(1)),
+        HistoryPolicy::KeepAll => format!("{KEEP_ALL},"),
+        HistoryPolicy::Unknown => ",".to_owned(),
+    };
+    format!("{reliability}:{durability}:{history}:,:,:,,")
+}
+
+/// QoS of a publisher that follows from what it does when a subscriber cannot keep up.
+pub(super) fn publisher_qos(reliability: Reliability) -> QosProfile {
+    match reliability {
+        Reliability::Block => {
+            QosProfile { history: HistoryPolicy::KeepAll, ..QosProfile::default() }
+        }
+        Reliability::Drop => best_effort(ADVERTISED_DEPTH),
     }
 }
 
-/// Number of messages that a publisher keeps according to its token; `None` if it is volatile.
-pub(super) fn kept_in(token: &str) -> Option<NonZeroUsize> {
-    let mut policies = token.split('/').nth(12)?.split(':').skip(1);
-    let (durability, history) = (policies.next()?, policies.next()?);
-    let depth = history.split(',').nth(1).and_then(|depth| depth.parse().ok());
-    (durability == TRANSIENT_LOCAL).then(|| depth.unwrap_or(NonZeroUsize::MIN))
+/// QoS in the token of an endpoint.
+pub(crate) fn qos_in(token: &str) -> Option<QosProfile> {
+    let mut policies = token.split('/').nth(12)?.split(':');
+    let (reliability, durability) = (policies.next()?, policies.next()?);
+    let (history, depth) = policies.next()?.split_once(',')?;
+    Some(QosProfile {
+        reliability: match reliability {
+            BEST_EFFORT => ReliabilityPolicy::BestEffort,
+            _ => ReliabilityPolicy::Reliable,
+        },
+        durability: match durability {
+            TRANSIENT_LOCAL => DurabilityPolicy::TransientLocal,
+            _ => DurabilityPolicy::Volatile,
+        },
+        history: match history {
+            KEEP_ALL => HistoryPolicy::KeepAll,
+            _ => HistoryPolicy::KeepLast(match depth {
+                "" => DEFAULT_DEPTH,
+                depth => depth.parse().ok()?,
+            }),
+        },
+    })
 }
 
 /// QoS of a service: reliable, volatile, keep last, as in ROS 2.
@@ -158,12 +216,13 @@ pub(super) fn service_qos(depth: usize) -> String {
 }
 
 /// QoS of a subscriber: best effort, which is compatible with every publisher.
-pub(super) fn subscriber_qos(depth: usize) -> String {
+pub(super) fn subscriber_qos(depth: usize) -> QosProfile {
     best_effort(depth)
 }
 
-fn best_effort(depth: usize) -> String {
-    format!("2::,{depth}:,:,:,,")
+fn best_effort(depth: usize) -> QosProfile {
+    let (reliability, history) = (ReliabilityPolicy::BestEffort, HistoryPolicy::KeepLast(depth));
+    QosProfile { reliability, history, ..QosProfile::default() }
 }
 
 #[cfg(test)]
@@ -191,7 +250,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_rmw_zenoh() {
-        let qos = publisher_qos(Reliability::Block, None);
+        let qos = qos(&publisher_qos(Reliability::Block));
         let endpoint = endpoint("zenoh:/chatter", RosString::TYPE, Side::Publisher, &qos);
         let hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
         assert_eq!(endpoint.key, format!("7/chatter/std_msgs::msg::dds_::String_/{hash}"));
@@ -205,7 +264,7 @@ mod tests {
 
     #[test]
     fn inner_slashes_stay_in_keys_and_are_replaced_in_tokens() {
-        let qos = subscriber_qos(64);
+        let qos = qos(&subscriber_qos(64));
         let endpoint =
             endpoint("zenoh:/prediction/raw", ParticleFrame::TYPE, Side::Subscription, &qos);
         let hash = &type_support(ParticleFrame::TYPE).unwrap().hash;
@@ -248,28 +307,43 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_kept_messages_is_read_back_from_a_token() {
-        for (qos, kept) in [
-            (publisher_qos(Reliability::Block, NonZeroUsize::new(7)), 7),
-            (publisher_qos(Reliability::Drop, NonZeroUsize::new(3)), 3),
-            (publisher_qos(Reliability::Block, None), 0),
-            (":1:,:,:,:,,".to_owned(), 1),
-            ("nothing".to_owned(), 0),
+    fn qos_is_encoded_as_in_rmw_zenoh_and_read_back() {
+        let latched = QosProfile {
+            durability: DurabilityPolicy::TransientLocal,
+            history: HistoryPolicy::KeepLast(1),
+            ..QosProfile::default()
+        };
+        for (profile, expected) in [
+            (publisher_qos(Reliability::Block), "::2,:,:,:,,"),
+            (publisher_qos(Reliability::Drop), "2::,10:,:,:,,"),
+            (subscriber_qos(64), "2::,64:,:,:,,"),
+            (QosProfile::default(), "::,10:,:,:,,"),
+            (latched, ":1:,1:,:,:,,"),
         ] {
-            let endpoint = endpoint("zenoh:/a", RosString::TYPE, Side::Publisher, &qos);
-            assert_eq!(kept_in(&endpoint.token).map_or(0, NonZeroUsize::get), kept, "{qos}");
+            let text = qos(&profile);
+            assert_eq!(text, expected);
+            let endpoint = endpoint("zenoh:/a", RosString::TYPE, Side::Publisher, &text);
+            assert_eq!(qos_in(&endpoint.token), Some(profile), "{text}");
         }
+        assert_eq!(service_qos(10), "::,10:,:,:,,");
     }
 
     #[test]
-    fn qos_is_encoded_as_in_rmw_zenoh() {
-        assert_eq!(publisher_qos(Reliability::Block, None), "::2,:,:,:,,");
-        assert_eq!(publisher_qos(Reliability::Drop, None), "2::,10:,:,:,,");
-        let one = Some(NonZeroUsize::MIN);
-        assert_eq!(publisher_qos(Reliability::Block, one), ":1:,1:,:,:,,");
-        assert_eq!(publisher_qos(Reliability::Drop, one), "2:1:,1:,:,:,,");
-        assert_eq!(service_qos(10), "::,10:,:,:,,");
-        assert_eq!(subscriber_qos(64), "2::,64:,:,:,,");
+    fn a_depth_that_is_left_out_is_that_of_rmw_zenoh() {
+        let of = |qos| qos_in(&endpoint("zenoh:/a", RosString::TYPE, Side::Publisher, qos).token);
+        assert_eq!(of(":1:,:,:,:,,").map(|profile| profile.kept()), Some(42));
+        assert_eq!([of("nothing"), of("::,many:,:,:,,")], [None, None]);
+    }
+
+    #[test]
+    fn the_service_that_describes_types_is_that_of_the_node() {
+        let hash = service_hash(GET_TYPE_DESCRIPTION).unwrap();
+        let name = "type_description_interfaces::srv::dds_::GetTypeDescription_";
+        for (namespace, path) in [("/", "eddy_node"), ("/robot1/left", "robot1/left/eddy_node")] {
+            let node = Node { namespace: namespace.to_owned(), ..node() };
+            let expected = format!("7/{path}/get_type_description/{name}/{hash}");
+            assert_eq!(describing_service(7, &node.token()), Some(expected));
+        }
     }
 
     /// Computed with the Python package xxhash 4.1.0: `xxh3_128_intdigest(token).to_bytes(16, "little")`.

@@ -6,7 +6,7 @@
 //! 4. [`graph`]: other endpoints of a topic, by liveliness tokens.
 //! 5. [`publisher`], [`subscriber`]: messages.
 //! 6. [`transient_local`]: messages kept for late-joining subscribers.
-//! 7. [`service`]: requests and responses.
+//! 7. [`service`]: requests and responses; [`client`]: the other side.
 //! 8. [`bare`]: Zenoh used directly, for benchmarks.
 //!
 //! Why the `zenoh` crate and not `hiroz` 0.2.1, which has the same wire format: hiroz derives the GID of an endpoint from
@@ -19,6 +19,7 @@
 pub(super) mod attachment;
 #[cfg(feature = "lab")]
 pub(super) mod bare;
+mod client;
 mod config;
 mod graph;
 pub(super) mod keys;
@@ -43,7 +44,7 @@ use super::{
     TransportOptions,
     middleware::{Middleware, error as middleware},
 };
-use eddy_messages::{TypeSupport, service_hash};
+use eddy_messages::{QosProfile, TypeSupport, qos::DurabilityPolicy, service_hash};
 use keys::{Endpoint, Node, Side};
 use publisher::ZenohPublisher;
 use service::ZenohService;
@@ -86,9 +87,10 @@ impl Middleware for ZenohNode {
         link: &Link,
         support: &TypeSupport,
         reliability: Reliability,
-        kept: Option<NonZeroUsize>,
+        offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        let qos = keys::publisher_qos(reliability, kept);
+        let offered = offered.unwrap_or_else(|| keys::publisher_qos(reliability));
+        let (qos, kept) = (keys::qos(&offered), NonZeroUsize::new(offered.kept()));
         let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
         Ok(Box::new(ZenohPublisher::open(&self, endpoint, reliability, kept)?))
     }
@@ -97,11 +99,24 @@ impl Middleware for ZenohNode {
         self: Arc<Self>,
         link: &Link,
         support: &TypeSupport,
+        requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        let qos = keys::subscriber_qos(subscriber::DEPTH);
+        let with_kept =
+            requested.is_none_or(|qos| qos.durability == DurabilityPolicy::TransientLocal);
+        let qos = keys::qos(&requested.unwrap_or_else(|| keys::subscriber_qos(subscriber::DEPTH)));
         let endpoint =
             Endpoint::new(&self.node, self.id(), Side::Subscription, link, support, &qos);
-        Ok(Box::new(ZenohSubscriber::open(&self, endpoint)?))
+        Ok(Box::new(ZenohSubscriber::open(&self, endpoint, with_kept)?))
+    }
+
+    fn describe(
+        &self,
+        topic: &SeenTopic,
+        request: &[u8],
+        timeout: Duration,
+    ) -> Result<Vec<Vec<u8>>, TransportError> {
+        client::describe(&self.session, self.node.domain_id, topic, request, timeout)
+            .map_err(|error| middleware(&topic.link, "ask for the definition of the type", &error))
     }
 
     fn service(

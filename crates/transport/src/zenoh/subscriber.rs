@@ -34,13 +34,18 @@ pub(crate) struct ZenohSubscriber {
     _graph: Graph,
     _token: LivelinessToken,
     _subscriber: pubsub::Subscriber<()>,
-    _kept: pubsub::Subscriber<()>,
+    _kept: Option<pubsub::Subscriber<()>>,
     /// Keeps the session open.
     _node: Arc<ZenohNode>,
 }
 
 impl ZenohSubscriber {
-    pub(super) fn open(node: &Arc<ZenohNode>, endpoint: Endpoint) -> Result<Self, TransportError> {
+    /// `with_kept`: whether to receive the messages that publishers have kept.
+    pub(super) fn open(
+        node: &Arc<ZenohNode>,
+        endpoint: Endpoint,
+        with_kept: bool,
+    ) -> Result<Self, TransportError> {
         let (session, patience) = (&node.session, node.patience);
         let graph = Graph::watch(session, &endpoint)
             .map_err(|error| middleware(&endpoint.link, "watch the publishers", &error))?;
@@ -58,9 +63,11 @@ impl ZenohSubscriber {
             .wait()
             .map_err(|error| middleware(&link, "declare the subscriber", &error))?;
         let callback = Arc::clone(&receiver);
-        let kept =
-            transient_local::collect(node, &key, DEPTH, move |sample| callback.take_kept(sample))
-                .map_err(|error| middleware(&link, "request the kept messages", &error))?;
+        let take = move |sample: &Sample| callback.take_kept(sample);
+        let kept = with_kept
+            .then(|| transient_local::collect(node, &key, DEPTH, take))
+            .transpose()
+            .map_err(|error| middleware(&link, "request the kept messages", &error))?;
         // After the subscription, so that messages sent after the token is seen arrive.
         let token = graph::declare(session, &token)
             .map_err(|error| middleware(&link, "declare the liveliness token", &error))?;

@@ -5,10 +5,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy_messages::{Message, ParticleFrame, RosString, cdr};
-use eddy_transport::{Payload, Reliability, TransportError, TransportOptions, Transports};
+use eddy_messages::{
+    Message, ParticleFrame, QosProfile, RosString, cdr,
+    qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
+    type_support,
+};
+use eddy_transport::{
+    Link, Payload, Publisher, Reliability, TransportError, TransportKind, TransportOptions,
+    Transports,
+};
 use ros2_client::dds::rustdds::{
-    DomainParticipantBuilder, QosPolicyBuilder, TopicKind, WriteOptions, policy::History,
+    DomainParticipantBuilder, QosPolicyBuilder, TopicKind, WriteOptions,
+    policy::{self, History},
 };
 
 use super::{
@@ -107,6 +115,101 @@ fn big_endian_cdr_is_not_sent_as_little_endian() {
     let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
     let message = publisher.publish_cdr(&[0, 0, 0, 0, 7]).unwrap_err().to_string();
     assert!(message.contains("expected plain little-endian CDR"), "{message}");
+}
+
+fn word(word: &str) -> Vec<u8> {
+    cdr::encode(&RosString { data: word.to_owned() })
+}
+
+/// A publisher of strings.
+fn offering(transports: &Transports, link: &Link, offered: QosProfile) -> Box<dyn Publisher> {
+    let words = type_support(RosString::TYPE).unwrap();
+    transports.offering_publisher_of(link, words, Reliability::Block, Some(offered)).unwrap()
+}
+
+/// History is not announced on DDS.
+fn announced(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QosProfile {
+    QosProfile { reliability, durability, history: HistoryPolicy::Unknown }
+}
+
+#[test]
+fn late_subscribers_receive_what_publishers_keep_and_every_message_once() {
+    let ([here, there], link) = (ends("dds", options()), link("dds"));
+    let latched = QosProfile {
+        durability: DurabilityPolicy::TransientLocal,
+        history: HistoryPolicy::KeepLast(2),
+        ..QosProfile::default()
+    };
+    // It waits since before there are publishers, and reads all of them.
+    let mut early = there.subscriber(&link, RosString::TYPE).unwrap();
+    let (mut first, mut second) =
+        (offering(&here, &link, latched), offering(&here, &link, latched));
+    first.publish_cdr(&word("one")).unwrap();
+    second.publish_cdr(&word("two")).unwrap();
+    let mut late = there.subscriber(&link, RosString::TYPE).unwrap();
+    let mut plain = offering(&here, &link, QosProfile::default());
+    eventually("the plain publisher is seen", || plain.subscribers() == 2);
+    plain.publish_cdr(&word("six")).unwrap();
+    for subscriber in [&mut early, &mut late] {
+        let mut received: Vec<_> =
+            (0..3).map(|_| subscriber.receive(DEADLINE).unwrap().unwrap().into_cdr()).collect();
+        received.sort();
+        let mut expected = ["one", "two", "six"].map(word);
+        expected.sort();
+        assert_eq!(received, expected);
+        assert_eq!(subscriber.receive(Duration::from_millis(300)).unwrap(), None, "each once");
+    }
+}
+
+#[test]
+fn what_publishers_offer_is_seen() {
+    let ([here, there], link) = (ends("dds", options()), link("dds"));
+    let offered = [
+        announced(ReliabilityPolicy::Reliable, DurabilityPolicy::Volatile),
+        announced(ReliabilityPolicy::Reliable, DurabilityPolicy::TransientLocal),
+        announced(ReliabilityPolicy::BestEffort, DurabilityPolicy::Volatile),
+    ];
+    let _publishers = offered.map(|offered| offering(&here, &link, offered));
+    eventually("all are seen", || {
+        let topics = there.topics(TransportKind::Dds).unwrap();
+        let topic = topics.into_iter().find(|topic| topic.link == link);
+        topic.is_some_and(|topic| topic.type_name == RosString::TYPE && topic.offered == offered)
+    });
+}
+
+/// Requests that exceed what a publisher offers are reported as errors by ROS.
+#[test]
+fn a_best_effort_publisher_meets_no_reliable_subscriber() {
+    let (options, link) = (options(), link("dds"));
+    let [here, there] = [(); 2].map(|()| Transports::new(options.clone()));
+    let best_effort = announced(ReliabilityPolicy::BestEffort, DurabilityPolicy::Volatile);
+    let mut publisher = offering(&here, &link, best_effort);
+    let seen = || {
+        let topics = there.topics(TransportKind::Dds).unwrap();
+        topics.into_iter().any(|topic| topic.link == link)
+    };
+    eventually("the publisher is seen", seen);
+    let mut subscriber = there.subscriber(&link, RosString::TYPE).unwrap();
+    let watcher = DomainParticipantBuilder::new(options.domain_id)
+        .with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)])
+        .build()
+        .unwrap();
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    let of_topic = || {
+        let mut readers = watcher.discovered_readers();
+        let name = format!("rt{}", link.topic);
+        readers.retain(|reader| *reader.subscription_topic_data.topic_name() == name);
+        readers
+    };
+    eventually("the watcher sees it", || !of_topic().is_empty());
+    eventually("a message arrives", || {
+        publisher.publish_cdr(&word("one")).unwrap();
+        subscriber.receive(Duration::from_millis(100)).unwrap().is_some()
+    });
+    let readers = of_topic();
+    assert_eq!(readers.len(), 1);
+    let reliability = readers[0].subscription_topic_data.qos().reliability();
+    assert_eq!(reliability, Some(policy::Reliability::BestEffort));
 }
 
 /// The client uses RustDDS directly, with the names and identities of a ROS client.

@@ -5,8 +5,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy_messages::{DiagnosticArray, Message, ParticleFrame, RosString, cdr, type_support};
-use eddy_transport::{Link, Reliability, TransportError, Transports};
+use eddy_messages::{
+    DiagnosticArray, Message, ParticleFrame, RosString, TypeSupport, cdr,
+    type_descriptions::{
+        GET_TYPE_DESCRIPTION, SERVICE_NAME, TypeDescriptionRequest, TypeDescriptionResponse,
+    },
+    type_support,
+};
+use eddy_transport::{Link, Reliability, SeenTopic, TransportError, Transports};
 
 use super::{
     DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame,
@@ -295,6 +301,56 @@ fn published_topics_are_listed_with_their_types() {
         }
         drop(publisher);
         eventually("one is gone", || listed(&words).is_none() && listed(&frames).is_some());
+    }
+}
+
+#[test]
+fn publishers_are_asked_for_the_definition_of_their_type() {
+    const NAME: &str = "acme_msgs/msg/Probe";
+    let known = TypeSupport::from_schema(NAME, "std_msgs/Header header\nfloat64 x\n").unwrap();
+    for transport in ["zenoh", "dds"] {
+        let (options, link) = (options(), link(transport));
+        let node = options.node_name.clone();
+        let [here, there] = ends(transport, options);
+        let _publisher = here.publisher_of(&link, &known, Reliability::Block).unwrap();
+        let seen = || {
+            let topics = there.topics(link.transport).unwrap();
+            topics.into_iter().find(|topic| topic.link == link)
+        };
+        eventually("the topic is seen", || seen().is_some());
+        let topic = SeenTopic { hash: Some(known.hash.clone()), ..seen().unwrap() };
+        let short = Duration::from_millis(50);
+        assert!(there.described_type(&topic, short).unwrap().is_none(), "nobody answers");
+
+        let description = known.description.clone();
+        let answer = move |request: &[u8]| {
+            let request: TypeDescriptionRequest = cdr::decode(request).unwrap();
+            assert!(request.include_type_sources && request.type_hash.starts_with("RIHS01_"));
+            Some(cdr::encode(&TypeDescriptionResponse {
+                successful: request.type_name == NAME,
+                failure_reason: String::new(),
+                type_description: description.clone(),
+                type_sources: Vec::new(),
+                extra_information: Vec::new(),
+            }))
+        };
+        let service: Link = format!("{transport}:/{node}/{SERVICE_NAME}").parse().unwrap();
+        let _service = here.serve(&service, GET_TYPE_DESCRIPTION, Box::new(answer)).unwrap();
+        let mut described = None;
+        eventually("the definition is received", || {
+            described = there.described_type(&topic, Duration::from_secs(5)).unwrap();
+            described.is_some()
+        });
+        let described = described.unwrap();
+        assert_eq!((described.name, described.hash), (NAME.to_owned(), known.hash.clone()));
+        assert_eq!(described.schema, known.schema);
+        if transport == "dds" {
+            let hash = Some(format!("RIHS01_{}", "0".repeat(64)));
+            let other = SeenTopic { hash, ..topic };
+            let error = there.described_type(&other, Duration::from_secs(5)).unwrap_err();
+            let expected = format!("{link}: definition of {NAME}: found type hash {}", known.hash);
+            assert!(error.to_string().starts_with(&expected), "{error}");
+        }
     }
 }
 

@@ -2,11 +2,14 @@
 
 use std::{
     net::TcpListener,
-    num::NonZeroUsize,
     time::{Duration, Instant},
 };
 
-use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, cdr, service_hash, type_support};
+use eddy_messages::{
+    FrameCdr, Message, ParticleFrame, QosProfile, RosString, cdr,
+    qos::{DurabilityPolicy, HistoryPolicy},
+    service_hash, type_support,
+};
 use eddy_transport::{
     Link, Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions, Transports,
 };
@@ -137,11 +140,16 @@ fn a_service_answers_each_request_under_its_sequence_and_gid() {
     eventually("its token is gone", || client.services().is_empty());
 }
 
+fn latched(kept: usize) -> QosProfile {
+    let (durability, history) = (DurabilityPolicy::TransientLocal, HistoryPolicy::KeepLast(kept));
+    QosProfile { durability, history, ..QosProfile::default() }
+}
+
 /// A publisher of strings that keeps the last `kept`.
 fn keeping(transports: &Transports, link: &Link, kept: usize) -> Box<dyn Publisher> {
     let words = type_support(RosString::TYPE).unwrap();
-    let kept = NonZeroUsize::new(kept);
-    transports.keeping_publisher_of(link, words, Reliability::Block, kept).unwrap()
+    let offered = Some(latched(kept));
+    transports.offering_publisher_of(link, words, Reliability::Block, offered).unwrap()
 }
 
 fn word(word: &str) -> Vec<u8> {
@@ -189,19 +197,35 @@ fn a_late_subscriber_receives_the_kept_messages_and_every_message_once() {
 }
 
 #[test]
-fn kept_messages_are_announced_and_add_up_unless_a_publisher_is_volatile() {
+fn what_each_publisher_offers_is_seen() {
     let (options, link) = (options(), link("zenoh"));
     let (here, there) = (Transports::new(options.clone()), Transports::new(options));
-    let kept = || {
+    let offered = || {
         let topics = there.topics(TransportKind::Zenoh).unwrap();
-        topics.iter().find(|topic| topic.link == link).map(|topic| topic.kept)
+        topics.into_iter().find(|topic| topic.link == link).map(|topic| topic.offered)
     };
     let _first = keeping(&here, &link, 2);
-    eventually("the first is seen", || kept() == Some(2));
+    eventually("the first is seen", || offered() == Some(vec![latched(2)]));
     let _second = keeping(&here, &link, 1);
-    eventually("the second is seen", || kept() == Some(3));
+    eventually("the second is seen", || offered() == Some(vec![latched(1), latched(2)]));
     let _third = here.publisher(&link, RosString::TYPE, Reliability::Block).unwrap();
-    eventually("the third is seen", || kept() == Some(0));
+    let blocking = QosProfile { history: HistoryPolicy::KeepAll, ..QosProfile::default() };
+    let all = vec![blocking, latched(1), latched(2)];
+    eventually("the third is seen", || offered() == Some(all.clone()));
+}
+
+#[test]
+fn a_subscriber_that_requests_volatile_receives_no_kept_messages() {
+    let (options, link) = (options(), link("zenoh"));
+    let (here, there) = (Transports::new(options.clone()), Transports::new(options));
+    let mut publisher = keeping(&here, &link, 1);
+    publisher.publish_cdr(&word("kept")).unwrap();
+    let words = type_support(RosString::TYPE).unwrap();
+    let volatile = Some(QosProfile::default());
+    let mut subscriber = there.requesting_subscriber_of(&link, words, volatile).unwrap();
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_cdr(&word("new")).unwrap();
+    assert_eq!(next_word(&mut *subscriber), word("new"));
 }
 
 /// Queries like those of `AdvancedSubscriber` in zenoh-ext.

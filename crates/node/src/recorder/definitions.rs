@@ -1,0 +1,180 @@
+//! Definitions of the types of recorded topics.
+
+use std::{
+    borrow::Cow,
+    collections::HashMap,
+    fs,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
+
+use eddy_bag::QosOverrides;
+use eddy_messages::{InvalidDefinition, TypeSupport, built_in_text};
+use eddy_transport::{SeenTopic, Subscriber, TransportError, Transports};
+
+/// How long the publisher of a type may take to tell its definition.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// A topic that is subscribed to.
+pub struct OpenTopic {
+    /// Where it was found.
+    pub topic: SeenTopic,
+    /// Its type; without a definition if none was found.
+    pub support: TypeSupport,
+    /// Receives its messages.
+    pub subscriber: Box<dyn Subscriber>,
+}
+
+/// Subscribes to topics, and finds the definitions of their types.
+pub struct TopicOpener {
+    transports: Transports,
+    definitions: Definitions,
+    overrides: QosOverrides,
+}
+
+impl TopicOpener {
+    /// `prefixes`: installations of ROS 2, as in `AMENT_PREFIX_PATH`. `overrides`: QoS to request, by topic.
+    pub fn new(transports: Transports, prefixes: Vec<PathBuf>, overrides: QosOverrides) -> Self {
+        Self { transports, definitions: Definitions::new(prefixes), overrides }
+    }
+
+    /// The transports of the topics.
+    pub fn transports(&self) -> &Transports {
+        &self.transports
+    }
+
+    /// Subscribes to a topic. Its messages wait in the queue of the subscriber while the definition is looked for.
+    ///
+    /// # Errors
+    /// [`TransportError`] when it cannot be subscribed to.
+    pub fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
+        let known = topic.type_support();
+        let requested = self.overrides.get(&topic.link.topic).copied();
+        let subscriber =
+            self.transports.requesting_subscriber_of(&topic.link, &known, requested)?;
+        let support = match known.schema.is_empty() {
+            true => self.definitions.of(&topic, &self.transports),
+            false => known,
+        };
+        Ok(OpenTopic { topic, support, subscriber })
+    }
+}
+
+/// Finds definitions of types that are not built in.
+struct Definitions {
+    prefixes: Vec<PathBuf>,
+    /// By name and type hash; without a definition if none was found.
+    found: Mutex<HashMap<(String, Option<String>), TypeSupport>>,
+}
+
+impl Definitions {
+    fn new(prefixes: Vec<PathBuf>) -> Self {
+        Self { prefixes, found: Mutex::default() }
+    }
+
+    /// The type of a topic: from an installation of ROS 2, or from the topic's publisher. Without a definition, and with
+    /// a warning, if neither has one.
+    fn of(&self, topic: &SeenTopic, transports: &Transports) -> TypeSupport {
+        let key = (topic.type_name.clone(), topic.hash.clone());
+        // A panic in another thread leaves it consistent: every change is one insertion.
+        let found = || self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = found().get(&key) {
+            return known.clone();
+        }
+        let support = self.search(topic, transports);
+        found().insert(key, support.clone());
+        support
+    }
+
+    fn search(&self, topic: &SeenTopic, transports: &Transports) -> TypeSupport {
+        let SeenTopic { link, type_name, hash, .. } = topic;
+        let hash = hash.as_deref().unwrap_or_default();
+        let mut reasons = Vec::new();
+        match self.installed(type_name).and_then(|support| support.checked(type_name, hash)) {
+            Ok(support) => return support,
+            Err(InvalidDefinition::Missing { type_name, of }) if type_name == of => {}
+            Err(error) => reasons.push(error.to_string()),
+        }
+        match transports.described_type(topic, ANSWER_TIMEOUT) {
+            Ok(Some(support)) => return support,
+            Ok(None) if hash.is_empty() => {
+                reasons.push("its publisher announces no type hash".to_owned());
+            }
+            Ok(None) => reasons.push("its publisher does not tell it".to_owned()),
+            Err(error) => reasons.push(error.to_string()),
+        }
+        tracing::warn!(
+            "{link}: no definition of {type_name} ({}); the topic is recorded without, and other programs may not be \
+             able to decode it. AMENT_PREFIX_PATH may name an installation with this type",
+            reasons.join("; ")
+        );
+        TypeSupport::foreign(type_name, hash)
+    }
+
+    /// The definition in the installations of ROS 2: `share/<package>/msg/<name>.msg`.
+    fn installed(&self, type_name: &str) -> Result<TypeSupport, InvalidDefinition> {
+        let text_of = |of: &str| {
+            let file = format!("share/{of}.msg");
+            let mut files = self.prefixes.iter().map(|prefix| prefix.join(&file));
+            let installed = files.find_map(|path| fs::read_to_string(path).ok()).map(Cow::Owned);
+            // Installations of single packages lack the standard ones.
+            installed.or_else(|| built_in_text(of).map(Cow::Borrowed))
+        };
+        TypeSupport::from_texts(type_name, &text_of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_transport::{Link, Reliability, TransportOptions};
+
+    /// An installation with the type `acme_msgs/msg/Probe`.
+    fn installation() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let msg = folder.path().join("share/acme_msgs/msg");
+        fs::create_dir_all(&msg).unwrap();
+        fs::write(msg.join("Probe.msg"), "# A probe.\nTip tip\nfloat64 x\n").unwrap();
+        fs::write(msg.join("Tip.msg"), "float32[3] position # m\n").unwrap();
+        folder
+    }
+
+    fn topic(hash: Option<&str>) -> SeenTopic {
+        let topic = SeenTopic::new(Link::memory("/probe"), "acme_msgs/msg/Probe".to_owned());
+        SeenTopic { hash: hash.map(str::to_owned), ..topic }
+    }
+
+    #[test]
+    fn definitions_are_found_in_installations_of_ros() {
+        let folder = installation();
+        let transports = Transports::new(TransportOptions::new("definitions"));
+        let prefixes = vec!["/nowhere".into(), folder.path().to_owned()];
+        let opener = TopicOpener::new(transports.clone(), prefixes, QosOverrides::new());
+        let support = opener.open(topic(None)).unwrap().support;
+        let separator = "=".repeat(80);
+        let expected = format!(
+            "# A probe.\nTip tip\nfloat64 x\n\n{separator}\nMSG: acme_msgs/Tip\nfloat32[3] position # m\n"
+        );
+        assert_eq!(support.schema, expected);
+        assert_eq!(opener.open(topic(Some(&support.hash))).unwrap().support.schema, expected);
+
+        let other = format!("RIHS01_{}", "0".repeat(64));
+        let unknown = opener.open(topic(Some(&other))).unwrap().support;
+        assert_eq!((unknown.schema, unknown.hash), (String::new(), other));
+    }
+
+    #[test]
+    fn messages_wait_while_the_definition_is_looked_for() {
+        let transports = Transports::new(TransportOptions::new("definitions"));
+        let opener = TopicOpener::new(transports.clone(), Vec::new(), QosOverrides::new());
+        let foreign = TypeSupport::foreign("acme_msgs/msg/Probe", "");
+        let mut publisher =
+            transports.publisher_of(&Link::memory("/probe"), &foreign, Reliability::Block).unwrap();
+        let mut opened = opener.open(topic(None)).unwrap();
+        assert_eq!(opened.support.schema, "");
+        publisher.publish_cdr(&[0, 1, 0, 0, 7]).unwrap();
+        let received = opened.subscriber.receive(Duration::from_secs(60)).unwrap().unwrap();
+        assert_eq!(received.into_cdr(), [0, 1, 0, 0, 7]);
+    }
+}
