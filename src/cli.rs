@@ -10,7 +10,7 @@ use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use regex::Regex;
 
-use crate::commands::simulate;
+use crate::commands::{real_time::CpuList, simulate};
 use eddy_bag::Compression;
 use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
@@ -414,11 +414,12 @@ pub struct NodeArgs {
     /// Read settings from a TOML file; command-line options override it.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Link to observe, on shm, zenoh or dds [default: zenoh:/particles, in the namespace of --ros-args].
-    #[arg(long, value_name = "LINK")]
+    /// Link to observe, on shm, zenoh or dds, for example dds:/particles, or dds:particles in the namespace of --ros-args
+    /// [default: zenoh:particles].
+    #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
     pub input: Option<Link>,
-    /// Link to publish predictions on; may be repeated [default: zenoh:/prediction, in the namespace of --ros-args].
-    #[arg(long, value_name = "LINK")]
+    /// Link to publish predictions on; may be repeated [default: zenoh:prediction].
+    #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
     pub output: Vec<Link>,
     #[command(flatten)]
     pub settings: NodeOptions,
@@ -437,8 +438,30 @@ pub struct NodeArgs {
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub foxglove: Option<FoxgloveAddress>,
+    /// Also let pages of this origin connect to --foxglove, for example http://localhost:8080; may be repeated
+    /// [default: Foxglove's application only].
+    #[cfg(feature = "foxglove")]
+    #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
+    pub foxglove_origin: Vec<String>,
+    #[command(flatten)]
+    pub real_time: RealTimeArgs,
     #[command(flatten)]
     pub ros: RosArgs,
+}
+
+/// How the operating system treats a process.
+#[derive(Debug, Args)]
+pub struct RealTimeArgs {
+    /// Run on these processors only, for example 2,3 or 4-7.
+    #[arg(long, value_name = "LIST", value_parser = CpuList::parse)]
+    pub cpu: Option<CpuList>,
+    /// Run all threads with this real-time priority (SCHED_FIFO), 1 to 99: before all ordinary processes. Requires the right
+    /// to do so.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
+    pub priority: Option<u8>,
+    /// Keep all memory in RAM: nothing is swapped out. Requires the right to do so.
+    #[arg(long)]
+    pub lock_memory: bool,
 }
 
 /// `eddy predict`

@@ -7,7 +7,7 @@ use std::{
 
 use eddy_bag::{BagReader, Compression, Selection, TopicId, WriterOptions};
 use eddy_frames::{Stamp, clock};
-use eddy_messages::{FrameCdr, Message as _, ParticleFrame};
+use eddy_messages::{FrameCdr, Message as _, ParticleFrame, QosProfile, TypeSupport};
 use pyo3::{
     exceptions::PyValueError,
     prelude::*,
@@ -350,10 +350,14 @@ impl BagWriter {
     ) -> PyResult<()> {
         let log_time = log_time.map_or_else(clock::wall, Stamp);
         let publish_time = publish_time.map_or(log_time, Stamp);
+        let support = definition.map(|definition| TypeSupport::from_schema(r#type, definition));
+        let support = support
+            .transpose()
+            .map_err(|error| PyValueError::new_err(format!("definition: {error}")))?;
         self.with(py, |writer| {
-            let topic: TopicId = match definition {
+            let topic: TopicId = match &support {
                 None => writer.topic(topic, r#type)?,
-                Some(definition) => writer.topic_with_schema(topic, r#type, definition, "")?,
+                Some(support) => writer.offered_topic(topic, support, &[QosProfile::default()])?,
             };
             writer.write(topic, log_time, publish_time, data)
         })

@@ -37,6 +37,8 @@ def test_messages_of_any_type(tmp_path: Path) -> None:
     with eddy.BagWriter(tmp_path / "bag") as writer:
         writer.write("/chatter", "std_msgs/msg/String", data, log_time=5, publish_time=4)
         writer.write("/own", "own_msgs/msg/Word", data, definition="string data\n", log_time=6)
+        with pytest.raises(ValueError, match="definition: "):
+            writer.write("/bad", "own_msgs/msg/Bad", data, definition="no definition at all !\n", log_time=6)
     bag = eddy.Bag(tmp_path / "bag")
     assert [topic["name"] for topic in bag.topics] == ["/chatter", "/own"]
     first, second = bag.messages()

@@ -9,6 +9,7 @@ pub mod lab;
 pub mod launch;
 pub mod node;
 pub mod predict;
+pub mod real_time;
 pub mod record;
 pub mod replay;
 pub mod simulate;

@@ -3,9 +3,11 @@
 use std::{path::PathBuf, sync::Arc};
 
 use anyhow::{Context, bail};
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer, de::Error as _};
 
-use super::{Interrupt, announce_page, leaves_the_process, surrogate, transport_options};
+use super::{
+    Interrupt, announce_page, leaves_the_process, real_time, surrogate, transport_options,
+};
 use crate::cli::NodeArgs;
 use eddy_messages::{
     Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
@@ -28,14 +30,28 @@ use eddy_transport::{Link, Reliability, Served, TransportError, TransportKind, T
 struct NodeFile {
     /// Checkpoint directory [default: the shipped particle model].
     checkpoint: Option<PathBuf>,
-    /// Input link [default: `zenoh:/particles`].
+    /// Input link [default: `zenoh:particles`].
+    #[serde(deserialize_with = "link")]
     input: Option<Link>,
-    /// Output links [default: `zenoh:/prediction`].
+    /// Output links [default: `zenoh:prediction`].
+    #[serde(deserialize_with = "links")]
     output: Vec<Link>,
     /// What happens when a subscriber cannot keep up [default: `drop`].
     reliability: Option<Reliability>,
     /// Settings of the node, the same as its ROS parameters.
     node: NodeSettings,
+}
+
+/// A link whose topic may be relative to the node.
+fn link<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Link>, D::Error> {
+    let text = String::deserialize(from)?;
+    Link::parse_of_node(&text).map(Some).map_err(D::Error::custom)
+}
+
+/// Such links.
+fn links<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Link>, D::Error> {
+    let texts = Vec::<String>::deserialize(from)?;
+    texts.iter().map(|text| Link::parse_of_node(text).map_err(D::Error::custom)).collect()
 }
 
 /// Runs the node until a signal comes.
@@ -45,6 +61,8 @@ pub fn run(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
+    // Before the first thread starts: threads inherit all of this.
+    real_time::apply(&args.real_time)?;
     let file: NodeFile = match &args.config {
         Some(path) => config::load(path)?,
         None => NodeFile::default(),
@@ -64,8 +82,9 @@ pub fn run(
     let surrogate = surrogate::load(checkpoint.as_deref(), args.threads)?;
     let queue = FrameQueue::new(settings.queue, reliability);
     let mut node = SurrogateNode::new(surrogate, settings)?;
+    node.stop_with(interrupt.shared());
 
-    let transports = Transports::new(transport_options(ros)?);
+    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
     let input = &renamed.input;
     let mut subscriber = transports
         .subscriber(input, ParticleFrame::TYPE)
@@ -73,7 +92,8 @@ pub fn run(
     let mut outputs = open(&transports, &links, ros, reliability, node.settings().cloud)
         .context("cannot publish")?;
     #[cfg(feature = "foxglove")]
-    let foxglove = foxglove(args.foxglove, &links, ros, &mut outputs).context("--foxglove")?;
+    let foxglove = foxglove(args.foxglove, &args.foxglove_origin, &links, ros, &mut outputs)
+        .context("--foxglove")?;
     let mut context = node_context(&transports, input, ros);
     let handle = Arc::new(NodeHandle::default());
     let _services = serve(&transports, &renamed, ros, &handle).context("cannot offer services")?;
@@ -219,12 +239,13 @@ fn open(
 #[cfg(feature = "foxglove")]
 fn foxglove(
     address: Option<FoxgloveAddress>,
+    origins: &[String],
     links: &Links,
     ros: &RosNode,
     outputs: &mut Vec<Outputs>,
 ) -> anyhow::Result<Option<FoxgloveServer>> {
     let (Some(address), Some(output)) = (address, links.outputs.first()) else { return Ok(None) };
-    let server = FoxgloveServer::start(address, &ros.full_name())?;
+    let server = FoxgloveServer::start(address, &ros.full_name(), origins)?;
     let publish = |link: &Link, type_name| server.publisher(&link.topic, type_name);
     let cloud = |link| {
         publish(&ros.beside(link, "cloud"), PointCloud2::TYPE).map(CloudTopic::new).map(Some)

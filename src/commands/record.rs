@@ -38,7 +38,7 @@ pub fn run(
     let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
-    let transports = Transports::new(transport_options(ros)?);
+    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
     let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
     let opener =
         TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);

@@ -13,7 +13,7 @@ use eddy_messages::{
 };
 use eddy_transport::{FoxgloveServer, ListenAddress};
 use serde_json::{Value, json};
-use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
+use tungstenite::{HandshakeError, Message, WebSocket, client::IntoClientRequest as _};
 
 use crate::support::{DEADLINE, Process, World, eddy, fail, simulate, wait_for};
 
@@ -22,12 +22,26 @@ struct Viewer(WebSocket<TcpStream>);
 
 impl Viewer {
     fn connect(address: &str) -> Self {
+        Self::of_page(address, None).unwrap()
+    }
+
+    /// A viewer in a page of `origin`, or the status of the response if it is refused.
+    fn of_page(address: &str, origin: Option<&str>) -> Result<Self, Option<u16>> {
         let stream = TcpStream::connect(address).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
         let mut request = format!("ws://{address}").into_client_request().unwrap();
         let protocol = "foxglove.sdk.v1".parse().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", protocol);
-        Self(tungstenite::client(request, stream).unwrap().0)
+        if let Some(origin) = origin {
+            request.headers_mut().insert("Origin", origin.parse().unwrap());
+        }
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Self(socket)),
+            Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
+                Err(Some(answer.status().as_u16()))
+            }
+            Err(_) => Err(None),
+        }
     }
 
     /// What the server says in words, until it says `op`.
@@ -170,7 +184,7 @@ fn a_viewer_that_never_reads_costs_messages_and_nothing_else() {
     const PARTICLES: usize = 100_000;
     // More than any buffer of a socket holds.
     const READ: usize = 50;
-    let server = FoxgloveServer::start(ListenAddress::<8765>::loopback(0), "flood").unwrap();
+    let server = FoxgloveServer::start(ListenAddress::<8765>::loopback(0), "flood", &[]).unwrap();
     let address = server.address().to_string();
     let mut publisher = server.publisher("/cloud", PointCloud2::TYPE).unwrap();
     let mut silent = Viewer::connect(&address);
@@ -212,4 +226,48 @@ impl Drop for Raise<'_> {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
     }
+}
+
+#[test]
+fn foreign_pages_and_too_many_viewers_are_refused() {
+    const MAX_CONNECTIONS: usize = 32;
+    let own = ["http://robot:8080".to_owned()];
+    let server = FoxgloveServer::start(ListenAddress::<8765>::loopback(0), "gate", &own).unwrap();
+    let address = server.address().to_string();
+    for origin in ["http://evil.example", "null", &format!("http://{address}")] {
+        assert_eq!(Viewer::of_page(&address, Some(origin)).err(), Some(Some(403)), "{origin}");
+    }
+    let mut viewers = Vec::new();
+    for origin in ["https://app.foxglove.dev", "http://robot:8080"] {
+        viewers
+            .push(Viewer::of_page(&address, Some(origin)).unwrap_or_else(|_| panic!("{origin}")));
+    }
+    wait_for("there are as many as there may be", || {
+        match Viewer::of_page(&address, None) {
+            Ok(viewer) => viewers.push(viewer),
+            Err(status) => {
+                // The response may be lost with the connection.
+                assert!(status.is_none_or(|status| status == 503), "{status:?}");
+                return Some(());
+            }
+        }
+        assert!(viewers.len() <= MAX_CONNECTIONS);
+        None
+    });
+    assert_eq!(viewers.len(), MAX_CONNECTIONS);
+    for viewer in &mut viewers {
+        assert_eq!(viewer.said("serverInfo")["name"], "gate");
+    }
+    drop(viewers);
+    wait_for("there is room again", || Viewer::of_page(&address, None).ok());
+    // Requests that are never completed make room when their time is over.
+    let half: Vec<_> =
+        (0..MAX_CONNECTIONS).map(|_| TcpStream::connect(&address).unwrap()).collect();
+    let mut viewer = wait_for("they make room", || Viewer::of_page(&address, None).ok());
+    viewer.said("serverInfo");
+    drop(half);
+    drop(server);
+    let start = Instant::now();
+    while viewer.0.read().is_ok() {}
+    assert!(start.elapsed() < DEADLINE, "the connection ends with the server");
 }

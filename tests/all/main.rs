@@ -23,6 +23,8 @@ mod launch_configs;
 mod mpm;
 mod pipeline;
 mod pytorch;
+#[cfg(target_os = "linux")]
+mod real_time;
 mod record;
 mod reference;
 mod replay;
@@ -31,6 +33,7 @@ mod scenes;
 mod secure;
 mod shell;
 mod shm;
+mod stuck;
 mod study;
 mod support;
 mod topic;

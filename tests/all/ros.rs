@@ -26,7 +26,7 @@ use eddy_node::{
 };
 use eddy_transport::{Link, Publisher, Reliability, Subscriber, TransportOptions, Transports};
 
-use crate::support::{DEADLINE, Process, World, domain, simulate, talking_eddy, wait_for};
+use crate::support::{DEADLINE, Process, World, domain, simulate, talking_eddy, unique, wait_for};
 
 /// Time between two frames of the sample bag.
 const DT: Duration = Duration::from_millis(16);
@@ -115,6 +115,22 @@ fn without_links_topics_are_in_the_namespace() {
     let mut node = Process::start(&mut command);
     let line = node.line("predicting");
     assert!(line.contains("zenoh:/robot1/particles -> zenoh:/robot1/prediction"), "{line}");
+    node.interrupt();
+    assert!(node.wait().success());
+}
+
+#[test]
+fn links_of_a_node_may_be_relative_to_it() {
+    let name = unique("relative");
+    let (input, output) = (format!("shm:{name}/particles"), "shm:~/prediction");
+    let rename = format!("__node:={name}");
+    let mut command = talking_eddy();
+    command.args(["node", "--input", &input, "--output", output]);
+    command.args(["--ros-args", "-r", "__ns:=/robot1", "-r", &rename]);
+    let mut node = Process::start(&mut command);
+    let line = node.line("predicting");
+    let expected = format!("shm:/robot1/{name}/particles -> shm:/robot1/{name}/prediction with");
+    assert!(line.contains(&expected), "{line}");
     node.interrupt();
     assert!(node.wait().success());
 }

@@ -106,7 +106,7 @@ const NEARLY: &[(&str, i32, &str)] = &[
     ("simulate --preset kindz --output o", 2, "tip: a similar value exists: 'kinds'"),
     ("train --data d --output o --core mingrru", 2, "tip: a similar value exists: 'mingru'"),
     ("node --input zneoh:/particles", 2, "; did you mean zenoh?"),
-    ("node --input zenoh:particles", 2, "; did you mean /particles?"),
+    ("record zenoh:particles --output /x", 2, "; did you mean /particles?"),
     ("replay bags/sample --to znoh", 2, "; did you mean zenoh?"),
     ("node --ros-args -p horizn:=3", 1, "use_sim_time; did you mean horizon?"),
     ("replay bags/sample --topics /partcles", 1, "; did you mean /particles?"),

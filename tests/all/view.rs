@@ -1,5 +1,7 @@
 //! The live page from outside: HTTP, WebSocket, and what its controls do to the program.
 
+mod limits;
+
 use std::{
     io::{Read as _, Write as _},
     net::TcpStream,
@@ -68,10 +70,25 @@ impl Shown {
 
 impl Browser {
     fn connect(address: &str, origin: &str) -> Result<Self, tungstenite::Error> {
+        Self::request(address, "/ws", origin, "")
+    }
+
+    /// On the page at `address`, with a cookie.
+    fn connect_as(address: &str, path: &str, cookie: &str) -> Self {
+        Self::request(address, path, &format!("http://{address}"), cookie).unwrap()
+    }
+
+    fn request(
+        address: &str,
+        path: &str,
+        origin: &str,
+        cookie: &str,
+    ) -> Result<Self, tungstenite::Error> {
         let stream = TcpStream::connect(address).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();
-        let mut request = format!("ws://{address}/ws").into_client_request()?;
+        let mut request = format!("ws://{address}{path}").into_client_request()?;
         request.headers_mut().insert("Origin", origin.parse().unwrap());
+        request.headers_mut().insert("Cookie", cookie.parse().unwrap());
         match tungstenite::client(request, stream) {
             Ok((socket, _)) => Ok(Self { socket, metrics: Value::Null, drawn: Vec::new() }),
             Err(tungstenite::HandshakeError::Failure(error)) => Err(error),

@@ -11,7 +11,7 @@ use toml::Table;
 use crate::documented::spans;
 
 /// External dependencies and the crate that each belongs to.
-const HOMES: [(&str, &str); 17] = [
+const HOMES: [(&str, &str); 19] = [
     ("axum", "node"),
     ("burn", "learning"),
     ("cudarc", "cuda"),
@@ -19,6 +19,8 @@ const HOMES: [(&str, &str); 17] = [
     ("foxglove", "transport"),
     ("gif", "evaluation"),
     ("hdf5", "exchange"),
+    ("hyper", "node"),
+    ("hyper-util", "node"),
     ("iceoryx2", "transport"),
     ("maud", "evaluation"),
     ("mcap", "bag"),

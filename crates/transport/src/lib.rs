@@ -6,12 +6,13 @@
 //!    each middleware implements.
 //! 4. `discovered`: topics found on a transport.
 //! 5. `queue`: the bounded queue between a middleware's thread and a subscriber.
-//! 6. `memory`: within this process.
-//! 7. `shm`: shared memory (iceoryx2).
-//! 8. `zenoh`: the wire format of ROS 2's rmw_zenoh.
-//! 9. `dds`: the wire format of ROS 2's DDS middlewares (RTPS).
-//! 10. `foxglove`: a WebSocket server for Foxglove's application, publishing only; `address`: where it listens.
-//! 11. `bare`: middleware without eddy's layers, for benchmarks.
+//! 6. `patience`: how long a blocking publisher waits.
+//! 7. `memory`: within this process.
+//! 8. `shm`: shared memory (iceoryx2).
+//! 9. `zenoh`: the wire format of ROS 2's rmw_zenoh.
+//! 10. `dds`: the wire format of ROS 2's DDS middlewares (RTPS).
+//! 11. `foxglove`: a WebSocket server for Foxglove's application, publishing only; `address`: where it listens.
+//! 12. `bare`: middleware without eddy's layers, for benchmarks.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may carry frames in its own form (shared memory does), so subscribers of frames must expect every
@@ -30,6 +31,7 @@ mod foxglove;
 mod link;
 mod memory;
 mod middleware;
+mod patience;
 mod payload;
 mod queue;
 #[cfg(feature = "shm")]
@@ -64,12 +66,15 @@ use serde::Deserialize;
 use eddy_frames::Frame;
 use eddy_messages::{BadFrame, InvalidDefinition, UnknownService, UnknownType};
 
+use patience::Patience;
+
 /// What a publisher does when a subscriber cannot keep up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Reliability {
-    /// Wait for the subscriber, at most 30 s; no message is lost. Advertised to ROS 2 as reliable, keep all.
+    /// Wait for the subscriber, at most 30 s if it reads nothing, then not until it reads again; no other message is lost.
+    /// Advertised to ROS 2 as reliable, keep all.
     Block,
     /// Drop the message; the publisher never waits. Advertised to ROS 2 as best effort, keep last.
     Drop,
@@ -80,7 +85,8 @@ pub trait Publisher: Send {
     /// Publishes a frame in the form of the transport.
     ///
     /// # Errors
-    /// [`TransportError`]; the publisher stays usable.
+    /// [`TransportError`]; the publisher stays usable. After [`TransportError::Stalled`] and
+    /// [`TransportError::Interrupted`], the other subscribers have the message.
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError>;
 
     /// Publishes a message as CDR bytes with their header.
@@ -89,6 +95,14 @@ pub trait Publisher: Send {
     /// As [`Publisher::publish_frame`]; also on a topic of frames when the bytes are not a frame and the transport
     /// cannot carry them.
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
+
+    /// Waits until subscribers have what was published, as far as the transport knows; for the end of a program.
+    ///
+    /// # Errors
+    /// [`TransportError::Undelivered`] when they do not within the patience.
+    fn flush(&mut self) -> Result<(), TransportError> {
+        Ok(())
+    }
 
     /// Number of connected subscribers, as far as the transport knows.
     fn subscribers(&self) -> usize;
@@ -135,11 +149,20 @@ pub enum TransportError {
     /// An environment variable, or a part of it, cannot be used.
     #[error("{variable}: found `{found}`, expected {expected}")]
     Environment { variable: &'static str, found: String, expected: String },
-    /// A subscriber received nothing for [`TransportOptions::patience`] and blocked a publisher.
+    /// A subscriber read nothing for [`TransportOptions::patience`] and missed a message. It is not waited for until it
+    /// reads again.
     #[error(
-        "{link}: a subscriber received nothing for {seconds} s; check that it is running, or use --reliability drop"
+        "{link}: {subscriber} has read nothing for {seconds} s and misses messages; check that it is running, or use --reliability drop"
     )]
-    Stalled { link: Link, seconds: f64 },
+    Stalled { link: Link, subscriber: String, seconds: f64 },
+    /// The program was asked to stop while a blocking publisher waited for a subscriber, which missed a message.
+    #[error("{link}: {subscriber} reads nothing and is not waited for at the end")]
+    Interrupted { link: Link, subscriber: String },
+    /// Subscribers do not have everything that was published.
+    #[error(
+        "{link}: up to {messages} messages were not delivered to {subscriber}, within {seconds:.1} s after the last one"
+    )]
+    Undelivered { link: Link, subscriber: String, messages: u64, seconds: f64 },
     /// The message is too large for the transport (bytes).
     #[error(
         "{link}: found a message of {found} bytes, expected at most {limit} (use shm or zenoh for larger ones)"
@@ -154,6 +177,22 @@ pub enum TransportError {
     /// The middleware reports an error.
     #[error("{link}: {action}: {reason}")]
     Middleware { link: Link, action: &'static str, reason: String },
+}
+
+impl TransportError {
+    /// Whether a subscriber missed a message because it was not waited for any longer. The publisher stays usable.
+    pub fn is_missed(&self) -> bool {
+        matches!(self, Self::Stalled { .. } | Self::Interrupted { .. })
+    }
+
+    /// A subscriber that is not waited for misses a message.
+    fn missed(link: &Link, subscriber: String, patience: &Patience) -> Self {
+        let link = link.clone();
+        if patience.is_stopped() {
+            return Self::Interrupted { link, subscriber };
+        }
+        Self::Stalled { link, subscriber, seconds: patience.limit().as_secs_f64() }
+    }
 }
 
 /// Locks a mutex. A panic in another thread leaves its contents consistent: every change is one operation.

@@ -56,7 +56,8 @@ impl FromStr for TransportKind {
 pub struct Link {
     /// The transport.
     pub transport: TransportKind,
-    /// Absolute ROS 2 name of the topic, such as `/particles`.
+    /// Absolute ROS 2 name of the topic, such as `/particles`; in a link of a node that is not open yet
+    /// ([`Link::parse_of_node`]) also a relative one.
     pub topic: String,
 }
 
@@ -103,6 +104,24 @@ impl Link {
     /// A topic within the process.
     pub fn memory(topic: &str) -> Self {
         Self { transport: TransportKind::Memory, topic: topic.to_owned() }
+    }
+
+    /// A link of a node, whose topic may also be relative: to the namespace of the node (`dds:particles`), or to its name
+    /// (`dds:~/particles`). The node makes it absolute.
+    ///
+    /// # Errors
+    /// [`InvalidLink`].
+    pub fn parse_of_node(text: &str) -> Result<Self, InvalidLink> {
+        let invalid = match text.parse() {
+            Err(invalid @ InvalidLink::Topic { .. }) => invalid,
+            parsed => return parsed,
+        };
+        let Some((transport, topic)) = text.split_once(':') else { return Err(invalid) };
+        let relative = topic.strip_prefix("~/").unwrap_or(topic);
+        if !is_absolute_name(&format!("/{relative}")) {
+            return Err(invalid);
+        }
+        Ok(Self { transport: transport.parse()?, topic: topic.to_owned() })
     }
 
     /// The same transport with another topic.
@@ -164,6 +183,17 @@ mod tests {
     fn a_link_is_parsed_from_its_text() {
         for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1", "dds:/a"] {
             assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn links_of_a_node_may_be_relative() {
+        for text in ["zenoh:particles", "shm:a/b", "dds:~/particles", "dds:/a"] {
+            assert!(text.parse::<Link>().is_err() || text == "dds:/a", "{text}");
+            assert_eq!(Link::parse_of_node(text).unwrap().to_string(), text);
+        }
+        for text in ["shm:", "shm:9", "shm:~", "shm:~a", "shm:a//b", "zneoh:a", "particles"] {
+            assert!(Link::parse_of_node(text).is_err(), "{text}");
         }
     }
 

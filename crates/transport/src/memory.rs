@@ -1,7 +1,7 @@
 //! The transport within a process: publishers fill the queues of the subscribers.
 
 use std::{
-    collections::HashMap,
+    collections::{BTreeSet, HashMap},
     sync::{Arc, Mutex, Weak},
     time::Duration,
 };
@@ -9,6 +9,7 @@ use std::{
 use super::{
     Link, Payload, Publisher, Reliability, Subscriber, TransportError, lock,
     middleware::Middleware,
+    patience::Patience,
     queue::{PushError, Queue},
     transports,
 };
@@ -21,7 +22,7 @@ const DEPTH: usize = 64;
 /// The topics of one process.
 pub(super) struct Broker {
     topics: Mutex<HashMap<String, Arc<Topic>>>,
-    patience: Duration,
+    patience: Patience,
 }
 
 struct Topic {
@@ -30,8 +31,8 @@ struct Topic {
 }
 
 impl Broker {
-    /// No topics; blocking publishers wait up to `patience` for a subscriber.
-    pub(super) fn new(patience: Duration) -> Self {
+    /// No topics; blocking publishers wait for a subscriber with `patience`.
+    pub(super) fn new(patience: Patience) -> Self {
         Self { topics: Mutex::default(), patience }
     }
 
@@ -61,8 +62,9 @@ impl Middleware for Broker {
         _offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let topic = self.topic(link, &support.name)?;
-        let (link, patience) = (link.clone(), self.patience);
-        Ok(Box::new(MemoryPublisher { link, topic, reliability, patience }))
+        let (link, patience) = (link.clone(), self.patience.clone());
+        let given_up = BTreeSet::new();
+        Ok(Box::new(MemoryPublisher { link, topic, reliability, patience, given_up }))
     }
 
     fn subscriber(
@@ -81,7 +83,9 @@ pub(super) struct MemoryPublisher {
     link: Link,
     topic: Arc<Topic>,
     reliability: Reliability,
-    patience: Duration,
+    patience: Patience,
+    /// Addresses of the queues that missed the last message: they are not waited for.
+    given_up: BTreeSet<usize>,
 }
 
 impl MemoryPublisher {
@@ -93,22 +97,35 @@ impl MemoryPublisher {
     }
 
     /// Sends the message to every subscriber, also after one that stalls.
-    fn publish(&self, payload: &Payload) -> Result<(), TransportError> {
-        let mut stalled = false;
+    fn publish(&mut self, payload: &Payload) -> Result<(), TransportError> {
+        let mut missed = BTreeSet::new();
         for queue in self.queues() {
-            match self.reliability {
-                Reliability::Drop => queue.push_or_drop_oldest(payload.clone()),
-                Reliability::Block => {
-                    let pushed = queue.push_or_wait(payload.clone(), self.patience);
-                    stalled |= matches!(pushed, Err(PushError::Full(_)));
+            if self.reliability == Reliability::Drop {
+                queue.push_or_drop_oldest(payload.clone());
+                continue;
+            }
+            let address = Arc::as_ptr(&queue).addr();
+            let mut waiting = Some(payload.clone());
+            let mut push = |slice| match queue.push_or_wait(waiting.take()?, slice) {
+                Err(PushError::Full(back)) => {
+                    waiting = Some(back);
+                    None
                 }
+                Ok(()) | Err(PushError::Closed(_)) => Some(()),
+            };
+            let pushed = match self.given_up.contains(&address) {
+                true => push(Duration::ZERO),
+                false => self.patience.wait(push),
+            };
+            if pushed.is_none() {
+                missed.insert(address);
             }
         }
-        if stalled {
-            let seconds = self.patience.as_secs_f64();
-            return Err(TransportError::Stalled { link: self.link.clone(), seconds });
+        self.given_up = missed;
+        if self.given_up.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        Err(TransportError::missed(&self.link, "a subscriber".to_owned(), &self.patience))
     }
 }
 

@@ -3,13 +3,13 @@
 use std::{
     ops::RangeInclusive,
     path::PathBuf,
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, atomic::AtomicBool},
     time::Duration,
 };
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, lock, memory::Broker, middleware::Middleware,
+    TransportKind, lock, memory::Broker, middleware::Middleware, patience::Patience,
 };
 use eddy_messages::{
     Message, ParticleFrame, QosProfile, TypeSupport, cdr,
@@ -29,7 +29,7 @@ pub struct TransportOptions {
     pub namespace: String,
     /// ROS domain id, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Zenoh and DDS do not see topics of other domains.
     pub domain_id: u16,
-    /// How long a blocking publisher waits for a subscriber that does not receive [default: 30 s].
+    /// How long a blocking publisher waits for a subscriber that does not read [default: 30 s].
     pub patience: Duration,
     /// Options of Zenoh.
     pub zenoh: ZenohOptions,
@@ -148,6 +148,7 @@ pub struct Transports {
 
 struct Shared {
     options: TransportOptions,
+    patience: Patience,
     /// The open middlewares, indexed by [`TransportKind`].
     open: [Mutex<Option<Arc<dyn Middleware>>>; TransportKind::ALL.len()],
 }
@@ -155,7 +156,14 @@ struct Shared {
 impl Transports {
     /// Opens no middleware; each is opened with its first link.
     pub fn new(options: TransportOptions) -> Self {
-        Self { shared: Arc::new(Shared { options, open: Default::default() }) }
+        Self::stopped_by(Arc::default(), options)
+    }
+
+    /// As [`Transports::new`]; once `stop` is raised, blocking publishers wait for half a second more, all of them
+    /// together, and the middlewares are closed without waiting for others.
+    pub fn stopped_by(stop: Arc<AtomicBool>, options: TransportOptions) -> Self {
+        let patience = Patience::new(options.patience, stop);
+        Self { shared: Arc::new(Shared { options, patience, open: Default::default() }) }
     }
 
     /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
@@ -328,22 +336,27 @@ impl Transports {
         let mut slot = lock(slot);
         let opened = match slot.take() {
             Some(opened) => opened,
-            None => open(link, &self.shared.options)?,
+            None => open(link, &self.shared.options, &self.shared.patience)?,
         };
         Ok(Arc::clone(slot.insert(opened)))
     }
 }
 
 /// Opens the middleware of a link.
-fn open(link: &Link, options: &TransportOptions) -> Result<Arc<dyn Middleware>, TransportError> {
+fn open(
+    link: &Link,
+    options: &TransportOptions,
+    patience: &Patience,
+) -> Result<Arc<dyn Middleware>, TransportError> {
+    let patience = patience.clone();
     Ok(match link.transport {
-        TransportKind::Memory => Arc::new(Broker::new(options.patience)),
+        TransportKind::Memory => Arc::new(Broker::new(patience)),
         #[cfg(feature = "shm")]
-        TransportKind::Shm => Arc::new(super::shm::ShmNode::open(link, options)?),
+        TransportKind::Shm => Arc::new(super::shm::ShmNode::open(link, options, patience)?),
         #[cfg(feature = "zenoh")]
-        TransportKind::Zenoh => Arc::new(super::zenoh::ZenohNode::open(link, options)?),
+        TransportKind::Zenoh => Arc::new(super::zenoh::ZenohNode::open(link, options, patience)?),
         #[cfg(feature = "dds")]
-        TransportKind::Dds => Arc::new(super::dds::DdsNode::open(link, options)?),
+        TransportKind::Dds => Arc::new(super::dds::DdsNode::open(link, options, patience)?),
         #[cfg(not(all(feature = "shm", feature = "zenoh", feature = "dds")))]
         _ => return Err(TransportError::NotBuilt { link: link.clone() }),
     })

@@ -58,7 +58,7 @@ pub fn run(
         },
     )?;
     // Sessions end with it, hence it lives until the last message is sent.
-    let transports = Transports::new(transport_options(ros)?);
+    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
     let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
     for topic in outputs.topics() {
         println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);
@@ -97,13 +97,18 @@ pub fn run(
     let mut session = Session { outputs: &mut outputs, keyboard, services, view, interrupt };
     play(&mut player, &clock, &mut session)?;
     drop(session);
-    let (bag, TopicOutputs { sent, skipped, .. }) = (bag.path().display(), outputs);
+    outputs.flush()?;
+    let (bag, TopicOutputs { sent, skipped, undelivered, .. }) = (bag.path().display(), &outputs);
     if !quiet {
-        println!("{bag}: {} messages in {:.1} s", HumanCount(sent), clock.now().as_secs_f64());
+        println!("{bag}: {} messages in {:.1} s", HumanCount(*sent), clock.now().as_secs_f64());
     }
-    if skipped > 0 {
+    if *skipped > 0 {
         bail!("{bag}: skipped {skipped} messages that are not valid frames");
     }
+    ensure!(
+        *undelivered == 0,
+        "{bag}: {undelivered} of {sent} messages were not delivered to all subscribers"
+    );
     Ok(())
 }
 

@@ -29,7 +29,8 @@ pub(super) fn run(
     ensure!(rate.is_finite() && rate > 0.0, "rate: found {rate}, expected a positive number");
     leaves_the_process(link)?;
     // Sessions end with it, hence it lives until the last message is sent.
-    let transports = Transports::new(TransportOptions::from_env("eddy_simulate")?);
+    let transports =
+        Transports::stopped_by(interrupt.shared(), TransportOptions::from_env("eddy_simulate")?);
     let mut topics = Topics::open(&transports, link, args)?;
     println!("publishing on {link} at {rate} x real time, simulated time on {}", topics.clock_link);
     let ready = wait_for_subscribers(link, topics.frames.as_ref(), args.wait_for, interrupt)?;
@@ -62,6 +63,9 @@ pub(super) fn run(
             let slow = if slow { ", slower than requested" } else { "" };
             println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}");
         }
+        if !complete {
+            topics.finish()?;
+        }
         if !complete && store.is_some() {
             bail!("interrupted: {name} is incomplete and was discarded");
         }
@@ -72,7 +76,7 @@ pub(super) fn run(
             store.deliver(&recording.finish()?)?;
         }
     }
-    Ok(())
+    topics.finish()
 }
 
 /// The topics of a live source.
@@ -80,6 +84,9 @@ struct Topics {
     frames: Box<dyn Publisher>,
     clock: Box<dyn Publisher>,
     clock_link: Link,
+    sent: u64,
+    /// Frames that were not delivered to all subscribers.
+    undelivered: u64,
 }
 
 impl Topics {
@@ -94,12 +101,45 @@ impl Topics {
             frames: open(link, ParticleFrame::TYPE)?,
             clock: open(&clock_link, msg::Clock::TYPE)?,
             clock_link,
+            sent: 0,
+            undelivered: 0,
         })
     }
 
     /// Publishes the time, then the frame: a subscriber that has the frame has its time.
     fn publish(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: frame.stamp.into() }))?;
-        self.frames.publish_frame(frame)
+        let time = cdr::encode(&msg::Clock { clock: frame.stamp.into() });
+        match self.clock.publish_cdr(&time) {
+            Err(error) if error.is_missed() => tracing::debug!("{error}"),
+            outcome => outcome?,
+        }
+        self.sent += 1;
+        match self.frames.publish_frame(frame) {
+            Err(error) if error.is_missed() => {
+                if self.undelivered == 0 {
+                    tracing::warn!("{error}");
+                }
+                self.undelivered += 1;
+                Ok(())
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Waits until subscribers have all frames, as far as the transport knows, and fails if they do not.
+    fn finish(&mut self) -> anyhow::Result<()> {
+        match self.frames.flush() {
+            Err(error @ TransportError::Undelivered { messages, .. }) => {
+                tracing::warn!("{error}");
+                self.undelivered += messages;
+            }
+            outcome => outcome?,
+        }
+        let Self { sent, undelivered, .. } = self;
+        ensure!(
+            *undelivered == 0,
+            "{undelivered} of {sent} frames were not delivered to all subscribers"
+        );
+        Ok(())
     }
 }

@@ -179,7 +179,7 @@ pub fn diagnostics() -> String {
     let counted = counters.named().map(|(name, _)| row(name, docs(name)));
     let mut text = format!(
         "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
-         ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason) or lost, \
+         ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, \
          and OK otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
          | `rate (1/s)` | number | Predictions per second since the last message. |\n\
          | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\

@@ -2,6 +2,12 @@
 
 use crate::checkpoint::CheckpointError;
 
+/// A number of any size with about three digits.
+fn significant(number: f32) -> String {
+    let digits = usize::from(number < 100.0) * 2;
+    if number < 1e6 { format!("{number:.digits$}") } else { format!("{number:.1e}") }
+}
+
 /// Why a network cannot be used, or not for a frame.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
@@ -49,6 +55,27 @@ pub enum ModelError {
         found: String,
         /// Thickness of both walls together, on each axis (domain lengths).
         expected: [f32; 2],
+    },
+    /// Particles are far outside of the frame's domain; probably the units are wrong.
+    #[error("positions reach {} domain lengths, expected at most {expected}: units?", significant(*found))]
+    Outside {
+        /// Largest distance of a particle from a wall of the domain (widths or heights of the domain).
+        found: f32,
+        /// Largest accepted distance (the same).
+        expected: f32,
+    },
+    /// Particles are much faster than any in training; probably the units are wrong.
+    #[error(
+        "velocities reach {} domain lengths/s, {} times the largest in training ({}): units?",
+        significant(*found),
+        significant(*found / *learned),
+        significant(*learned)
+    )]
+    Fast {
+        /// Largest component of a velocity (domain lengths/s).
+        found: f32,
+        /// The same in training.
+        learned: f32,
     },
     /// The domain is so large for its number of particles that empty grid cells would dominate the cost.
     #[error(

@@ -8,7 +8,7 @@ use super::{
     HiddenState, ModelError, Stepper, Warning, frame_model::FrameModel,
     particle_model::ParticleModel, stepper::Network, warning,
 };
-use crate::checkpoint::{Architecture, Checkpoint, Description, GridOptions};
+use crate::checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization};
 use eddy_frames::{Domain, Frame, FrameView, Stamp};
 
 /// Largest accepted difference between a stream's frame interval and the checkpoint's, relative to it.
@@ -25,6 +25,13 @@ const FREE_CELLS: usize = 1 << 20;
 
 /// More threads than this would idle: no layer has many more panels.
 const MAX_THREADS: usize = 256;
+
+/// Largest accepted distance of a particle from any wall of its domain (widths or heights of the domain). Solvers leave a
+/// few particles slightly outside.
+const MAX_REACH: f32 = 1.1;
+
+/// Largest accepted velocity, relative to the largest in training.
+const SPEED_FACTOR: f32 = 2.0;
 
 /// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
@@ -99,7 +106,7 @@ impl Surrogate {
     /// # Errors
     /// [`ModelError`] if it cannot: a material or interval it was not trained on, another number of particles or another
     /// domain (frame model), a domain with no space between its walls or far too large for its particles (particle
-    /// model).
+    /// model), particles far outside of the domain or much faster than any in training.
     pub fn fits<'a>(&self, frame: impl Into<FrameView<'a>>) -> Result<(), ModelError> {
         let frame = frame.into();
         let particles = frame.particles;
@@ -119,11 +126,12 @@ impl Surrogate {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
         match self.description.grid {
-            None => same_domain(&frame.domain, domain),
+            None => same_domain(&frame.domain, domain)?,
             Some(GridOptions { cell_width, .. }) => {
-                fits_domain(&frame.domain, &self.description, cell_width, particles.len())
+                fits_domain(&frame.domain, &self.description, cell_width, particles.len())?;
             }
         }
+        in_range(&frame, &self.description)
     }
 
     /// Warnings about a stream that begins with a frame that [`Surrogate::fits`]: the network can predict it, but was not
@@ -176,6 +184,30 @@ fn fits_domain(
         return Ok(());
     }
     Err(ModelError::Wide { found: corners(found), cells, most })
+}
+
+/// Checks that positions and velocities have the units of the training data.
+fn in_range(frame: &FrameView<'_>, description: &Description) -> Result<(), ModelError> {
+    let Domain { lower, upper } = frame.domain;
+    let per_length: [f32; 2] = std::array::from_fn(|axis| 1.0 / (upper[axis] - lower[axis]));
+    let (mut reach, mut speed) = (0.0f32, 0.0f32);
+    for (position, velocity) in (0..frame.particles.len()).map(|n| frame.particles.motion(n)) {
+        for axis in 0..2 {
+            let distance = (position[axis] - lower[axis]).max(upper[axis] - position[axis]);
+            reach = reach.max(distance * per_length[axis]);
+            speed = speed.max(velocity[axis].abs());
+        }
+    }
+    if reach > MAX_REACH {
+        return Err(ModelError::Outside { found: reach, expected: MAX_REACH });
+    }
+    let Normalization { minimum, maximum, .. } = &description.normalization;
+    let learned =
+        minimum[2..].iter().chain(&maximum[2..]).fold(0.0f32, |most, v| most.max(v.abs()));
+    if speed > SPEED_FACTOR * learned {
+        return Err(ModelError::Fast { found: speed, learned });
+    }
+    Ok(())
 }
 
 fn corners(domain: &Domain) -> String {

@@ -124,6 +124,8 @@ pub struct PlayedTopic {
     pub link: Link,
     /// Its publisher.
     pub publisher: Box<dyn Publisher>,
+    /// Whether a subscriber that reads nothing was logged.
+    has_stalled: bool,
 }
 
 /// Name and type: a bag may have two types under one name.
@@ -138,6 +140,8 @@ pub struct TopicOutputs {
     pub sent: u64,
     /// Messages that are not valid frames, on a transport that carries frames only.
     pub skipped: u64,
+    /// Messages that were not delivered to all subscribers.
+    pub undelivered: u64,
 }
 
 impl TopicOutputs {
@@ -167,7 +171,7 @@ impl TopicOutputs {
                 transports.offering_publisher_of(&link, &support, options.reliability, offered)?;
             let (name, type_name) = (topic.name.clone(), topic.type_name.clone());
             by_key.insert((name.as_str().into(), type_name.as_str().into()), topics.len());
-            topics.push(PlayedTopic { name, type_name, link, publisher });
+            topics.push(PlayedTopic { name, type_name, link, publisher, has_stalled: false });
         }
         let mut clock = None;
         if options.clock {
@@ -176,7 +180,7 @@ impl TopicOutputs {
             let publisher = transports.publisher(&link, Clock::TYPE, Reliability::Drop)?;
             clock = Some((link, publisher));
         }
-        Ok(Self { topics, by_key, clock, sent: 0, skipped: 0 })
+        Ok(Self { topics, by_key, clock, sent: 0, skipped: 0, undelivered: 0 })
     }
 
     /// The topics, in the order of the bag.
@@ -196,13 +200,38 @@ impl TopicOutputs {
     pub fn publish(&mut self, message: &BagMessage) -> Result<(), TransportError> {
         let key = (message.topic.clone(), message.type_name.clone());
         let Some(&index) = self.by_key.get(&key) else { return Ok(()) };
-        match self.topics[index].publisher.publish_cdr(&message.data) {
+        let topic = &mut self.topics[index];
+        match topic.publisher.publish_cdr(&message.data) {
             Ok(()) => self.sent += 1,
             Err(error @ TransportError::Frame { .. }) => {
                 tracing::warn!("{error}");
                 self.skipped += 1;
             }
+            Err(error) if error.is_missed() => {
+                if !std::mem::replace(&mut topic.has_stalled, true) {
+                    tracing::warn!("{error}");
+                }
+                self.sent += 1;
+                self.undelivered += 1;
+            }
             Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Waits until subscribers have everything, as far as the transport knows, and counts what they do not have.
+    ///
+    /// # Errors
+    /// [`TransportError`] other than undelivered messages.
+    pub fn flush(&mut self) -> Result<(), TransportError> {
+        for topic in &mut self.topics {
+            match topic.publisher.flush() {
+                Err(error @ TransportError::Undelivered { messages, .. }) => {
+                    tracing::warn!("{error}");
+                    self.undelivered += messages;
+                }
+                outcome => outcome?,
+            }
         }
         Ok(())
     }

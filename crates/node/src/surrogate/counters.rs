@@ -37,14 +37,20 @@ pub struct Counters {
     pub malformed: u64,
     /// Frames with a NaN or an infinity.
     pub not_finite: u64,
-    /// Frames whose `dt` differs from the checkpoint's.
+    /// Frames whose `dt` is not positive or differs from the checkpoint's.
     pub wrong_interval: u64,
     /// Frames whose particles or domain do not fit the model.
     pub wrong_particles: u64,
+    /// Frames with particles far outside of their domain.
+    pub outside_domain: u64,
+    /// Frames with particles much faster than any in the model's training.
+    pub too_fast: u64,
     /// Duplicates and frames that arrived late.
     pub late: u64,
     /// Frames that arrived during a free run of their stream.
     pub ignored_in_free_run: u64,
+    /// Frames of free runs that were skipped: the time jumped ahead, or the model is too slow.
+    pub skipped_in_free_run: u64,
     /// Missing frames that were replaced by a prediction.
     pub filled: u64,
     /// Missing frames in gaps that were too long to fill.
@@ -61,7 +67,7 @@ pub struct Counters {
     pub lost_in_transport: u64,
     /// Predictions that were not finite and therefore not published.
     pub diverged: u64,
-    /// Predictions that could not be sent on an output.
+    /// Predictions that could not be sent on an output, or not to all of its subscribers.
     pub unpublished: u64,
 }
 
@@ -73,8 +79,11 @@ impl Counters {
             Rejection::Bad(BadFrame::Invalid(InvalidFrame::NotFinite { .. })) => {
                 &mut self.not_finite
             }
+            Rejection::Bad(BadFrame::Invalid(InvalidFrame::Interval { .. }))
+            | Rejection::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
             Rejection::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
-            Rejection::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
+            Rejection::Model(ModelError::Outside { .. }) => &mut self.outside_domain,
+            Rejection::Model(ModelError::Fast { .. }) => &mut self.too_fast,
             Rejection::Model(_) => &mut self.wrong_particles,
             Rejection::Late { .. } => &mut self.late,
             Rejection::FreeRunning { .. } => &mut self.ignored_in_free_run,
@@ -83,7 +92,7 @@ impl Counters {
     }
 
     /// Every counter with its name, in the order of the fields.
-    pub fn named(&self) -> [(&'static str, u64); 17] {
+    pub fn named(&self) -> [(&'static str, u64); 20] {
         [
             ("received", self.received),
             ("published", self.published),
@@ -92,8 +101,11 @@ impl Counters {
             ("not_finite", self.not_finite),
             ("wrong_interval", self.wrong_interval),
             ("wrong_particles", self.wrong_particles),
+            ("outside_domain", self.outside_domain),
+            ("too_fast", self.too_fast),
             ("late", self.late),
             ("ignored_in_free_run", self.ignored_in_free_run),
+            ("skipped_in_free_run", self.skipped_in_free_run),
             ("filled", self.filled),
             ("missing", self.missing),
             ("resets", self.resets),
@@ -112,6 +124,8 @@ impl Counters {
             + self.not_finite
             + self.wrong_interval
             + self.wrong_particles
+            + self.outside_domain
+            + self.too_fast
     }
 
     /// Frames lost before the model saw them, each counted once: a frame that the transport or the queue dropped also

@@ -112,6 +112,14 @@ impl Monitor {
             (Level::Error, "a prediction was not finite; its stream was reset".to_owned())
         } else if let Some(reason) = &self.rejection {
             (Level::Warn, format!("frame rejected: {reason}"))
+        } else if counters.skipped_in_free_run > self.last.skipped_in_free_run {
+            let skipped = counters.skipped_in_free_run - self.last.skipped_in_free_run;
+            (
+                Level::Warn,
+                format!(
+                    "free runs skipped {skipped} frames: the time jumped ahead, or the model is too slow"
+                ),
+            )
         } else if counters.lost() > self.last.lost() {
             (Level::Warn, "frames were lost".to_owned())
         } else {

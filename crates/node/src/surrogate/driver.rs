@@ -3,6 +3,7 @@
 //! A second thread receives into a [`FrameQueue`], so that the transport is read while the model works.
 
 use std::{
+    collections::BTreeMap,
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
     thread,
     time::Duration,
@@ -24,7 +25,7 @@ const MAX_SIMULATED_WAIT: Duration = Duration::from_millis(2);
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Without a frame for this long after the start, a warning is logged.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Minimum interval between warnings about dropped frames.
+/// Minimum interval between warnings about dropped frames, and about an output.
 const DROP_WARNING_INTERVAL: Duration = Duration::from_secs(10);
 const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -76,7 +77,7 @@ pub struct NodeContext {
     pub time: RosTime,
 }
 
-/// Receives, predicts and publishes until `stop` is raised, then up to two seconds more for messages that had already
+/// Receives, predicts and publishes until `stop` is raised, then up to a second more for messages that had already
 /// arrived. Answers requests through `handle` within 0.1 s.
 ///
 /// # Errors
@@ -103,15 +104,28 @@ pub fn drive(
         let (published, unpublished) = (node.counters().published, node.counters().unpublished);
         let (status, bytes) = Default::default();
         let time = context.time.now(clock.now());
-        let output =
-            Output { outputs, clock, monitor, digest, status, bytes, published, unpublished };
+        let failures = Failures::default();
+        let output = Output {
+            outputs,
+            clock,
+            monitor,
+            digest,
+            status,
+            bytes,
+            published,
+            unpublished,
+            failures,
+        };
         let batch = Vec::with_capacity(node.batch_size());
         let warnings = Warnings::default();
         let mut running =
             Running { node, context, time, queue, lost: &lost, batch, output, warnings };
-        let mut reported = clock.now();
-        while !receiver.is_finished() {
+        let (mut reported, mut end) = (clock.now(), Duration::MAX);
+        while !receiver.is_finished() && clock.now() < end {
             running.step();
+            if end == Duration::MAX && stop.load(Ordering::Relaxed) {
+                end = clock.now() + DRAIN_TIMEOUT;
+            }
             let changed = running.answer(handle);
             if !changed.is_empty() {
                 running.announce(changed);
@@ -121,9 +135,11 @@ pub fn drive(
                 running.report();
             }
         }
-        let end = clock.now() + DRAIN_TIMEOUT;
+        end = end.min(clock.now() + DRAIN_TIMEOUT);
         while clock.now() < end && running.step() {}
-        running.report();
+        running.finish();
+        // The receiver may be waiting for a free slot.
+        queue.close();
         match receiver.join() {
             Ok(outcome) => outcome,
             Err(panic) => std::panic::resume_unwind(panic),
@@ -220,6 +236,24 @@ struct Output<'a> {
     bytes: Vec<u8>,
     published: u64,
     unpublished: u64,
+    failures: Failures,
+}
+
+/// Failures of outputs; the same failure is logged once in [`DROP_WARNING_INTERVAL`].
+#[derive(Default)]
+struct Failures(BTreeMap<String, Duration>);
+
+impl Failures {
+    fn log(&mut self, now: Duration, outcome: Result<(), TransportError>) {
+        let Err(error) = outcome else { return };
+        let message = error.to_string();
+        if self.0.get(&message).is_none_or(|logged| now - *logged > DROP_WARNING_INTERVAL) {
+            tracing::warn!("{message}");
+            // Messages hardly differ; if they do, their number stays bounded.
+            self.0.retain(|_, logged| now - *logged <= DROP_WARNING_INTERVAL);
+            self.0.insert(message, now);
+        }
+    }
 }
 
 impl Running<'_> {
@@ -293,8 +327,29 @@ impl Running<'_> {
         let (stamp, node) = (self.context.time.stamp().into(), self.context.name.clone());
         let event = ParameterEvent { stamp, node, changed_parameters, ..ParameterEvent::default() };
         let bytes = cdr::encode(&event);
-        for events in self.output.outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
-            log_failure(events.publish_cdr(&bytes));
+        let Output { outputs, failures, clock, .. } = &mut self.output;
+        for events in outputs.iter_mut().filter_map(|o| o.parameter_events.as_mut()) {
+            failures.log(clock.now(), events.publish_cdr(&bytes));
+        }
+    }
+
+    /// Waits until subscribers have what was published, reports for the last time and says what was lost.
+    fn finish(&mut self) {
+        for output in self.output.outputs.iter_mut() {
+            for publisher in output.prediction.iter_mut().chain([&mut output.status]) {
+                match publisher.flush() {
+                    Err(error @ TransportError::Undelivered { messages, .. }) => {
+                        tracing::warn!("{error}");
+                        self.output.unpublished += messages;
+                    }
+                    outcome => self.output.failures.log(self.output.clock.now(), outcome),
+                }
+            }
+        }
+        self.report();
+        let lost = self.output.unpublished;
+        if lost > 0 {
+            tracing::warn!("{lost} messages were not delivered to all subscribers");
         }
     }
 
@@ -335,13 +390,13 @@ impl Output<'_> {
         for output in self.outputs.iter_mut() {
             match output.prediction.as_mut().map(|to| to.publish_frame(prediction.frame)) {
                 Some(Ok(())) => self.published += 1,
-                Some(Err(error)) => {
-                    tracing::warn!("{error}");
+                Some(failed) => {
+                    self.failures.log(self.clock.now(), failed);
                     self.unpublished += 1;
                 }
                 None => {}
             }
-            log_failure(output.status.publish_cdr(&self.bytes));
+            self.failures.log(self.clock.now(), output.status.publish_cdr(&self.bytes));
         }
         self.monitor.published(1, self.clock.now() - arrived);
         // Point clouds and observers come last: predictions do not wait for them.
@@ -364,13 +419,7 @@ impl Output<'_> {
         let report = self.monitor.report(now, context.time.stamp(), name, &self.digest, counters);
         let bytes = cdr::encode(&report);
         for diagnostics in self.outputs.iter_mut().filter_map(|o| o.diagnostics.as_mut()) {
-            log_failure(diagnostics.publish_cdr(&bytes));
+            self.failures.log(now, diagnostics.publish_cdr(&bytes));
         }
-    }
-}
-
-fn log_failure(outcome: Result<(), TransportError>) {
-    if let Err(error) = outcome {
-        tracing::warn!("{error}");
     }
 }

@@ -2,12 +2,16 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 
 use super::{
     Counters, InvalidSettings, NodeSettings, Prediction, Rejection,
-    step::{HorizonBuffers, Step, interval},
+    step::{FAR, HorizonBuffers, Step, interval},
     stream::{Order, StreamState},
 };
 use eddy_frames::{Frame, FrameView};
@@ -24,6 +28,9 @@ pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejecti
 
 /// Maximum number of streams stepped in parallel; further threads do not help.
 const MAX_BATCH: usize = 16;
+
+/// Largest number of frames that a free run makes up for.
+const MAX_CATCH_UP: u32 = 16;
 
 /// Streams of which it is remembered that the model's warnings were logged.
 const MAX_WARNED: usize = 4096;
@@ -47,6 +54,8 @@ pub struct SurrogateNode {
     counters: Counters,
     /// Streams whose warnings were logged: once each, however often they restart.
     warned: BTreeSet<u64>,
+    /// See [`SurrogateNode::stop_with`].
+    stop: Arc<AtomicBool>,
 }
 
 /// A frame to step with the batch.
@@ -56,6 +65,18 @@ struct Scheduled {
     stream: u64,
     /// Missing frames for the model to fill in.
     gap: u64,
+}
+
+/// When the next frame of a free run is due after one that was due at `due`, and the number of frames skipped before it.
+fn next_due(due: Duration, now: Duration, interval: Duration) -> (Duration, u64) {
+    let behind = now.saturating_sub(due);
+    if interval.is_zero() || behind <= interval * MAX_CATCH_UP {
+        return (due + interval, 0);
+    }
+    let (behind, interval) = (behind.as_nanos(), interval.as_nanos());
+    let until = interval - behind % interval;
+    let until = Duration::from_nanos(u64::try_from(until).unwrap_or(u64::MAX));
+    (now + until, u64::try_from(behind / interval).unwrap_or(u64::MAX))
 }
 
 impl SurrogateNode {
@@ -76,12 +97,18 @@ impl SurrogateNode {
             uses: 0,
             counters: Counters::default(),
             warned: BTreeSet::new(),
+            stop: Arc::default(),
         })
     }
 
     /// The surrogate that predicts.
     pub fn surrogate(&self) -> &Surrogate {
         &self.surrogate
+    }
+
+    /// Once `stop` is raised, the predictions of a frame up to a far horizon are given up.
+    pub fn stop_with(&mut self, stop: Arc<AtomicBool>) {
+        self.stop = stop;
     }
 
     /// Counts since the start.
@@ -177,7 +204,9 @@ impl SurrogateNode {
         self.evict();
     }
 
-    /// Publishes the frames of free runs that are due at `now`, at most one per stream.
+    /// Publishes the frames of free runs that are due at `now`, at most one per stream. A free run that is more than
+    /// [`MAX_CATCH_UP`] frames behind skips what it missed, as timers in ROS do, and counts it: its next frame follows the
+    /// last one, one interval after `now` at the latest.
     pub fn on_tick(&mut self, now: Duration, output: &mut OutputCallback<'_>) {
         let mut diverged = Vec::new();
         for (&id, stream) in &mut self.streams {
@@ -190,7 +219,11 @@ impl SurrogateNode {
             self.stepper.step_into(memory, &*frame, next);
             self.uses += 1;
             stream.used = self.uses;
-            stream.free_run_due = Some(due + interval(frame.dt));
+            let interval = interval(frame.dt);
+            let (next, skipped) = next_due(due, now, interval);
+            stream.free_run_due = Some(next);
+            self.counters.skipped_in_free_run =
+                self.counters.skipped_in_free_run.saturating_add(skipped);
             if frame.check().is_err() {
                 diverged.push(id);
                 continue;
@@ -307,7 +340,9 @@ impl SurrogateNode {
         batch: &mut Vec<Scheduled>,
         output: &mut OutputCallback<'_>,
     ) {
-        let Self { surrogate, stepper, settings, streams, buffers, simulated, uses, .. } = self;
+        let Self { surrogate, stepper, settings, streams, buffers, simulated, uses, stop, .. } =
+            self;
+        let stop: &AtomicBool = stop;
         buffers.resize_with(batch.len().max(buffers.len()), HorizonBuffers::default);
         let mut steps = [const { None }; MAX_BATCH];
         let mut prepare = |number: usize, stream, buffers| {
@@ -316,7 +351,7 @@ impl SurrogateNode {
             let Some(frame) = payload.view() else { return };
             let (arrived, tracking, finite) = (*arrived, false, true);
             let now = simulated.unwrap_or(arrived);
-            let step = Step { stream, frame, arrived, now, gap, buffers, tracking, finite };
+            let step = Step { stream, frame, arrived, now, gap, buffers, stop, tracking, finite };
             steps[number] = Some(step);
         };
         // One stream is looked up; several are found by iteration, which gives mutable references to all of them.
@@ -351,7 +386,10 @@ impl SurrogateNode {
             if !step.finite {
                 *diverged = Some(step.frame.stream);
             } else if step.tracking {
-                for prediction in step.predictions(settings) {
+                for (number, prediction) in step.predictions(settings).enumerate() {
+                    if number >= FAR && stop.load(Ordering::Relaxed) {
+                        break;
+                    }
                     output(step.arrived, Ok(prediction));
                 }
             }

@@ -1,11 +1,17 @@
 //! What a frame does to its own stream. Touches nothing else, so that several streams are stepped in parallel.
 
-use std::time::Duration;
+use std::{
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
 
 use super::{NodeSettings, Publish, stream::StreamState};
 use eddy_frames::{Frame, FrameView, decimal};
 use eddy_inference::engine::{HiddenState, Stepper};
 use eddy_messages::{Header, PredictionStatus, StreamState as Phase};
+
+/// Predictions further ahead (frames) are given up when the program is asked to end; a nearer one takes no time.
+pub(super) const FAR: usize = 256;
 
 /// A predicted frame and where it comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +59,8 @@ pub(super) struct Step<'a> {
     /// Missing frames for the model to fill in.
     pub(super) gap: u64,
     pub(super) buffers: &'a mut HorizonBuffers,
+    /// Raised when the program is asked to end: predictions far ahead are given up.
+    pub(super) stop: &'a AtomicBool,
     /// Whether there are predictions to publish; set by [`Step::run`].
     pub(super) tracking: bool,
     /// Whether all of them are finite; set by [`Step::run`].
@@ -74,24 +82,27 @@ impl Step<'_> {
         if settings.free_run.is_some_and(|frames| stream.observed >= frames.max(warm_up)) {
             stream.free_run_due = Some(self.now + interval(stream.predicted.dt));
         } else if stream.observed >= warm_up {
-            self.tracking = true;
-            self.look_ahead(stepper, settings);
+            self.tracking = self.look_ahead(stepper, settings);
             let finite = self.published(settings).all(|(frame, _)| frame.check().is_ok());
-            self.finite = finite;
+            self.finite = finite || !self.tracking;
         }
     }
 
-    /// Predicts beyond the first frame, from a copy of the stream's hidden state.
-    fn look_ahead(&mut self, stepper: &mut Stepper, settings: &NodeSettings) {
+    /// Predicts beyond the first frame, from a copy of the stream's hidden state. Returns whether it reached the horizon;
+    /// a stop ends it.
+    fn look_ahead(&mut self, stepper: &mut Stepper, settings: &NodeSettings) -> bool {
         let Self { stream, buffers: HorizonBuffers { memory, frames }, .. } = self;
         let beyond = settings.horizon as usize - 1;
         if beyond == 0 {
-            return;
+            return true;
         }
         let memory = memory.get_or_insert_with(|| stream.memory.clone());
         memory.clone_from(&stream.memory);
         frames.resize_with(kept(settings), || stream.predicted.clone());
         for number in 0..beyond {
+            if number >= FAR && self.stop.load(Ordering::Relaxed) {
+                return false;
+            }
             // If only the last frame is published, two buffers alternate.
             let place = number % frames.len();
             if number == 0 {
@@ -103,6 +114,7 @@ impl Step<'_> {
                 stepper.step_into(memory, &*from, to);
             }
         }
+        true
     }
 
     /// The frames to publish with their horizons, in the order of time.

@@ -435,3 +435,83 @@ fn a_free_run_keeps_its_pace_when_the_time_becomes_another_one() {
     node.shift_time(Duration::from_millis(100_004), Duration::from_secs(1));
     assert_eq!(node.next_tick(), Some(Duration::from_millis(1_006)));
 }
+
+/// The frames of a free run that are published until none is due at `now`.
+fn ticks(node: &mut SurrogateNode, now: Duration) -> Vec<u64> {
+    let mut published = Vec::new();
+    while node.next_tick().is_some_and(|due| due <= now) {
+        node.on_tick(now, &mut |_, outcome| published.push(outcome.unwrap().frame.sequence));
+        assert!(published.len() < 1_000, "a flood of frames");
+    }
+    published
+}
+
+#[test]
+fn a_free_run_makes_up_for_a_hiccup_and_skips_a_jump_of_the_clock() {
+    let mut node = node(NodeSettings { free_run: Some(3), ..NodeSettings::default() });
+    feed_all(&mut node, (0..3).map(|s| frame(1, s)));
+    let interval = Duration::from_millis(16);
+    assert_eq!(ticks(&mut node, interval), [3]);
+    assert_eq!(ticks(&mut node, interval * 11), (4..=13).collect::<Vec<_>>(), "ten are made up");
+    assert_eq!(node.counters().skipped_in_free_run, 0);
+    // A minute ahead: 3,750 frames.
+    let jump = interval * 11 + Duration::from_secs(60);
+    assert_eq!(ticks(&mut node, jump), [14]);
+    assert_eq!(node.counters().skipped_in_free_run, 3_749);
+    // At the old pace, in the old phase, without a gap in the sequence.
+    assert_eq!(node.next_tick(), Some(jump + interval));
+    assert_eq!(ticks(&mut node, jump + interval * 2), [15, 16]);
+    // Eleven days, and as far as time goes.
+    let days = jump + Duration::from_secs(11 * 86_400);
+    assert_eq!(ticks(&mut node, days).len(), 1);
+    assert_eq!(ticks(&mut node, Duration::MAX - interval * 2).len(), 1);
+}
+
+#[test]
+fn frames_in_other_units_are_counted_and_not_predicted() {
+    let mut node = node(NodeSettings::default());
+    feed_all(&mut node, (0..4).map(|s| frame(1, s)));
+    let scaled = |positions: f32, shift: f32, velocities: f32| {
+        let mut frame = frame(1, 4);
+        frame.position.iter_mut().flatten().for_each(|x| *x = *x * positions + shift);
+        frame.velocity.iter_mut().flatten().for_each(|v| *v *= velocities);
+        Payload::Frame(frame)
+    };
+    for (payload, expected) in [
+        (scaled(1.0, 0.5, 1.0), "positions reach 1."),
+        (scaled(1000.0, 0.0, 1.0), "positions reach "),
+        (scaled(1e30, 0.0, 1.0), "e29 domain lengths, expected at most 1.1: units?"),
+        (scaled(1.0, 0.0, 1000.0), "times the largest in training (1.00): units?"),
+    ] {
+        let message = observe(&mut node, vec![payload]).unwrap_err().to_string();
+        assert!(message.contains(expected) && message.ends_with("units?"), "{message}");
+    }
+    let Counters { outside_domain, too_fast, malformed, resets, .. } = *node.counters();
+    assert_eq!((outside_domain, too_fast, malformed, resets), (3, 1, 0, 0));
+    assert_eq!(feed_all(&mut node, [frame(1, 4)]).len(), 1, "the stream goes on");
+}
+
+#[test]
+fn an_interval_that_is_not_positive_is_counted_as_a_wrong_one() {
+    let mut node = node(NodeSettings::default());
+    for dt in [0.0, -0.016] {
+        let message = ParticleFrame { dt, ..ParticleFrame::from(&frame(1, 0)) };
+        let payload = Payload::Cdr(eddy_messages::cdr::encode(&message));
+        assert!(observe(&mut node, vec![payload]).is_err());
+    }
+    assert_eq!((node.counters().wrong_interval, node.counters().malformed), (2, 0));
+}
+
+#[test]
+fn a_stop_gives_up_predictions_far_ahead() {
+    let stop = std::sync::Arc::<AtomicBool>::default();
+    let far = NodeSettings { horizon: 10_000, publish: Publish::All, ..NodeSettings::default() };
+    let mut node = node(far);
+    node.stop_with(stop.clone());
+    feed_all(&mut node, (0..WARM_UP - 1).map(|s| frame(1, s)));
+    stop.store(true, Ordering::Relaxed);
+    assert_eq!(feed(&mut node, frame(1, WARM_UP - 1)), []);
+    assert_eq!((node.counters().diverged, node.counters().resets), (0, 0));
+    stop.store(false, Ordering::Relaxed);
+    assert_eq!(feed(&mut node, frame(1, WARM_UP)).len(), 10_000, "the stream goes on");
+}

@@ -8,7 +8,8 @@
 //!    JSON.
 //! 5. `composer`: a thread that compares and encodes.
 //! 6. `mailbox`: messages waiting for one browser.
-//! 7. `access`: which requests are allowed. `server`: HTTP and WebSocket.
+//! 7. `access`: which requests are allowed. `token`: who may control the program. `connections`: how many there may be, and
+//!    how long they may take. `server`: HTTP and WebSocket. `prometheus`: counters and rates for Prometheus.
 //! 8. [`panel`]: the page of a node, a player or both. [`bag_view`]: the page of a bag that is played.
 //! 9. `page/`: HTML, CSS and JavaScript, embedded in the program.
 
@@ -16,14 +17,17 @@ mod access;
 mod bag_view;
 mod comparison;
 mod composer;
+mod connections;
 mod controls;
 mod curves;
 mod hub;
 mod joiner;
 mod mailbox;
 mod panel;
+mod prometheus;
 mod protocol;
 mod server;
+mod token;
 mod wire;
 
 pub use bag_view::BagView;

@@ -51,13 +51,13 @@ impl LivePage {
         &self.hub
     }
 
-    /// The URL, with a warning if other machines can reach it.
+    /// The URL, with a warning if other machines can reach it. It then contains the token that commands need.
     pub fn announcement(&self) -> String {
         let is_local = self.viewer.address().ip().is_loopback();
         let warning = if is_local {
             ""
         } else {
-            " (anyone who can reach this address can watch and control)"
+            " (anyone who can reach this address can watch; this URL also controls)"
         };
         format!("{}{warning}", self.viewer.url())
     }

@@ -14,10 +14,10 @@ use std::{
 use axum::{
     Router,
     extract::{
-        Request, State,
+        RawQuery, Request, State,
         ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code},
     },
-    http::{HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
     middleware::{self, Next},
     response::{IntoResponse, Response},
     routing::get,
@@ -29,9 +29,12 @@ use tokio::{
 };
 
 use super::{
-    Comparison, ControlState, Controls, Hub, PageCommand, PageInfo, access, composer,
+    Comparison, ControlState, Controls, Hub, NoControls, PageCommand, PageInfo, access, composer,
+    connections,
     mailbox::{Mailbox, Outgoing},
+    prometheus,
     protocol::{self, ClientMessage},
+    token::Token,
 };
 use eddy_frames::clock;
 use eddy_transport::ListenAddress;
@@ -84,6 +87,9 @@ pub enum ViewerError {
     /// The address cannot be listened on.
     #[error("{address}: cannot listen: {reason}; choose a free port, or 0 for any")]
     Listen { address: ListenAddress, reason: io::Error },
+    /// There is no random number for the token.
+    #[error("cannot read /dev/urandom: {0}")]
+    Token(io::Error),
     /// A thread or timer cannot be created.
     #[error("cannot start the threads of the page: {0}")]
     Threads(io::Error),
@@ -92,6 +98,7 @@ pub enum ViewerError {
 /// Serves the page until dropped.
 pub struct Viewer {
     address: SocketAddr,
+    token: Option<Token>,
     stop: watch::Sender<bool>,
     stop_composer: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -102,6 +109,8 @@ struct ServerState {
     hub: Arc<Hub>,
     info: PageInfo,
     controls: Arc<dyn Controls>,
+    /// Needed for commands.
+    token: Option<Token>,
     /// The last known state of the controls.
     controls_state: Mutex<ControlState>,
     /// Held while it is refreshed, so that a newer state is not replaced by an older one.
@@ -129,6 +138,7 @@ impl Viewer {
         let listener = TcpListener::bind(address.0).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
+        let token = Token::for_address(address).map_err(ViewerError::Token)?;
         let runtime = runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(4)
@@ -140,6 +150,7 @@ impl Viewer {
             hub: Arc::clone(&hub),
             info,
             controls,
+            token: token.clone(),
             controls_state: Mutex::default(),
             refreshing: sync::Mutex::default(),
             instance: format!("{}-{}", std::process::id(), clock::wall().0),
@@ -150,7 +161,7 @@ impl Viewer {
             thread::Builder::new().name(name.to_owned()).spawn(work).map_err(ViewerError::Threads)
         };
         let stopped = Arc::clone(&stop_composer);
-        let mut viewer = Self { address, stop, stop_composer, threads: Vec::new() };
+        let mut viewer = Self { address, token, stop, stop_composer, threads: Vec::new() };
         let composer = move || composer::compose(&hub, &comparison, &stopped);
         viewer.threads.push(spawn("page composer", Box::new(composer))?);
         let serving = move || {
@@ -164,9 +175,10 @@ impl Viewer {
         Ok(viewer)
     }
 
-    /// URL of the page.
+    /// URL of the page, with the token that commands need if other machines can reach it.
     pub fn url(&self) -> String {
-        format!("http://{}/", self.address)
+        let query = self.token.as_ref().map(Token::query).unwrap_or_default();
+        format!("http://{}/{query}", self.address)
     }
 
     /// The address that the server listens on.
@@ -188,17 +200,20 @@ impl Drop for Viewer {
 
 async fn serve(listener: TcpListener, server: Arc<ServerState>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let mut router = Router::new().route("/ws", get(connect));
+    let mut router = Router::new().route("/ws", get(connect)).route("/metrics", get(metrics));
     for (path, kind, content) in FILES {
-        router = router.route(path, get(move || async move { file(kind, content) }));
+        router = match path {
+            "/" => router.route(path, get(move |state, query| page(state, query, kind, content))),
+            _ => router.route(path, get(move || async move { file(kind, content) })),
+        };
     }
     let checked = middleware::from_fn_with_state(Arc::clone(&server), check);
     let app = router.layer(checked).with_state(Arc::clone(&server));
     tokio::spawn(refresh_controls(Arc::clone(&server)));
     let mut stop = server.stop.clone();
     tokio::select! {
-        outcome = axum::serve(listener, app) => outcome?,
-        _ = ended(&mut stop) => {}
+        () = connections::serve(listener, app) => {}
+        () = ended(&mut stop) => {}
     }
     let disconnected = async {
         while server.hub.is_watched() {
@@ -218,6 +233,37 @@ async fn check(State(server): State<Arc<ServerState>>, request: Request, next: N
             (StatusCode::FORBIDDEN, format!("{forbidden}\n")).into_response()
         }
     }
+}
+
+/// The page itself. A token in its URL moves into a cookie.
+async fn page(
+    State(server): State<Arc<ServerState>>,
+    RawQuery(query): RawQuery,
+    kind: &'static str,
+    content: &'static str,
+) -> Response {
+    let token = server.token.as_ref();
+    match token.and_then(|token| Some((token, token.is_in(query.as_deref())?))) {
+        None => file(kind, content),
+        Some((token, true)) => {
+            let mut response = file(kind, "");
+            *response.status_mut() = StatusCode::SEE_OTHER;
+            response.headers_mut().insert(header::LOCATION, HeaderValue::from_static("/"));
+            response.headers_mut().insert(header::SET_COOKIE, token.set_cookie());
+            response
+        }
+        Some((_, false)) => {
+            let wrong =
+                "token: found another one, expected that of the URL that the program printed\n";
+            (StatusCode::FORBIDDEN, wrong).into_response()
+        }
+    }
+}
+
+/// Metrics for Prometheus.
+async fn metrics(State(server): State<Arc<ServerState>>) -> Response {
+    let content_type = [(header::CONTENT_TYPE, prometheus::CONTENT_TYPE)];
+    (content_type, prometheus::render(&server.hub, &server.info)).into_response()
 }
 
 fn file(kind: &'static str, content: &'static str) -> Response {
@@ -248,7 +294,15 @@ async fn refresh_controls(server: Arc<ServerState>) {
     }
 }
 
-async fn connect(State(server): State<Arc<ServerState>>, upgrade: WebSocketUpgrade) -> Response {
+async fn connect(
+    State(server): State<Arc<ServerState>>,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let may_control = server.token.as_ref().is_none_or(|token| {
+        token.is_in_cookies(&headers) || token.is_in(query.as_deref()) == Some(true)
+    });
     let Some(mailbox) = server.hub.join(MAX_BROWSERS) else {
         let full = format!("{MAX_BROWSERS} browsers are connected, no more are accepted\n");
         return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();
@@ -256,7 +310,8 @@ async fn connect(State(server): State<Arc<ServerState>>, upgrade: WebSocketUpgra
     let (commands, queued) = mpsc::channel(QUEUED_COMMANDS);
     // Ends after the connection, when its commands are executed.
     tokio::spawn(execute_all(Arc::clone(&server), Arc::clone(&mailbox), queued));
-    let connection = Connection { server, mailbox, commands, credit: MAX_UNDRAWN, sent: 0 };
+    let credit = MAX_UNDRAWN;
+    let connection = Connection { server, mailbox, may_control, commands, credit, sent: 0 };
     let upgrade = upgrade.max_message_size(MAX_MESSAGE_SIZE).max_frame_size(MAX_MESSAGE_SIZE);
     upgrade.on_upgrade(move |socket| async move {
         let mut connection = connection;
@@ -270,6 +325,8 @@ async fn connect(State(server): State<Arc<ServerState>>, upgrade: WebSocketUpgra
 struct Connection {
     server: Arc<ServerState>,
     mailbox: Arc<Mailbox>,
+    /// Whether it has the token.
+    may_control: bool,
     /// Its commands, executed in order.
     commands: mpsc::Sender<PageCommand>,
     /// Frames that may be sent before it draws one.
@@ -287,7 +344,9 @@ impl Connection {
     /// Runs until the browser disconnects, stops reading, or the program ends.
     async fn run(&mut self, mut socket: WebSocket) -> Result<(), axum::Error> {
         let ServerState { info, controls, instance, .. } = &*self.server;
-        let hello = protocol::hello(info, controls.as_ref(), instance);
+        let controls: &dyn Controls =
+            if self.may_control { controls.as_ref() } else { &NoControls };
+        let hello = protocol::hello(info, controls, instance);
         send(&mut socket, Message::text(hello)).await?;
         let mut stop = self.server.stop.clone();
         let mut metrics = time::interval(METRICS_INTERVAL);
@@ -330,6 +389,12 @@ impl Connection {
             }
             Ok(ClientMessage::Select { select }) => {
                 self.mailbox.select(select.and_then(|stream| stream.parse().ok()));
+            }
+            Ok(ClientMessage::Command(command)) if !self.may_control => {
+                let reason = "not allowed: open the URL with the token that the program printed";
+                let state = *self.server.controls_state();
+                let outcome = protocol::outcome(&command, &Err(reason.to_owned()), &state);
+                self.mailbox.put_text(outcome);
             }
             Ok(ClientMessage::Command(command)) => {
                 if self.commands.try_send(command).is_err() {

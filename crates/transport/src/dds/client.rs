@@ -76,10 +76,7 @@ fn call(
     let requests = topic(format!("rq{service}Request"), request_type)?;
     let requests: DataWriter<Body, PassThrough> = node
         .publisher
-        .create_datawriter_no_key(
-            &requests,
-            Some(PublisherQos::Reliable.policies(Duration::ZERO, None)),
-        )
+        .create_datawriter_no_key(&requests, Some(PublisherQos::Reliable.policies(None)))
         .map_err(|error| failed(&error))?;
     // A service drops requests of clients that it does not know yet, and responses to these.
     let is_known =

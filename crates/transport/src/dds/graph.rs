@@ -17,9 +17,11 @@ use ros2_client::{
     Gid, NodeName, builtin_topics,
     dds::rustdds::{
         self, DomainParticipant, DomainParticipantStatusEvent as Event,
-        DomainParticipantStatusListener, GUID, RTPSEntity, StatusEvented, TopicKind,
+        DomainParticipantStatusListener, GUID, LostReason, QosPolicies, RTPSEntity, StatusEvented,
+        TopicKind,
         mio1::{Interest, Token, Waker},
         no_key::DataWriterCdr,
+        policy::Durability,
     },
     entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo},
 };
@@ -44,6 +46,10 @@ struct State {
     writers: BTreeMap<GUID, BTreeSet<GUID>>,
     /// Wakers of subscribers for writers that appear or disappear.
     wakers: Vec<Weak<Waker>>,
+    /// Readers of each local writer whose lease ended without a farewell.
+    vanished: BTreeMap<GUID, u64>,
+    /// The topics of local writers, for messages.
+    links: BTreeMap<GUID, Link>,
 }
 
 struct Announcer {
@@ -72,7 +78,8 @@ impl Graph {
     }
 
     /// Announces a local writer.
-    pub(super) fn add_writer(&self, writer: GUID) {
+    pub(super) fn add_writer(&self, writer: GUID, link: &Link) {
+        lock(&self.state).links.insert(writer, link.clone());
         self.announce(|announcer| {
             announcer.writers.insert(writer);
         });
@@ -82,7 +89,10 @@ impl Graph {
         self.announce(|announcer| {
             announcer.writers.remove(&writer);
         });
-        lock(&self.state).readers.remove(&writer);
+        let mut state = lock(&self.state);
+        state.readers.remove(&writer);
+        state.vanished.remove(&writer);
+        state.links.remove(&writer);
     }
 
     /// Announces a local reader.
@@ -117,6 +127,11 @@ impl Graph {
     /// Number of readers matched with a local writer.
     pub(super) fn matched(&self, writer: GUID) -> usize {
         lock(&self.state).readers.get(&writer).map_or(0, BTreeSet::len)
+    }
+
+    /// Number of readers of a local writer that vanished without a farewell.
+    pub(super) fn vanished(&self, writer: GUID) -> u64 {
+        lock(&self.state).vanished.get(&writer).copied().unwrap_or_default()
     }
 
     fn announce(&self, change: impl FnOnce(&mut Announcer)) {
@@ -183,6 +198,20 @@ fn watch(
     })
 }
 
+/// The policy of a publisher that does not meet a subscriber's request.
+fn incompatible(requested: &QosPolicies, offered: &QosPolicies) -> &'static str {
+    let is_transient = |qos: &QosPolicies| {
+        qos.durability().is_some_and(|durability| durability > Durability::Volatile)
+    };
+    if requested.is_reliable() && !offered.is_reliable() {
+        "RELIABILITY"
+    } else if is_transient(requested) && !is_transient(offered) {
+        "DURABILITY"
+    } else {
+        "another one"
+    }
+}
+
 impl State {
     /// Wakes the subscribers.
     fn wake(&mut self) {
@@ -197,16 +226,23 @@ impl State {
         });
     }
 
+    /// Removes readers of local writers.
+    fn forget(&mut self, is_lost: impl Fn(&GUID) -> bool, reason: &LostReason) {
+        for (writer, readers) in &mut self.readers {
+            let before = readers.len();
+            readers.retain(|reader| !is_lost(reader));
+            if matches!(reason, LostReason::Timeout { .. }) {
+                *self.vanished.entry(*writer).or_default() += (before - readers.len()) as u64;
+            }
+        }
+    }
+
     fn handle(&mut self, event: Event) {
         match event {
             Event::RemoteReaderMatched { local_writer, remote_reader } => {
                 self.readers.entry(local_writer).or_default().insert(remote_reader);
             }
-            Event::ReaderLost { guid, .. } => {
-                self.readers.values_mut().for_each(|readers| {
-                    readers.remove(&guid);
-                });
-            }
+            Event::ReaderLost { guid, reason } => self.forget(|reader| *reader == guid, &reason),
             Event::RemoteWriterMatched { local_reader, remote_writer } => {
                 self.writers.entry(local_reader).or_default().insert(remote_writer);
             }
@@ -215,9 +251,26 @@ impl State {
                     writers.remove(&guid);
                 });
             }
-            Event::ParticipantLost { id, .. } => {
-                for peers in self.readers.values_mut().chain(self.writers.values_mut()) {
-                    peers.retain(|peer| peer.prefix != id);
+            Event::ParticipantLost { id, reason } => {
+                self.forget(|reader| reader.prefix == id, &reason);
+                for writers in self.writers.values_mut() {
+                    writers.retain(|writer| writer.prefix != id);
+                }
+            }
+            Event::RemoteReaderQosIncompatible {
+                local_writer, requested_qos, offered_qos, ..
+            } => {
+                if let Some(link) = self.links.get(&local_writer) {
+                    let policy = incompatible(&requested_qos, &offered_qos);
+                    // In the words of ROS, which people search for.
+                    tracing::warn!(
+                        "{link}: new subscription discovered, requesting incompatible QoS; no messages will be sent to it; incompatible policy: {policy}{}",
+                        if policy == "RELIABILITY" {
+                            " (publish with --reliability block, or subscribe with best effort)"
+                        } else {
+                            ""
+                        }
+                    );
                 }
             }
             Event::InconsistentTopic { previous_topic_data, discovered_topic_data, .. } => {

@@ -24,7 +24,9 @@
 //!
 //! Limitations of RustDDS: readers accept everything they are sent, so a blocking publisher waits until the subscriber's
 //! process has received a message, not until it is read. A subscriber queues 1,024 messages (64 MiB), then drops and
-//! counts the oldest. A killed subscriber is detected after its lease of 50 s.
+//! counts the oldest. A killed subscriber is detected after its lease of 50 s. A publisher cannot leave out a single
+//! subscriber: one that acknowledges nothing holds the others back once 256 messages are unacknowledged, until its lease
+//! has ended.
 
 mod cdr;
 mod client;
@@ -45,6 +47,7 @@ use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
     TransportKind, TransportOptions,
     middleware::{Middleware, error as middleware},
+    patience::Patience,
 };
 use eddy_messages::{QosProfile, TypeSupport, dds_type};
 use graph::Graph;
@@ -59,20 +62,24 @@ pub(super) struct DdsNode {
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     graph: Graph,
-    patience: Duration,
+    patience: Patience,
     /// Bytes.
     largest_message: usize,
 }
 
 impl DdsNode {
-    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
+    pub(super) fn open(
+        link: &Link,
+        options: &TransportOptions,
+        patience: Patience,
+    ) -> Result<Self, TransportError> {
         let participant = participant::open(link, options)?;
         let failed = |error| middleware(link, "open the DDS participant", &error);
         let none = qos::default();
         let publisher = participant.create_publisher(&none).map_err(failed)?;
         let subscriber = participant.create_subscriber(&none).map_err(failed)?;
         let graph = Graph::open(link, &participant, &publisher, options)?;
-        let (patience, largest_message) = (options.patience, qos::largest_message());
+        let largest_message = qos::largest_message();
         tracing::info!("DDS: largest message is {largest_message} bytes");
         Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
     }

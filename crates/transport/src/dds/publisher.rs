@@ -11,7 +11,7 @@ use super::{
     qos::{self, PublisherQos},
 };
 use crate::{Link, Publisher, Reliability, TransportError, transports};
-use eddy_frames::Frame;
+use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{FrameCdr, QosProfile, TypeSupport};
 
 /// How long a dropped publisher waits for acknowledgments, which a killed subscriber never sends.
@@ -25,9 +25,23 @@ pub(crate) struct DdsPublisher {
     type_name: String,
     qos: PublisherQos,
     writer: DataWriter<Body, PassThrough>,
-    /// Bytes written since the last acknowledgment.
-    unacknowledged: usize,
+    unacknowledged: Unacknowledged,
+    /// Whether subscribers acknowledged nothing for as long as the patience lasts; they are not waited for then.
+    is_stalled: bool,
+    /// Subscribers that vanished before this was last checked.
+    vanished: u64,
+    /// Messages that a vanished subscriber may not have.
+    abandoned: u64,
+    /// Whether a message may not have been taken by its readers yet.
+    lingers: bool,
     node: Arc<DdsNode>,
+}
+
+/// What was written since everything was acknowledged.
+#[derive(Clone, Copy, Default)]
+struct Unacknowledged {
+    messages: u64,
+    bytes: usize,
 }
 
 impl DdsPublisher {
@@ -43,11 +57,21 @@ impl DdsPublisher {
         let kept = offered.and_then(|offered| NonZeroUsize::new(offered.kept()));
         let writer = node
             .publisher
-            .create_datawriter_no_key(&topic, Some(qos.policies(node.patience, kept)))
+            .create_datawriter_no_key(&topic, Some(qos.policies(kept)))
             .map_err(|error| middleware(link, "create the publisher", &error))?;
-        node.graph.add_writer(writer.guid());
-        let (link, type_name) = (link.clone(), support.name.clone());
-        Ok(Self { link, type_name, qos, writer, unacknowledged: 0, node: Arc::clone(node) })
+        node.graph.add_writer(writer.guid(), link);
+        Ok(Self {
+            link: link.clone(),
+            type_name: support.name.clone(),
+            qos,
+            writer,
+            unacknowledged: Unacknowledged::default(),
+            is_stalled: false,
+            vanished: 0,
+            abandoned: 0,
+            lingers: false,
+            node: Arc::clone(node),
+        })
     }
 
     fn publish(&mut self, message: Vec<u8>) -> Result<(), TransportError> {
@@ -59,37 +83,108 @@ impl DdsPublisher {
         let body = Body::of(message).ok_or_else(|| {
             middleware(&self.link, "publish", &"expected plain little-endian CDR (00 01 00 00)")
         })?;
-        if self.qos == PublisherQos::Blocking
-            && self.unacknowledged + size > qos::MAX_UNACKNOWLEDGED
-        {
-            self.wait_for_acknowledgments(self.node.patience)?;
+        if self.qos != PublisherQos::Blocking {
+            return match self.writer.write(body, Some(Timestamp::now())) {
+                // A message that would have to wait is dropped.
+                Ok(()) | Err(WriteError::WouldBlock { .. }) => Ok(()),
+                Err(error) => Err(middleware(&self.link, "publish", &error)),
+            };
         }
-        match self.writer.write(body, Some(Timestamp::now())) {
-            Ok(()) => self.unacknowledged += size,
-            Err(WriteError::WouldBlock { .. }) if self.qos == PublisherQos::Blocking => {
-                return Err(self.stalled());
-            }
-            // Dropped.
-            Err(WriteError::WouldBlock { .. }) => {}
-            Err(error) => return Err(middleware(&self.link, "publish", &error)),
+        let clock = Clock::start();
+        let is_acknowledged = self.unacknowledged.bytes + size <= qos::MAX_UNACKNOWLEDGED
+            || self.wait_for_acknowledgments(Duration::MAX)?;
+        let is_written = self.write(body, clock)?;
+        if is_written {
+            self.unacknowledged.bytes += size;
+            self.unacknowledged.messages += 1;
+            self.lingers = true;
         }
-        Ok(())
+        self.is_stalled = !(is_acknowledged && is_written);
+        if self.is_stalled { Err(self.stalled()) } else { Ok(()) }
     }
 
-    fn wait_for_acknowledgments(&mut self, patience: Duration) -> Result<(), TransportError> {
-        match self.writer.wait_for_acknowledgments(patience) {
-            Ok(true) => {
-                self.unacknowledged = 0;
-                Ok(())
+    /// Writes a message; waits for room in the history as long as the patience of this message lasts. Returns whether it
+    /// is written.
+    fn write(&self, body: Body, clock: Clock) -> Result<bool, TransportError> {
+        let patience = &self.node.patience;
+        let mut waiting = body;
+        loop {
+            let is_over = self.is_stalled || patience.left(clock.now()).is_zero();
+            match self.writer.write(waiting, Some(Timestamp::now())) {
+                Ok(()) => return Ok(true),
+                Err(WriteError::WouldBlock { .. }) if is_over => return Ok(false),
+                Err(WriteError::WouldBlock { data }) => waiting = data,
+                Err(error) => return Err(middleware(&self.link, "publish", &error)),
             }
-            Ok(false) => Err(self.stalled()),
+        }
+    }
+
+    /// Waits until everything is acknowledged, at most for `limit` and as long as the patience lasts. Returns whether it
+    /// is.
+    fn wait_for_acknowledgments(&mut self, limit: Duration) -> Result<bool, TransportError> {
+        let (writer, patience, clock) = (&self.writer, &self.node.patience, Clock::start());
+        let acknowledged = |slice| match writer.wait_for_acknowledgments(slice) {
+            Ok(false) if clock.now() >= limit => Some(Ok(false)),
+            Ok(false) => None,
+            outcome => Some(outcome),
+        };
+        let outcome = match self.is_stalled {
+            true => writer.wait_for_acknowledgments(Duration::ZERO),
+            false => patience.wait(acknowledged).unwrap_or(Ok(false)),
+        };
+        match outcome {
+            Ok(true) => {
+                let acknowledged = std::mem::take(&mut self.unacknowledged);
+                // RustDDS does not wait for subscribers that have vanished, whatever they have received.
+                // After a wait, its event may still be on the way.
+                if clock.now() > DROP_TIMEOUT {
+                    thread::sleep(LINGER);
+                }
+                let vanished = self.node.graph.vanished(self.writer.guid());
+                if std::mem::replace(&mut self.vanished, vanished) < vanished {
+                    self.abandoned += acknowledged.messages;
+                }
+                Ok(true)
+            }
+            Ok(false) => Ok(false),
             Err(error) => Err(middleware(&self.link, "publish", &error)),
         }
     }
 
+    /// RustDDS does not say which subscriber it is.
+    fn subscriber(&self) -> String {
+        match self.subscribers() {
+            1 => "the subscriber".to_owned(),
+            several => format!("at least one of {several} subscribers"),
+        }
+    }
+
     fn stalled(&self) -> TransportError {
-        let seconds = self.node.patience.as_secs_f64();
-        TransportError::Stalled { link: self.link.clone(), seconds }
+        TransportError::missed(&self.link, self.subscriber(), &self.node.patience)
+    }
+
+    fn flush_within(&mut self, limit: Duration) -> Result<(), TransportError> {
+        let pending = self.unacknowledged.messages + self.abandoned;
+        if self.qos != PublisherQos::Blocking || pending == 0 {
+            return Ok(());
+        }
+        let clock = Clock::start();
+        let is_acknowledged = self.wait_for_acknowledgments(limit)?;
+        let abandoned = std::mem::take(&mut self.abandoned);
+        if is_acknowledged && abandoned == 0 {
+            return Ok(());
+        }
+        let missing = std::mem::take(&mut self.unacknowledged);
+        let subscriber = match is_acknowledged {
+            true => "a subscriber that has vanished".to_owned(),
+            false => self.subscriber(),
+        };
+        Err(TransportError::Undelivered {
+            link: self.link.clone(),
+            subscriber,
+            messages: missing.messages + abandoned,
+            seconds: clock.now().as_secs_f64(),
+        })
     }
 }
 
@@ -103,6 +198,10 @@ impl Publisher for DdsPublisher {
         self.publish(bytes.to_vec())
     }
 
+    fn flush(&mut self) -> Result<(), TransportError> {
+        self.flush_within(Duration::MAX)
+    }
+
     fn subscribers(&self) -> usize {
         self.node.graph.matched(self.writer.guid())
     }
@@ -111,11 +210,13 @@ impl Publisher for DdsPublisher {
 impl Drop for DdsPublisher {
     /// Waits for acknowledgments, since lost messages cannot be repaired afterwards.
     fn drop(&mut self) {
-        if self.qos == PublisherQos::Blocking && self.unacknowledged > 0 {
-            match self.wait_for_acknowledgments(self.node.patience.min(DROP_TIMEOUT)) {
-                Ok(()) => thread::sleep(LINGER),
-                Err(error) => tracing::warn!("{error}"),
+        match self.flush_within(DROP_TIMEOUT) {
+            // Nobody waits for a reader that was given up.
+            Ok(()) if self.lingers => {
+                thread::sleep(self.node.patience.left(Duration::ZERO).min(LINGER))
             }
+            Ok(()) => {}
+            Err(error) => tracing::warn!("{error}"),
         }
         self.node.graph.remove_writer(self.writer.guid());
     }

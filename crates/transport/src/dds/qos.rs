@@ -45,6 +45,9 @@ pub(super) fn largest_message() -> usize {
         .min(DomainParticipantBuilder::DEFAULT_SOCKET_RECEIVE_BUFFER_SIZE)
 }
 
+/// Longest time that a write of a blocking publisher waits for room; it is repeated as long as the patience lasts.
+const BLOCKING: Duration = Duration::from_millis(20);
+
 /// QoS of a publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PublisherQos {
@@ -78,10 +81,10 @@ impl PublisherQos {
     }
 
     /// `kept`: number of messages for late-joining readers; volatile if `None`.
-    pub(super) fn policies(self, patience: Duration, kept: Option<NonZeroUsize>) -> QosPolicies {
+    pub(super) fn policies(self, kept: Option<NonZeroUsize>) -> QosPolicies {
         let basis = QosPolicyBuilder::new();
         let basis = match self {
-            Self::Blocking => basis.reliable(patience.into()),
+            Self::Blocking => basis.reliable(BLOCKING.into()),
             Self::Reliable | Self::ReliableLarge => basis.reliable(Duration::ZERO.into()),
             Self::BestEffort => basis.best_effort(),
         };
@@ -152,7 +155,7 @@ mod tests {
         assert_eq!(qos(Reliability::Drop, ParticleFrame::TYPE), PublisherQos::BestEffort);
         assert_eq!(qos(Reliability::Drop, DiagnosticArray::TYPE), PublisherQos::Reliable);
         assert_eq!(qos(Reliability::Drop, PointCloud2::TYPE), PublisherQos::ReliableLarge);
-        let reliable = |qos: PublisherQos| qos.policies(Duration::from_secs(1), None).is_reliable();
+        let reliable = |qos: PublisherQos| qos.policies(None).is_reliable();
         let all = [
             PublisherQos::Blocking,
             PublisherQos::Reliable,
@@ -169,12 +172,12 @@ mod tests {
         for mode in [Reliability::Block, Reliability::Drop] {
             for (offered, is_reliable) in [(best_effort, false), (QosProfile::default(), true)] {
                 let qos = PublisherQos::of(mode, ParticleFrame::TYPE, Some(&offered));
-                let policies = qos.policies(Duration::ZERO, NonZeroUsize::new(offered.kept()));
+                let policies = qos.policies(NonZeroUsize::new(offered.kept()));
                 assert_eq!(policies.is_reliable(), is_reliable, "{mode:?} {offered:?}");
                 assert!(policies.is_volatile());
             }
         }
-        let kept = PublisherQos::Blocking.policies(Duration::ZERO, NonZeroUsize::new(3));
+        let kept = PublisherQos::Blocking.policies(NonZeroUsize::new(3));
         assert_eq!(kept.durability(), Some(Durability::TransientLocal));
         assert_eq!(kept.history(), Some(History::KeepLast { depth: 3 }));
     }

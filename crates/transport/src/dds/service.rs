@@ -3,7 +3,7 @@
 //! Requests arrive on the topic `rq<service>Request`; responses are published on `rr<service>Reply` with the sample
 //! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
 
-use std::{io, sync::Arc, time::Duration};
+use std::{io, sync::Arc};
 
 use ros2_client::dds::rustdds::{
     RTPSEntity, SampleIdentity, SequenceNumber, TopicKind, WriteOptionsBuilder,
@@ -72,17 +72,14 @@ impl Worker {
         let responses = topic(format!("rr{}Reply", link.topic), response_type)?;
         let responses = node
             .publisher
-            .create_datawriter_no_key(
-                &responses,
-                Some(PublisherQos::Reliable.policies(Duration::ZERO, None)),
-            )
+            .create_datawriter_no_key(&responses, Some(PublisherQos::Reliable.policies(None)))
             .map_err(failed)?;
         let requests = topic(format!("rq{}Request", link.topic), request_type)?;
         let requests: SimpleDataReader<Vec<u8>, PassThrough> = node
             .subscriber
             .create_simple_datareader_no_key(&requests, Some(qos::reliable_reader()))
             .map_err(failed)?;
-        node.graph.add_writer(responses.guid());
+        node.graph.add_writer(responses.guid(), link);
         node.graph.add_reader(requests.guid());
         Ok(Self { link: link.clone(), requests, responses, handler, node: Arc::clone(node) })
     }

@@ -2,7 +2,8 @@
 //!
 //! 1. [`layout`]: memory layout of a frame.
 //! 2. [`service`]: opens the services of a topic and removes the resources of killed processes.
-//! 3. [`publisher`]: writes messages into loaned memory, sends them and wakes the subscribers.
+//! 3. [`publisher`]: writes messages into loaned memory, sends them and wakes the subscribers; [`backpressure`]: which of
+//!    them it waits for.
 //! 4. [`subscriber`]: waits for messages; [`shared_frame`]: a frame that is read in place.
 //! 5. [`bare`]: iceoryx2 used directly, for benchmarks.
 //!
@@ -17,6 +18,7 @@
 //! The `frame_id` of a frame is not transmitted: subscribers see `world`.
 #![expect(unsafe_code, reason = "types in shared memory guarantee their layout")]
 
+mod backpressure;
 #[cfg(feature = "lab")]
 pub(super) mod bare;
 pub(super) mod layout;
@@ -25,7 +27,7 @@ mod service;
 mod shared_frame;
 mod subscriber;
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use iceoryx2::service::port_factory::PortFactory as _;
 
@@ -33,7 +35,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use super::BarePublisher;
 use super::{
     Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
-    middleware::Middleware, transports::is_frames,
+    middleware::Middleware, patience::Patience, transports::is_frames,
 };
 pub use service::SharedMemory;
 pub use shared_frame::SharedFrame;
@@ -50,13 +52,17 @@ use subscriber::{BytesSubscriber, FrameSubscriber, Reader};
 pub(super) struct ShmNode {
     services: Services,
     /// How long a blocking publisher waits for a subscriber.
-    patience: Duration,
+    patience: Patience,
 }
 
 impl ShmNode {
-    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
+    pub(super) fn open(
+        link: &Link,
+        options: &TransportOptions,
+        patience: Patience,
+    ) -> Result<Self, TransportError> {
         let services = Services::open(link, &options.node_name)?;
-        Ok(Self { services, patience: options.patience })
+        Ok(Self { services, patience })
     }
 }
 
@@ -74,7 +80,7 @@ impl Middleware for ShmNode {
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let (events, cleaner) = (self.services.events(link)?, self.services.cleaner());
         let type_name = support.name.as_str();
-        let patience = self.patience;
+        let patience = self.patience.clone();
         Ok(if is_frames(type_name) {
             let topic = self.services.topic::<SharedParticle, FrameHeader>(link, type_name)?;
             let writer = Writer::open(link, topic, &events, cleaner, reliability, patience)?;
@@ -127,7 +133,7 @@ impl Middleware for ShmNode {
         let topic =
             self.services.topic::<SharedParticle, FrameHeader>(link, ParticleFrame::TYPE)?;
         let writer =
-            Writer::open(link, topic, &events, cleaner, Reliability::Block, self.patience)?;
+            Writer::open(link, topic, &events, cleaner, Reliability::Block, self.patience.clone())?;
         Ok(Some(Box::new(bare::Untouched { writer, particles })))
     }
 }

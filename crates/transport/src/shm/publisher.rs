@@ -1,20 +1,21 @@
 //! Writes messages into loaned memory, sends them and wakes the subscribers.
 
-use std::{fmt::Debug, mem::MaybeUninit, thread, time::Duration};
+use std::{collections::BTreeSet, fmt::Debug, mem::MaybeUninit, thread, time::Duration};
 
 use iceoryx2::{
-    port::{BackpressureAction, LoanError, SendError, notifier::Notifier, publisher},
+    port::{LoanError, SendError, notifier::Notifier, publisher},
     prelude::*,
     sample_mut::SampleMut,
     sample_mut_uninit::SampleMutUninit,
 };
 
 use super::{
+    backpressure::GivenUp,
     layout::{self, FrameHeader, SharedParticle},
     service::{BORROWED, Cleaner, DEPTH, Events, Ipc, Topic, middleware},
 };
-use crate::{Link, Publisher, Reliability, TransportError, transports};
-use eddy_frames::Frame;
+use crate::{Link, Publisher, Reliability, TransportError, patience::Patience, transports};
+use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::FrameCdr;
 
 /// Initial capacity of a message (elements); grows with longer messages.
@@ -45,7 +46,11 @@ where
     publisher: publisher::Publisher<Ipc, [P], H>,
     notifier: Notifier<Ipc>,
     reliability: Reliability,
-    patience: Duration,
+    patience: Patience,
+    /// Subscribers that are not waited for.
+    given_up: GivenUp,
+    /// Whether nobody received the last message although it was waited for.
+    is_stalled: bool,
     /// Whether a missed message was logged.
     warned_missed: bool,
     /// Whether a dropped message was logged.
@@ -64,7 +69,7 @@ where
         events: &Events,
         cleaner: Cleaner,
         reliability: Reliability,
-        patience: Duration,
+        patience: Patience,
     ) -> Result<Self, TransportError> {
         if reliability == Reliability::Block && topic.static_config().has_safe_overflow() {
             tracing::warn!(
@@ -72,7 +77,9 @@ where
                 "the service was created by another program with overflow; slow subscribers lose the oldest messages"
             );
         }
-        let publisher = open_publisher(link, &topic, FIRST_LENGTH, reliability, patience)?;
+        let given_up = GivenUp::default();
+        let publisher =
+            open_publisher(link, &topic, FIRST_LENGTH, reliability, &patience, &given_up)?;
         let notifier = events
             .notifier_builder()
             .default_event_id(EventId::new(0))
@@ -85,6 +92,8 @@ where
             notifier,
             reliability,
             patience,
+            given_up,
+            is_stalled: false,
             warned_missed: false,
             warned_dropped: false,
             _cleaner: cleaner,
@@ -99,6 +108,9 @@ where
     /// A subscriber connects when it next polls for messages. Until then its full buffer does not block a publisher, so
     /// a blocking publisher repeats a message that no subscriber received. With several subscribers, one that has not
     /// connected yet may miss messages that another one received; this is logged.
+    ///
+    /// A subscriber that reads nothing for as long as the patience lasts misses the message and the following ones,
+    /// without being waited for, until it reads again. The others get them.
     pub(super) fn send(
         &mut self,
         length: usize,
@@ -109,33 +121,42 @@ where
         H: Copy,
     {
         self.reserve(length)?;
-        let attempts = self.patience.div_duration_f64(RETRY_INTERVAL) as u64;
-        for _ in 0..=attempts {
-            let Some(received) = self.send_once(length, header, &write)? else {
-                // All messages are held by subscribers.
-                if self.reliability == Reliability::Drop {
-                    if !std::mem::replace(&mut self.warned_dropped, true) {
-                        tracing::warn!(link = %self.link, "dropping messages: subscribers that do not receive hold all memory");
-                    }
-                    return Ok(());
+        let clock = Clock::start();
+        loop {
+            let received = self.send_once(length, header, &write)?;
+            let missed = self.given_up.end();
+            if received.is_some() || !missed.is_empty() {
+                self.wake();
+            }
+            if self.reliability == Reliability::Drop {
+                // Without memory, subscribers hold all messages.
+                if received.is_none() && !std::mem::replace(&mut self.warned_dropped, true) {
+                    tracing::warn!(link = %self.link, "dropping messages: subscribers that do not receive hold all memory");
                 }
-                thread::sleep(RETRY_INTERVAL);
-                continue;
-            };
-            self.wake();
-            let subscribers = self.subscribers();
-            if self.reliability == Reliability::Drop || received >= subscribers {
                 return Ok(());
             }
-            if received > 0 {
-                if !std::mem::replace(&mut self.warned_missed, true) {
-                    tracing::warn!(link = %self.link, received, subscribers, "a subscriber that has not connected yet misses messages");
-                }
+            if !missed.is_empty() {
+                return Err(self.missed(&missed));
+            }
+            let subscribers = self.subscribers();
+            if received.is_some_and(|received| received > 0 || subscribers == 0) {
+                self.is_stalled = false;
+                self.warn_missed(received.unwrap_or_default(), subscribers);
                 return Ok(());
+            }
+            if self.is_stalled || self.patience.left(clock.now()).is_zero() {
+                self.is_stalled = true;
+                return Err(self.missed(&BTreeSet::new()));
             }
             thread::sleep(RETRY_INTERVAL);
         }
-        Err(self.stalled())
+    }
+
+    /// Warns once if some subscribers have not connected yet.
+    fn warn_missed(&mut self, received: usize, subscribers: usize) {
+        if received < subscribers && !std::mem::replace(&mut self.warned_missed, true) {
+            tracing::warn!(link = %self.link, received, subscribers, "a subscriber that has not connected yet misses messages");
+        }
     }
 
     /// Ensures a capacity of `length` elements. Messages sent before remain with the connected subscribers; others miss
@@ -144,16 +165,16 @@ where
         if length <= self.publisher.initial_max_slice_len() {
             return Ok(());
         }
-        let Self { link, topic, reliability, patience, .. } = self;
+        let Self { link, topic, reliability, patience, given_up, .. } = self;
         // At least doubled, so that a growing frame does not need new memory each time.
         let capacity = length.next_power_of_two();
-        self.publisher = open_publisher(link, topic, capacity, *reliability, *patience)?;
+        self.publisher = open_publisher(link, topic, capacity, *reliability, patience, given_up)?;
         tracing::info!(%link, elements = capacity, "allocated memory for larger messages");
         Ok(())
     }
 
     /// Writes a message into loaned memory, sends it, and returns the number of subscribers that received it; `None`
-    /// without free memory.
+    /// without free memory, or if a signal interrupted the only delivery.
     fn send_once(
         &self,
         length: usize,
@@ -166,10 +187,17 @@ where
             Err(error) => return Err(middleware(&self.link, "loan memory", &error)),
         };
         *loan.user_header_mut() = header;
-        write(loan).send().map(Some).map_err(|error| match error {
-            SendError::UnableToDeliver => self.stalled(),
-            error => middleware(&self.link, "send", &error),
-        })
+        match write(loan).send() {
+            Ok(received) => Ok(Some(received)),
+            // A signal interrupted the wait for a full buffer. If nobody else has the message, it can be sent again.
+            Err(SendError::InternalError) if self.reliability == Reliability::Block => {
+                if self.subscribers() > 1 {
+                    self.given_up.interrupt();
+                }
+                Ok(None)
+            }
+            Err(error) => Err(middleware(&self.link, "send", &error)),
+        }
     }
 
     /// Subscribers also poll: a failed wake-up delays messages but does not lose them.
@@ -179,8 +207,22 @@ where
         }
     }
 
-    fn stalled(&self) -> TransportError {
-        TransportError::Stalled { link: self.link.clone(), seconds: self.patience.as_secs_f64() }
+    /// The error for a message that the subscribers with these ports missed; all if none is known.
+    fn missed(&self, ports: &BTreeSet<u128>) -> TransportError {
+        let mut processes = BTreeSet::new();
+        self.topic.dynamic_config().list_subscribers(|subscriber| {
+            if ports.is_empty() || ports.contains(&subscriber.subscriber_id.value()) {
+                processes.extend(subscriber.node_id.pid::<Ipc>().map(|process| process.value()));
+            }
+            CallbackProgression::Continue
+        });
+        let processes: Vec<_> = processes.iter().map(ToString::to_string).collect();
+        let subscriber = match &processes[..] {
+            [] => "a subscriber".to_owned(),
+            [one] => format!("the subscriber in process {one}"),
+            several => format!("subscribers in processes {}", several.join(", ")),
+        };
+        TransportError::missed(&self.link, subscriber, &self.patience)
     }
 
     fn subscribers(&self) -> usize {
@@ -193,7 +235,8 @@ fn open_publisher<P, H>(
     topic: &Topic<P, H>,
     length: usize,
     reliability: Reliability,
-    patience: Duration,
+    patience: &Patience,
+    given_up: &GivenUp,
 ) -> Result<publisher::Publisher<Ipc, [P], H>, TransportError>
 where
     P: Debug + ZeroCopySend,
@@ -209,15 +252,12 @@ where
         });
     let builder = match reliability {
         Reliability::Drop => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
-        Reliability::Block => builder
-            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
-            .set_backpressure_handler(move |full| {
-                if full.elapsed_time < patience {
-                    BackpressureAction::Retry
-                } else {
-                    BackpressureAction::DiscardDataAndFail
-                }
-            }),
+        Reliability::Block => {
+            let (patience, given_up) = (patience.clone(), given_up.clone());
+            builder
+                .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+                .set_backpressure_handler(move |full| given_up.on_full(full, &patience))
+        }
     };
     builder.create().map_err(|error| middleware(link, "open the publisher", &error))
 }

@@ -4,7 +4,7 @@
 //! 2. [`keys`]: key expressions, liveliness tokens, QoS, GIDs.
 //! 3. [`attachment`]: the 33 bytes attached to every message.
 //! 4. [`graph`]: other endpoints of a topic, by liveliness tokens.
-//! 5. [`publisher`], [`subscriber`]: messages.
+//! 5. [`publisher`], [`subscriber`]: messages; [`sender`]: how a publisher is never stuck in Zenoh.
 //! 6. [`transient_local`]: messages kept for late-joining subscribers.
 //! 7. [`service`]: requests and responses; [`client`]: the other side.
 //! 8. [`bare`]: Zenoh used directly, for benchmarks.
@@ -24,6 +24,7 @@ mod config;
 mod graph;
 pub(super) mod keys;
 mod publisher;
+mod sender;
 mod service;
 mod subscriber;
 mod transient_local;
@@ -37,12 +38,13 @@ use std::{
     time::Duration,
 };
 
-use zenoh::{Session, liveliness::LivelinessToken};
+use zenoh::{Session, Wait as _, liveliness::LivelinessToken};
 
 use super::{
     Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
     TransportOptions,
     middleware::{Middleware, error as middleware},
+    patience::Patience,
 };
 use eddy_messages::{QosProfile, TypeSupport, qos::DurabilityPolicy, service_hash};
 use keys::{Endpoint, Node, Side};
@@ -54,25 +56,40 @@ use subscriber::ZenohSubscriber;
 pub(super) struct ZenohNode {
     session: Session,
     node: Node,
-    patience: Duration,
+    patience: Patience,
     /// Id of the next endpoint; the node has id 0.
     next_id: AtomicUsize,
     _token: LivelinessToken,
 }
 
 impl ZenohNode {
-    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
+    pub(super) fn open(
+        link: &Link,
+        options: &TransportOptions,
+        patience: Patience,
+    ) -> Result<Self, TransportError> {
         let session = config::open(link, options)?;
         let (namespace, name) = (options.namespace.clone(), options.node_name.clone());
         let node = Node { domain_id: options.domain_id, zid: session.zid(), namespace, name };
         let token = graph::declare(&session, &node.token())
             .map_err(|error| middleware(link, "declare the node", &error))?;
         let next_id = AtomicUsize::new(1);
-        Ok(Self { session, node, patience: options.patience, next_id, _token: token })
+        Ok(Self { session, node, patience, next_id, _token: token })
     }
 
     fn id(&self) -> usize {
         self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+}
+
+impl Drop for ZenohNode {
+    fn drop(&mut self) {
+        let session = self.session.clone();
+        sender::close(&self.patience, move || {
+            if let Err(error) = session.close().wait() {
+                tracing::debug!("zenoh: {error}");
+            }
+        });
     }
 }
 

@@ -46,7 +46,7 @@ impl ZenohSubscriber {
         endpoint: Endpoint,
         with_kept: bool,
     ) -> Result<Self, TransportError> {
-        let (session, patience) = (&node.session, node.patience);
+        let (session, patience) = (&node.session, node.patience.limit());
         let graph = Graph::watch(session, &endpoint)
             .map_err(|error| middleware(&endpoint.link, "watch the publishers", &error))?;
         let Endpoint { link, key, token, .. } = endpoint;

@@ -56,6 +56,12 @@ impl Process {
         }
     }
 
+    /// SIGSTOP: it reads and acknowledges nothing any more.
+    pub(super) fn pause(&self) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-STOP", &id]).status().unwrap().success());
+    }
+
     /// SIGKILL.
     pub(super) fn kill(mut self) {
         self.child.kill().unwrap();

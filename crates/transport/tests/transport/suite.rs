@@ -1,6 +1,10 @@
 //! Guarantees of every transport.
 
 use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
     thread,
     time::{Duration, Instant},
 };
@@ -15,8 +19,8 @@ use eddy_messages::{
 use eddy_transport::{Link, Reliability, SeenTopic, TransportError, Transports};
 
 use super::{
-    DEADLINE, ends, eventually, expect_frame, frame, frames_publisher, frames_subscriber, is_frame,
-    link, next_frame, options,
+    DEADLINE, child::Process, ends, eventually, expect_frame, frame, frames_publisher,
+    frames_subscriber, is_frame, link, next_frame, options,
 };
 
 const PARTICLES: usize = 2_500;
@@ -364,12 +368,101 @@ fn a_blocking_publisher_fails_after_its_patience_with_a_stalled_subscriber() {
         let mut publisher = frames_publisher(&here, &link, Reliability::Block);
         let stalled = (0..).map(|n| publisher.publish_frame(&frame(n, 10))).find_map(Result::err);
         let message = stalled.unwrap().to_string();
-        assert!(
-            message.starts_with(&format!("{link}: a subscriber received nothing for 0.1 s")),
-            "{message}"
-        );
+        let subscriber_name = match transport {
+            "shm" => format!("the subscriber in process {}", std::process::id()),
+            _ => "a subscriber".to_owned(),
+        };
+        let expected = format!("{link}: {subscriber_name} has read nothing for 0.1 s");
+        assert!(message.starts_with(&expected), "{message}");
         // The publisher stays usable.
         assert!(is_frame(&subscriber.receive(DEADLINE).unwrap().unwrap()));
         publisher.publish_frame(&frame(99, 10)).unwrap();
+    }
+}
+
+#[test]
+fn others_go_on_beside_a_subscriber_that_reads_nothing() {
+    for transport in ["memory", "shm"] {
+        let mut options = options();
+        options.patience = Duration::from_millis(500);
+        let patience = options.patience;
+        let ([here, there], link) = (ends(transport, options), link(transport));
+        let mut stuck = frames_subscriber(&there, &link);
+        let mut reader = frames_subscriber(&there, &link);
+        let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+        eventually("both are seen", || publisher.subscribers() == 2);
+        // Connects it.
+        assert_eq!(stuck.receive(Duration::ZERO).unwrap(), None);
+        let start = Instant::now();
+        let mut missed = 0;
+        for sequence in 0..300 {
+            match publisher.publish_frame(&frame(sequence, 10)) {
+                Ok(()) => {}
+                Err(error @ TransportError::Stalled { .. }) => {
+                    missed += 1;
+                    assert!(error.to_string().contains("has read nothing for 0.5 s"), "{error}");
+                }
+                Err(error) => panic!("{error}"),
+            }
+            assert_eq!(next_frame(&mut *reader).sequence, sequence);
+        }
+        // Waited for once, not for each message.
+        assert!(start.elapsed() < 4 * patience, "{transport}: {:?}", start.elapsed());
+        assert!(missed > 200, "{transport}: {missed}");
+        // It is waited for again once it reads.
+        while stuck.receive(Duration::ZERO).unwrap().is_some() {}
+        publisher.publish_frame(&frame(300, 10)).unwrap();
+        assert_eq!(next_frame(&mut *stuck).sequence, 300);
+    }
+}
+
+/// A peer process that is stopped, or reads nothing, must not keep a program that was asked to end.
+#[test]
+fn a_stop_ends_a_publisher_that_waits() {
+    for transport in ["memory", "shm", "zenoh", "dds"] {
+        let (mut options, link) = (options(), link(transport));
+        options.domain_id = if transport == "dds" { super::domain() } else { 0 };
+        let stop = Arc::<AtomicBool>::default();
+        let here = Transports::stopped_by(Arc::clone(&stop), options.clone());
+        let is_within = transport == "memory";
+        let _within = is_within.then(|| frames_subscriber(&here, &link));
+        let process = (!is_within).then(|| Process::start("stall", &link, &options));
+        process.iter().for_each(|process| {
+            process.says("ready");
+        });
+        let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+        eventually("the subscriber is seen", || publisher.subscribers() == 1);
+        publisher.publish_frame(&frame(0, PARTICLES)).unwrap();
+        process.iter().for_each(|process| {
+            process.says("frame 0");
+            process.pause();
+        });
+        let published = Arc::<AtomicU64>::default();
+        let (count, stopping) = (Arc::clone(&published), Arc::clone(&stop));
+        let publishing = thread::spawn(move || {
+            let outcome = (1..).find_map(|n| {
+                count.store(n, Ordering::Relaxed);
+                let ended = stopping.load(Ordering::Relaxed).then_some(Ok(()));
+                publisher.publish_frame(&frame(n, PARTICLES)).err().map(Err).or(ended)
+            });
+            (publisher, outcome.unwrap())
+        });
+        // It waits once the number no longer changes.
+        let mut before = 0;
+        eventually("the publisher waits", || {
+            thread::sleep(Duration::from_millis(500));
+            let now = published.load(Ordering::Relaxed);
+            now > 1 && std::mem::replace(&mut before, now) == now
+        });
+        let start = Instant::now();
+        stop.store(true, Ordering::Relaxed);
+        let (mut publisher, outcome) = publishing.join().unwrap();
+        let message = match outcome {
+            Ok(()) => publisher.flush().unwrap_err().to_string(),
+            Err(error) => error.to_string(),
+        };
+        assert!(message.starts_with(&format!("{link}: ")), "{message}");
+        drop((publisher, here));
+        assert!(start.elapsed() < Duration::from_secs(2), "{transport}: {:?}", start.elapsed());
     }
 }
