@@ -1,5 +1,5 @@
 //! Typed settings from TOML files. A file holds only what differs from the defaults; unknown keys are rejected. Also
-//! here, for all crates: [`atomic`] writes, and suggestions for misspelt names ([`near`]).
+//! here, for all crates: [`atomic`] writes, suggestions for misspelt names ([`near`]), and wrong [`usage`].
 
 use std::{
     fs, io,
@@ -8,6 +8,7 @@ use std::{
 
 pub mod atomic;
 pub mod near;
+pub mod usage;
 
 use serde::{Serialize, de::DeserializeOwned};
 use toml::{Table, Value};

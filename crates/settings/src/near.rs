@@ -7,13 +7,32 @@ const MIN_SIMILARITY: f64 = 0.7;
 
 /// The most similar candidate, if one is similar enough.
 pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    nearest_by(word, candidates, strsim::jaro)
+}
+
+fn nearest_by<'a>(
+    word: &str,
+    candidates: impl IntoIterator<Item = &'a str>,
+    similarity: impl Fn(&str, &str) -> f64,
+) -> Option<&'a str> {
     candidates
         .into_iter()
         .filter(|candidate| *candidate != word)
-        .map(|candidate| (strsim::jaro(word, candidate), candidate))
+        .map(|candidate| (similarity(word, candidate), candidate))
         .filter(|(similarity, _)| *similarity > MIN_SIMILARITY)
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, candidate)| candidate)
+}
+
+/// Similarity of file names. A common extension makes names no more similar: all files of a folder may have it.
+fn of_names(one: &str, other: &str) -> f64 {
+    let [one, other] = [one, other].map(Path::new);
+    let stem = |name: &Path| name.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if one.extension() == other.extension() {
+        strsim::jaro(&stem(one), &stem(other))
+    } else {
+        strsim::jaro(&one.to_string_lossy(), &other.to_string_lossy())
+    }
 }
 
 /// The end of an error message: `; did you mean NAME?`, or nothing.
@@ -58,7 +77,8 @@ fn neighbour(path: &Path) -> Option<String> {
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
     names.sort();
-    let name = nearest(missing.file_name()?.to_str()?, names.iter().map(String::as_str))?;
+    let names = names.iter().map(String::as_str);
+    let name = nearest_by(missing.file_name()?.to_str()?, names, of_names)?;
     Some(folder.join(name).display().to_string())
 }
 
@@ -101,6 +121,11 @@ mod tests {
         );
         let alone = in_folder(&folder.path().join("other"), missing());
         assert_eq!(alone.to_string(), missing().to_string());
+        fs::write(folder.path().join("pool.toml"), "").unwrap();
+        let far = in_folder(&folder.path().join("nofile.toml"), missing());
+        assert_eq!(far.to_string(), missing().to_string(), "only the extension is the same");
+        let near = in_folder(&folder.path().join("pol.toml"), missing());
+        assert!(near.to_string().ends_with("pool.toml?"), "{near}");
         let locked = in_folder(&there, io::Error::from(io::ErrorKind::PermissionDenied));
         assert_eq!(locked.kind(), io::ErrorKind::PermissionDenied);
     }
