@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::plane;
+
 /// Distance below which the pull fades to zero at the centre (domain lengths).
 const CORE: f32 = 0.05;
 
@@ -10,6 +12,7 @@ const CORE: f32 = 0.05;
 #[serde(deny_unknown_fields)]
 pub struct Attractor {
     /// The point (domain lengths).
+    #[serde(deserialize_with = "plane::pair")]
     pub centre: [f32; 2],
     /// Acceleration far from the point (domain lengths per s^2).
     pub strength: f32,

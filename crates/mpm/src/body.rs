@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::shape::Shape;
+use super::{plane, shape::Shape};
 use eddy_frames::Material;
 
 /// Shape, material and initial motion of a body.
@@ -14,12 +14,13 @@ pub struct Body {
     /// Its outline.
     pub shape: Shape,
     /// Its centre, or the origin of its points (domain lengths).
+    #[serde(deserialize_with = "plane::pair")]
     pub position: [f32; 2],
     /// Counter-clockwise rotation about its position (degrees); 0 by default.
     #[serde(default)]
     pub angle_degrees: f32,
     /// Its velocity (domain lengths per second); at rest by default.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "plane::pair")]
     pub velocity: [f32; 2],
     /// Number of particles to keep of those that fill the shape; all by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -9,6 +9,7 @@ use super::{
     error::MpmError,
     particle::Particle,
     placement::{inside, interior},
+    plane,
     scene::{Scene, finite, positive},
 };
 use eddy_frames::Material;
@@ -23,10 +24,12 @@ pub struct Emitter {
     /// Material of the emitted particles.
     pub material: Material,
     /// Centre of the slit (domain lengths).
+    #[serde(deserialize_with = "plane::pair")]
     pub position: [f32; 2],
     /// Length of the slit, across the velocity (domain lengths).
     pub width: f32,
     /// Velocity of the emitted particles (domain lengths per second).
+    #[serde(deserialize_with = "plane::pair")]
     pub velocity: [f32; 2],
     /// Maximum total number of emitted particles.
     pub particles: u32,
@@ -37,8 +40,10 @@ pub struct Emitter {
 #[serde(deny_unknown_fields)]
 pub struct Drain {
     /// Corner with the smallest coordinates (domain lengths).
+    #[serde(deserialize_with = "plane::pair")]
     pub lower: [f32; 2],
     /// Corner with the largest coordinates (domain lengths).
+    #[serde(deserialize_with = "plane::pair")]
     pub upper: [f32; 2],
 }
 

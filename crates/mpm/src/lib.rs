@@ -39,6 +39,7 @@ mod matrix;
 mod p2g;
 mod particle;
 mod placement;
+mod plane;
 mod polar;
 mod preset;
 mod scene;

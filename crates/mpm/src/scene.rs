@@ -11,7 +11,7 @@ use super::{
     grid::{GridShape, WALL_CELLS},
     material::Materials,
     particle::Particle,
-    placement,
+    placement, plane,
 };
 use eddy_frames::Material;
 
@@ -40,6 +40,7 @@ pub struct Scene {
     pub id: u64,
     /// Width and height (domain lengths), whole cells; 1 x 1 by default. The outermost three cells
     /// are walls.
+    #[serde(deserialize_with = "plane::pair")]
     pub domain: [f32; 2],
     /// Width of a cell of the grid (domain lengths); 1/64 by default.
     pub cell_width: f32,

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::plane;
+
 /// The outline of a body, relative to its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
@@ -14,16 +16,19 @@ pub enum Shape {
     /// A rectangle centred at the body's position.
     Rectangle {
         /// Width and height (domain lengths).
+        #[serde(deserialize_with = "plane::pair")]
         size: [f32; 2],
     },
     /// A polygon without holes.
     Polygon {
         /// Corners in order, relative to the body's position (domain lengths).
+        #[serde(deserialize_with = "plane::pairs")]
         corners: Vec<[f32; 2]>,
     },
     /// A band along a polyline, such as a rope.
     Strip {
         /// Points of the polyline in order, relative to the body's position (domain lengths).
+        #[serde(deserialize_with = "plane::pairs")]
         path: Vec<[f32; 2]>,
         /// Width of the band (domain lengths); its ends are round.
         thickness: f32,
