@@ -6,6 +6,7 @@
 //! [`FrameView`] reads a frame in place.
 
 pub mod clock;
+pub mod date;
 pub mod progress;
 mod view;
 
