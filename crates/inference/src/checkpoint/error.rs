@@ -5,6 +5,12 @@ use std::{io, path::PathBuf};
 /// Why a checkpoint cannot be read, written or used.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
+    /// The directory has no checkpoint.
+    #[error("{}: not a checkpoint (no model.toml)", directory.display())]
+    NoCheckpoint {
+        /// The directory.
+        directory: PathBuf,
+    },
     /// A file cannot be read.
     #[error("{}: {reason}", file.display())]
     Read {

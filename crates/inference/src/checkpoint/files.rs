@@ -71,6 +71,9 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
         file: file.to_owned(),
         reason: near::in_folder(file, reason),
     };
+    if directory.is_dir() && !description.exists() {
+        return Err(CheckpointError::NoCheckpoint { directory: directory.to_owned() });
+    }
     let text = fs::read_to_string(&description).map_err(|reason| failed(&description, reason))?;
     let bytes = fs::read(&weights).map_err(|reason| failed(&weights, reason))?;
     Ok((text, bytes))
