@@ -77,12 +77,12 @@ impl<T> Queue<T> {
     /// Adds `item` at once; drops and counts the oldest items while the queue is full. A closed queue discards the
     /// item.
     pub fn push_or_drop_oldest(&self, item: T) {
-        self.push_or_drop(item, |_| 0);
+        self.push_or_drop(item, |_| vec![0]);
     }
 
-    /// As [`Queue::push_or_drop_oldest`], but drops the items at the index that `choose` returns. Returns the dropped
-    /// items.
-    pub fn push_or_drop(&self, item: T, choose: impl Fn(&VecDeque<T>) -> usize) -> Vec<T> {
+    /// As [`Queue::push_or_drop_oldest`], but drops the items at the ascending indices that `choose` returns. Returns the
+    /// dropped items.
+    pub fn push_or_drop(&self, item: T, choose: impl Fn(&VecDeque<T>) -> Vec<usize>) -> Vec<T> {
         let cost = (self.cost_of)(&item);
         let mut state = self.lock();
         let mut dropped = Vec::new();
@@ -90,11 +90,17 @@ impl<T> Queue<T> {
             return dropped;
         }
         while self.is_full(&state, cost) {
-            let chosen = choose(&state.items);
-            let Some(old) = state.items.remove(chosen) else { break };
-            state.cost -= (self.cost_of)(&old);
-            state.dropped += 1;
-            dropped.push(old);
+            let before = dropped.len();
+            // From the back, so that the indices stay valid.
+            for chosen in choose(&state.items).into_iter().rev() {
+                let Some(old) = state.items.remove(chosen) else { continue };
+                state.cost -= (self.cost_of)(&old);
+                state.dropped += 1;
+                dropped.push(old);
+            }
+            if dropped.len() == before {
+                break;
+            }
         }
         self.push(state, item, cost);
         dropped
@@ -264,9 +270,9 @@ mod tests {
     #[test]
     fn the_chosen_item_of_a_full_queue_is_dropped_and_returned() {
         let queue = Queue::new(2);
-        assert_eq!(queue.push_or_drop(0, |_| 1), [0; 0]);
-        assert_eq!(queue.push_or_drop(1, |_| 1), [0; 0]);
-        assert_eq!(queue.push_or_drop(2, |_| 1), [1]);
+        assert_eq!(queue.push_or_drop(0, |_| vec![1]), [0; 0]);
+        assert_eq!(queue.push_or_drop(1, |_| vec![1]), [0; 0]);
+        assert_eq!(queue.push_or_drop(2, |_| vec![1]), [1]);
         assert_eq!([queue.pop(LONG), queue.pop(LONG)], [Some(0), Some(2)]);
     }
 

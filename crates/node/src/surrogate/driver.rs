@@ -117,10 +117,20 @@ pub fn drive(
             failures,
         };
         let batch = Vec::with_capacity(node.batch_size());
-        let warnings = Warnings::default();
-        let mut running =
-            Running { node, context, time, queue, lost: &lost, batch, output, warnings };
-        let (mut reported, mut end) = (clock.now(), Duration::MAX);
+        let mut running = Running {
+            node,
+            context,
+            time,
+            queue,
+            lost: &lost,
+            batch,
+            output,
+            warnings: Warnings::default(),
+            load: Load::default(),
+            busy: Duration::ZERO,
+            reported: clock.now(),
+        };
+        let mut end = Duration::MAX;
         while !receiver.is_finished() && clock.now() < end {
             running.step();
             if end == Duration::MAX && stop.load(Ordering::Relaxed) {
@@ -130,8 +140,7 @@ pub fn drive(
             if !changed.is_empty() {
                 running.announce(changed);
             }
-            if clock.now() - reported >= DIAGNOSTICS_INTERVAL {
-                reported = clock.now();
+            if clock.now() - running.reported >= DIAGNOSTICS_INTERVAL {
                 running.report();
             }
         }
@@ -196,6 +205,11 @@ struct Running<'a> {
     batch: Vec<Arrival>,
     output: Output<'a>,
     warnings: Warnings,
+    load: Load,
+    /// Time that the model has taken since the last report.
+    busy: Duration,
+    /// Time of the last report.
+    reported: Duration,
 }
 
 /// Warnings to the user, limited in number.
@@ -206,8 +220,36 @@ struct Warnings {
     dropped: Option<(Duration, u64)>,
 }
 
+/// What the node has had to do.
+#[derive(Clone, Copy, Default)]
+struct Load {
+    /// Frames since the start that reached the model.
+    received: u64,
+    /// Frames since the start that were dropped before.
+    dropped: u64,
+    /// Frames between the last two reports that reached the model, and those that arrived.
+    frames: u64,
+    arrived: u64,
+    /// Time that the model took for them, and time between the reports.
+    busy: Duration,
+    interval: Duration,
+}
+
+impl Load {
+    /// The times of model and source for a frame, in words.
+    fn pace(&self) -> Option<String> {
+        let milliseconds = |time: Duration, frames: u64| {
+            (frames > 0).then(|| 1e3 * time.as_secs_f64() / frames as f64)
+        };
+        let model = milliseconds(self.busy, self.frames)?;
+        let source = milliseconds(self.interval, self.arrived)?;
+        Some(format!(" (model {model:.1} ms a frame, source {source:.1} ms)"))
+    }
+}
+
 impl Warnings {
-    fn check(&mut self, now: Duration, input: &Link, received: u64, dropped: u64) {
+    fn check(&mut self, now: Duration, input: &Link, load: &Load) {
+        let Load { received, dropped, .. } = *load;
         if received == 0 && now > SILENCE_TIMEOUT && !self.silence {
             self.silence = true;
             tracing::warn!(
@@ -218,7 +260,12 @@ impl Warnings {
         let (warned, before) = self.dropped.unwrap_or_default();
         let is_due = self.dropped.is_none() || now - warned > DROP_WARNING_INTERVAL;
         if dropped > before && is_due {
-            tracing::warn!("dropped {} frames: input is faster than the model", dropped - before);
+            tracing::warn!(
+                "dropped {} frames: input is faster than the model{}; publish more slowly, use fewer particles or more \
+                 --threads, or use --reliability block, which makes the source wait",
+                dropped - before,
+                load.pace().unwrap_or_default()
+            );
             self.dropped = Some((now, dropped));
         }
     }
@@ -263,7 +310,8 @@ impl Running<'_> {
         self.queue.pop_batch(timeout, self.node.batch_size(), &mut self.batch);
         let had_message = !self.batch.is_empty();
         let simulated = self.context.time.is_simulated().then(|| self.now());
-        let Self { node, batch, output, .. } = self;
+        let Self { node, batch, output, busy, .. } = self;
+        let started = output.clock.now();
         node.on_frames(batch, simulated, &mut |arrived, outcome| match outcome {
             Ok(prediction) => output.publish(&prediction, arrived),
             // Ignoring the input is the purpose of a free run.
@@ -273,6 +321,7 @@ impl Running<'_> {
                 output.monitor.rejected(rejection.to_string());
             }
         });
+        *busy += output.clock.now() - started;
         output.show_observed(batch);
         // Returns loaned samples to the transport.
         batch.clear();
@@ -362,8 +411,18 @@ impl Running<'_> {
         counters.dropped_from_queue = queue.dropped();
         counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
+        let (now, last) = (output.clock.now(), self.load);
         let (received, dropped) = (counters.received, counters.dropped_from_queue);
-        self.warnings.check(output.clock.now(), &context.input, received, dropped);
+        self.load = Load {
+            received,
+            dropped,
+            frames: received - last.received,
+            arrived: received + dropped - last.received - last.dropped,
+            busy: std::mem::take(&mut self.busy),
+            interval: now - self.reported,
+        };
+        self.reported = now;
+        self.warnings.check(now, &context.input, &self.load);
         output.report(context, counters, streams);
     }
 }

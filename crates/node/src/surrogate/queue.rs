@@ -18,9 +18,13 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 const COUNTED_STREAMS: usize = 1024;
 
 /// A bounded queue between the thread that receives and the node that predicts. When it is full,
-/// [`Reliability::Block`] makes the receiver wait, and [`Reliability::Drop`] drops the oldest message of the stream with
-/// the most messages in the queue: a stream that floods the node loses frames, streams within their share do not. Ties
-/// are broken by the age of the oldest message, so that losses are distributed evenly.
+/// [`Reliability::Block`] makes the receiver wait, and [`Reliability::Drop`] drops the oldest half of the messages of the
+/// stream with the most messages in the queue: a stream that floods the node loses frames, streams within their share do
+/// not. Ties are broken by the age of the oldest message, so that losses are distributed evenly.
+///
+/// Half of them at once, because one long gap costs less than many short ones: a node that is too slow would fill each
+/// short gap with a prediction, which takes as long as a frame, and would be slower still. After a long gap it warms up
+/// again.
 #[derive(Debug)]
 pub struct FrameQueue {
     messages: Queue<Waiting>,
@@ -53,9 +57,8 @@ impl FrameQueue {
             }
             match self.reliability {
                 Reliability::Drop => {
-                    let dropped = self
-                        .messages
-                        .push_or_drop(message, |waiting| oldest_of_largest(waiting, stream));
+                    let dropped =
+                        self.messages.push_or_drop(message, |waiting| oldest_half(waiting, stream));
                     dropped.iter().filter_map(|message| message.stream).for_each(|stream| {
                         self.count(stream);
                     });
@@ -114,14 +117,18 @@ impl FrameQueue {
     }
 }
 
-/// Index of the oldest message of the stream with the most messages, the arriving one included.
-fn oldest_of_largest(waiting: &VecDeque<Waiting>, arriving: Option<u64>) -> usize {
+/// Indices of the oldest half of the messages of the stream with the most messages, the arriving one included.
+fn oldest_half(waiting: &VecDeque<Waiting>, arriving: Option<u64>) -> Vec<usize> {
     let mut shares = BTreeMap::from([(arriving, 1)]);
     for message in waiting {
         *shares.entry(message.stream).or_default() += 1;
     }
     let most = waiting.iter().map(|message| shares[&message.stream]).max();
-    waiting.iter().position(|message| Some(shares[&message.stream]) == most).unwrap_or(0)
+    let chosen = waiting.iter().find(|message| Some(shares[&message.stream]) == most);
+    let Some(chosen) = chosen.map(|message| message.stream) else { return Vec::new() };
+    let of_stream = waiting.iter().enumerate().filter(|(_, message)| message.stream == chosen);
+    let half = of_stream.clone().count().div_ceil(2);
+    of_stream.take(half).map(|(index, _)| index).collect()
 }
 
 #[cfg(test)]
@@ -145,6 +152,25 @@ mod tests {
         assert_eq!(queue.pop(Duration::ZERO), Some((Duration::ZERO, message(3))));
         assert_eq!(queue.pop(Duration::ZERO), Some((Duration::ZERO, message(4))));
         assert_eq!(queue.pop(Duration::ZERO), None);
+    }
+
+    #[test]
+    fn a_single_stream_loses_many_frames_at_once_and_not_one_at_a_time() {
+        let queue = FrameQueue::new(64, Reliability::Drop);
+        let mut seen = Vec::new();
+        // Three frames arrive while the node predicts from two.
+        for number in 0..300 {
+            queue.push(Duration::ZERO, of_stream(0, number));
+            if number % 3 != 0 {
+                seen.extend(queue.pop(Duration::ZERO).and_then(|(_, payload)| match payload {
+                    Payload::Frame(frame) => Some(frame.sequence),
+                    _ => None,
+                }));
+            }
+        }
+        let gaps: Vec<u64> =
+            seen.windows(2).map(|pair| pair[1] - pair[0] - 1).filter(|&gap| gap > 0).collect();
+        assert!(!gaps.is_empty() && gaps.iter().all(|&gap| gap >= 31), "{gaps:?}");
     }
 
     /// Message `number` of a stream.
