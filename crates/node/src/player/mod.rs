@@ -25,7 +25,7 @@ pub use keys::parse_keys;
 pub use options::{PlayerError, PlayerOptions};
 pub use outputs::{OutputError, OutputOptions, PlayedTopic, TopicOutputs, playable_topics};
 pub use pacer::Pacer;
-pub use playback::{PlaybackSink, play};
+pub use playback::{PlaybackSink, PlaybackStatus, play};
 pub use schedule::{Due, Executed, Player};
 pub use services::{PlayerServices, player_services};
 pub use timeline::Timeline;

@@ -6,6 +6,8 @@ use super::{Due, PendingCommand, Player};
 use eddy_bag::{BagError, BagMessage};
 use eddy_frames::{Stamp, clock::Clock};
 
+/// Interval between two calls of [`PlaybackSink::status`].
+const STATUS_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest sleep, so that signals and commands take effect soon.
 const MAX_SLEEP: Duration = Duration::from_millis(20);
 
@@ -29,8 +31,24 @@ pub trait PlaybackSink {
     /// The commands since the last call.
     fn commands(&mut self) -> Vec<PendingCommand>;
 
+    /// Shows the state of the player to the user: ten times a second, and after every command.
+    fn status(&mut self, status: PlaybackStatus) {
+        let _ = status;
+    }
+
     /// Whether to end playback.
     fn is_stopped(&self) -> bool;
+}
+
+/// The state of a player.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaybackStatus {
+    /// Recorded time.
+    pub position: Stamp,
+    /// Recorded time per real time.
+    pub rate: f64,
+    /// Whether the player is paused.
+    pub paused: bool,
 }
 
 /// Plays to the end of the bag, or until the sink is stopped.
@@ -42,6 +60,7 @@ pub fn play<S: PlaybackSink>(
     clock: &Clock,
     sink: &mut S,
 ) -> Result<(), S::Error> {
+    let mut shown: Option<Duration> = None;
     while !sink.is_stopped() {
         for pending in sink.commands() {
             let Some((command, responder)) = pending.accept() else { continue };
@@ -50,6 +69,12 @@ pub fn play<S: PlaybackSink>(
                 sink.message(message, clock.now())?;
             }
             responder.send(executed.outcome);
+            shown = None;
+        }
+        let now = clock.now();
+        if shown.is_none_or(|shown| now - shown >= STATUS_INTERVAL) {
+            shown = Some(now);
+            sink.status(player.status(now));
         }
         if let Some(recorded) = player.tick(clock.now()) {
             sink.clock(recorded)?;

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use super::{
-    CommandOutcome, PlayerCommand, PlayerError, PlayerOptions, Timeline, read_ahead::ReadAhead,
+    CommandOutcome, PlaybackStatus, PlayerCommand, PlayerError, PlayerOptions, Timeline,
+    read_ahead::ReadAhead,
 };
 use eddy_bag::{BagError, BagMessage, BagReader, Selection};
 use eddy_frames::Stamp;
@@ -172,6 +173,17 @@ impl Player {
     /// The recorded time at a playing time (ns).
     fn recorded(&self, position: f64) -> Stamp {
         Stamp(self.begin.saturating_add((position - self.pass.origin).max(0.0) as i64))
+    }
+
+    /// The state of the player `now`.
+    pub fn status(&self, now: Duration) -> PlaybackStatus {
+        // Never beyond the next message.
+        let next = self.next_due().unwrap_or(f64::INFINITY);
+        PlaybackStatus {
+            position: self.recorded(self.timeline.position(now).min(next)),
+            rate: self.timeline.rate(),
+            paused: self.timeline.is_paused(),
+        }
     }
 
     /// The recorded time, if it is to be published `now`. Ticks missed by a late call are skipped.

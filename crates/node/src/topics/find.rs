@@ -7,8 +7,8 @@ use eddy_transport::{Link, SeenTopic, TransportError, TransportKind, Transports}
 
 /// How long to wait for a publisher.
 pub const MAX_FIND_TIME: Duration = Duration::from_secs(30);
-/// Delay before a "no publisher yet" warning.
-const WARNING_DELAY: Duration = Duration::from_secs(3);
+/// Delay before a warning that the topic is not published yet: time for the transports to find their topics.
+const WARNING_DELAY: Duration = Duration::from_secs(1);
 /// Interval between searches.
 const SEARCH_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -48,15 +48,18 @@ pub fn find_topic(
             return Ok(None);
         }
         if clock.now() > timeout {
-            let names: Vec<_> = topics.iter().map(|topic| topic.link.topic.as_str()).collect();
-            let available = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let available = names(&topics);
             let (link, transport) = (link.clone(), link.transport);
             return Err(FindError::Timeout { link, timeout, transport, available });
         }
         if !warned && clock.now() > WARNING_DELAY {
             warned = true;
-            let seconds = timeout.as_secs_f64();
-            tracing::warn!("{link}: no publisher yet, waiting up to {seconds} s");
+            tracing::warn!(
+                "{link}: not published yet, waiting up to {} s; available topics on {}: {}",
+                timeout.as_secs_f64(),
+                link.transport,
+                names(&topics)
+            );
         }
         thread::sleep(SEARCH_INTERVAL);
     }
@@ -87,6 +90,12 @@ pub fn find_topics(
         }
         thread::sleep(SEARCH_INTERVAL);
     }
+}
+
+/// The names of topics in a line.
+fn names(topics: &[SeenTopic]) -> String {
+    let names: Vec<_> = topics.iter().map(|topic| topic.link.topic.as_str()).collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
 #[cfg(test)]
