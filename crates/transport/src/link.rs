@@ -22,6 +22,22 @@ pub enum TransportKind {
 impl TransportKind {
     pub(crate) const ALL: [Self; 4] = [Self::Memory, Self::Shm, Self::Zenoh, Self::Dds];
 
+    /// The transport of topics that are given without one: that of the environment variable `EDDY_TRANSPORT`, else
+    /// Zenoh.
+    ///
+    /// # Errors
+    /// [`InvalidLink::Transport`].
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "a setting of the user's session, like ROS_DOMAIN_ID"
+    )]
+    pub fn from_env() -> Result<Self, InvalidLink> {
+        match std::env::var("EDDY_TRANSPORT") {
+            Ok(name) if !name.is_empty() => name.parse(),
+            _ => Ok(Self::Zenoh),
+        }
+    }
+
     /// The name in links.
     pub fn name(self) -> &'static str {
         match self {
@@ -130,6 +146,20 @@ impl Link {
     }
 }
 
+impl Link {
+    /// A link as typed by a user: a topic without a transport is on the one in the environment variable
+    /// `EDDY_TRANSPORT`, Zenoh by default.
+    ///
+    /// # Errors
+    /// As [`Link::from_str`]; [`InvalidLink::Transport`] for an unknown transport in the variable.
+    pub fn from_argument(text: &str) -> Result<Self, InvalidLink> {
+        if !text.starts_with('/') {
+            return text.parse();
+        }
+        Ok(Self { transport: TransportKind::from_env()?, ..format!("zenoh:{text}").parse()? })
+    }
+}
+
 impl TryFrom<String> for Link {
     type Error = InvalidLink;
 
@@ -183,7 +213,9 @@ mod tests {
     fn a_link_is_parsed_from_its_text() {
         for text in ["zenoh:/particles", "shm:/prediction/status", "memory:/a_1", "dds:/a"] {
             assert_eq!(text.parse::<Link>().unwrap().to_string(), text);
+            assert_eq!(Link::from_argument(text).unwrap().to_string(), text);
         }
+        assert_eq!(Link::from_argument("/a/b").unwrap().topic, "/a/b");
     }
 
     #[test]
