@@ -31,7 +31,7 @@ pub use read::{
     contents::TopicInfo,
     messages::{BagMessage, Messages, Selection},
     reader::{BagReader, Frames},
-    survey::{StreamSurvey, Survey, TopicSurvey},
+    survey::{Finding, StreamSurvey, Survey, TopicSurvey},
 };
 pub use repair::{Recovered, Recovery, Reindexed, Reindexing};
 pub use write::{

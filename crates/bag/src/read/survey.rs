@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    fmt,
     fs::File,
     io::Read,
     path::Path,
@@ -20,8 +21,11 @@ use eddy_messages::{
     type_support,
 };
 
-/// Findings that are kept; the others are counted.
+/// Groups of findings that are kept; findings of others are counted.
 const KEPT_FINDINGS: usize = 50;
+
+/// A stamp more than this many intervals in the past starts a stream anew, as in a node (a looped bag).
+const RESTART_INTERVALS: u32 = 16;
 
 /// Bytes of a file that are read at a time.
 const BLOCK: usize = 1 << 16;
@@ -31,10 +35,32 @@ const BLOCK: usize = 1 << 16;
 pub struct Survey {
     /// For each topic of [`BagReader::topics`], in the same order.
     pub topics: Vec<TopicSurvey>,
-    /// Descriptions of what is wrong; at most 50.
-    pub findings: Vec<String>,
-    /// Number of findings beyond these.
+    /// What is wrong, equal findings together; at most 50 groups.
+    pub findings: Vec<Finding>,
+    /// Number of findings beyond these groups.
     pub further_findings: u64,
+}
+
+/// Findings of one kind in one place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// What they have in common.
+    group: String,
+    /// The first of them.
+    pub first: String,
+    /// How many there are.
+    pub count: u64,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.first)?;
+        match self.count {
+            0 | 1 => Ok(()),
+            2 => f.write_str(" (and 1 more of this kind)"),
+            count => write!(f, " (and {} more of this kind)", count - 1),
+        }
+    }
 }
 
 /// A topic of a [`Survey`].
@@ -42,6 +68,8 @@ pub struct Survey {
 pub struct TopicSurvey {
     /// Number of messages read.
     pub messages: u64,
+    /// Their size without compression (bytes).
+    pub bytes: u64,
     /// Streams of a topic of frames, by stream id.
     pub streams: BTreeMap<u64, StreamSurvey>,
 }
@@ -55,6 +83,8 @@ pub struct StreamSurvey {
     pub particles: (usize, usize),
     /// Time between two frames (s), from the first frame.
     pub dt: f32,
+    /// How often the stream started anew, as in the recording of a loop.
+    pub restarts: u64,
     /// Highest sequence so far, and its stamp.
     highest: (u64, Stamp),
 }
@@ -76,7 +106,7 @@ impl Survey {
             match message {
                 Ok(message) => survey.check_message(bag, &message),
                 Err(BagError::MoreErrors { count, .. }) => survey.further_findings += count,
-                Err(error) => survey.found(error.to_string()),
+                Err(error) => survey.found_alone(error.to_string()),
             }
             read += 1;
             progress(read);
@@ -90,7 +120,7 @@ impl Survey {
         if bag.is_unfinished() {
             let files: BTreeSet<_> = bag.files().map(|file| file.display().to_string()).collect();
             let files = files.into_iter().collect::<Vec<_>>().join(", ");
-            self.found(format!("{files}: found an unfinished file, expected a finished bag"));
+            self.found_alone(format!("{files}: found an unfinished file, expected a finished bag"));
             return;
         }
         if bag.damage().is_some() {
@@ -100,16 +130,29 @@ impl Survey {
             match checksums(file) {
                 Ok(()) => {}
                 Err(McapError::Io(error)) => {
-                    self.found(BagError::io(file, "reading")(error).to_string());
+                    self.found_alone(BagError::io(file, "reading")(error).to_string());
                 }
-                Err(error) => self.found(format!("{}: {error}", file.display())),
+                Err(error) => self.found_alone(format!("{}: {error}", file.display())),
             }
         }
     }
 
-    fn found(&mut self, finding: String) {
-        if self.findings.len() < KEPT_FINDINGS {
-            self.findings.push(finding);
+    /// Number of findings.
+    pub fn finding_count(&self) -> u64 {
+        self.findings.iter().map(|finding| finding.count).sum::<u64>() + self.further_findings
+    }
+
+    /// Adds a finding that nothing else is like.
+    fn found_alone(&mut self, finding: String) {
+        self.found(finding.clone(), finding);
+    }
+
+    /// Adds a finding to the others of its group.
+    fn found(&mut self, group: String, finding: String) {
+        if let Some(known) = self.findings.iter_mut().find(|known| known.group == group) {
+            known.count += 1;
+        } else if self.findings.len() < KEPT_FINDINGS {
+            self.findings.push(Finding { group, first: finding, count: 1 });
         } else {
             self.further_findings += 1;
         }
@@ -122,7 +165,7 @@ impl Survey {
         let Some(expected) = defined.or_else(built_in) else { return };
         if let Some(hash) = topic.hash.as_ref().filter(|hash| **hash != expected) {
             let TopicInfo { name, type_name, .. } = topic;
-            self.found(format!(
+            self.found_alone(format!(
                 "topic {name}: hash of {type_name}: found {hash}, expected {expected}"
             ));
         }
@@ -135,6 +178,7 @@ impl Survey {
         let Some(index) = position else { return };
         let number = self.topics[index].messages;
         self.topics[index].messages += 1;
+        self.topics[index].bytes += message.data.len() as u64;
         let data = &message.data;
         let decoded = match &*message.type_name {
             ParticleFrame::TYPE => match Frame::from_cdr(data) {
@@ -151,7 +195,9 @@ impl Survey {
             _ => Ok(()),
         };
         if let Err(reason) = decoded {
-            self.found(format!("topic {}, message {number}: {reason}", message.topic));
+            let topic = &message.topic;
+            let finding = format!("topic {topic}, message {number}: {reason}");
+            self.found(format!("topic {topic}: {}", without_numbers(&reason)), finding);
         }
     }
 
@@ -163,8 +209,9 @@ impl Survey {
         };
         let may_repeat = message.topic.ends_with("prediction");
         for fault in stream.follow(frame, may_repeat).into_iter().flatten() {
-            let finding = format!("topic {}, stream {}: {fault}", message.topic, frame.stream);
-            self.found(finding);
+            let place = format!("topic {}, stream {}", message.topic, frame.stream);
+            let group = format!("{place}: {}", without_numbers(&fault));
+            self.found(group, format!("{place}: {fault}"));
         }
     }
 
@@ -173,20 +220,27 @@ impl Survey {
             let (found, expected) = (self.topics[index].messages, topic.message_count);
             if found != expected {
                 let name = &topic.name;
-                self.found(format!("topic {name}: found {found} messages, expected {expected}"));
+                self.found_alone(format!(
+                    "topic {name}: found {found} messages, expected {expected}"
+                ));
             }
         }
         match metadata::message_count(bag.path()) {
             Ok(Some(stated)) if stated != bag.message_count() => {
                 let (path, found) = (bag.path().display(), bag.message_count());
-                self.found(format!(
+                self.found_alone(format!(
                     "{path}: found {found} messages, expected {stated} by metadata.yaml"
                 ));
             }
             Ok(_) => {}
-            Err(error) => self.found(error.to_string()),
+            Err(error) => self.found_alone(error.to_string()),
         }
     }
+}
+
+/// A description without its numbers, which is the same for findings of one kind.
+fn without_numbers(description: &str) -> String {
+    description.chars().filter(|c| !c.is_ascii_digit()).collect()
 }
 
 impl StreamSurvey {
@@ -195,18 +249,24 @@ impl StreamSurvey {
             frames: 1,
             particles: (frame.len(), frame.len()),
             dt: frame.dt,
+            restarts: 0,
             highest: (frame.sequence, frame.stamp),
         }
     }
 
-    /// Adds the next frame; returns what contradicts the frames before it.
+    /// Adds the next frame; returns what contradicts the frames before it. A stream that starts anew contradicts nothing.
     fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 2] {
         let (fewest, most) = self.particles;
         self.frames += 1;
         self.particles = (fewest.min(frame.len()), most.max(frame.len()));
         let (before, stamp_before) = self.highest;
         let (sequence, stamp) = (frame.sequence, frame.stamp);
-        let order = if sequence > before + 1 {
+        let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
+        let is_restart = sequence <= before && stamp.0 < stamp_before.0.saturating_sub(reach);
+        let order = if is_restart {
+            self.restarts += 1;
+            None
+        } else if sequence > before + 1 {
             Some(format!("found sequence {sequence} after {before}, expected {}", before + 1))
         } else if sequence <= before {
             let fault = format!("found sequence {sequence} again or late, expected {}", before + 1);
@@ -217,7 +277,7 @@ impl StreamSurvey {
         } else {
             None
         };
-        if sequence > before || !may_repeat {
+        if sequence > before || !may_repeat || is_restart {
             self.highest = (sequence, stamp);
         }
         let (found, expected) = (decimal(frame.dt), decimal(self.dt));

@@ -25,7 +25,7 @@ pub fn findings(path: &Path) -> Vec<String> {
     let bag = BagReader::open(path).unwrap();
     let mut survey = Survey::of(&bag, |_| ());
     survey.check_files(&bag);
-    survey.findings
+    survey.findings.iter().map(ToString::to_string).collect()
 }
 
 /// The properties of a message that must not change: topic, sequence number, both times, data, channel.
