@@ -11,6 +11,9 @@ use eddy_inference::{
 /// Minimum length of the rollouts of a full evaluation (frames), to detect blow-ups.
 const BLOW_UP_REACH: usize = 200;
 
+/// Rollouts per stream, unless others are requested.
+pub const DEFAULT_STARTS: usize = 7;
+
 /// What to evaluate.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {

@@ -46,7 +46,7 @@ mod task;
 mod window;
 
 pub use baseline::Baseline;
-pub use context::{Context, Settings};
+pub use context::{Context, DEFAULT_STARTS, Settings};
 pub use cost::{Cost, KindCost, time};
 pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};

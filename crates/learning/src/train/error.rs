@@ -111,7 +111,8 @@ pub enum TrainError {
     },
     /// The output contains a run, and resuming was not requested.
     #[error(
-        "{}: found {found}, expected a folder without a run (use --resume to continue it)",
+        "{}: found {found}, expected a folder without a run; choose another --output, continue the run with --resume, or \
+         replace it with --force",
         output.display()
     )]
     Exists {

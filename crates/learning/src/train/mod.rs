@@ -53,6 +53,7 @@ pub use config::{
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
+pub use validate::test_skill;
 
 use std::path::Path;
 

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::{TrainError, ValidationConfig};
 use eddy_evaluation::{
-    Baseline, Context, EvalError, Predictor, Settings, Skills,
-    dataset::{Bounds, Trajectory},
+    Baseline, Context, DEFAULT_STARTS, EvalError, Predictor, SceneResult, Settings, Skills,
+    dataset::{Bounds, Dataset, Trajectory},
     evaluate_scene, starts,
 };
 use eddy_inference::{
@@ -32,20 +32,9 @@ pub(super) fn validate(
     checkpoint: &Checkpoint,
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
-    // One thread per stream, which is more efficient than several threads per frame.
-    let surrogate = Surrogate::load(checkpoint, NonZeroUsize::new(1))?;
-    let context = context(config, &checkpoint.description, streams);
-    context.check(longest(streams)).map_err(TrainError::Validation)?;
-    let baselines = Baseline::ALL.map(Predictor::Baseline);
-    let predictors = 1 + baselines.len();
-    let scenes = streams.par_iter().map(|stream| {
-        let model = Predictor::Model(&surrogate);
-        let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
-        let whole = stream.cut(0..stream.frames)?;
-        evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
-    });
-    let scenes = scenes.collect::<Result<Vec<_>, TrainError>>()?;
-    let skill = Skills::of(&scenes, 1..predictors, config.horizon).mean(0);
+    let settings = Settings::errors_only(config.horizon, config.starts);
+    let scenes = roll_out(settings, checkpoint, streams, streams)?;
+    let skill = mean_skill(&scenes, config.horizon);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // A diverged rollout repeats its last finite frame; it must lose against any finite one.
@@ -55,13 +44,58 @@ pub(super) fn validate(
     Ok(Score { loss, first_skill, last_skill })
 }
 
-/// The context of the comparison, without measures that use the spacing of particles.
-fn context(
-    config: &ValidationConfig,
-    description: &Description,
+/// Skill of a checkpoint on the test part of the data set that it was trained on, one number per frame ahead: the same
+/// number as `eddy eval` reports for this checkpoint and data. `None` without a test stream that is long enough.
+///
+/// # Errors
+/// [`TrainError`] when a stream cannot be read or predicted.
+pub fn test_skill(
+    checkpoint: &Checkpoint,
+    dataset: &Dataset,
+    horizon: usize,
+) -> Result<Option<Vec<f64>>, TrainError> {
+    let settings = Settings::errors_only(horizon, DEFAULT_STARTS);
+    let warm_up = checkpoint.description.warm_up as usize;
+    if dataset.test.iter().all(|stream| starts(stream.frames, warm_up, settings).is_empty()) {
+        return Ok(None);
+    }
+    let all: Vec<Trajectory> = [&dataset.train, &dataset.validation, &dataset.test]
+        .into_iter()
+        .flatten()
+        .cloned()
+        .collect();
+    let scenes = roll_out(settings, checkpoint, &dataset.test, &all)?;
+    Ok(Some(mean_skill(&scenes, horizon)))
+}
+
+/// The results of the model and of every baseline over `streams`. The walls of baselines are those of `all` streams.
+fn roll_out(
+    settings: Settings,
+    checkpoint: &Checkpoint,
     streams: &[Trajectory],
-) -> Context {
-    let settings = Settings::errors_only(config.horizon, config.starts);
+    all: &[Trajectory],
+) -> Result<Vec<SceneResult>, TrainError> {
+    // One thread per stream, which is more efficient than several threads per frame.
+    let surrogate = Surrogate::load(checkpoint, NonZeroUsize::new(1))?;
+    let context = context(settings, &checkpoint.description, all);
+    context.check(longest(streams)).map_err(TrainError::Validation)?;
+    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    let scenes = streams.par_iter().map(|stream| {
+        let model = Predictor::Model(&surrogate);
+        let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
+        let whole = stream.cut(0..stream.frames)?;
+        evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
+    });
+    scenes.collect()
+}
+
+/// Skill of the model, which is the first predictor, averaged over kinds of scenes.
+fn mean_skill(scenes: &[SceneResult], horizon: usize) -> Vec<f64> {
+    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(0)
+}
+
+/// The context of the comparison, without measures that use the spacing of particles.
+fn context(settings: Settings, description: &Description, streams: &[Trajectory]) -> Context {
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));
     let warm_up = description.warm_up as usize;
