@@ -21,7 +21,10 @@ mod stream;
 mod tests;
 mod trajectory;
 
-use std::path::PathBuf;
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -123,15 +126,16 @@ impl Dataset {
         progress: &mut (dyn FnMut(u64, u64) + Send),
     ) -> Result<Self, DatasetError> {
         let streams = load::load(paths, memory, progress)?;
-        let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
+        let numbers = split_numbers(&streams);
+        let ids = split::distinct_ids(numbers.iter().copied());
         if ids.len() < 2 {
             return Err(DatasetError::TooFew { paths: paths.to_vec(), found: ids.len() });
         }
         let mut hasher = Sha256::new();
         let mut statistics = Statistics::new();
         let (mut train, mut validation, mut test) = (Vec::new(), Vec::new(), Vec::new());
-        for stream in streams {
-            let part = Part::of(&ids, stream.id);
+        for (stream, number) in streams.into_iter().zip(numbers) {
+            let part = Part::of(&ids, number);
             begin_digest(&mut hasher, stream.id, stream.dt, &stream.material);
             stream.visit(0..stream.frames, |state| {
                 add_to_digest(&mut hasher, state);
@@ -200,8 +204,22 @@ fn check_same_setup(first: &Stream, stream: &Stream) -> Result<(), DatasetError>
 
 /// The streams that training on all of `streams` would put into the test part.
 pub fn test_part(streams: &[Trajectory]) -> Vec<Trajectory> {
-    let ids = split::distinct_ids(streams.iter().map(|stream| stream.id));
-    streams.iter().filter(|stream| Part::of(&ids, stream.id) == Part::Test).cloned().collect()
+    let numbers = split_numbers(streams);
+    let ids = split::distinct_ids(numbers.iter().copied());
+    let is_test = |(_, number): &(&Trajectory, u64)| Part::of(&ids, *number) == Part::Test;
+    streams.iter().zip(numbers).filter(is_test).map(|(stream, _)| stream.clone()).collect()
+}
+
+/// The number by which each stream is put into a part: its id, so that the pieces of a trajectory that was cut stay
+/// together. Scenes from files without an `id` all have the same one; then the bags are numbered.
+fn split_numbers(streams: &[Trajectory]) -> Vec<u64> {
+    let ids: BTreeSet<u64> = streams.iter().map(|stream| stream.id).collect();
+    if ids.len() > 1 {
+        return streams.iter().map(|stream| stream.id).collect();
+    }
+    let bags: BTreeSet<&Path> = streams.iter().map(|stream| stream.source.as_path()).collect();
+    let number = |stream: &Trajectory| bags.iter().position(|bag| *bag == stream.source);
+    streams.iter().map(|stream| number(stream).unwrap_or_default() as u64).collect()
 }
 
 /// SHA-256 over ids, materials and states of all streams, hexadecimal. `look` is called with every state.

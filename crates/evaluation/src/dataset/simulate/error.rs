@@ -73,23 +73,19 @@ pub enum SimulateError {
     },
     /// The directory belongs to another request.
     #[error(
-        "{}: found {found}, expected {expected} (different: {}); choose another --output",
+        "{}: the scenes there were requested with {}; choose another --output, or replace them with --force",
         file.display(), fields.join(", ")
     )]
     OtherRequest {
         /// The manifest.
         file: PathBuf,
-        /// Names of the fields that differ.
+        /// The fields that differ, with their values there and in this request.
         fields: Vec<String>,
-        /// The request there, as JSON.
-        found: String,
-        /// This request, as JSON.
-        expected: String,
     },
     /// A bag of that name exists but is not in the manifest.
     #[error(
         "{}: already exists and is not this scene according to the manifest; \
-         choose another --output",
+         choose another --output, or replace all scenes there with --force",
         directory.display()
     )]
     OtherScene {

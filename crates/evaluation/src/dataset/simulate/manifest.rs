@@ -146,9 +146,7 @@ impl Manifest {
         let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
         let mut fields = Vec::new();
         differences("", &there, &here, &mut fields);
-        let text = |request| serde_json::to_string(request).map_err(invalid);
-        let (found, expected) = (text(&found.request)?, text(request)?);
-        Err(SimulateError::OtherRequest { file, fields, found, expected })
+        Err(SimulateError::OtherRequest { file, fields })
     }
 
     /// The directory.
@@ -211,11 +209,15 @@ fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
     Ok(Some(Manifest { output: output.to_owned(), ..found }))
 }
 
-/// Adds the paths of the fields in which two values differ, such as `settings.duration`.
+/// Adds the fields in which two values differ, such as `settings.duration 2.0, not 4.0`.
 fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String>) {
     let (Value::Object(one), Value::Object(other)) = (one, other) else {
         if one != other {
-            fields.push(prefix.to_owned());
+            let shown = |value: &Value| match value {
+                Value::Null => "by default".to_owned(),
+                value => value.to_string(),
+            };
+            fields.push(format!("{prefix} {}, not {}", shown(one), shown(other)));
         }
         return;
     };
