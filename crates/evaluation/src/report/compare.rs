@@ -213,6 +213,13 @@ impl Comparison {
         Some(table)
     }
 
+    /// The remarks and the first table, for a terminal.
+    pub fn first_table(&self) -> String {
+        let notes = self.notes.iter().map(|note| format!("{note}\n"));
+        let table = self.all_tables().first().map(|table| format!("{}\n", terminal(table)));
+        notes.chain(table).collect()
+    }
+
     /// The remarks and tables for a terminal.
     pub fn tables(&self) -> String {
         let notes = self.notes.iter().map(|note| format!("{note}\n"));

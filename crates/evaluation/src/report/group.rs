@@ -76,7 +76,19 @@ impl Group {
                 kinds: skills.kinds().map(of_kind).collect(),
             }
         };
-        groups.into_iter().map(group).collect()
+        let mut groups: Vec<Self> = groups.into_iter().map(group).collect();
+        distinguish(&mut groups);
+        groups
+    }
+}
+
+/// Adds the names of the checkpoints to the names of models that are called the same.
+fn distinguish(groups: &mut [Group]) {
+    let names: Vec<String> = groups.iter().map(|group| group.name.clone()).collect();
+    for group in groups {
+        if names.iter().filter(|name| **name == group.name).count() > 1 {
+            group.name = format!("{} ({})", group.name, group.members.join(", "));
+        }
     }
 }
 
@@ -109,6 +121,26 @@ fn mean_and_spread(curves: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn models_of_one_name_are_told_apart_by_their_checkpoints() {
+        let group = |name: &str, member: &str| Group {
+            name: name.to_owned(),
+            members: vec![member.to_owned()],
+            blow_ups: BlowUps::default(),
+            ms: None,
+            skill: GroupSkill { skill: Vec::new(), spread: Vec::new(), skill_intervals: None },
+            kinds: Vec::new(),
+        };
+        let mut groups = [
+            group("particle mingru", "mine"),
+            group("frame gru", "b"),
+            group("particle mingru", "c"),
+        ];
+        distinguish(&mut groups);
+        let names: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
+        assert_eq!(names, ["particle mingru (mine)", "frame gru", "particle mingru (c)"]);
+    }
 
     #[test]
     fn the_spread_is_the_standard_deviation_of_the_sample() {

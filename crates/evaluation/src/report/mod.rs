@@ -59,7 +59,7 @@ pub struct Report {
     pub made: Provenance,
     /// Digest of the evaluated streams.
     pub data_digest: String,
-    /// EvaluationResults streams.
+    /// Evaluated streams.
     pub streams: usize,
     /// Free rollouts of each predictor.
     pub windows: usize,

@@ -37,7 +37,9 @@ pub enum ReportError {
     },
     /// The reports are of different data.
     #[error(
-        "{field}: found {second} in {second_name} and {first} in {first_name}, expected the same"
+        "{field}: found {} in {second_name} and {} in {first_name}, expected the same: reports of different data cannot be compared",
+        short(second),
+        short(first)
     )]
     Different {
         /// The field that differs.
@@ -57,6 +59,11 @@ pub enum ReportError {
         /// Number of reports.
         found: usize,
     },
+}
+
+/// A value in an error message; of a digest the beginning.
+fn short(value: &str) -> &str {
+    value.get(..12).unwrap_or(value)
 }
 
 /// The part that all versions share.

@@ -20,8 +20,8 @@ impl Report {
              (MinMax) or standard deviation (z-score) in the first checkpoint's training data.",
         );
         let plots = CURVES.map(|(title, of)| {
-            let series =
-                self.fallible().map(|entry| Series::ahead(&entry.name, self.drawn(of(entry))));
+            let drawn = |entry: &Entry| Series::ahead(&entry.name, self.drawn(of(entry)));
+            let series = self.fallible().map(drawn);
             let title = title.to_owned();
             LinePlot { y: error_axis(&title), title, x: frames_ahead(), series: series.collect() }
         });

@@ -80,7 +80,7 @@ impl Report {
     }
 
     /// Predictors whose skill is meaningful.
-    fn skilled(&self) -> impl Iterator<Item = &Entry> {
+    pub(super) fn skilled(&self) -> impl Iterator<Item = &Entry> {
         self.fallible().filter(|entry| entry.role != Role::Mean)
     }
 
@@ -108,12 +108,13 @@ impl Report {
 
     /// A curve with intervals at the frames shown.
     fn banded(&self, name: &str, curve: &[f64], intervals: Option<&Vec<Interval>>) -> Series {
+        let curve = self.drawn(curve);
         let band = |(&ahead, interval): (&usize, &Interval)| {
             [ahead as f64, interval.lower, interval.upper]
         };
         let band = intervals.iter().flat_map(|all| self.shown.iter().zip(*all)).map(band);
-        let band = band.filter(|[ahead, ..]| *ahead <= self.drawn_frames() as f64);
-        Series { band: band.collect(), ..Series::ahead(name, self.drawn(curve)) }
+        let band = band.filter(|[ahead, ..]| *ahead <= curve.len() as f64).collect();
+        Series { band, ..Series::ahead(name, curve) }
     }
 }
 

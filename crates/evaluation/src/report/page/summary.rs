@@ -20,7 +20,8 @@ impl Report {
             section.note(&note);
         }
         section.table(&self.skill_table()).plots(&[self.skill_plot()]);
-        section.heading("Seeds and intervals").table(&self.seed_table());
+        let Some(table) = self.seed_table() else { return };
+        section.heading("Seeds and intervals").table(&table);
         section.paragraph(
             "Checkpoints that differ only in their training are seeds of one model. Deviations are sample standard \
              deviations over seeds. Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of the scenes, \
@@ -29,7 +30,7 @@ impl Report {
     }
 
     pub(in super::super) fn skill_table(&self) -> Table {
-        let caption = format!("Skill, mean of {} kinds of scenes", self.kinds.len());
+        let caption = self.skill_caption();
         let mut table = self.frame_table(&caption, &["blow-ups", "far off", "ms per frame"]);
         let compared = self.compared.iter().map(usize::to_string);
         table.fixed_row("rollouts with truth", compared);
@@ -40,6 +41,14 @@ impl Report {
             table.row(entry.name.as_str(), cells);
         }
         table
+    }
+
+    /// What skill is averaged over.
+    fn skill_caption(&self) -> String {
+        match &self.kinds[..] {
+            [one] => format!("Skill, {}", one.kind.name()),
+            kinds => format!("Skill, mean of {} kinds of scenes", kinds.len()),
+        }
     }
 
     fn skill_plot(&self) -> LinePlot {
@@ -56,6 +65,8 @@ impl Report {
             series.band.retain(|[_, low, _]| *low >= -1.0);
             series
         });
+        let has_intervals = self.fallible().any(|entry| entry.skill_intervals.is_some());
+        let intervals = if has_intervals { " with 95 % intervals over scenes" } else { "" };
         LinePlot {
             title: format!("Skill{intervals} (cut off at -1)"),
             x: frames_ahead(),
@@ -64,7 +75,12 @@ impl Report {
         }
     }
 
-    pub(in super::super) fn seed_table(&self) -> Table {
+    /// Models with several seeds, or with intervals over scenes; `None` if it would only repeat the skill of checkpoints.
+    pub(in super::super) fn seed_table(&self) -> Option<Table> {
+        let has_intervals = self.groups.iter().any(|group| group.skill.skill_intervals.is_some());
+        if !has_intervals && !self.has_seeds() {
+            return None;
+        }
         let mut table =
             self.frame_table("Skill, mean over seeds", &["blow-ups", "far off", "ms per frame"]);
         for group in &self.groups {
@@ -84,7 +100,12 @@ impl Report {
                 table.detail_row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
             }
         }
-        table
+        Some(table)
+    }
+
+    /// Whether some checkpoints are seeds of one model.
+    pub(in super::super) fn has_seeds(&self) -> bool {
+        self.groups.iter().any(|group| group.members.len() > 1)
     }
 }
 
