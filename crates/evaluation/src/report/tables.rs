@@ -33,9 +33,8 @@ impl Report {
             0 | 1 => String::new(),
             kinds => format!(", mean of {kinds} kinds of scenes"),
         };
-        let mut text = format!(
-            "skill of free rollouts (1 is perfect, 0 as good as the best baseline){kinds}\n{table}\n"
-        );
+        let mut text =
+            format!("skill (1 is perfect, 0 as good as the best baseline){kinds}\n{table}\n");
         if self.has_seeds() {
             let seeds = self.seed_table().map(|table| format!("{}\n", terminal(&table)));
             text.extend(seeds);

@@ -73,7 +73,7 @@ pub enum SimulateError {
     },
     /// The directory belongs to another request.
     #[error(
-        "{}: the scenes there were requested with {}; choose another --output, or replace them with --force",
+        "{}: the scenes there have {}; choose another --output, or replace them with --force",
         file.display(), fields.join(", ")
     )]
     OtherRequest {

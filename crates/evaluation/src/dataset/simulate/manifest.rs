@@ -209,15 +209,15 @@ fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
     Ok(Some(Manifest { output: output.to_owned(), ..found }))
 }
 
-/// Adds the fields in which two values differ, such as `settings.duration 2.0, not 4.0`.
+/// Adds the fields in which two values differ, such as `settings.duration 2.0 instead of 4.0`.
 fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String>) {
     let (Value::Object(one), Value::Object(other)) = (one, other) else {
         if one != other {
             let shown = |value: &Value| match value {
-                Value::Null => "by default".to_owned(),
+                Value::Null => "the default".to_owned(),
                 value => value.to_string(),
             };
-            fields.push(format!("{prefix} {}, not {}", shown(one), shown(other)));
+            fields.push(format!("{prefix} {} instead of {}", shown(one), shown(other)));
         }
         return;
     };

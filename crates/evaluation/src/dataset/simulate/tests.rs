@@ -102,19 +102,19 @@ fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
     let longer = Settings { duration: Some(0.048), ..request(1).settings };
     let more = Source::Random(Extent::of(Preset::Kinds, 2600).unwrap());
     for (other, expected) in [
-        (SimulationRequest { seed: 2, ..request(1) }, vec!["seed 1, not 2"]),
+        (SimulationRequest { seed: 2, ..request(1) }, vec!["seed 1 instead of 2"]),
         (SimulationRequest { fields: true, ..request(1) }, vec!["fields"]),
         (
             SimulationRequest { settings: longer, ..request(1) },
-            vec!["settings.duration 0.032, not 0.048"],
+            vec!["settings.duration 0.032 instead of 0.048"],
         ),
         (
             SimulationRequest { source: more, name: "other".to_owned(), ..request(1) },
-            vec!["particles by default, not 2600", "scene \"kinds\", not \"other\""],
+            vec!["particles the default instead of 2600", "scene \"kinds\" instead of \"other\""],
         ),
     ] {
         let error = simulate(&other, &output, &Silent).unwrap_err();
-        assert!(error.to_string().contains("manifest.json: the scenes there were requested with "));
+        assert!(error.to_string().contains("manifest.json: the scenes there have "));
         let SimulateError::OtherRequest { fields, .. } = error else { panic!("{error}") };
         assert_eq!(fields, expected);
     }
