@@ -21,6 +21,9 @@ pub struct BenchArgs {
     /// Also write the tables and plots to an HTML page.
     #[arg(long, global = true, value_name = "FILE")]
     pub html: Option<PathBuf>,
+    /// Replace an existing HTML page.
+    #[arg(long, global = true)]
+    pub force: bool,
 }
 
 /// The benchmarks.
@@ -51,10 +54,15 @@ pub struct BenchTransportArgs {
     #[arg(long, value_delimiter = ',', default_value = "shm,zenoh,dds")]
     pub transport: Vec<TransportKind>,
     /// Particles per frame.
-    #[arg(long, value_delimiter = ',', default_value = "2500,10000,100000,1000000")]
+    #[arg(
+        long,
+        value_name = "N",
+        value_delimiter = ',',
+        default_value = "2500,10000,100000,1000000"
+    )]
     pub particles: Vec<usize>,
     /// Messages of each kind.
-    #[arg(long, default_value_t = 500)]
+    #[arg(long, value_name = "N", default_value_t = 500)]
     pub messages: usize,
     /// Print JSON instead of tables.
     #[arg(long)]
@@ -65,16 +73,16 @@ pub struct BenchTransportArgs {
 #[derive(Debug, Args)]
 pub struct BenchNodeArgs {
     /// Checkpoint directory [default: the shipped particle model].
-    #[arg(long)]
+    #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
     /// Number of streams.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub streams: u64,
     /// Particles per stream.
-    #[arg(long, default_value_t = 2500)]
+    #[arg(long, value_name = "N", default_value_t = 2500)]
     pub particles: usize,
     /// Frame rate per stream (Hz).
-    #[arg(long, default_value_t = 62.5)]
+    #[arg(long, value_name = "HZ", default_value_t = 62.5)]
     pub hertz: f64,
     /// Approximate duration (s).
     #[arg(long, default_value_t = 10.0)]
@@ -83,7 +91,7 @@ pub struct BenchNodeArgs {
     #[arg(long)]
     pub together: bool,
     /// Threads of the engine [default: one per core].
-    #[arg(long)]
+    #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Print JSON instead of tables.
     #[arg(long)]
@@ -94,10 +102,10 @@ pub struct BenchNodeArgs {
 #[derive(Debug, Args)]
 pub struct BenchReplayArgs {
     /// Particles per frame.
-    #[arg(long, default_value_t = 2500)]
+    #[arg(long, value_name = "N", default_value_t = 2500)]
     pub particles: usize,
     /// Frame rate (Hz).
-    #[arg(long, default_value_t = 250.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 250.0)]
     pub hertz: f64,
     /// Approximate duration of each of the two (s).
     #[arg(long, default_value_t = 15.0)]
@@ -111,10 +119,10 @@ pub struct BenchReplayArgs {
 #[derive(Debug, Args)]
 pub struct BenchViewArgs {
     /// Particles per frame.
-    #[arg(long, default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
     pub particles: usize,
     /// Frame rate (Hz).
-    #[arg(long, default_value_t = 62.5)]
+    #[arg(long, value_name = "HZ", default_value_t = 62.5)]
     pub hertz: f64,
     /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 5.0)]
@@ -128,16 +136,16 @@ pub struct BenchViewArgs {
 #[derive(Debug, Args)]
 pub struct BenchBagArgs {
     /// Particles per frame.
-    #[arg(long, default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
     pub particles: usize,
     /// Frame rate of the live recording (Hz).
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     pub hertz: f64,
     /// Approximate duration of each measurement (s).
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
     /// Directory on the disk to measure; files written there are removed.
-    #[arg(long, default_value = ".")]
+    #[arg(long, value_name = "DIR", default_value = ".")]
     pub directory: PathBuf,
     /// Print JSON instead of tables.
     #[arg(long)]
@@ -148,10 +156,10 @@ pub struct BenchBagArgs {
 #[derive(Debug, Args)]
 pub struct BenchSolverArgs {
     /// Numbers of particles, from 1000, 2500, 10000, 100000 and 1000000 [default: all].
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_name = "N", value_delimiter = ',')]
     pub particles: Vec<usize>,
     /// Numbers of threads.
-    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<usize>,
     /// Constitutive law of liquids: water, or the law of Taichi's mpm128.
     #[arg(long, value_enum, default_value_t = Law::Water)]
@@ -160,7 +168,7 @@ pub struct BenchSolverArgs {
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
     /// Write the initial states and the states after 20 and 200 substeps to bags, for comparison with other programs.
-    #[arg(long, short)]
+    #[arg(long, value_name = "DIR", short)]
     pub output: Option<PathBuf>,
     /// Print JSON instead of tables.
     #[arg(long)]
@@ -171,13 +179,13 @@ pub struct BenchSolverArgs {
 #[derive(Debug, Args)]
 pub struct BenchInferenceArgs {
     /// Particles per frame.
-    #[arg(long, default_value_t = PARTICLES)]
+    #[arg(long, value_name = "N", default_value_t = PARTICLES)]
     pub particles: usize,
     /// Cores of the frame model; the particle model is always included.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "mlp,lstm,gru,minlstm,mingru")]
     pub core: Vec<Core>,
     /// Numbers of threads of the engine.
-    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<NonZeroUsize>,
     /// Devices on which to also time the network in burn.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "flex,ndarray")]
@@ -202,7 +210,7 @@ pub struct BenchTrainingArgs {
     #[arg(long, value_name = "STEP")]
     pub step: Vec<Step>,
     /// Windows per batch, for steps that do not specify it.
-    #[arg(long, default_value_t = 16)]
+    #[arg(long, value_name = "N", default_value_t = 16)]
     pub windows: usize,
     /// Approximate duration per kind of step (s); at least three steps.
     #[arg(long, default_value_t = 3.0)]
@@ -228,14 +236,14 @@ pub struct StudyArgs {
     #[arg(long)]
     pub paper: bool,
     /// Read settings from a TOML file; it overrides --quick or --paper.
-    #[arg(long)]
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Directory of data, networks, evaluations and reports. Comparisons with the same output share data and networks;
     /// the same command resumes an interrupted study.
-    #[arg(long, short)]
+    #[arg(long, value_name = "DIR", short)]
     pub output: PathBuf,
     /// Number of networks to train in parallel.
-    #[arg(long, default_value_t = NonZeroUsize::MIN)]
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
     pub jobs: NonZeroUsize,
     /// Device for training and for the timed steps (comparisons cores, loss and window).
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]

@@ -11,6 +11,7 @@ use super::{BenchOutput, table};
 use crate::bench::bag::{Plan, Timing, disk, time};
 use eddy_bag::Compression;
 use eddy_frames::progress::Progress;
+use eddy_settings::ensure_usage;
 
 /// Size of the plain file that measures the disk (bytes).
 const PLAIN_FILE: u64 = 1 << 29;
@@ -27,8 +28,8 @@ struct Report {
 
 /// Measures every compression.
 pub fn run(args: BenchBagArgs, html: Option<&Path>, progress: &dyn Progress) -> anyhow::Result<()> {
-    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
-    ensure!(
+    ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure_usage!(
         args.hertz.is_finite() && args.hertz > 0.0,
         "hertz: found {}, expected more than 0",
         args.hertz

@@ -12,6 +12,7 @@ use crate::bench::{
     limit::read_rate,
 };
 use eddy_frames::progress::Progress;
+use eddy_settings::ensure_usage;
 
 /// JSON output.
 #[derive(Serialize)]
@@ -45,8 +46,8 @@ pub fn run(
     html: Option<&Path>,
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
-    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
-    ensure!(args.particles > 0, "particles: found 0, expected at least 1");
+    ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure_usage!(args.particles > 0, "particles: found 0, expected at least 1");
     let mut engines: Vec<_> = args.threads.iter().map(|&threads| Engine::Own(threads)).collect();
     if !args.engine_only {
         args.device.iter().try_for_each(|device| device.check())?;

@@ -10,6 +10,7 @@ use super::{BenchOutput, table};
 use crate::bench::node::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
+use eddy_settings::ensure_usage;
 
 /// JSON output.
 #[derive(Serialize)]
@@ -31,10 +32,10 @@ pub fn run(
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
     let BenchNodeArgs { streams, particles, hertz, seconds, together, threads, .. } = args;
-    ensure!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
-    ensure!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
-    ensure!(particles > 0, "particles: found 0, expected at least 1");
-    ensure!(streams > 0, "streams: found 0, expected at least 1");
+    ensure_usage!(seconds > 0.0, "seconds: found {seconds}, expected more than 0");
+    ensure_usage!(hertz.is_finite() && hertz > 0.0, "hertz: found {hertz}, expected more than 0");
+    ensure_usage!(particles > 0, "particles: found 0, expected at least 1");
+    ensure_usage!(streams > 0, "streams: found 0, expected at least 1");
     ensure!(!progress.cancelled(), "interrupted");
     let checkpoint = Checkpoint::load_or_shipped(args.checkpoint.as_deref())?;
     let plan = Plan { streams, particles, hertz, seconds, together, threads };

@@ -1,6 +1,9 @@
 //! Output of benchmarks as tables, JSON or HTML.
 
-use std::path::Path;
+use std::{
+    io::{self, ErrorKind, Write as _},
+    path::Path,
+};
 
 use anyhow::Context;
 use comfy_table::{CellAlignment, Table as Printed, presets};
@@ -29,10 +32,10 @@ impl BenchOutput {
         html: Option<&Path>,
     ) -> anyhow::Result<()> {
         if json {
-            println!("{}", serde_json::to_string_pretty(report)?);
+            print(&serde_json::to_string_pretty(report)?)?;
         } else {
             let tables: Vec<String> = self.tables.iter().map(plain_text).collect();
-            println!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n"));
+            print(&format!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n")))?;
         }
         let Some(html) = html else { return Ok(()) };
         let page = self.page(&Provenance::here());
@@ -47,6 +50,19 @@ impl BenchOutput {
         self.notes.iter().for_each(|note| _ = section.paragraph(note));
         page.section("Reproduce").provenance(made);
         page
+    }
+}
+
+/// Prints lines; a reader that is gone, as behind `| head`, is no failure.
+///
+/// # Errors
+/// When standard output cannot be written to for another reason.
+pub(super) fn print(text: &str) -> anyhow::Result<()> {
+    match writeln!(io::stdout(), "{text}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to standard output")
+        }
+        _ => Ok(()),
     }
 }
 

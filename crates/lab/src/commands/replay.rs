@@ -9,6 +9,7 @@ use super::args::BenchReplayArgs;
 use super::{BenchOutput, table};
 use crate::bench::replay::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
+use eddy_settings::ensure_usage;
 
 /// Number of turns of replay and timer.
 const TURNS: usize = 15;
@@ -28,11 +29,11 @@ pub fn run(
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
     let BenchReplayArgs { particles, hertz, seconds, json } = args;
-    ensure!(
+    ensure_usage!(
         (0.0..=3600.0).contains(&seconds) && seconds > 0.0,
         "seconds: found {seconds}, expected more than 0 and at most 3600"
     );
-    ensure!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
+    ensure_usage!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
     let folder = tempfile::tempdir().context("cannot create a folder for the bag")?;
     let frames = (seconds * hertz / TURNS as f64).ceil() as u32;
     let plan = Plan { particles, hertz, frames, turns: TURNS };

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{Context, anyhow, ensure};
 use serde::Serialize;
 
 use super::args::BenchSolverArgs;
@@ -19,6 +19,7 @@ use eddy_evaluation::{
 use eddy_frames::progress::Progress;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::{GRAVITY, Law, Materials};
+use eddy_settings::{ensure_usage, usage::Usage};
 
 /// JSON output.
 #[derive(Serialize)]
@@ -44,14 +45,17 @@ pub fn run(
     let cases: Vec<(usize, u32)> = chosen.collect();
     let sizes = CASES.map(|(particles, _)| particles);
     if let Some(unknown) = args.particles.iter().find(|particles| !sizes.contains(particles)) {
-        bail!("particles: found {unknown}, expected some of {sizes:?}");
+        return Err(Usage::new(format_args!(
+            "particles: found {unknown}, expected some of {sizes:?}"
+        ))
+        .into());
     }
-    ensure!(
+    ensure_usage!(
         args.threads.iter().all(|&threads| (1..=1024).contains(&threads)),
         "threads: found {:?}, expected numbers from 1 to 1024",
         args.threads
     );
-    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     if let Some(output) = &args.output {
         fs::create_dir_all(output)
             .with_context(|| format!("cannot create {}", output.display()))?;

@@ -2,10 +2,10 @@
 
 use anyhow::Context;
 
-use super::{StudyArgs, plain_text};
+use super::{StudyArgs, output::print, plain_text};
 use crate::study::{self, StudyConfig, StudyRequest};
 use eddy_frames::progress::Progress;
-use eddy_settings::Overrides;
+use eddy_settings::{Overrides, usage::Usage};
 
 /// Runs a comparison and prints the summaries of its report.
 ///
@@ -13,12 +13,18 @@ use eddy_settings::Overrides;
 /// Settings out of range; errors of the comparison.
 pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
     let request = request(args)?;
-    let outcome = study::run(&request, progress)?;
-    for (heading, table) in &outcome.summaries {
-        println!("\n{heading}: {}\n{}", table.caption(), plain_text(table));
+    let warning = request.study.warning();
+    if let Some(warning) = &warning {
+        progress.message(warning);
     }
-    println!("\n{}", outcome.page.display());
-    Ok(())
+    let outcome = study::run(&request, progress)?;
+    if let Some(warning) = &warning {
+        print(&format!("\n{warning}"))?;
+    }
+    for (heading, table) in &outcome.summaries {
+        print(&format!("\n{heading}: {}\n{}", table.caption(), plain_text(table)))?;
+    }
+    print(&format!("\n{}", outcome.page.display()))
 }
 
 /// The settings of the preset, overridden by the file.
@@ -30,9 +36,11 @@ fn request(args: StudyArgs) -> anyhow::Result<StudyRequest> {
         None => defaults,
     };
     let request = StudyRequest { comparison, study, output, jobs, device };
-    request.check().with_context(|| match &config {
-        Some(file) => file.display().to_string(),
-        None => "command line".to_owned(),
-    })?;
+    match &config {
+        Some(file) => request.check().with_context(|| file.display().to_string())?,
+        None => {
+            request.check().map_err(|error| Usage::new(format_args!("command line: {error}")))?
+        }
+    }
     Ok(request)
 }

@@ -14,6 +14,7 @@ use eddy_learning::{
     model::Core,
     train::step_benchmark::{PARTICLES, Part},
 };
+use eddy_settings::ensure_usage;
 
 /// JSON output.
 #[derive(Serialize)]
@@ -28,9 +29,9 @@ pub fn run(
     html: Option<&Path>,
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
-    ensure!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
-    ensure!(args.windows > 0, "windows: found 0, expected at least 1");
-    ensure!(
+    ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    ensure_usage!(args.windows > 0, "windows: found 0, expected at least 1");
+    ensure_usage!(
         args.device == args.device.through_burn(),
         "--device: found {}, expected a device that burn computes on: flex, ndarray or vulkan",
         args.device.name()

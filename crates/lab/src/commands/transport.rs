@@ -10,6 +10,7 @@ use super::{BenchOutput, table};
 use crate::bench::transport::{Timing, Way, time};
 use eddy_evaluation::page::{Axis, LinePlot, Series};
 use eddy_frames::progress::Progress;
+use eddy_settings::ensure_usage;
 
 /// JSON output.
 #[derive(Serialize)]
@@ -23,8 +24,8 @@ pub fn run(
     html: Option<&Path>,
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
-    ensure!(args.messages > 0, "messages: found 0, expected at least 1");
-    ensure!(!args.particles.contains(&0), "particles: found 0, expected at least 1");
+    ensure_usage!(args.messages > 0, "messages: found 0, expected at least 1");
+    ensure_usage!(!args.particles.contains(&0), "particles: found 0, expected at least 1");
     let cases = args.transport.len() * args.particles.len();
     progress.begin(cases as u64, "cases");
     let mut timings = Vec::new();

@@ -9,6 +9,7 @@ use super::args::BenchViewArgs;
 use super::{BenchOutput, table};
 use crate::bench::view::{Plan, Timing, time};
 use eddy_frames::progress::Progress;
+use eddy_settings::ensure_usage;
 
 /// Numbers of browsers that read and that do not.
 const CASES: [(usize, usize); 4] = [(0, 0), (1, 0), (1, 1), (10, 0)];
@@ -28,12 +29,12 @@ pub fn run(
     progress: &dyn Progress,
 ) -> anyhow::Result<()> {
     let BenchViewArgs { particles, hertz, seconds, json } = args;
-    ensure!(particles > 0, "particles: found 0, expected at least 1");
-    ensure!(
+    ensure_usage!(particles > 0, "particles: found 0, expected at least 1");
+    ensure_usage!(
         (0.0..=3600.0).contains(&seconds) && seconds > 0.0,
         "seconds: found {seconds}, expected more than 0 and at most 3600"
     );
-    ensure!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
+    ensure_usage!((0.1..=1e5).contains(&hertz), "hertz: found {hertz}, expected 0.1 to 100000");
     let mut rows = Vec::new();
     for (readers, silent) in CASES {
         let plan = Plan { particles, hertz, seconds, readers, silent };

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::bench::training::FRAMES;
 use eddy_evaluation::{
     SCENE_FRAMES,
+    bootstrap::MIN_SCENES,
     dataset::simulate::{SimulationRequest, Source},
 };
 use eddy_inference::checkpoint::{Activation, Architecture, Core, MaterialInput};
@@ -128,6 +129,19 @@ impl StudyConfig {
         quick.evaluation.starts = 3;
         (quick.step_frames, quick.step_seconds) = (vec![2, 16], 0.2);
         quick
+    }
+
+    /// What to know before reading the results; `None` for a study that can rank its networks.
+    pub fn warning(&self) -> Option<String> {
+        // The last tenth of the scenes, rounded up.
+        let test = self.data.scenes.div_ceil(10);
+        ((test as usize) < MIN_SCENES).then(|| {
+            let scenes = if test == 1 { "scene" } else { "scenes" };
+            format!(
+                "This study shows that everything works, and nothing about ranks: it has {test} test {scenes} per preset. \
+                 --paper has the paper's setup."
+            )
+        })
     }
 
     /// Checks all settings.

@@ -25,8 +25,9 @@ impl StudyReport {
             Comparison::Window => "Number of observed frames",
         };
         let data = &study.data;
+        let warning = study.warning().map_or(String::new(), |warning| warning + " ");
         let lead = format!(
-            "{} scenes per preset ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
+            "{warning}{} scenes per preset ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
              test. Seeds {}.",
             data.scenes,
             comparison.presets(study).join(", "),
