@@ -3,6 +3,7 @@
 mod bag;
 mod examples;
 mod topic;
+mod values;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
@@ -12,6 +13,7 @@ use regex::Regex;
 
 use crate::commands::{real_time::CpuList, simulate};
 use eddy_bag::Compression;
+use eddy_evaluation::DEFAULT_STARTS;
 use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
 use eddy_learning::model::{Architecture, Core, DeviceKind, Precision};
@@ -28,19 +30,25 @@ pub use bag::{
 };
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
+/// Heading of the options that every command has.
+const GLOBAL: &str = "Global options";
+
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
-#[command(name = "eddy", version, propagate_version = true)]
+#[command(name = "eddy", version, propagate_version = true, max_term_width = 100)]
 pub struct Cli {
     /// Print errors only: no progress bars, status lines or summaries.
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, help_heading = GLOBAL)]
     pub quiet: bool,
 
-    /// Log level on standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug`.
+    /// Log level on standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug` [default: warn].
     #[arg(
         long,
         value_name = "LEVEL",
         global = true,
+        help_heading = GLOBAL,
+        hide_default_value = true,
+        hide_env_values = true,
         // RustDDS logs normal events as errors, such as participants that appear and disappear.
         default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
         env = "EDDY_LOG"
@@ -89,13 +97,34 @@ pub enum Command {
 
 /// The command line, with examples at the end of each command's long help.
 pub fn command() -> clap::Command {
-    examples::added(Cli::command())
+    with_negative_numbers(examples::added(Cli::command()))
+}
+
+/// Takes `-1` for a value, which is then rejected with the range of the option, and not for an unknown option.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let takes_value = |arg: &clap::Arg| arg.get_action().takes_values() && !arg.is_positional();
+    let command = command.mut_args(|arg| match takes_value(&arg) {
+        true => arg.allow_negative_numbers(true),
+        false => arg,
+    });
+    command.mut_subcommands(with_negative_numbers)
 }
 
 impl Cli {
     /// Parses the arguments of this process; exits after printing help or an error.
     pub fn read() -> Self {
-        Self::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit())
+        let read = Self::from_arg_matches(&command().get_matches());
+        read.unwrap_or_else(|error| error.exit()).without_aliases()
+    }
+
+    /// The commands of `ros2 bag` as what they are here.
+    fn without_aliases(self) -> Self {
+        let command = match self.command {
+            Command::Bag(BagArgs { command: BagCommand::Play(args) }) => Command::Replay(*args),
+            Command::Bag(BagArgs { command: BagCommand::Record(args) }) => Command::Record(*args),
+            other => other,
+        };
+        Self { command, ..self }
     }
 }
 
@@ -168,7 +197,7 @@ pub struct DemoArgs {
     pub port: u16,
     /// Stop after one scene of this duration (s, in real time) [default: scenes of 8 s until SIGINT or SIGTERM, of which
     /// the first is recorded; with --headless only the first].
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub seconds: Option<f64>,
     /// Seed of the scene.
     #[arg(long, default_value_t = 3)]
@@ -176,9 +205,13 @@ pub struct DemoArgs {
     /// Checkpoint of the surrogate [default: the shipped particle model].
     #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
-    /// Output directory for bag and report; DIR-2, DIR-3, ... if it exists.
-    #[arg(long, short, value_name = "DIR", default_value = "bags/demo")]
-    pub output: PathBuf,
+    /// Output directory for bag and report [default: bags/demo, or the first of bags/demo-2, bags/demo-3, ... that does
+    /// not exist].
+    #[arg(long, short, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+    /// Replace an existing output of a demo.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `eddy simulate`
@@ -191,7 +224,7 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "scenes", "seed"])]
     pub scene: Option<PathBuf>,
     /// Number of random scenes.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub scenes: u32,
     /// Seed of random scenes; the same seed gives identical bags.
     #[arg(long, default_value_t = 1)]
@@ -200,7 +233,7 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "N", conflicts_with = "scene")]
     pub particles: Option<usize>,
     /// Duration of a scene (simulated s) [default: the scene's].
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub duration: Option<f64>,
     /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
     #[arg(long, value_name = "N")]
@@ -220,12 +253,15 @@ pub struct SimulateArgs {
     /// Also record pressure and energy of every particle, as point clouds on /particles/fields.
     #[arg(long, requires = "output")]
     pub fields: bool,
+    /// Replace the scenes in the output directory; without it, the same command adds those that are missing.
+    #[arg(long, requires = "output")]
+    pub force: bool,
     /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
     /// time on /clock of the same transport.
-    #[arg(long, value_name = "LINK")]
+    #[arg(long, value_name = "LINK", value_parser = Link::from_argument)]
     pub publish: Option<Link>,
     /// Simulated time per real time when publishing.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish")]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish", value_parser = values::positive)]
     pub rate: f64,
     /// Wait for N subscribers before the first frame (at most 30 s).
     #[arg(long, value_name = "N", default_value_t = 0, requires = "publish")]
@@ -242,8 +278,8 @@ pub struct SimulateArgs {
 /// `eddy record`
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// Links to record, for example zenoh:/particles zenoh:/prediction; transports are shm, zenoh and dds.
-    #[arg(value_name = "LINK", required_unless_present_any = ["all", "regex"])]
+    /// Links to record, for example /particles zenoh:/prediction shm:/particles; transports are shm, zenoh and dds.
+    #[arg(value_name = "LINK", required_unless_present_any = ["all", "regex"], value_parser = Link::from_argument)]
     pub links: Vec<Link>,
     /// Record all topics, including those that appear later.
     #[arg(long, short)]
@@ -257,17 +293,20 @@ pub struct RecordArgs {
     /// Transports on which --all and --regex search; a topic on several transports is recorded once.
     #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
     pub from: Vec<TransportKind>,
-    /// Output bag, a new directory.
+    /// Output bag [default: eddy_DATE-TIME, in UTC].
     #[arg(long, short, value_name = "BAG")]
-    pub output: PathBuf,
+    pub output: Option<PathBuf>,
+    /// Replace an existing bag.
+    #[arg(long)]
+    pub force: bool,
     /// Start a new file before one exceeds this size (bytes).
     #[arg(long, short = 'b', value_name = "BYTES", visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_bag_size: Option<u64>,
     /// Start a new file after this time (s).
-    #[arg(long, short = 'd', value_name = "SECONDS", visible_alias = "max-duration")]
+    #[arg(long, short = 'd', value_name = "SECONDS", visible_alias = "max-duration", value_parser = values::positive_seconds)]
     pub max_bag_duration: Option<f64>,
     /// Stop after this time (s) [default: at SIGINT or SIGTERM].
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub stop_after: Option<f64>,
     /// Stop after this number of messages.
     #[arg(long, value_name = "N")]
@@ -319,25 +358,31 @@ pub struct ReplayArgs {
     /// Bag to play: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
     /// Transport to publish on: zenoh, shm or dds.
-    #[arg(long, value_name = "TRANSPORT", default_value = "zenoh")]
+    #[arg(
+        long,
+        value_name = "TRANSPORT",
+        default_value = "zenoh",
+        env = "EDDY_TRANSPORT",
+        hide_env_values = true
+    )]
     pub to: TransportKind,
     /// Recorded time per real time.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, short, value_name = "FACTOR", default_value_t = 1.0, value_parser = values::positive)]
     pub rate: f64,
     /// Restart at the end, until SIGINT or SIGTERM.
-    #[arg(long = "loop")]
+    #[arg(long = "loop", short)]
     pub looped: bool,
     /// Skip this much recorded time at the start (s).
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = values::seconds)]
     pub start_offset: f64,
     /// Stop after this much recorded time (s).
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub duration: Option<f64>,
     /// Topics to play [default: all].
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     pub topics: Vec<String>,
     /// Publish the recorded time on /clock at this rate [without a value: 40].
-    #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "40")]
+    #[arg(long, value_name = "HZ", num_args = 0..=1, default_missing_value = "40", value_parser = values::positive)]
     pub clock: Option<f64>,
     /// Start paused; the space bar, a service or the live page resumes.
     #[arg(long, short = 'p')]
@@ -372,6 +417,9 @@ pub struct TrainArgs {
     /// Output directory for the best checkpoint, the last epoch (last/), metrics.csv and TensorBoard event files.
     #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
+    /// Replace an existing training output.
+    #[arg(long, conflicts_with = "resume")]
+    pub force: bool,
     /// Continue the run in --output from its last complete epoch, with bit-identical results, or start one if there is
     /// none. Data and settings must be the same, except --epochs and patience; schedules follow the new number of
     /// epochs.
@@ -415,10 +463,10 @@ pub struct NodeArgs {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Link to observe, on shm, zenoh or dds, for example dds:/particles, or dds:particles in the namespace of --ros-args
-    /// [default: zenoh:particles].
+    /// [default: /particles in that namespace].
     #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
     pub input: Option<Link>,
-    /// Link to publish predictions on; may be repeated [default: zenoh:prediction].
+    /// Link to publish predictions on; may be repeated [default: /prediction in the namespace of --ros-args].
     #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
     pub output: Vec<Link>,
     #[command(flatten)]
@@ -473,9 +521,12 @@ pub struct PredictArgs {
     /// Bag with the frames.
     #[arg(long, value_name = "BAG")]
     pub input: PathBuf,
-    /// Output bag for the predictions, a new directory.
+    /// Output bag for the predictions.
     #[arg(long, short, value_name = "BAG")]
     pub output: PathBuf,
+    /// Replace an existing bag.
+    #[arg(long)]
+    pub force: bool,
     /// Topic with the frames.
     #[arg(long, default_value = "/particles")]
     pub topic: String,
@@ -498,6 +549,12 @@ pub struct EvalArgs {
     /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
     #[arg(long, short, value_name = "DIR", required_unless_present = "compare")]
     pub output: Option<PathBuf>,
+    /// Replace an existing report.
+    #[arg(long)]
+    pub force: bool,
+    /// Print all tables of the report, not only the skill.
+    #[arg(long)]
+    pub tables: bool,
     /// Compare existing reports (directories, or their report.json) of the same data.
     #[arg(
         long,
@@ -512,7 +569,7 @@ pub struct EvalArgs {
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub horizon: usize,
     /// Start frames per stream, evenly spaced over its first 80 %.
-    #[arg(long, value_name = "N", default_value_t = 7)]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
     /// Reference predictors, started from the same frames; requires manifest.json beside the bags.
     #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
@@ -537,10 +594,4 @@ pub enum ReferenceName {
     Mpm,
     /// The solver from positions displaced by up to 1e-4: the limit of predictability.
     Chaos,
-}
-
-/// Parses a duration (s).
-fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text.parse().map_err(|error| format!("{error}"))?;
-    if (0.0..=1e9).contains(&seconds) { Ok(seconds) } else { Err("expected 0 to 1e9 s".to_owned()) }
 }

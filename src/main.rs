@@ -1,9 +1,12 @@
 //! The `eddy` program: parses the command line and runs one of [`commands`].
 
+#[macro_use]
+mod terminal;
+
 mod cli;
 mod commands;
 
-use std::{io, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use eddy_node::ros::{RosArguments, RosNode};
@@ -11,27 +14,28 @@ use tracing_subscriber::EnvFilter;
 
 use cli::{Cli, Command};
 use commands::Interrupt;
+use eddy_settings::usage::Usage;
 
 /// Keeps freed memory: training and inference allocate the same large temporaries again and again.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Exit code of a failure; wrong usage is 2, by clap.
+/// Exit code of a failure.
 const FAILED: u8 = 1;
+/// Exit code of wrong usage, as in clap.
+const WRONG_USAGE: u8 = 2;
 
 fn main() -> ExitCode {
-    match run(Cli::read()) {
-        Ok(code) => code,
-        Err(error) => {
-            #[expect(
-                clippy::print_stderr,
-                reason = "the one place where an error reaches the user"
-            )]
-            {
-                eprintln!("eddy: {error:#}");
-            }
+    let code = run(Cli::read()).unwrap_or_else(|error| {
+        eprintln!("eddy: {error:#}");
+        ExitCode::from(if error.is::<Usage>() { WRONG_USAGE } else { FAILED })
+    });
+    match terminal::failure() {
+        Some(error) => {
+            eprintln!("eddy: cannot write to standard output: {error}");
             ExitCode::from(FAILED)
         }
+        None => code,
     }
 }
 
@@ -45,7 +49,13 @@ fn ros_node(command: &Command) -> RosNode {
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let ros = ros_node(&cli.command);
     let filter = EnvFilter::try_new(ros.log_filter(&cli.log_level))?;
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(|| terminal::Log)
+        .with_ansi(terminal::has_colors())
+        // It would panic when the reader of standard error is gone.
+        .log_internal_errors(false)
+        .init();
     let interrupt = Interrupt::install()?;
     let quiet = cli.quiet;
     match cli.command {

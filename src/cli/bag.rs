@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use regex::Regex;
 
-use super::CompressionArg;
+use super::{CompressionArg, RecordArgs, ReplayArgs};
 use eddy_bag::Moment;
 use eddy_evaluation::dataset::TRUTH_TOPIC;
 use eddy_exchange::{ExportFormat, ImportFormat};
@@ -25,6 +25,9 @@ pub enum BagCommand {
     Info {
         /// Bag: a directory with metadata.yaml, or an MCAP file.
         bag: PathBuf,
+        /// Print JSON instead of text.
+        #[arg(long)]
+        json: bool,
     },
     /// Read every message of a bag and list all problems; exit code 1 if there are any.
     Check {
@@ -40,6 +43,12 @@ pub enum BagCommand {
     Merge(MergeArgs),
     /// Copy selected topics of a bag into a new one.
     Filter(FilterArgs),
+    /// Same as `eddy replay`.
+    #[command(hide = true)]
+    Play(Box<ReplayArgs>),
+    /// Same as `eddy record`.
+    #[command(hide = true)]
+    Record(Box<RecordArgs>),
     /// Same as `export --cloud`.
     #[command(hide = true)]
     Cloud(CloudArgs),
@@ -59,9 +68,12 @@ pub enum BagCommand {
 /// The output bag of a command.
 #[derive(Debug, Args)]
 pub struct NewBagArgs {
-    /// Output bag, a new directory.
+    /// Output bag.
     #[arg(long, short, value_name = "BAG")]
     pub output: PathBuf,
+    /// Replace an existing bag.
+    #[arg(long)]
+    pub force: bool,
     /// Compression of chunks [default: as in the input; zstd if mixed].
     #[arg(long, value_enum)]
     pub compression: Option<CompressionArg>,
@@ -89,7 +101,7 @@ pub struct CutArgs {
     #[arg(long, value_name = "TIME", conflicts_with = "duration")]
     pub end: Option<Moment>,
     /// Duration from the start time (recorded s).
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = super::values::positive_seconds)]
     pub duration: Option<f64>,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -147,10 +159,13 @@ pub struct ExportArgs {
     /// Compression of chunks with --cloud [default: as in the input].
     #[arg(long, value_enum, requires = "cloud")]
     pub compression: Option<CompressionArg>,
-    /// Output path, must not exist: a file for csv, otherwise a directory; npz (one stream) and gns write a single file if the
+    /// Output path: a file for csv, otherwise a directory; npz (one stream) and gns write a single file if the
     /// name ends in .npz [default: named after the bag].
     #[arg(long, short, value_name = "PATH")]
     pub output: Option<PathBuf>,
+    /// Replace an existing export.
+    #[arg(long)]
+    pub force: bool,
     /// Topic with the frames.
     #[arg(long, default_value = TRUTH_TOPIC)]
     pub topic: String,
@@ -170,9 +185,12 @@ pub struct ImportArgs {
     /// Input format.
     #[arg(long, short, value_enum)]
     pub format: ImportFormat,
-    /// Output directory, must not exist; one bag per stream.
+    /// Output directory; one bag per stream.
     #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
+    /// Replace an existing directory of bags.
+    #[arg(long)]
+    pub force: bool,
     /// Time between two frames (s) [default: from the files].
     #[arg(long, value_name = "SECONDS")]
     pub dt: Option<f32>,
@@ -197,10 +215,13 @@ fn material(word: &str) -> Result<Material, String> {
 pub struct RenderArgs {
     /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// Output path, must not exist: *.png for a strip, *.gif, *.apng or *.mp4 (with ffmpeg) for an animation, otherwise a
-    /// directory for strip.png and animation.gif.
+    /// Output path: *.png for a strip, *.gif, *.apng or *.mp4 (with ffmpeg) for an animation, otherwise a directory for
+    /// strip.png and animation.gif.
     #[arg(long, short, value_name = "PATH")]
     pub output: PathBuf,
+    /// Replace an existing picture or animation.
+    #[arg(long)]
+    pub force: bool,
     /// What colours show.
     #[arg(long, value_enum, default_value_t = Color::Material)]
     pub color: Color,
@@ -208,7 +229,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub frames: u32,
     /// Simulated time per time of the animation.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = super::values::positive)]
     pub rate: f64,
     /// Longer side of the domain (pixels) [default: 240 in the strip, 480 in the animation].
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]

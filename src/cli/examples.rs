@@ -117,8 +117,28 @@ const EXAMPLES: &[(&str, &[&str])] = &[
 pub(super) fn added(command: Command) -> Command {
     EXAMPLES.iter().fold(command, |command, (path, lines)| {
         let words: Vec<_> = path.split(' ').collect();
+        let lines: Vec<String> = lines.iter().map(|line| wrapped(line)).collect();
         under(command, &words, &format!("Examples:\n  {}", lines.join("\n  ")))
     })
+}
+
+/// A command for a terminal of 80 columns, continued with `\` as in a shell.
+fn wrapped(line: &str) -> String {
+    /// Columns without the indentation and the backslash.
+    const COLUMNS: usize = 74;
+    let (mut text, mut length) = (String::new(), 0);
+    for word in line.split(' ') {
+        if length > 0 && length + 1 + word.len() > COLUMNS {
+            text.push_str(" \\\n     ");
+            length = 4;
+        }
+        if length > 0 {
+            text.push(' ');
+        }
+        text.push_str(word);
+        length += 1 + word.len();
+    }
+    text
 }
 
 fn under(command: Command, path: &[&str], text: &str) -> Command {

@@ -23,7 +23,8 @@ pub enum TopicCommand {
     Hz(TopicHzArgs),
     /// Print the type of a topic and, on shm, its memory.
     Info {
-        /// Topic, for example zenoh:/particles.
+        /// Topic, for example /particles or shm:/particles.
+        #[arg(value_parser = Link::from_argument)]
         link: Link,
     },
 }
@@ -34,19 +35,26 @@ pub struct TopicListArgs {
     /// Transports to search; discovery on dds takes several seconds.
     #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
     pub from: Vec<TransportKind>,
+    /// Show the types, which is the default; for commands written for `ros2 topic list`.
+    #[arg(long, short = 't', hide = true)]
+    pub show_types: bool,
     /// Search time (s).
-    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = super::seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = super::values::seconds)]
     pub wait: f64,
 }
 
 /// `eddy topic echo`
 #[derive(Debug, Args)]
 pub struct TopicEchoArgs {
-    /// Topic, for example zenoh:/particles.
+    /// Topic, for example /particles or shm:/particles.
+    #[arg(value_parser = Link::from_argument)]
     pub link: Link,
     /// Stop after N messages [default: at SIGINT or SIGTERM].
     #[arg(long, short, value_name = "N")]
     pub count: Option<NonZeroUsize>,
+    /// Stop after the first message, as --count 1.
+    #[arg(long, conflicts_with = "count")]
+    pub once: bool,
     /// Maximum number of list items to print; 0 prints all.
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub truncate: usize,
@@ -55,12 +63,13 @@ pub struct TopicEchoArgs {
 /// `eddy topic hz`
 #[derive(Debug, Args)]
 pub struct TopicHzArgs {
-    /// Topic, for example zenoh:/particles.
+    /// Topic, for example /particles or shm:/particles.
+    #[arg(value_parser = Link::from_argument)]
     pub link: Link,
     /// Window size: statistics cover the last N messages.
     #[arg(long, short, value_name = "N", default_value = "10000")]
     pub window: NonZeroUsize,
-    /// Stop after this time (s) [default: at SIGINT or SIGTERM].
-    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
+    /// Stop this time after the start, also if the topic is not published (s) [default: at SIGINT or SIGTERM].
+    #[arg(long, value_name = "SECONDS", value_parser = super::values::seconds)]
     pub duration: Option<f64>,
 }

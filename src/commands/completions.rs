@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{Write as _, stdout},
+    io::{ErrorKind, Write as _, stdout},
 };
 
 use anyhow::Context as _;
@@ -14,7 +14,12 @@ pub fn run(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command(), "eddy", &mut script);
     // Not written by the generator, which panics if that fails.
-    stdout().write_all(&script).context("cannot print the script")
+    match stdout().write_all(&script) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("cannot print the script")
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Writes a manual page for each command.

@@ -1,4 +1,4 @@
-//! Commands by keys, if standard input is a terminal.
+//! Keys, if standard input is a terminal.
 //!
 //! Only echo and line buffering are turned off: in crossterm's raw mode Ctrl-C and Ctrl-Z would not raise signals, and
 //! logs would need carriage returns.
@@ -25,11 +25,9 @@ use signal_hook::{
     low_level::emulate_default_handler,
 };
 
-use eddy_node::{PlayerCommand, player::parse_keys};
-
 /// A terminal without echo and line buffering. Its modes are restored on drop, on SIGINT and SIGTERM, and while the
 /// process is stopped (Ctrl-Z).
-pub(super) struct Keyboard {
+pub(crate) struct Keyboard {
     terminal: OwnedFd,
     original: Termios,
     unbuffered: Termios,
@@ -41,7 +39,7 @@ pub(super) struct Keyboard {
 
 impl Keyboard {
     /// Opens standard input if it is a terminal with this process in its foreground.
-    pub(super) fn open() -> Option<Self> {
+    pub(crate) fn open() -> Option<Self> {
         let terminal = stdin().as_fd().try_clone_to_owned().ok()?;
         if !terminal.is_terminal() || !in_foreground(&terminal) {
             return None;
@@ -58,8 +56,8 @@ impl Keyboard {
         Some(Self { terminal, original, unbuffered, is_released, signals, thread: Some(thread) })
     }
 
-    /// The commands since the last call.
-    pub(super) fn commands(&mut self) -> Vec<PlayerCommand> {
+    /// The bytes of the keys that were pressed since the last call; at most 64.
+    pub(crate) fn keys(&mut self) -> Vec<u8> {
         // A background process that reads from the terminal is stopped by the system.
         if self.is_released.load(Ordering::Relaxed) || !in_foreground(&self.terminal) {
             return Vec::new();
@@ -72,7 +70,7 @@ impl Keyboard {
         let mut input = [0; 64];
         // Not through `Stdin`, which takes an empty read for the end of the input.
         let read = rustix::io::read(&self.terminal, &mut input).unwrap_or_default();
-        parse_keys(&input[..read])
+        input[..read].to_vec()
     }
 }
 
@@ -95,7 +93,7 @@ fn watch_signals(
                 let _ = tcsetattr(&terminal, OptionalActions::Now, &original);
             }
             if signal == SIGTSTP {
-                // Returns when the process is continued; `Keyboard::commands` sets the modes again.
+                // Returns when the process is continued; `Keyboard::keys` sets the modes again.
                 let _ = emulate_default_handler(signal);
             }
         }

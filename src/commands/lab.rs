@@ -1,6 +1,11 @@
 //! `eddy bench` and `eddy study`, from [`eddy_lab`].
 
-use super::{Interrupt, TerminalProgress, allocator};
+use std::path::PathBuf;
+
+use super::{
+    Interrupt, TerminalProgress, allocator,
+    output::{Output, OutputKind},
+};
 use eddy_lab::commands::{self, BenchArgs, BenchCommand, StudyArgs};
 
 /// Runs one of the benchmarks.
@@ -8,7 +13,11 @@ pub fn bench(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     if matches!(args.command, BenchCommand::Training(_)) {
         allocator::keep_freed_memory();
     }
-    commands::bench(args, &TerminalProgress::new(quiet, interrupt))
+    let room = |html: &PathBuf| Output::at(html, OutputKind::Page, args.force, &[]);
+    let room = args.html.as_ref().map(room).transpose()?;
+    commands::bench(args, &TerminalProgress::new(quiet, interrupt))?;
+    room.into_iter().for_each(Output::replaced);
+    Ok(())
 }
 
 /// Runs one of the paper's comparisons.

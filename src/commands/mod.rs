@@ -18,29 +18,29 @@ pub mod train;
 
 mod allocator;
 mod interrupt;
+mod keyboard;
+mod output;
 mod progress;
 mod surrogate;
 
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
-use std::{
-    io::{Write as _, stdout},
-    path::Path,
-    thread,
-    time::Duration,
-};
+use std::{path::Path, thread, time::Duration};
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, bail};
 use eddy_bag::{QosOverrides, read_qos_overrides};
 use eddy_frames::clock::Clock;
 use eddy_node::{ros::RosNode, viewer::LivePage};
+use eddy_settings::ensure_usage;
 use eddy_transport::{Link, Publisher, TransportError, TransportKind, TransportOptions};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::terminal;
+
 /// Rejects links that no other process can use.
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
-    ensure!(
+    ensure_usage!(
         link.transport != TransportKind::Memory,
         "{link}: found memory, expected shm, zenoh or dds: memory links stay within one process"
     );
@@ -105,11 +105,16 @@ pub(crate) fn wait_for_subscribers(
     Ok(true)
 }
 
+/// A number with its unit in the singular or the plural: `1 scene`, `20 scenes`.
+pub(crate) fn counted(number: u64, unit: &str) -> String {
+    format!("{number} {unit}{}", if number == 1 { "" } else { "s" })
+}
+
 /// Prints the URL of a live page.
 pub(crate) fn announce_page(page: &LivePage) {
     println!("page:   {}", page.announcement());
     // A program that starts this one may wait for the line.
-    let _ = stdout().flush();
+    terminal::flush();
 }
 
 /// A progress bar with the time left; hidden without a terminal or when `quiet`.

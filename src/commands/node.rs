@@ -1,28 +1,48 @@
 //! `eddy node`: predicts frames of live streams.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    io::{IsTerminal as _, stdout},
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use serde::{Deserialize, Deserializer, de::Error as _};
 
 use super::{
-    Interrupt, announce_page, leaves_the_process, real_time, surrogate, transport_options,
+    Interrupt, announce_page, counted, keyboard::Keyboard, leaves_the_process, real_time,
+    surrogate, transport_options,
 };
-use crate::cli::NodeArgs;
+use crate::{cli::NodeArgs, terminal};
+use eddy_frames::FrameView;
 use eddy_messages::{
     Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
 };
 use eddy_node::{
-    CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeSettings,
-    Outputs, RosTime, Service, SurrogateNode, drive,
+    CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeRequest,
+    NodeResponse, NodeSettings, Observer, Outputs, Prediction, RosTime, Service, SurrogateNode,
+    diagnostics::Rates,
+    drive,
     ros::RosNode,
     surrogate::node_services,
     viewer::{ControlPanel, LivePage, PageInfo},
 };
-use eddy_settings as config;
+use eddy_settings::{self as config, usage::Usage};
 #[cfg(feature = "foxglove")]
 use eddy_transport::{FoxgloveAddress, FoxgloveServer};
-use eddy_transport::{Link, Reliability, Served, TransportError, TransportKind, Transports};
+use eddy_transport::{
+    InvalidLink, Link, Reliability, Served, TransportError, TransportKind, Transports,
+};
+
+/// Interval between looks at the keyboard.
+const KEY_INTERVAL: Duration = Duration::from_millis(50);
+/// How long a key waits for the node.
+const KEY_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A settings file of `eddy node`; command-line options override it.
 #[derive(Debug, Default, Deserialize)]
@@ -68,12 +88,14 @@ pub fn run(
         None => NodeFile::default(),
     };
     let mut settings = file.node;
-    args.settings.parameters().iter().try_for_each(|parameter| settings.set(parameter))?;
+    let options = args.settings.parameters();
+    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
     set_parameters(&mut settings, ros)?;
     let links = Links::named(
         args.input.or(file.input),
         [args.output, file.output].into_iter().find(|links| !links.is_empty()),
     );
+    let links = links.map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
     let renamed = links.renamed(ros);
     renamed.check()?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
@@ -132,15 +154,31 @@ pub fn run(
     if let Some(page) = &page {
         announce_page(page);
     }
-    let outcome = drive(
-        &mut node,
-        &mut context,
-        subscriber.as_mut(),
-        &mut outputs,
-        &queue,
-        &handle,
-        interrupt.flag(),
-    );
+    let has_line = !quiet && stdout().is_terminal();
+    if let (true, Some(first)) = (has_line, outputs.first_mut()) {
+        terminal::show_status(&format!("waiting for frames on {input}"));
+        first.observers.push(Box::new(StatusLine));
+    }
+    let ended = AtomicBool::new(false);
+    let outcome = thread::scope(|scope| {
+        let keyboard = if has_line { Keyboard::open() } else { None };
+        if let Some(keyboard) = keyboard {
+            println!("keys: r resets all streams");
+            scope.spawn(|| answer_keys(keyboard, &handle, &ended));
+        }
+        let outcome = drive(
+            &mut node,
+            &mut context,
+            subscriber.as_mut(),
+            &mut outputs,
+            &queue,
+            &handle,
+            interrupt.flag(),
+        );
+        ended.store(true, Ordering::Relaxed);
+        outcome
+    });
+    terminal::clear_status();
     if !quiet {
         println!("{}", summary(node.counters()));
     }
@@ -161,6 +199,47 @@ fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<
     Ok(())
 }
 
+/// Shows rate, latency and losses on the terminal once a second.
+struct StatusLine;
+
+impl Observer for StatusLine {
+    fn observed(&mut self, _: &FrameView<'_>) {}
+
+    fn predicted(&mut self, _: &Prediction<'_>) {}
+
+    fn reported(&mut self, rates: &Rates, counters: &Counters, streams: usize) {
+        if counters.received == 0 {
+            return;
+        }
+        let milliseconds = |latency: Duration| format!("{:.1} ms", latency.as_secs_f64() * 1e3);
+        let [p50, p99] = [rates.latency_p50, rates.latency_p99].map(milliseconds);
+        let parts = [
+            (0, format!("{:.1} predictions/s", rates.rate)),
+            (1, format!("latency p50 {p50}, p99 {p99}")),
+            (2, counted(streams as u64, "stream")),
+            (0, format!("{} lost", counters.frames_lost())),
+            (3, format!("{} rejected", counters.bad() + counters.late)),
+        ];
+        terminal::show_status(&terminal::fit(&parts, " | ", terminal::columns()));
+    }
+}
+
+/// Carries out what the keys say until the node has ended.
+fn answer_keys(mut keyboard: Keyboard, handle: &NodeHandle, ended: &AtomicBool) {
+    while !ended.load(Ordering::Relaxed) {
+        if keyboard.keys().contains(&b'r') {
+            match handle.request(NodeRequest::Reset, KEY_TIMEOUT) {
+                Ok(NodeResponse::Reset(streams)) => {
+                    println!("reset {}", counted(streams as u64, "stream"));
+                }
+                Ok(_) => {}
+                Err(error) => println!("not reset: {error}"),
+            }
+        }
+        thread::sleep(KEY_INTERVAL);
+    }
+}
+
 /// Input and outputs.
 struct Links {
     input: Link,
@@ -169,11 +248,13 @@ struct Links {
 
 impl Links {
     /// The given links. Default links have relative topics, below the namespace of the node.
-    fn named(input: Option<Link>, outputs: Option<Vec<Link>>) -> Self {
-        Self {
-            input: input.unwrap_or(Link::zenoh("particles")),
-            outputs: outputs.unwrap_or(vec![Link::zenoh("prediction")]),
-        }
+    fn named(input: Option<Link>, outputs: Option<Vec<Link>>) -> Result<Self, InvalidLink> {
+        let transport = TransportKind::from_env()?;
+        let relative = |topic: &str| Link { transport, topic: topic.to_owned() };
+        Ok(Self {
+            input: input.unwrap_or(relative("particles")),
+            outputs: outputs.unwrap_or(vec![relative("prediction")]),
+        })
     }
 
     fn renamed(&self, ros: &RosNode) -> Self {
@@ -182,13 +263,16 @@ impl Links {
     }
 
     fn check(&self) -> anyhow::Result<()> {
+        let usage = |message: std::fmt::Arguments<'_>| Usage::new(message).into();
         self.outputs.iter().chain([&self.input]).try_for_each(leaves_the_process)?;
         for (index, link) in self.outputs.iter().enumerate() {
             if self.outputs[..index].contains(link) {
-                bail!("output: found {link} twice, expected once");
+                return Err(usage(format_args!("output: found {link} twice, expected once")));
             }
             if *link == self.input {
-                bail!("output: found {link}, which is the input, expected another topic");
+                return Err(usage(format_args!(
+                    "output: found {link}, which is the input, expected another topic"
+                )));
             }
         }
         Ok(())

@@ -4,11 +4,17 @@ use std::time::Duration;
 
 use anyhow::{anyhow, ensure};
 
-use super::{Interrupt, node::summary, surrogate};
+use super::{
+    Interrupt,
+    node::summary,
+    output::{Output, OutputKind},
+    surrogate,
+};
 use crate::cli::PredictArgs;
 use eddy_bag::{BagReader, BagWriter, WriterOptions};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{NodeSettings, Prediction, SurrogateNode};
+use eddy_settings::usage::Usage;
 use eddy_transport::Payload;
 
 /// The topic of the predictions.
@@ -19,10 +25,13 @@ const PREDICTION: &str = "/prediction";
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads)?;
     let mut settings = NodeSettings::default();
-    args.settings.parameters().iter().try_for_each(|parameter| settings.set(parameter))?;
+    let options = args.settings.parameters();
+    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
     let reader = BagReader::open(&args.input)?;
+    let room =
+        Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
     let messages = reader.messages_of(&args.topic, ParticleFrame::TYPE)?;
     let mut writer = BagWriter::create(&args.output, WriterOptions::default())?;
     let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
@@ -63,5 +72,6 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         return Err(failure);
     }
     ensure!(node.counters().published > 0, "{}: no frames to predict from", args.input.display());
+    room.replaced();
     Ok(())
 }

@@ -1,14 +1,26 @@
 //! `eddy record`: topics into a bag, by [`eddy_node::record`].
 
-use std::{collections::HashSet, mem, time::Duration};
+use std::{
+    collections::HashSet,
+    mem,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::{Interrupt, has_no_parameters, leaves_the_process, transport_options};
+use super::{
+    Interrupt, has_no_parameters, leaves_the_process,
+    output::{Output, OutputKind, unused},
+    transport_options,
+};
 use crate::cli::RecordArgs;
 use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic};
-use eddy_frames::clock::{self, Clock};
+use eddy_frames::{
+    clock::{self, Clock},
+    date::Utc,
+};
 use eddy_messages::topic_type;
 use eddy_node::{
     Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record,
@@ -16,6 +28,7 @@ use eddy_node::{
     ros::RosNode,
     topics::find_topics,
 };
+use eddy_settings::usage::Usage;
 use eddy_transport::{SeenTopic, Transports};
 
 /// How long to look for the publishers of the links, which announce type and QoS. Without a publisher, the type of a link
@@ -62,10 +75,12 @@ pub fn run(
     };
     let compression = args.compression.into();
     let options = WriterOptions { compression, split, ..WriterOptions::default() };
-    let mut recorder = Recorder::new(BagWriter::create(&args.output, options)?, clock::wall());
+    let place = args.output.clone().unwrap_or_else(default_output);
+    let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;
+    let mut recorder = Recorder::new(BagWriter::create(&place, options)?, clock::wall());
     let clock = Clock::start();
     let line = live_line(quiet);
-    let output = args.output.display();
+    let output = place.display();
     let options = RecordingOptions {
         required: &args.links,
         cache_bytes: args.max_cache_size,
@@ -85,7 +100,14 @@ pub fn run(
     let failed = discovery.failed().into_values().flatten().collect();
     note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
     note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &discovery.ended());
-    end(recorder, outcome, &losses, clock.now().as_secs_f64())
+    end(recorder, outcome, &losses, clock.now().as_secs_f64())?;
+    room.replaced();
+    Ok(())
+}
+
+/// A bag named after the time, as rosbag2 does.
+fn default_output() -> PathBuf {
+    unused(Path::new(&format!("eddy_{}", Utc::of(clock::wall()).file_name())))
 }
 
 /// Reports links that were not recorded, or not to the end, and notes them in the bag.
@@ -101,18 +123,13 @@ fn note(recorder: &mut Recorder, key: &str, what: &str, links: &Reasons) {
 fn check(args: &RecordArgs) -> anyhow::Result<()> {
     let mut topics = HashSet::new();
     if let Some(twice) = args.links.iter().find(|link| !topics.insert(&link.topic)) {
-        bail!("{twice}: found topic {} twice, expected each topic once in a bag", twice.topic);
+        let message = format!(
+            "{twice}: found topic {} twice, expected each topic once in a bag",
+            twice.topic
+        );
+        return Err(Usage::new(message).into());
     }
     args.links.iter().try_for_each(leaves_the_process)?;
-    for (option, seconds) in
-        [("--stop-after", args.stop_after), ("--max-bag-duration", args.max_bag_duration)]
-    {
-        ensure!(
-            seconds.is_none_or(|seconds| Duration::try_from_secs_f64(seconds).is_ok() && seconds > 0.0),
-            "{option}: found {}, expected a positive number of seconds",
-            seconds.unwrap_or_default()
-        );
-    }
     Ok(())
 }
 

@@ -2,18 +2,25 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, bail};
 use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
-use eddy_evaluation::dataset::{Dataset, available_memory};
+use eddy_evaluation::dataset::{Dataset, Trajectory, available_memory};
 use eddy_frames::clock::Clock;
 use eddy_learning::{
     model::{Architecture, GpuOptions},
-    train::{Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, check_output, train},
+    train::{
+        Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
+        test_skill, train,
+    },
 };
-use eddy_settings::Overrides;
+use eddy_settings::{Overrides, ensure_usage, usage::Usage};
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{Interrupt, TerminalProgress, allocator, progress_bar};
+use super::{
+    Interrupt, TerminalProgress, allocator, counted,
+    output::{Output, OutputKind},
+    progress_bar,
+};
 use crate::cli::TrainArgs;
 
 /// Bytes of a GiB.
@@ -28,8 +35,14 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     allocator::keep_freed_memory();
     let config = settings(&args)?;
     let runs = runs(&args, &config)?;
+    let mut rooms = Vec::new();
     for (_, output) in &runs {
-        check_output(output, args.resume)?;
+        match check_output(output, args.resume) {
+            Err(TrainError::Exists { .. }) if args.force => {
+                rooms.push(Output::at(output, OutputKind::Checkpoint, true, &args.data)?);
+            }
+            outcome => outcome?,
+        }
     }
     let device = args.device.resolve(config.architecture);
     device.check()?;
@@ -65,7 +78,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             }
         };
         if !quiet {
-            summarize(&args, config, output, &outcome);
+            summarize(&args, config, &dataset, output, &outcome)?;
         }
         if outcome.best.is_none() {
             bail!("{}: interrupted before the first epoch ended", output.display());
@@ -80,7 +93,10 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         println!("{}", comparison(&outcomes, config.validation.horizon));
     }
     match failure {
-        None => Ok(()),
+        None => {
+            rooms.into_iter().for_each(Output::replaced);
+            Ok(())
+        }
         Some(error) if runs.len() == 1 => Err(error.into()),
         Some(error) => {
             let seed = runs[outcomes.len()].0.seed;
@@ -110,11 +126,15 @@ fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
     config.core = args.core.unwrap_or(config.core);
     config.epochs = args.epochs.unwrap_or(config.epochs);
     config.seed = args.seed.first().copied().unwrap_or(config.seed);
-    config.check().with_context(|| match &args.config {
-        Some(file) => format!("{}", file.display()),
-        None => "command line".to_owned(),
-    })?;
+    match &args.config {
+        Some(file) => config.check().with_context(|| file.display().to_string())?,
+        None => config.check().map_err(on_command_line)?,
+    }
     Ok(config)
+}
+
+fn on_command_line(error: impl std::fmt::Display) -> Usage {
+    Usage::new(format_args!("command line: {error}"))
 }
 
 /// Settings and output of each run: one for each seed.
@@ -127,12 +147,12 @@ fn runs(args: &TrainArgs, config: &TrainConfig) -> anyhow::Result<Vec<(TrainConf
     }
     let mut runs = Vec::new();
     for (number, &seed) in args.seed.iter().enumerate() {
-        ensure!(
+        ensure_usage!(
             !args.seed[..number].contains(&seed),
             "--seed: found {seed} twice, expected different seeds"
         );
         let config = TrainConfig { seed, ..config.clone() };
-        config.check().context("command line")?;
+        config.check().map_err(on_command_line)?;
         runs.push((config, args.output.join(format!("seed-{seed}"))));
     }
     Ok(runs)
@@ -143,7 +163,7 @@ fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
     let memory = match args.memory {
         None => available_memory() / 2,
         Some(gib) => {
-            ensure!(
+            ensure_usage!(
                 gib.is_finite() && gib > 0.0,
                 "--memory: found {gib}, expected a positive number of GiB"
             );
@@ -180,24 +200,41 @@ fn introduce(config: &TrainConfig, dataset: &Dataset) {
 }
 
 /// The result of a run, where its files are, and the next commands.
-fn summarize(args: &TrainArgs, config: &TrainConfig, output: &Path, outcome: &Outcome) {
+fn summarize(
+    args: &TrainArgs,
+    config: &TrainConfig,
+    dataset: &Dataset,
+    output: &Path,
+    outcome: &Outcome,
+) -> anyhow::Result<()> {
     let Outcome { epochs, best, interrupted, seconds, samples } = outcome;
     let how = if *interrupted { "interrupted" } else { "done" };
     println!(
-        "{how}: {} epochs, {} samples in {seconds:.0} s ({:.0} samples/s, including validation)",
-        epochs.len(),
+        "{how}: {}, {} samples in {seconds:.0} s ({:.0} samples/s, including validation)",
+        counted(epochs.len() as u64, "epoch"),
         HumanCount(*samples),
         *samples as f64 / seconds.max(1e-9),
     );
-    let (Some(checkpoint), Some(best)) = (best, best_of(epochs)) else { return };
+    let (Some(checkpoint), Some(best)) = (best, best_of(epochs)) else { return Ok(()) };
     println!(
-        "best: epoch {}, validation loss {:.4} (best trivial predictor: 1), skill {:+.2} at frame 1, {:+.2} at frame {}",
-        best.epoch,
-        best.validation_loss,
+        "best: epoch {}, validation loss {:.4} (best trivial predictor: 1)",
+        best.epoch, best.validation_loss
+    );
+    let horizon = config.validation.horizon;
+    let streams = |part: &[Trajectory]| counted(part.len() as u64, "stream");
+    println!(
+        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation part ({}), which selected the epoch",
         best.first_skill,
         best.last_skill,
-        config.validation.horizon,
+        streams(&dataset.validation),
     );
+    let tested = if *interrupted { None } else { test_skill(checkpoint, dataset, horizon)? };
+    if let Some((first, last)) = tested.as_ref().and_then(|skill| skill.first().zip(skill.last())) {
+        println!(
+            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test part ({}), as `eddy eval` reports it",
+            streams(&dataset.test),
+        );
+    }
     let place = output.display();
     println!(
         "{place}: best checkpoint, {} parameters, digest {}; last epoch in {LAST_FOLDER}/; curves: tensorboard --logdir {place}",
@@ -213,6 +250,7 @@ fn summarize(args: &TrainArgs, config: &TrainConfig, output: &Path, outcome: &Ou
         "evaluate: eddy eval --checkpoint {place} --data {} --output reports/{name}",
         data.join(" ")
     );
+    Ok(())
 }
 
 /// The epoch with the lowest validation loss.

@@ -122,13 +122,13 @@ impl Link {
         Self { transport: TransportKind::Memory, topic: topic.to_owned() }
     }
 
-    /// A link of a node, whose topic may also be relative: to the namespace of the node (`dds:particles`), or to its name
-    /// (`dds:~/particles`). The node makes it absolute.
+    /// A link of a node as typed by a user, as [`Link::from_argument`], whose topic may also be relative: to the namespace of
+    /// the node (`dds:particles`), or to its name (`dds:~/particles`). The node makes it absolute.
     ///
     /// # Errors
     /// [`InvalidLink`].
     pub fn parse_of_node(text: &str) -> Result<Self, InvalidLink> {
-        let invalid = match text.parse() {
+        let invalid = match Self::from_argument(text) {
             Err(invalid @ InvalidLink::Topic { .. }) => invalid,
             parsed => return parsed,
         };

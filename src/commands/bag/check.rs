@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::bail;
 
 use super::survey;
-use eddy_bag::BagReader;
+use crate::commands::counted;
+use eddy_bag::{BagReader, Survey};
 
 /// Prints all problems of a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
@@ -15,16 +16,26 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     for finding in &survey.findings {
         println!("{finding}");
     }
-    let listed = survey.findings.len() as u64;
-    let findings = listed + survey.further_findings;
     if survey.further_findings > 0 {
         println!("... and {} more", survey.further_findings);
     }
-    if findings > 0 {
-        let more = survey.further_findings > 0;
-        let listed = if more { format!(" (first {listed} listed)") } else { String::new() };
-        bail!("{}: {findings} problems found{listed}", path.display());
+    print_restarts(&bag, &survey);
+    match survey.finding_count() {
+        0 => {}
+        1 => bail!("{}: 1 problem found", path.display()),
+        findings => bail!("{}: {findings} problems found", path.display()),
     }
-    println!("{}: {} messages, no problems found", path.display(), bag.message_count());
+    let messages = counted(bag.message_count(), "message");
+    println!("{}: {messages}, no problems found", path.display());
     Ok(())
+}
+
+/// Says which streams start anew, which is no damage.
+fn print_restarts(bag: &BagReader, survey: &Survey) {
+    for (topic, found) in bag.topics().iter().zip(&survey.topics) {
+        for (stream, found) in found.streams.iter().filter(|(_, stream)| stream.restarts > 0) {
+            let times = counted(found.restarts, "time");
+            println!("topic {}, stream {stream}: restarts {times}, as in a loop", topic.name);
+        }
+    }
 }

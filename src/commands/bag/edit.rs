@@ -2,12 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, ensure};
 
 use super::{export::stem, report, watch, writer_options};
 use crate::{
     cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
-    commands::{Interrupt, progress_bar},
+    commands::{
+        Interrupt,
+        output::{Output, OutputKind},
+        progress_bar,
+    },
 };
 use eddy_bag::{
     BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicFilter, clouds, extract,
@@ -15,15 +19,10 @@ use eddy_bag::{
 };
 use eddy_frames::Stamp;
 use eddy_messages::{Message, ParticleFrame};
-use eddy_settings::near;
+use eddy_settings::{near, usage::Usage};
 
 /// Copies a time range of a bag.
 pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    ensure!(
-        args.duration.is_none_or(|seconds| seconds.is_finite() && seconds > 0.0),
-        "--duration: found {}, expected a positive number of seconds",
-        args.duration.unwrap_or_default()
-    );
     let bag = open(&args.bag)?;
     let start = bag.start().unwrap_or_default();
     let from = args.start.map(|moment| moment.in_bag(start));
@@ -82,11 +81,12 @@ pub fn cloud(args: &CloudArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
 /// As [`cloud`], with the arguments of `export`.
 pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let stem = stem(&args.bags);
-    let ExportArgs { bags, output, compression, .. } = args;
-    let [bag] = <[PathBuf; 1]>::try_from(bags)
-        .map_err(|bags| anyhow!("--cloud: found {} bags, expected one", bags.len()))?;
+    let ExportArgs { bags, output, compression, force, .. } = args;
+    let [bag] = <[PathBuf; 1]>::try_from(bags).map_err(|bags| {
+        Usage::new(format_args!("--cloud: found {} bags, expected one", bags.len()))
+    })?;
     let output = output.unwrap_or_else(|| PathBuf::from(format!("{stem}_cloud")));
-    cloud(&CloudArgs { bag, new: NewBagArgs { output, compression } }, quiet, interrupt)
+    cloud(&CloudArgs { bag, new: NewBagArgs { output, force, compression } }, quiet, interrupt)
 }
 
 /// Opens an undamaged bag.
@@ -107,11 +107,14 @@ fn copy(
     interrupt: &Interrupt,
     work: impl FnOnce(&Path, CopyOptions<'_>) -> Result<BagSummary, BagError>,
 ) -> anyhow::Result<()> {
+    let inputs: Vec<PathBuf> = bags.iter().map(|bag| bag.path().to_owned()).collect();
+    let room = Output::at(&new.output, OutputKind::Bag, new.force, &inputs)?;
     let messages = bags.iter().map(BagReader::message_count).sum();
     let bar = progress_bar(messages, "messages", quiet);
     let writer = writer_options(new, bags);
     let outcome = work(&new.output, CopyOptions { writer, go_on: &mut watch(&bar, interrupt) });
     bar.finish_and_clear();
     report(&outcome?);
+    room.replaced();
     Ok(())
 }

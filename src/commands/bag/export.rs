@@ -7,7 +7,11 @@ use anyhow::Context;
 use super::{find_streams, watch};
 use crate::{
     cli::ExportArgs,
-    commands::{Interrupt, progress_bar},
+    commands::{
+        Interrupt, counted,
+        output::{Output, OutputKind},
+        progress_bar,
+    },
 };
 use eddy_exchange::{FrameSelection, export};
 
@@ -16,6 +20,7 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     // Required by the command line.
     let format = args.format.context("--format: expected a format")?;
     let stem = stem(&args.bags);
+    let inputs = args.bags.clone();
     let choice = FrameSelection {
         bags: args.bags,
         topic: args.topic,
@@ -25,11 +30,15 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     let streams = find_streams(&choice, quiet, interrupt)?;
     let count = streams.tracks().len();
     let output = args.output.unwrap_or_else(|| PathBuf::from(format.output_name(&stem, count)));
+    let room = Output::at(&output, OutputKind::Export, args.force, &inputs)?;
     let bar = progress_bar(streams.frames() as u64, "frames", quiet);
     let outcome = export(&streams, format, &output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     outcome?;
-    println!("{}: {count} streams, {} frames", output.display(), streams.frames());
+    room.replaced();
+    let (count, frames) =
+        (counted(count as u64, "stream"), counted(streams.frames() as u64, "frame"));
+    println!("{}: {count}, {frames}", output.display());
     Ok(())
 }
 

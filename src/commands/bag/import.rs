@@ -3,7 +3,11 @@
 use super::watch;
 use crate::{
     cli::ImportArgs,
-    commands::{Interrupt, progress_bar},
+    commands::{
+        Interrupt, counted,
+        output::{Output, OutputKind},
+        progress_bar,
+    },
 };
 use eddy_exchange::{ImportOverrides, import};
 use eddy_frames::Domain;
@@ -15,6 +19,8 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         _ => None,
     });
     let overrides = ImportOverrides { dt: args.dt, domain, material: args.material };
+    let room =
+        Output::at(&args.output, OutputKind::Bags, args.force, std::slice::from_ref(&args.path))?;
     // The number of frames is unknown until the end.
     let bar = progress_bar(0, "frames", quiet);
     bar.unset_length();
@@ -22,7 +28,9 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         import(&args.path, args.format, &overrides, &args.output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     let imported = imported?;
-    let (output, streams) = (args.output.display(), imported.streams);
-    println!("{output}: {streams} streams, {} frames", imported.frames);
+    room.replaced();
+    let streams = counted(imported.streams as u64, "stream");
+    let frames = counted(imported.frames as u64, "frame");
+    println!("{}: {streams}, {frames}", args.output.display());
     Ok(())
 }

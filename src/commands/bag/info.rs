@@ -1,17 +1,30 @@
 //! `eddy bag info`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use comfy_table::{CellAlignment, Table, presets};
+use serde::Serialize;
 
 use super::survey;
-use eddy_bag::{BagReader, TopicSurvey};
-use eddy_frames::{Stamp, decimal};
+use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
+use eddy_frames::{Stamp, date::Utc, decimal};
 
-/// Prints files, topics and streams of a bag.
-pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
+/// Prints files, topics and streams of a bag, as text or as JSON.
+pub fn run(path: &Path, json: bool, quiet: bool) -> anyhow::Result<()> {
     let bag = BagReader::open(path)?;
     let survey = survey(&bag, quiet);
+    if json {
+        println!("{}", serde_json::to_string_pretty(&Info::new(&bag, &survey))?);
+    } else {
+        print(&bag, &survey);
+    }
+    match bag.damage() {
+        Some(damage) => Err(damage.into()),
+        None => Ok(()),
+    }
+}
+
+fn print(bag: &BagReader, survey: &Survey) {
     for file in bag.files() {
         println!("file         {}", file.display());
     }
@@ -26,35 +39,148 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
         }
     }
     println!("duration     {:.3} s", bag.duration());
-    if let (Some(start), Some(end)) = (bag.start(), bag.end()) {
-        println!("start        {} s", exact(start));
-        println!("end          {} s", exact(end));
+    for (name, time) in [("start", bag.start()), ("end", bag.end())] {
+        if let Some(time) = time {
+            println!("{name:<12} {} ({} s)", date(time), exact(time));
+        }
     }
     let mut table = Table::new();
     table.load_style(presets::NOTHING);
-    table.set_header(["topic", "type", "messages", "rate (1/s)", "streams", "particles", "dt (s)"]);
+    table.set_header([
+        "topic",
+        "type",
+        "messages",
+        "rate (1/s)",
+        "size",
+        "streams",
+        "particles",
+        "dt (s)",
+    ]);
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
         let rate = rate(topic.message_count, bag.duration());
+        let rate = rate.map_or("-".to_owned(), |rate| format!("{rate:.2}"));
         let [streams, particles, dt] = streams(found);
-        let count = topic.message_count.to_string();
-        table.add_row([&topic.name, &topic.type_name, &count, &rate, &streams, &particles, &dt]);
+        let (count, size) = (topic.message_count.to_string(), bytes(found.bytes));
+        let name = &topic.name;
+        table.add_row([name, &topic.type_name, &count, &rate, &size, &streams, &particles, &dt]);
     }
-    for column in 2..7 {
+    for column in 2..8 {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);
         }
     }
     println!("{}", table.trim_fmt());
+    println!("sizes of topics are those of the messages without compression");
     for topic in bag.topics().iter().filter(|topic| topic.schema.is_empty()) {
         println!("no definition: {} ({})", topic.name, topic.type_name);
     }
     if bag.is_unfinished() {
         println!("unfinished: the bag is still being written, or the recorder was killed");
     }
-    match bag.damage() {
-        Some(damage) => Err(damage.into()),
-        None => Ok(()),
+}
+
+/// `eddy bag info --json`.
+#[derive(Serialize)]
+struct Info {
+    files: Vec<PathBuf>,
+    /// Size of the files (bytes).
+    size: u64,
+    compressions: Vec<String>,
+    messages: u64,
+    attachments: usize,
+    metadata: usize,
+    /// Time from the first to the last message (s).
+    duration: f64,
+    /// Log time of the first message.
+    start: Option<TimeInfo>,
+    /// Log time of the last message.
+    end: Option<TimeInfo>,
+    /// Whether the bag is still being written, or its writer was killed.
+    unfinished: bool,
+    topics: Vec<TopicEntry>,
+}
+
+#[derive(Serialize)]
+struct TimeInfo {
+    /// Nanoseconds since the epoch of the recording's clock.
+    ns: i64,
+    /// The same as a date, if the epoch is Unix's.
+    utc: String,
+}
+
+#[derive(Serialize)]
+struct TopicEntry {
+    topic: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    messages: u64,
+    /// Mean rate over the whole bag (Hz).
+    rate: Option<f64>,
+    /// Size of the messages without compression (bytes).
+    size: u64,
+    streams: Vec<StreamEntry>,
+}
+
+#[derive(Serialize)]
+struct StreamEntry {
+    stream: u64,
+    frames: u64,
+    /// Smallest and largest number of particles of a frame.
+    particles: [usize; 2],
+    /// Time between two frames (s).
+    dt: f64,
+    /// How often the stream started anew.
+    restarts: u64,
+}
+
+impl Info {
+    fn new(bag: &BagReader, survey: &Survey) -> Self {
+        let [attachments, metadata] = bag.auxiliary_counts();
+        let time = |time: Stamp| TimeInfo { ns: time.0, utc: Utc::of(time).to_string() };
+        let topics = bag.topics().iter().zip(&survey.topics);
+        Self {
+            files: bag.files().map(Path::to_owned).collect(),
+            size: bag.size(),
+            compressions: bag.compressions().into_iter().map(str::to_owned).collect(),
+            messages: bag.message_count(),
+            attachments,
+            metadata,
+            duration: bag.duration(),
+            start: bag.start().map(time),
+            end: bag.end().map(time),
+            unfinished: bag.is_unfinished(),
+            topics: topics.map(|(topic, found)| TopicEntry::new(bag, topic, found)).collect(),
+        }
     }
+}
+
+impl TopicEntry {
+    fn new(bag: &BagReader, topic: &TopicInfo, found: &TopicSurvey) -> Self {
+        let streams = found.streams.iter().map(|(&stream, found)| StreamEntry {
+            stream,
+            frames: found.frames,
+            particles: [found.particles.0, found.particles.1],
+            dt: decimal(found.dt),
+            restarts: found.restarts,
+        });
+        Self {
+            topic: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            messages: topic.message_count,
+            rate: rate(topic.message_count, bag.duration()),
+            size: found.bytes,
+            streams: streams.collect(),
+        }
+    }
+}
+
+/// A log time as a date: log times of `eddy record` count from the Unix epoch, those of a simulation from its start.
+fn date(time: Stamp) -> String {
+    const YEAR: f64 = 365.25 * 86_400.0;
+    if time.seconds() < YEAR {
+        return "simulated time".to_owned();
+    }
+    Utc::of(time).to_string()
 }
 
 /// A time in seconds with all nanoseconds, which `f64` would round; times in bags are not negative.
@@ -64,11 +190,8 @@ fn exact(Stamp(nanoseconds): Stamp) -> String {
 }
 
 /// Mean rate over the whole bag (Hz).
-fn rate(messages: u64, duration: f64) -> String {
-    if messages < 2 || duration <= 0.0 {
-        return "-".to_owned();
-    }
-    format!("{:.2}", (messages - 1) as f64 / duration)
+fn rate(messages: u64, duration: f64) -> Option<f64> {
+    (messages > 1 && duration > 0.0).then(|| (messages - 1) as f64 / duration)
 }
 
 /// Number of streams, range of particles, range of intervals.

@@ -30,7 +30,9 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         BagCommand::Filter(args) => edit::filter(args, quiet, interrupt),
         BagCommand::Cloud(args) => edit::cloud(&args, quiet, interrupt),
         BagCommand::Reindex { bag } => reindex::run(&bag, quiet, interrupt),
-        BagCommand::Info { bag } => info::run(&bag, quiet),
+        // Replaced by `eddy replay` and `eddy record` when the command line is read.
+        BagCommand::Play(_) | BagCommand::Record(_) => Ok(()),
+        BagCommand::Info { bag, json } => info::run(&bag, json, quiet),
         BagCommand::Check { bag } => check::run(&bag, quiet),
         BagCommand::Export(args) if args.cloud => edit::export_cloud(args, quiet, interrupt),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),

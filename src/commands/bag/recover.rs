@@ -5,7 +5,11 @@ use std::process::ExitCode;
 use super::{report, watch, watch_bytes, writer_options};
 use crate::{
     cli::RecoverArgs,
-    commands::{Interrupt, progress_bar},
+    commands::{
+        Interrupt,
+        output::{Output, OutputKind},
+        progress_bar,
+    },
 };
 use eddy_bag::{CopyOptions, Recovery};
 
@@ -18,12 +22,19 @@ pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let found = Recovery::open(&args.bag, &mut watch_bytes(&bar, interrupt));
     bar.finish_and_clear();
     let found = found?;
+    let room = Output::at(
+        &args.new.output,
+        OutputKind::Bag,
+        args.new.force,
+        std::slice::from_ref(&args.bag),
+    )?;
     let writer = writer_options(&args.new, std::slice::from_ref(found.bag()));
     let bar = progress_bar(found.bag().message_count(), "messages", quiet);
     let options = CopyOptions { writer, go_on: &mut watch(&bar, interrupt) };
     let outcome = found.save(&args.new.output, options);
     bar.finish_and_clear();
     let recovered = outcome?;
+    room.replaced();
     report(&recovered.bag);
     for loss in &recovered.losses {
         println!("lost: {loss}");

@@ -5,19 +5,23 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{bail, ensure};
+use anyhow::bail;
 
 use super::find_streams;
 use crate::{
     cli::{Color, RenderArgs},
-    commands::{Interrupt, progress_bar},
+    commands::{
+        Interrupt,
+        output::{Output, OutputKind},
+        progress_bar,
+    },
 };
 use eddy_evaluation::picture::{
     Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
 };
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
 use eddy_frames::{Frame, Material};
-use eddy_settings::atomic::Staged;
+use eddy_settings::{atomic::Staged, usage::Usage};
 
 /// Longer side of the domain in a strip (pixels).
 const STRIP_SIZE: usize = 240;
@@ -26,20 +30,22 @@ const ANIMATION_SIZE: usize = 480;
 
 /// Renders a stream.
 pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    ensure!(
-        args.rate.is_finite() && args.rate > 0.0,
-        "rate: found {}, expected a positive number",
-        args.rate
-    );
     // Checked before anything is read.
     if let (Some(extension), None) = (args.output.extension(), strip_and_animation(&args.output)) {
-        bail!(
+        return Err(Usage::new(format_args!(
             "{}: found .{}, expected .png, .gif, .apng, .mp4 or a directory",
             args.output.display(),
             extension.display()
-        );
+        ))
+        .into());
     }
     let is_folder = strip_and_animation(&args.output).is_none();
+    let room = Output::at(
+        &args.output,
+        OutputKind::Pictures,
+        args.force,
+        std::slice::from_ref(&args.bag),
+    )?;
     let failed = || ExchangeError::output(&args.output);
     let output = Staged::new(&args.output).map_err(failed())?;
     if is_folder {
@@ -65,6 +71,7 @@ pub fn run(args: RenderArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     };
     draw(&args, &sides, track, wanted, names, quiet, interrupt)?;
     output.commit().map_err(failed())?;
+    room.replaced();
     let others = streams.tracks().len() - 1;
     let others = if others > 0 { format!(" ({others} more in the bag)") } else { String::new() };
     println!("stream {}{others}: {}", track.stream, args.output.display());

@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use crate::terminal;
 use eddy_frames::Frame;
 use eddy_messages::PredictionStatus;
 use eddy_node::{
@@ -11,6 +12,9 @@ use eddy_node::{
 
 /// Error of the best baseline below which nothing moves (domain lengths).
 const AT_REST: f64 = 1e-4;
+
+/// Between the parts of the line.
+const SEPARATOR: &str = " | ";
 
 /// Compares predictions with the truth as both arrive.
 pub(super) struct Live {
@@ -50,37 +54,35 @@ impl Live {
         self.comparison.truth(Arc::new(frame));
     }
 
-    /// The line since the last call.
-    pub(super) fn line(&mut self, now: Duration) -> String {
+    /// The line since the last call. What does not fit into `columns` is left out: first the latencies, last the skill.
+    pub(super) fn line(&mut self, now: Duration, columns: usize) -> String {
         let rates = self.monitor.rates(now);
         self.monitor = Monitor::start(now);
         let Some(time) = self.comparison.now() else {
             return "waiting for the first frame".to_owned();
         };
-        let mut line = format!("t = {time:6.2} s");
+        let mut parts = vec![(1, format!("t = {time:6.2} s"))];
         let Some(Summary { horizon, error, baseline }) = self.comparison.summary() else {
-            return line + " | warming up";
+            parts.push((0, "warming up".to_owned()));
+            return terminal::fit(&parts, SEPARATOR, columns);
         };
         let milliseconds = |latency: Duration| latency.as_secs_f64() * 1e3;
-        line += &format!(" | {:5.1} predictions/s", rates.rate);
+        parts.push((3, format!("{:5.1} predictions/s", rates.rate)));
         if rates.rate > 0.0 {
-            line += &format!(
-                " | latency p50 {:.1} ms, p99 {:.1} ms",
-                milliseconds(rates.latency_p50),
-                milliseconds(rates.latency_p99)
-            );
+            let [p50, p99] = [rates.latency_p50, rates.latency_p99].map(milliseconds);
+            parts.push((5, format!("latency p50 {p50:.1} ms, p99 {p99:.1} ms")));
         }
-        line += &format!(" | error {error:.1e}");
+        parts.push((0, format!("error {error:.1e}")));
         if let Some((best, best_error)) = baseline {
-            line += &format!(", {} {best_error:.1e}", best.name());
+            parts.push((2, format!("{} {best_error:.1e}", best.name())));
             // At rest the best baseline is exact, and skill is undefined.
             if best_error > AT_REST {
-                line += &format!(", skill {:+.2}", 1.0 - (error / best_error).powi(2));
+                parts.push((0, format!("skill {:+.2}", 1.0 - (error / best_error).powi(2))));
             }
         }
         if horizon > 1 {
-            line += &format!(", {horizon} frames ahead");
+            parts.push((1, format!("{horizon} frames ahead")));
         }
-        line
+        terminal::fit(&parts, SEPARATOR, columns)
     }
 }

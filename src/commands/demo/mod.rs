@@ -6,7 +6,7 @@ mod watch;
 
 use std::{
     io::{IsTerminal, stdout},
-    path::{Path, PathBuf},
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -22,7 +22,13 @@ use self::{
     scenes::{Scenes, Source},
     watch::{Printer, Recorded, Watch},
 };
-use super::{Interrupt, TerminalProgress, announce_page, node::summary, surrogate};
+use super::{
+    Interrupt, TerminalProgress, announce_page,
+    eval::print_report,
+    node::summary,
+    output::{Output, OutputKind, unused},
+    surrogate,
+};
 use crate::cli::DemoArgs;
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::{Settings, dataset, evaluate_model};
@@ -39,11 +45,15 @@ use eddy_transport::{Link, ListenAddress, Reliability, Subscriber, TransportOpti
 const NAME: &str = "eddy_demo";
 /// Scene with liquid and jelly, small enough to simulate in real time.
 const SCENE: u64 = 4;
+/// Default output directory.
+const DEFAULT_OUTPUT: &str = "bags/demo";
 /// Default duration of a scene (simulated s).
 const SECONDS: f64 = 8.0;
 
 /// Runs the demo.
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let folder = args.output.clone().unwrap_or_else(|| unused(Path::new(DEFAULT_OUTPUT)));
+    let output = Output::at(&folder, OutputKind::Demo, args.force, &[])?;
     let surrogate = surrogate::load(args.checkpoint.as_deref(), None)?;
     let comparison = Comparison::new(surrogate.description());
     let info = PageInfo {
@@ -71,14 +81,10 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let page = page.transpose().context("--port")?;
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
-    let folder = unused(&args.output);
     let bag = folder.join("bag");
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("cannot create {}", folder.display()))?;
-    println!("simulating {} s and predicting each next frame", scenes.seconds);
-    if scenes.endless {
-        println!("followed by more scenes, which are not recorded, until Ctrl-C");
-    }
+    introduce(&scenes);
     if let Some(page) = &page {
         announce_page(page);
     }
@@ -127,6 +133,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     })?;
     drop(page);
     let recorded = links.watch.finish()?;
+    output.replaced();
     println!("{}", summary(node.counters()));
     println!("bag:    {} ({} messages)", bag.display(), recorded.messages);
     if !complete {
@@ -134,6 +141,28 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         return Ok(());
     }
     report(&node, &folder, &bag, quiet, interrupt)
+}
+
+/// Says what is simulated and what the numbers mean.
+fn introduce(scenes: &Scenes) {
+    println!(
+        "Simulating {} s of liquid and jelly, and predicting each next frame.",
+        scenes.seconds
+    );
+    if scenes.endless {
+        println!("More scenes follow until Ctrl-C; the first one is recorded and evaluated.");
+    }
+    println!("error:  RMS distance from predicted to true positions (the box is 1 x 1)");
+    println!("skill:  1 is perfect; 0 is as good as the best of three simple guesses, which");
+    println!("        stands before it with its own error; below 0 the guess is better");
+}
+
+/// Says what to type next.
+fn next_steps(bag: &Path) {
+    println!("next:   eddy bag render {} --output demo.gif \\", bag.display());
+    println!("            --topic /particles /prediction   # truth beside prediction");
+    println!("        eddy node --view             # predict your own /particles topic");
+    println!("        docs/src/tutorial.md         # simulate, train, evaluate, deploy");
 }
 
 /// Subscribes to the simulated time within this process.
@@ -196,7 +225,8 @@ fn report(
     )?;
     let settings = Settings::errors_only(20, 10);
     let longest = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
-    let needed = node.surrogate().description().warm_up as usize + settings.horizon;
+    let horizon = settings.horizon;
+    let needed = node.surrogate().description().warm_up as usize + horizon;
     if longest < needed {
         println!("not evaluated: found {longest} frames, expected at least {needed}");
         return Ok(());
@@ -204,22 +234,10 @@ fn report(
     let progress = TerminalProgress::new(quiet, interrupt);
     let report = evaluate_model(node.surrogate(), "demo", streams, settings, &progress)?;
     report.save(folder)?;
-    println!("report: {}", folder.join("report.html").display());
-    println!("\nfree rollouts from {} frames of this scene:\n{}", report.windows, report.tables());
+    println!("\nPredicted again from {} frames, each time {horizon} frames ahead:", report.windows);
+    print_report(&report, folder, false);
+    next_steps(bag);
     Ok(())
-}
-
-/// `path`, or the first of `path-2`, `path-3`, ... that does not exist.
-fn unused(path: &Path) -> PathBuf {
-    let numbered = |number: u32| {
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!("-{number}"));
-        path.with_file_name(name)
-    };
-    std::iter::once(path.to_owned())
-        .chain((2..).map(numbered))
-        .find(|candidate| !candidate.exists())
-        .unwrap_or_else(|| path.to_owned())
 }
 
 fn join<T>(handle: thread::ScopedJoinHandle<'_, T>) -> T {

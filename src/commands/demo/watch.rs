@@ -1,7 +1,6 @@
 //! Records and compares while the demo runs.
 
 use std::{
-    io::{Write, stdout},
     sync::atomic::{AtomicBool, Ordering},
     thread,
     time::Duration,
@@ -10,6 +9,7 @@ use std::{
 use anyhow::Context;
 
 use super::{SCENE, live::Live};
+use crate::terminal;
 use eddy_bag::{BagSummary, TopicId};
 use eddy_frames::clock::{self, Clock};
 use eddy_messages::{PredictionStatus, cdr};
@@ -84,12 +84,10 @@ impl Watch {
             }
             if clock.now() - printed >= interval {
                 printed = clock.now();
-                printer.print(&live.line(printed));
+                printer.print(&live.line(printed, printer.columns()));
             }
         }
-        if matches!(printer, Printer::Line) {
-            println!();
-        }
+        terminal::clear_status();
         Ok(())
     }
 
@@ -140,13 +138,17 @@ pub(super) enum Printer {
 }
 
 impl Printer {
+    /// Columns of a line.
+    fn columns(&self) -> usize {
+        match self {
+            Self::Line => terminal::columns(),
+            Self::Lines { .. } => usize::MAX,
+        }
+    }
+
     fn print(&self, line: &str) {
         match self {
-            Self::Line => {
-                print!("\r\x1b[2K{line}");
-                // A closed terminal does not end the demo.
-                let _ = stdout().flush();
-            }
+            Self::Line => terminal::show_status(line),
             Self::Lines { quiet: false } => println!("{line}"),
             Self::Lines { quiet: true } => {}
         }

@@ -1,21 +1,29 @@
 //! `eddy eval --compare`: reports side by side.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 
+use crate::{
+    cli::EvalArgs,
+    commands::output::{Output, OutputKind},
+};
 use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
 
 /// Prints a comparison of reports, and writes it to `output` as HTML.
-pub(super) fn run(paths: &[PathBuf], output: Option<&Path>) -> anyhow::Result<()> {
+pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
+    let paths = &args.compare;
+    let room = |output: &PathBuf| Output::at(output, OutputKind::Page, args.force, &[]);
+    let room = args.output.as_ref().map(room).transpose()?;
     let reports = paths.iter().map(|path| Report::load(path)).collect::<Result<Vec<_>, _>>()?;
     let comparison = Comparison::new(names(paths).into_iter().zip(reports).collect())?;
-    println!("{}", comparison.tables());
-    if let Some(output) = output {
+    print!("{}", if args.tables { comparison.tables() } else { comparison.first_table() });
+    if let Some(output) = &args.output {
         let page = comparison.page(&Provenance::here());
         page.save(output).with_context(|| format!("cannot write {}", output.display()))?;
-        println!("{}", output.display());
+        println!("report: {}", output.display());
     }
+    room.into_iter().for_each(Output::replaced);
     Ok(())
 }
 

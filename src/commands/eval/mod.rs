@@ -9,52 +9,53 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 
-use super::{Interrupt, TerminalProgress};
-use crate::cli::{EvalArgs, ReferenceName};
-use eddy_evaluation::{
-    Evaluation, EvaluationRequest, Reference, Report, Settings, dataset, page::Provenance,
+use super::{
+    Interrupt, TerminalProgress, counted,
+    output::{Output, OutputKind},
 };
+use crate::cli::{EvalArgs, ReferenceName};
+use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Report, Settings, dataset};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
+use eddy_settings::ensure_usage;
 
 /// Evaluates all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     if !args.compare.is_empty() {
-        return compare::run(&args.compare, args.output.as_deref());
+        return compare::run(&args);
     }
     // Required by the command line.
     let folder = args.output.as_deref().context("--output: expected a directory")?;
-    check_existing(folder)?;
+    let room = Output::at(folder, OutputKind::Report, args.force, &[])?;
     let progress = TerminalProgress::new(quiet, interrupt);
     let evaluation = Evaluation::new(request(&args)?, &progress)?;
     evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
     let report = evaluation.run(&progress)?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
+    room.replaced();
     println!(
-        "{} free rollouts over {} streams, compared for {} frames, checked for divergence for {}",
-        report.windows, report.streams, report.horizon, report.reach
+        "{} over {}, compared for {} (divergence: {})",
+        counted(report.windows as u64, "free rollout"),
+        counted(report.streams as u64, "stream"),
+        counted(report.horizon as u64, "frame"),
+        report.reach
     );
-    println!("{}", report.tables());
-    println!("{}", folder.join("report.html").display());
+    print_report(&report, folder, args.tables);
+    if !args.tables {
+        println!("        with errors, physical measures and kinds of scenes, as does --tables");
+    }
     Ok(())
 }
 
-/// Rejects a directory with the report of another command; a report of the same command is overwritten.
-fn check_existing(folder: &Path) -> anyhow::Result<()> {
-    if !folder.join("report.json").exists() {
-        return Ok(());
-    }
-    let found = Report::load(folder)?.made.command;
-    ensure!(
-        found == Provenance::here().command,
-        "{}: already has the report of another command, `{found}`; choose another --output or delete it",
-        folder.display()
-    );
-    Ok(())
+/// Prints the first table, or all of them, and where the report is.
+pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
+    let tables = if all { report.tables() } else { report.first_table() };
+    print!("{tables}");
+    println!("report: {}", folder.join("report.html").display());
 }
 
 fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
-    ensure!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
-    ensure!(args.starts > 0, "--starts: found 0, expected at least 1 per stream");
+    ensure_usage!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
+    ensure_usage!(args.starts > 0, "--starts: found 0, expected at least 1 per stream");
     let mut checkpoints: Vec<(String, Checkpoint)> = args
         .checkpoint
         .iter()

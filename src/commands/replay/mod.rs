@@ -1,30 +1,30 @@
-//! `eddy replay`: a bag onto topics, at its recorded pace.
-//!
-//! 1. [`eddy_node::player`]: the player, its topics and its services.
-//! 2. [`keyboard`]: commands by keys, if standard input is a terminal.
+//! `eddy replay`: a bag onto topics, at its recorded pace, by the player in [`eddy_node::player`].
 
-mod keyboard;
-
-use std::time::Duration;
+use std::{
+    io::{IsTerminal as _, stdout},
+    time::Duration,
+};
 
 use anyhow::{Context as _, bail, ensure};
 use indicatif::HumanCount;
 
 use super::{
-    Interrupt, has_no_parameters, leaves_the_process, transport_options, wait_for_subscribers,
+    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, transport_options,
+    wait_for_subscribers,
 };
-use crate::cli::ReplayArgs;
+use crate::{cli::ReplayArgs, terminal};
 use eddy_bag::{BagMessage, BagReader};
 use eddy_frames::{Stamp, clock::Clock};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_node::{
     PendingCommand, PlaybackSink, Player, PlayerOptions, play,
-    player::{OutputOptions, PlayerServices, TopicOutputs, playable_topics},
+    player::{
+        OutputOptions, PlaybackStatus, PlayerServices, TopicOutputs, parse_keys, playable_topics,
+    },
     ros::RosNode,
     viewer::BagView,
 };
 use eddy_transport::{Link, Transports};
-use keyboard::Keyboard;
 
 /// Publishes the messages of the bag until its end or a signal.
 pub fn run(
@@ -94,9 +94,12 @@ pub fn run(
         );
     }
     let clock = Clock::start();
-    let mut session = Session { outputs: &mut outputs, keyboard, services, view, interrupt };
-    play(&mut player, &clock, &mut session)?;
+    let line = (!quiet && stdout().is_terminal()).then(|| [bag.start(), bag.end()]);
+    let mut session = Session { outputs: &mut outputs, keyboard, services, view, line, interrupt };
+    let played = play(&mut player, &clock, &mut session);
     drop(session);
+    terminal::clear_status();
+    played?;
     outputs.flush()?;
     let (bag, TopicOutputs { sent, skipped, undelivered, .. }) = (bag.path().display(), &outputs);
     if !quiet {
@@ -131,6 +134,8 @@ struct Session<'a> {
     keyboard: Option<Keyboard>,
     services: Option<PlayerServices>,
     view: Option<BagView>,
+    /// Log times of the first and last message, if there is a status line.
+    line: Option<[Option<Stamp>; 2]>,
     interrupt: &'a Interrupt,
 }
 
@@ -150,12 +155,38 @@ impl PlaybackSink for Session<'_> {
     }
 
     fn commands(&mut self) -> Vec<PendingCommand> {
-        let keys = self.keyboard.iter_mut().flat_map(Keyboard::commands).map(PendingCommand::from);
+        let keys = self.keyboard.iter_mut().flat_map(|keyboard| parse_keys(&keyboard.keys()));
+        let keys = keys.map(PendingCommand::from);
         let services = self.services.iter().flat_map(PlayerServices::commands);
         keys.chain(services).chain(self.view.iter().flat_map(BagView::commands)).collect()
+    }
+
+    fn status(&mut self, status: PlaybackStatus) {
+        if let Some([start, end]) = self.line {
+            terminal::show_status(&status_line(status, start, end, self.outputs.sent));
+        }
     }
 
     fn is_stopped(&self) -> bool {
         self.interrupt.requested()
     }
+}
+
+/// Position, rate and number of messages, as wide as the terminal.
+fn status_line(
+    status: PlaybackStatus,
+    start: Option<Stamp>,
+    end: Option<Stamp>,
+    sent: u64,
+) -> String {
+    let start = start.unwrap_or_default();
+    let since = |time: Stamp| Stamp(time.0.saturating_sub(start.0)).seconds();
+    let state = if status.paused { "paused" } else { "playing" };
+    let parts = [
+        (0, state.to_owned()),
+        (0, format!("{:.1} of {:.1} s", since(status.position), since(end.unwrap_or(start)))),
+        (1, format!("rate {:.2}", status.rate)),
+        (2, format!("{} messages", HumanCount(sent))),
+    ];
+    terminal::fit(&parts, " | ", terminal::columns())
 }

@@ -9,17 +9,25 @@ pub(crate) mod source;
 
 use anyhow::bail;
 
-use super::{Interrupt, TerminalProgress};
+use super::{
+    Interrupt, TerminalProgress,
+    output::{Output, OutputKind},
+};
 use crate::cli::SimulateArgs;
-use eddy_evaluation::dataset::simulate::{Job, SimulationRequest, Source};
+use eddy_evaluation::dataset::simulate::{Job, SimulateError, SimulationRequest, Source};
 use eddy_mpm::Settings;
+use eddy_settings::usage::Usage;
 use source::source;
 
 /// Simulates the scenes that do not exist yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let request = request(&args)?;
+    let room = match (&args.output, args.force) {
+        (Some(output), true) => Some(Output::at(output, OutputKind::Bags, true, &[])?),
+        _ => None,
+    };
     let at_once = args.publish.is_some().then_some(1);
-    let job = Job::plan(&request, args.output.as_deref(), at_once)?;
+    let job = Job::plan(&request, args.output.as_deref(), at_once).map_err(with_usage)?;
     let present = job.present();
     if let (Some(output), 1..) = (&args.output, present) {
         println!("{}", job.present_scenes(output));
@@ -44,7 +52,17 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     if let Some(store) = store {
         store.close();
     }
-    outcome
+    outcome?;
+    room.into_iter().for_each(Output::replaced);
+    Ok(())
+}
+
+/// An invalid request is wrong usage: its numbers are all from the command line.
+fn with_usage(error: SimulateError) -> anyhow::Error {
+    match error {
+        SimulateError::Request { .. } => Usage::new(format_args!("--{error}")).into(),
+        _ => error.into(),
+    }
 }
 
 fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {

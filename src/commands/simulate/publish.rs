@@ -1,6 +1,6 @@
 //! A live source: scenes one after the other, each a stream, with `/clock`.
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 
 use crate::{
     cli::SimulateArgs,
@@ -26,7 +26,6 @@ pub(super) fn run(
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
     let rate = args.rate;
-    ensure!(rate.is_finite() && rate > 0.0, "rate: found {rate}, expected a positive number");
     leaves_the_process(link)?;
     // Sessions end with it, hence it lives until the last message is sent.
     let transports =

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use anyhow::bail;
 use clap::{
     ValueEnum,
     builder::{PossibleValue, PossibleValuesParser},
@@ -11,7 +10,7 @@ use clap::{
 use crate::cli::SimulateArgs;
 use eddy_evaluation::dataset::simulate::Source;
 use eddy_mpm::{Extent, Preset};
-use eddy_settings as config;
+use eddy_settings::{self as config, usage::Usage};
 
 /// Scene files within the program, by their names for `--preset`.
 const SHIPPED: [(&str, &str); 6] = [
@@ -41,10 +40,15 @@ pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
     }
     if let Ok(preset) = Preset::from_str(&args.preset, false) {
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
-        return Ok(Source::Random(extent.transpose()?.unwrap_or(Extent::usual(preset))));
+        let extent = extent.transpose().map_err(|error| Usage::new(format_args!("--{error}")))?;
+        return Ok(Source::Random(extent.unwrap_or(Extent::usual(preset))));
     }
     if args.particles.is_some() {
-        bail!("--particles: preset {} has a fixed number of particles", args.preset);
+        return Err(Usage::new(format_args!(
+            "--particles: preset {} has a fixed number of particles",
+            args.preset
+        ))
+        .into());
     }
     let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
     let text = shipped.map_or("", |(_, text)| text);

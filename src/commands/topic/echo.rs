@@ -1,6 +1,7 @@
 //! `eddy topic echo`
 
 use std::{
+    num::NonZeroUsize,
     sync::atomic::{AtomicBool, Ordering},
     thread,
     time::Duration,
@@ -10,7 +11,10 @@ use anyhow::Context;
 
 use super::{MAX_WAIT, find, print};
 use crate::{cli::TopicEchoArgs, commands::Interrupt};
-use eddy_node::{FrameQueue, topics::message_text};
+use eddy_node::{
+    FrameQueue,
+    topics::{MAX_FIND_TIME, message_text},
+};
 use eddy_transport::{Reliability, Subscriber, TransportError, Transports};
 
 /// Maximum number of messages waiting to be printed; the oldest are dropped.
@@ -21,7 +25,9 @@ pub(super) fn run(
     transports: &Transports,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let Some(topic) = find(&args.link, transports, interrupt)? else { return Ok(()) };
+    let Some(topic) = find(&args.link, transports, MAX_FIND_TIME, interrupt)? else {
+        return Ok(());
+    };
     let mut subscriber = transports
         .subscriber_of(&topic.link, &topic.type_support())
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
@@ -30,15 +36,15 @@ pub(super) fn run(
     thread::scope(|scope| {
         // On a thread of its own: a slow terminal must not block the publisher.
         let receiver = scope.spawn(|| receive(subscriber.as_mut(), &queue, &stop));
-        let mut left = args.count.map(std::num::NonZeroUsize::get);
-        let mut printed = Ok(true);
-        while matches!(printed, Ok(true)) && left != Some(0) {
+        let mut left = if args.once { Some(1) } else { args.count.map(NonZeroUsize::get) };
+        let mut is_read = true;
+        while is_read && left != Some(0) {
             if interrupt.requested() || receiver.is_finished() {
                 break;
             }
             if let Some((_, payload)) = queue.pop(MAX_WAIT) {
                 let text = message_text(&topic.type_name, &payload.into_cdr(), args.truncate);
-                printed = print(&format!("{text}---"));
+                is_read = print(&format!("{text}---"));
                 left = left.map(|left| left - 1);
             }
         }
@@ -47,7 +53,6 @@ pub(super) fn run(
             Ok(outcome) => outcome?,
             Err(panic) => std::panic::resume_unwind(panic),
         }
-        printed?;
         Ok(())
     })
 }

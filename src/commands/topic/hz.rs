@@ -7,7 +7,7 @@ use anyhow::Context;
 use super::{MAX_WAIT, find, print};
 use crate::{cli::TopicHzArgs, commands::Interrupt};
 use eddy_frames::clock::Clock;
-use eddy_node::topics::Rate;
+use eddy_node::topics::{MAX_FIND_TIME, Rate};
 use eddy_transport::Transports;
 
 /// Interval between two reports.
@@ -18,13 +18,14 @@ pub(super) fn run(
     transports: &Transports,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let Some(topic) = find(&args.link, transports, interrupt)? else { return Ok(()) };
+    let clock = Clock::start();
+    let end = args.duration.map(Duration::from_secs_f64);
+    let timeout = end.unwrap_or(MAX_FIND_TIME).min(MAX_FIND_TIME);
+    let Some(topic) = find(&args.link, transports, timeout, interrupt)? else { return Ok(()) };
     let mut subscriber = transports
         .subscriber_of(&topic.link, &topic.type_support())
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
-    let clock = Clock::start();
-    let end = args.duration.map(Duration::from_secs_f64);
-    let (mut rate, mut reported, mut has_new) = (Rate::new(args.window), Duration::ZERO, false);
+    let (mut rate, mut reported, mut has_new) = (Rate::new(args.window), clock.now(), false);
     loop {
         if subscriber.receive(MAX_WAIT)?.is_some() {
             rate.arrived(clock.now());
@@ -35,7 +36,7 @@ pub(super) fn run(
             reported = clock.now();
             let statistics = rate.statistics().filter(|_| std::mem::take(&mut has_new));
             let line = statistics.map_or("no new messages".to_owned(), |s| s.to_string());
-            if !print(&line)? || ends {
+            if !print(&line) || ends {
                 return Ok(());
             }
         }

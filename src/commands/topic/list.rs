@@ -40,7 +40,7 @@ pub(super) fn run(
     }
     let width = topics.iter().map(|topic| topic.link.to_string().len()).max().unwrap_or(0);
     for topic in topics {
-        if !print(&format!("{:width$}  {}", topic.link.to_string(), topic.type_name))? {
+        if !print(&format!("{:width$}  {}", topic.link.to_string(), topic.type_name)) {
             break;
         }
     }

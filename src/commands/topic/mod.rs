@@ -4,13 +4,13 @@ mod echo;
 mod hz;
 mod list;
 
-use std::{
-    io::{self, ErrorKind, Write as _},
-    time::Duration,
-};
+use std::time::Duration;
 
 use super::{Interrupt, leaves_the_process};
-use crate::cli::{TopicArgs, TopicCommand};
+use crate::{
+    cli::{TopicArgs, TopicCommand},
+    terminal,
+};
 use eddy_node::topics::{MAX_FIND_TIME, find_topic};
 use eddy_transport::{Link, SeenTopic, TransportOptions, Transports};
 
@@ -27,11 +27,12 @@ pub fn run(args: TopicArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
         TopicCommand::Echo(args) => echo::run(&args, &transports, interrupt),
         TopicCommand::Hz(args) => hz::run(&args, &transports, interrupt),
         TopicCommand::Info { link } => {
-            if let Some(SeenTopic { type_name, hash, .. }) = find(&link, &transports, interrupt)? {
+            let found = find(&link, &transports, MAX_FIND_TIME, interrupt)?;
+            if let Some(SeenTopic { type_name, hash, .. }) = found {
                 let hash = hash.as_deref().unwrap_or("unknown");
-                print(&format!("Type: {type_name}\nType hash: {hash}"))?;
+                println!("Type: {type_name}\nType hash: {hash}");
                 if let Some(memory) = transports.shared_memory(&link, &type_name)? {
-                    print(&format!("Shared memory: {memory}"))?;
+                    println!("Shared memory: {memory}");
                 }
             }
             Ok(())
@@ -39,21 +40,19 @@ pub fn run(args: TopicArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
     }
 }
 
-/// Prints a line, or several. Returns `false` when the reader is gone, as behind `| head`.
-fn print(text: &str) -> io::Result<bool> {
-    match writeln!(io::stdout(), "{text}") {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
-        Err(error) => Err(error),
-    }
+/// Prints a line, or several. Returns `false` when nobody reads them any more, as behind `| head`.
+fn print(text: &str) -> bool {
+    println!("{text}");
+    !terminal::is_closed() && terminal::failure().is_none()
 }
 
 /// Waits until a topic is published. `None` when a signal came first.
 fn find(
     link: &Link,
     transports: &Transports,
+    timeout: Duration,
     interrupt: &Interrupt,
 ) -> anyhow::Result<Option<SeenTopic>> {
     leaves_the_process(link)?;
-    Ok(find_topic(transports, link, MAX_FIND_TIME, || interrupt.requested())?)
+    Ok(find_topic(transports, link, timeout, || interrupt.requested())?)
 }

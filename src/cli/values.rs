@@ -1,0 +1,23 @@
+//! Parsers of option values.
+
+/// A duration from 0 (s).
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    number(text, |seconds| (0.0..=1e9).contains(&seconds), "0 to 1e9 s")
+}
+
+/// A duration of more than 0 (s).
+pub(super) fn positive_seconds(text: &str) -> Result<f64, String> {
+    number(text, |seconds| seconds > 0.0 && seconds <= 1e9, "more than 0, at most 1e9 s")
+}
+
+/// A factor or a rate of more than 0.
+pub(super) fn positive(text: &str) -> Result<f64, String> {
+    number(text, |value| value > 0.0 && value.is_finite(), "a positive number")
+}
+
+fn number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if is_valid(value) => Ok(value),
+        _ => Err(format!("expected {expected}")),
+    }
+}
