@@ -170,8 +170,8 @@ fn a_link_that_no_other_process_can_meet_is_refused() {
     let folder = Folder::new();
     let record =
         ["record", "memory:/particles", "--output", &folder.path("out")].map(str::to_owned);
-    says(&fail(1, record), &["memory:/particles", "expected shm, zenoh or dds"]);
-    says(&fail(1, ["node", "--input", "memory:/particles"]), &["memory:/particles"]);
+    says(&fail(2, record), &["memory:/particles", "expected shm, zenoh or dds"]);
+    says(&fail(2, ["node", "--input", "memory:/particles"]), &["memory:/particles"]);
 }
 
 #[test]
@@ -181,6 +181,36 @@ fn wrong_usage_is_exit_code_2() {
         &["found `tcp`", "memory, shm, zenoh or dds"],
     );
     says(&fail(2, ["simulate"]), &["--output"]);
+    for (typed, words) in [
+        ("simulate --scenes 0 --output o", &["'0'", "--scenes"][..]),
+        (
+            "simulate --preset kinds --particles 100 --output o",
+            &["--particles: found 100", "250 to"],
+        ),
+        ("simulate --duration -1 --output o", &["'-1'", "--duration", "more than 0"]),
+        ("simulate --threads 2000 --output o", &["--threads: found 2000", "1 to 1024"]),
+        ("eval --checkpoint c --data d --output o --horizon 0", &["--horizon: found 0"]),
+        ("eval --checkpoint c --data d --output o --starts 0", &["--starts: found 0"]),
+        ("train --data d --output o --epochs 0", &["epochs: found 0"]),
+        ("train --data d --output o --memory -1", &["--memory: found -1"]),
+        ("node --horizon 0", &["horizon: found 0"]),
+        ("node --input shm:/a --output shm:/a", &["output: found shm:/a, which is the input"]),
+        ("record memory:/a --output o", &["expected shm, zenoh or dds"]),
+        ("record shm:/a zenoh:/a --output o", &["found topic /a twice"]),
+        ("record shm:/a --stop-after 0 --output o", &["'0'", "--stop-after"]),
+        ("replay b --rate 0", &["'0'", "--rate", "a positive number"]),
+        ("replay b --start-offset -2", &["'-2'", "--start-offset"]),
+        ("bag render b --output x.jpg", &["x.jpg: found .jpg"]),
+        ("bag render b --output x.gif --rate -1", &["'-1'", "--rate"]),
+        ("bag cut b --duration 0 --output o", &["'0'", "--duration"]),
+        ("bag export a b --cloud", &["--cloud: found 2 bags"]),
+        ("bench node --seconds 0", &["seconds: found 0"]),
+        ("bench solver --particles 5", &["particles: found 5"]),
+        ("topic hz /a --duration -3", &["'-3'", "--duration"]),
+        ("topic echo memory:/a", &["memory links stay within one process"]),
+    ] {
+        says(&fail(2, typed.split(' ')), words);
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::{
 
 use eddy_bag::{BagReader, BagWriter, Split, WriterOptions};
 use eddy_frames::{Frame, Stamp};
-use eddy_messages::{FrameCdr, Message, RosString};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString};
 use mcap::records::MessageHeader;
 
 use crate::{
@@ -190,7 +190,7 @@ fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
     }
     let again = folder.path().join("again");
     let both = ["bag", "export", "--cloud", "bags/sample", "bags/sample"];
-    assert!(fail(1, both).contains("--cloud: found 2 bags, expected one"));
+    assert!(fail(2, both).contains("--cloud: found 2 bags, expected one"));
     assert!(fail(2, ["bag", "export", "bags/sample"]).contains("--format"));
     let csv = ["bag", "export", "--cloud", "--format", "csv", "bags/sample"];
     assert!(fail(2, csv).contains("--cloud"));
@@ -318,4 +318,51 @@ fn a_sector_that_cannot_be_read_costs_the_chunks_that_it_is_in() {
         .unwrap();
     assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(messages(&saved).len() >= 390);
+}
+
+#[test]
+fn equal_findings_are_grouped_and_a_loop_is_no_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("looped");
+    let frames: Vec<_> =
+        BagReader::open("bags/sample".as_ref()).unwrap().frames("/particles").unwrap().collect();
+    let frames: Vec<Frame> = frames.into_iter().take(20).map(Result::unwrap).collect();
+    let write = |path: &Path, numbers: &[usize]| {
+        let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
+        let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
+        for (time, &number) in numbers.iter().enumerate() {
+            let time = Stamp(1_700_000_000_000_000_000 + time as i64 * 16_000_000);
+            bag.write(topic, time, time, &frames[number].to_cdr()).unwrap();
+        }
+        bag.finish().unwrap();
+    };
+    // Three passes.
+    let passes: Vec<usize> = (0..60).map(|number| number % 20).collect();
+    write(&path, &passes);
+    let said = succeed(["bag", "check", path.to_str().unwrap()]);
+    assert!(said.contains("topic /particles, stream 0: restarts 2 times, as in a loop"), "{said}");
+    assert!(said.contains("60 messages, no problems found"), "{said}");
+
+    let gaps = folder.path().join("gaps");
+    write(&gaps, &[0, 2, 4, 6, 8, 10, 9]);
+    let output = eddy().args(["bag", "check", gaps.to_str().unwrap()]).output().unwrap();
+    let (said, error) = (String::from_utf8(output.stdout), String::from_utf8(output.stderr));
+    let (said, error) = (said.unwrap(), error.unwrap());
+    assert_eq!(
+        said,
+        "topic /particles, stream 0: found sequence 2 after 0, expected 1 (and 4 more of this kind)\n\
+         topic /particles, stream 0: found sequence 9 again or late, expected 11\n"
+    );
+    assert!(error.contains("gaps: 6 problems found"), "{error}");
+
+    let text = succeed(["bag", "info", path.to_str().unwrap()]);
+    assert!(text.contains("start        2023-11-14T22:13:20Z (1700000000.000000000 s)"), "{text}");
+    let json = succeed(["bag", "info", path.to_str().unwrap(), "--json"]);
+    let info: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(info["start"]["utc"], "2023-11-14T22:13:20Z");
+    assert_eq!(info["messages"], 60);
+    let topic = &info["topics"][0];
+    let bytes: usize = passes.iter().map(|&number| frames[number].to_cdr().len()).sum();
+    assert_eq!((&topic["size"], &topic["topic"]), (&bytes.into(), &"/particles".into()));
+    assert_eq!(topic["streams"][0]["restarts"], 2);
 }

@@ -21,7 +21,9 @@ mod hostile;
 mod launch;
 mod launch_configs;
 mod mpm;
+mod outputs;
 mod pipeline;
+mod pty;
 mod pytorch;
 #[cfg(target_os = "linux")]
 mod real_time;
@@ -36,6 +38,7 @@ mod shm;
 mod stuck;
 mod study;
 mod support;
+mod terminal;
 mod topic;
 mod train;
 mod view;

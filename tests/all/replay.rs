@@ -24,13 +24,11 @@ use eddy_messages::{
     type_support,
 };
 use eddy_transport::Subscriber;
-use rustix::{
-    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
-    termios::{LocalModes, tcgetattr},
-};
+use rustix::termios::{LocalModes, tcgetattr};
 
 use crate::{
     client::Client,
+    pty::{OnTerminal, ends, in_a_session, lines},
     support::{Process, World, domain, fail, latched, talking_eddy, wait_for, word},
 };
 
@@ -136,21 +134,9 @@ fn types_that_nobody_knows_here_pass_through_as_bytes() {
     }
 }
 
-/// The two ends of a terminal.
-fn terminal() -> (File, File) {
-    let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&ours).unwrap();
-    unlockpt(&ours).unwrap();
-    let name = ptsname(&ours, Vec::new()).unwrap();
-    let theirs = File::options().read(true).write(true).open(name.to_str().unwrap()).unwrap();
-    (File::from(ours), theirs)
-}
-
-/// A player that `setsid` gives a terminal as its own, as a shell gives it to what it runs.
+/// A player whose keys come from a terminal.
 fn on_a_terminal(inner: &Command, theirs: &File) -> Process {
-    let mut command = Command::new("setsid");
-    command.args(["--ctty", "--wait"]).arg(inner.get_program()).args(inner.get_args());
-    Process::start(command.stdin(Stdio::from(theirs.try_clone().unwrap())))
+    Process::start(in_a_session(inner).stdin(Stdio::from(theirs.try_clone().unwrap())))
 }
 
 fn modes(terminal: &File) -> LocalModes {
@@ -163,7 +149,7 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     // The last message comes after ten minutes, or when it is asked for.
     write_words(&world.bag(), &[0, 300_000, 600_000]);
     let mut words = world.subscriber("shm", "a", RosString::TYPE);
-    let (mut ours, theirs) = terminal();
+    let (mut ours, theirs) = ends();
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
     assert_eq!(
@@ -189,11 +175,35 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
 }
 
 #[test]
+fn keys_are_answered_in_a_status_line_as_wide_as_the_terminal() {
+    let world = World::new("replay");
+    write_words(&world.bag(), &[0, 300_000, 600_000]);
+    let _words = world.subscriber("shm", "a", RosString::TYPE);
+    for (columns, counted) in [(80, true), (44, false)] {
+        let mut player = OnTerminal::start(&world.replay("shm", &["--start-paused"]), columns);
+        let begun = player.wait_for("paused | 0.0 of 600.0 s | rate 1.00", 0);
+        player.press(b"\x1b[A");
+        let faster = player.wait_for("paused | 0.0 of 600.0 s | rate 1.10", begun);
+        player.press(b" ");
+        let playing = player.wait_for("playing | ", faster);
+        player.press(b"n");
+        player.wait_for("300.", playing);
+        player.press(b"\x03");
+        assert!(player.wait().success());
+        let shown = player.shown();
+        let status: Vec<_> =
+            lines(&shown).into_iter().filter(|line| line.contains(" | ")).collect();
+        assert!(status.iter().all(|line| line.len() < usize::from(columns)), "{status:?}");
+        assert_eq!(status.iter().any(|line| line.ends_with(" messages")), counted, "{status:?}");
+    }
+}
+
+#[test]
 fn a_stopped_player_gives_the_terminal_back_and_takes_it_again() {
     let world = World::new("replay");
     write_words(&world.bag(), &[0, 300_000]);
     let mut words = world.subscriber("shm", "a", RosString::TYPE);
-    let (mut ours, theirs) = terminal();
+    let (mut ours, theirs) = ends();
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--start-paused"]), &theirs);
     wait_for("the player takes the terminal", || (modes(&ours) != before).then_some(()));
@@ -225,7 +235,7 @@ fn a_player_that_is_ended_by_a_second_signal_leaves_the_terminal_as_before() {
     write_words(&world.bag(), &times);
     // It reads nothing: a player that blocks waits for it, and looks at no signal meanwhile.
     let words = world.subscriber("shm", "a", RosString::TYPE);
-    let (ours, theirs) = terminal();
+    let (ours, theirs) = ends();
     let before = modes(&ours);
     let mut player = on_a_terminal(&world.replay("shm", &["--rate", "100"]), &theirs);
     wait_for("the player takes the terminal", || (modes(&ours) != before).then_some(()));

@@ -147,7 +147,7 @@ fn arguments_of_ros_that_cannot_be_used_are_named() {
         (["-p", "horizon:=0"], 1, "-p horizon:=0: horizon: found 0, expected 1 to 10000"),
         (["-p", "depth:=1"], 1, "-p depth:=1: parameter: found depth, expected one of horizon"),
         (["-p", "queue:=many"], 1, "-p queue:=many: queue: found a string, expected an integer"),
-        (["-r", "/b:=/c"], 1, "output: found shm:/c twice, expected once"),
+        (["-r", "/b:=/c"], 2, "output: found shm:/c twice, expected once"),
     ] {
         let twice = ["--output", "shm:/c", "--ros-args"];
         let (found, message) = node(&[&twice[..], &arguments].concat());

@@ -86,13 +86,25 @@ impl Written {
 #[test]
 fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
     let second = |body: &str| format!("{DISC}[[bodies]]\nmaterial = 'snow'\n{body}");
-    let cases: [(String, &[&str]); 17] = [
+    let cases: [(String, &[&str]); 22] = [
         // Not as a scene is written: the line is shown.
         (DISC.replace("radius", "radus"), &["line 4", "radus", "available keys: radius"]),
         (DISC.replace("'liquid'", "'watr'"), &["line 3", "watr", "`jelly`"]),
         (DISC.replace("0.1\n", "'big'\n"), &["line 4", "expected f32"]),
         (DISC.replace("position", "# position"), &["missing field `position`"]),
         (format!("solver.steps = 3\n{DISC}"), &["steps", "`substeps`"]),
+        // Not of the plane.
+        (
+            format!("domain = [1.0, 1.0, 1.0]\n{DISC}"),
+            &["line 1", "found 3 numbers, expected 2: scenes are two-dimensional"],
+        ),
+        (DISC.replace("[0.5, 0.5]", "[0.5, 0.5, 0.1]"), &["line 5", "found 3 numbers"]),
+        (format!("{DISC}velocity = [0.0, 0.0, 5.0]\n"), &["line 6", "found 3 numbers"]),
+        (format!("{DISC}velocity = [5.0]\n"), &["line 6", "found 1 numbers"]),
+        (
+            second("shape.rectangle.size = [0.2, 0.2, 0.9]\nposition = [0.2, 0.2]"),
+            &["line 8", "found 3 numbers"],
+        ),
         // No particles.
         (String::new(), &["bodies: found none", "at least one body or emitter"]),
         (
@@ -176,4 +188,31 @@ fn scenes_of_another_domain_are_predicted_with_a_word_and_refused_by_data_sets()
     simulate(Path::new(&random), 2, 0.048);
     let message = fail(1, ["train", "--data", &bag, &random, "--output", &model]);
     assert!(message.contains("domain: found") && message.contains("[1.5, 1.0]"), "{message}");
+}
+
+#[test]
+fn scenes_from_several_files_without_an_id_are_evaluated_together_and_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut bags = Vec::new();
+    for (name, height) in [("low", "0.4"), ("middle", "0.5"), ("high", "0.6")] {
+        fs::write(path("scene.toml"), DISC.replace("0.5]", &format!("{height}]"))).unwrap();
+        let (scene, output) = (path("scene.toml"), path(name));
+        succeed(["simulate", "--scene", &scene, "--duration", "0.6", "--output", &output]);
+        bags.push(output);
+    }
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru");
+    let report = path("report");
+    let eval = ["eval", "--checkpoint", model, "--output", &report, "--references", "mpm"];
+    let more = ["--horizon", "5", "--starts", "2", "--data"].map(str::to_owned);
+    succeed(eval.map(str::to_owned).into_iter().chain(more).chain(bags.clone()));
+    let text = fs::read_to_string(path("report/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((&report["streams"], &report["windows"]), (&3.into(), &6.into()));
+
+    fs::write(path("train.toml"), "windows.per_epoch = 16\nvalidation.horizon = 5\n").unwrap();
+    let (config, output) = (path("train.toml"), path("model"));
+    let train = ["train", "--output", &output, "--config", &config, "--epochs", "1", "--data"];
+    succeed(train.map(str::to_owned).into_iter().chain(bags));
+    assert!(Path::new(&path("model/model.toml")).exists());
 }

@@ -185,7 +185,7 @@ pub fn findings(path: &Path) -> Vec<String> {
     let bag = BagReader::open(path).unwrap();
     let mut survey = Survey::of(&bag, |_| ());
     survey.check_files(&bag);
-    survey.findings
+    survey.findings.iter().map(ToString::to_string).collect()
 }
 
 /// A place for a bag, topics of its own, and this process's end of the transports.

@@ -79,7 +79,7 @@ fn the_rate_is_that_of_the_bag() {
 
 #[test]
 fn links_within_a_process_have_nothing_to_look_at() {
-    let message = fail(1, ["topic", "echo", "memory:/particles"]);
+    let message = fail(2, ["topic", "echo", "memory:/particles"]);
     assert!(message.contains("memory links stay within one process"), "{message}");
 }
 
@@ -104,4 +104,48 @@ fn a_topic_that_has_fallen_silent_is_said_to_be() {
     let mut hz = Process::start_until(talking_eddy().args(["topic", "hz", &link]), "average rate");
     replay.kill();
     hz.line("no new messages");
+}
+
+#[test]
+fn a_topic_that_nobody_publishes_is_said_at_once_with_those_that_are_there() {
+    let prefix = unique("unpublished");
+    let _replay = replay("shm", "drop", &prefix);
+    let start = std::time::Instant::now();
+    let link = format!("shm:/{prefix}/nothing");
+    let output = talking_eddy().args(["topic", "hz", &link, "--duration", "2"]).output().unwrap();
+    // The time counts from the start; an earlier version waited for thirty seconds first.
+    assert!(start.elapsed().as_secs() < 15);
+    let logged = String::from_utf8(output.stderr).unwrap();
+    assert!(logged.contains("not published yet, waiting up to 2 s; available topics on shm: "));
+    assert!(logged.contains(&format!("/{prefix}/particles")), "{logged}");
+    assert!(logged.contains("no publisher appeared within 2 s"), "{logged}");
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[test]
+fn ros_users_find_what_they_type() {
+    let prefix = unique("reflex");
+    let _replay = replay("shm", "drop", &prefix);
+    let topic = format!("/{prefix}/particles");
+    let on_shm = |arguments: &[&str]| {
+        let output = talking_eddy().args(arguments).env("EDDY_TRANSPORT", "shm").output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let printed = on_shm(&["topic", "echo", &topic, "--once", "--truncate", "1"]);
+    assert_eq!(printed.matches("---\n").count(), 1, "{printed}");
+    let listed = on_shm(&["topic", "list", "-t", "--from", "shm"]);
+    assert!(listed.contains(&topic), "{listed}");
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let bag = bag.to_str().unwrap();
+    let said = on_shm(&["bag", "record", &topic, "-o", bag, "--max-messages", "2"]);
+    assert!(said.contains(&format!("recording shm:{topic}")), "{said}");
+    let said = on_shm(&["bag", "play", bag, "-r", "10"]);
+    assert!(said.contains(&format!("publishing {topic} on shm:{topic}")), "{said}");
+    let wrong =
+        talking_eddy().args(["topic", "info", &topic]).env("EDDY_TRANSPORT", "shn").output();
+    let wrong = wrong.unwrap();
+    assert_eq!(wrong.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("did you mean shm?"));
 }

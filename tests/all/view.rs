@@ -522,7 +522,7 @@ fn an_address_that_cannot_be_had_is_named() {
     let [input, output] = ["a", "b"].map(|name| world.link("shm", name).to_string());
     let view = format!("127.0.0.1:{port}");
     let said = fail(1, ["node", "--input", &input, "--output", &output, "--view", &view]);
-    let looped = fail(1, ["node", "--input", &input, "--output", &input]);
+    let looped = fail(2, ["node", "--input", &input, "--output", &input]);
     assert!(looped.contains(&format!("output: found {input}, which is the input")), "{looped}");
     assert!(said.contains(&format!("--view: 127.0.0.1:{port}: cannot listen: ")), "{said}");
     let said = fail(2, ["node", "--view", "somewhere"]);

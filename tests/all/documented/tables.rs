@@ -57,7 +57,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("--foxglove", "--foxglove 0", "any free port"),
     ("--view 8082", "--view {other_port}", "the same"),
     ("eddy study", "eddy study --config study.toml", "few steps of small networks"),
-    ("--duration 10", "--duration 1", "a short run"),
+    ("--duration 10", "--duration 8", "a shorter run, which includes the search for the topic"),
     ("--wait 5", "--wait 0.2", "no other publishers"),
     ("--references mpm,chaos", "--references mpm,chaos --starts 1", "one rollout a scene"),
     (

@@ -23,15 +23,28 @@ pub fn commands() -> String {
     let mut text =
         "# Commands\n\nThe output of `--help` for each command; `-h` prints a shorter version.\n"
             .to_owned();
-    let global = ["  -q, --quiet", "      --log-level", "  -h, --help", "  -V, --version"];
+    let everywhere = ["  -h, --help", "  -V, --version"];
     for words in shell::commands() {
         let help = succeed(words.iter().map(String::as_str).chain(["--help"]));
         let name = [&["eddy".to_owned()], words.as_slice()].concat().join(" ");
         // Global options are listed only for the program itself.
-        let help = if words.is_empty() { help } else { without(&help, &global) };
+        let help = match words.is_empty() {
+            true => help,
+            false => without(&without_section(&help, "Global options:"), &everywhere),
+        };
         text.push_str(&format!("\n## {name}\n\n```text\n{}\n```\n", help.trim_end()));
     }
     text
+}
+
+/// Help without the section below a heading.
+fn without_section(help: &str, heading: &str) -> String {
+    let Some((before, section)) = help.split_once(&format!("{heading}\n")) else {
+        return help.to_owned();
+    };
+    // The next line that is not indented is the next section.
+    let lines = section.lines().skip_while(|line| line.is_empty() || line.starts_with(' '));
+    before.to_owned() + &lines.map(|line| format!("{line}\n")).collect::<String>()
 }
 
 /// Help without some options.

@@ -109,7 +109,7 @@ fn an_unknown_core_or_option_is_named_with_those_there_are() {
     says(&config("[network.frame]\npooling = \"sum\""), &["train.toml", "sum", "mean+max"]);
     says(&config("epochs = 0"), &["train.toml", "epochs: found 0, expected at least 1"]);
     says(&config("epochs = -3"), &["train.toml", "-3"]);
-    says(&fail(1, [&begin[..], &["--memory", "0"]].concat()), &["--memory: found 0"]);
+    says(&fail(2, [&begin[..], &["--memory", "0"]].concat()), &["--memory: found 0"]);
     assert!(!Path::new(&output).exists(), "something was begun");
 }
 

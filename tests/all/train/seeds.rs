@@ -41,7 +41,7 @@ fn each_seed_has_a_run_and_a_table_compares_them() {
     let weights = |folder: &str| fs::read(Path::new(folder).join("model.safetensors")).unwrap();
     assert!(weights(&one) == weights(&format!("{all}/seed-2")), "a seed depends on its company");
 
-    let message = fail(1, train(&path("twice"), &["4", "4"]));
+    let message = fail(2, train(&path("twice"), &["4", "4"]));
     assert!(message.contains("--seed: found 4 twice"), "{message}");
     assert!(!Path::new(&path("twice")).exists());
 }
