@@ -1,6 +1,6 @@
 //! A live source: scenes one after the other, each a stream, with `/clock`.
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 
 use crate::{
     cli::SimulateArgs,

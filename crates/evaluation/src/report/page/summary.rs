@@ -52,8 +52,6 @@ impl Report {
     }
 
     fn skill_plot(&self) -> LinePlot {
-        let has_intervals = self.fallible().any(|entry| entry.skill_intervals.is_some());
-        let intervals = if has_intervals { " with 95 % intervals over scenes" } else { "" };
         let series = self.fallible().map(|entry| match entry.role {
             Role::Mean => Series::default(),
             _ => self.banded(&entry.name, &entry.skill, entry.skill_intervals.as_ref()),
