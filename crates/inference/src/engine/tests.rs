@@ -6,7 +6,7 @@ mod streams;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Corrector, HiddenState, Surrogate, scales::velocity_unit};
+use super::{Corrector, HiddenState, ModelError, Surrogate, scales::velocity_unit};
 use crate::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, FrameOptions, GridOptions, Normalization,
@@ -386,10 +386,14 @@ fn particles_outside_the_domain_neither_stop_the_engine_nor_stay_outside() {
     for place in [[-3.0, 0.5], [0.5, 7.0], [1e30, -1e30], [0.4, 0.4]] {
         for everyone in [true, false] {
             let mut frame = frames(1, 300, 5).remove(0);
+            let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frame).unwrap());
             let count = if everyone { frame.len() } else { 3 };
             frame.position[..count].fill(place);
             frame.velocity[..count].fill([40.0, -1e6]);
-            let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frame).unwrap());
+            assert!(matches!(
+                surrogate.fits(&frame),
+                Err(ModelError::Outside { .. } | ModelError::Fast { .. })
+            ));
             for _ in 0..3 {
                 frame = stepper.step(&mut hidden, &frame);
             }

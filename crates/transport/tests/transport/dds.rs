@@ -277,3 +277,25 @@ fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restart
         while subscriber.receive(Duration::from_millis(50)).unwrap().is_some() {}
     }
 }
+
+#[test]
+fn what_a_stopped_subscriber_has_not_acknowledged_is_counted() {
+    let (mut options, link) = (options(), link("dds"));
+    options.patience = Duration::from_millis(500);
+    let transports = Transports::new(options.clone());
+    let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+    let stopped = Process::start("stall", &link, &options);
+    stopped.says("ready");
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    publisher.publish_frame(&frame(0, 10)).unwrap();
+    stopped.says("frame 0");
+    publisher.flush().unwrap();
+    stopped.pause();
+    for sequence in 1..=3 {
+        publisher.publish_frame(&frame(sequence, 10)).unwrap();
+    }
+    let message = publisher.flush().unwrap_err().to_string();
+    let expected = format!("{link}: up to 3 messages were not delivered to the subscriber");
+    assert!(message.starts_with(&expected), "{message}");
+    publisher.flush().unwrap(); // counted once
+}

@@ -19,8 +19,8 @@ use zenoh::{
 };
 
 use super::{
-    DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
-    link, next_frame, options,
+    DEADLINE, child::Process, ends, eventually, expect_frame, frame, frames_publisher,
+    frames_subscriber, link, next_frame, options,
 };
 use crate::client::Client;
 
@@ -414,4 +414,36 @@ fn processes_find_each_other_without_a_router_in_any_order_and_again_after_a_kil
         assert!(found < Duration::from_secs(10), "{found:?}");
         publisher.kill();
     }
+}
+
+#[test]
+fn a_stopped_subscriber_is_disconnected_and_the_others_go_on() {
+    const FRAMES: u64 = 1_000;
+    let (mut options, link) = (options(), link("zenoh"));
+    options.patience = Duration::from_secs(1);
+    let [here, there] = ends("zenoh", options.clone());
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    let mut reader = frames_subscriber(&there, &link);
+    let stopped = Process::start("stall", &link, &options);
+    stopped.says("ready");
+    eventually("both are seen", || publisher.subscribers() == 2);
+    publisher.publish_frame(&frame(0, 2_500)).unwrap();
+    stopped.says("frame 0");
+    stopped.pause();
+    let start = Instant::now();
+    let mut missed = Vec::new();
+    for sequence in 1..FRAMES {
+        missed.extend(publisher.publish_frame(&frame(sequence, 2_500)).err());
+        if sequence >= 8 {
+            // The publisher is ahead by the messages in its queue at most.
+            assert_eq!(next_frame(&mut *reader).sequence, sequence - 8);
+        }
+    }
+    assert_eq!(missed.len(), 1, "waited for once: {missed:?}");
+    let message = missed[0].to_string();
+    assert!(
+        message.starts_with(&format!("{link}: a subscriber has read nothing for 1 s")),
+        "{message}"
+    );
+    assert!(start.elapsed() < DEADLINE, "{:?}", start.elapsed());
 }
