@@ -244,7 +244,7 @@ fn errors_name_file_topic_found_and_expected() {
     bag.write(words, Stamp(0), Stamp(0), &word("a")).unwrap();
 
     let conflict = bag.topic("/words", ParticleFrame::TYPE).unwrap_err().to_string();
-    let unknown = bag.topic("/points", "sensor_msgs/msg/PointCloud").unwrap_err().to_string();
+    let unknown = bag.topic("/points", "acme_msgs/msg/Probe").unwrap_err().to_string();
     let early = bag.write(words, Stamp(-5), Stamp(0), &word("b")).unwrap_err().to_string();
     bag.finish().unwrap();
     let exists = BagWriter::create(&path, WriterOptions::default()).err().unwrap().to_string();
@@ -253,7 +253,7 @@ fn errors_name_file_topic_found_and_expected() {
     let at = path.display();
     for (found, expected) in [
         (conflict, format!("{at}: topic /words: found type eddy_msgs/msg/ParticleFrame, expected std_msgs/msg/String")),
-        (unknown, "topic /points: message type: found sensor_msgs/msg/PointCloud, expected one of builtin".into()),
+        (unknown, "topic /points: message type: found acme_msgs/msg/Probe, expected a type of one of the packages".into()),
         (early, format!("{at}: topic /words: log_time: found -5 ns, expected 0 or later")),
         (exists, format!("{at}: already exists; choose another output path or delete it")),
         (frames("/words"), format!("{at}: topic /words: found type std_msgs/msg/String, expected eddy_msgs/msg/ParticleFrame")),
