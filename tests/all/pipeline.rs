@@ -43,7 +43,7 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     let complete = json["complete"].as_u64().unwrap();
     assert!((1..20).contains(&complete), "{complete}");
     let page = fs::read_to_string(path("report/report.html")).unwrap();
-    assert!(page.contains(&format!("Curves end at frame {complete}: ")));
+    assert!(page.contains(&format!("Mean curves end at frame {complete}, ")));
 
     let (bag, first, second) = (path("mm/scene_0002"), path("first"), path("second"));
     succeed(["predict", "--checkpoint", &model, "--input", &bag, "--output", &first]);

@@ -39,6 +39,7 @@ pages! {
     the_readme: "README.md",
     the_tutorial: "docs/src/tutorial.md",
     how_to_train_elsewhere: "docs/src/how-to/pytorch.md",
+    how_to_use_python: "docs/src/how-to/python.md",
     how_to_record_from_a_robot: "docs/src/how-to/record.md",
     how_to_compare_cores: "docs/src/how-to/cores.md",
     how_to_serve_many_streams: "docs/src/how-to/streams.md",
