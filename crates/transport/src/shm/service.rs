@@ -2,6 +2,8 @@
 
 use std::{
     fmt::{self, Debug, Display},
+    fs,
+    path::Path,
     sync::{Mutex, mpsc},
     thread,
     time::Duration,
@@ -47,6 +49,9 @@ const PROCESSES: usize = 32;
 const CLEANING: Duration = Duration::from_millis(500);
 /// Attempts to open a service while another process creates or removes it.
 const ATTEMPTS: u32 = 50;
+/// After so many of them, nobody creates or removes it, and what is left was abandoned: iceoryx2 waits about a second in each for a
+/// state that is missing.
+const PATIENT_ATTEMPTS: u32 = 2;
 /// The attribute that names a service's message type.
 const TYPE_ATTRIBUTE: &str = "type";
 
@@ -93,7 +98,10 @@ impl Services {
         let node = lock(&self.node);
         let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
         let mut last = String::new();
-        for _ in 0..ATTEMPTS {
+        for attempt in 0..ATTEMPTS {
+            if attempt == PATIENT_ATTEMPTS {
+                remove_abandoned(link, &name, node.config(), MessagingPattern::PublishSubscribe);
+            }
             match builder().open() {
                 Ok(topic) => return check_type(link, type_name, topic),
                 Err(PublishSubscribeOpenError::IncompatibleTypes) => {
@@ -144,7 +152,10 @@ impl Services {
         let name = service_name(link)?;
         let node = lock(&self.node);
         let mut last = String::new();
-        for _ in 0..ATTEMPTS {
+        for attempt in 0..ATTEMPTS {
+            if attempt == PATIENT_ATTEMPTS {
+                remove_abandoned(link, &name, node.config(), MessagingPattern::Event);
+            }
             match node.service_builder(&name).event().open_or_create() {
                 Ok(events) => return Ok(events),
                 Err(error) => last = error.to_string(),
@@ -223,8 +234,26 @@ fn is_transient(error: PublishSubscribeOpenError) -> bool {
         PublishSubscribeOpenError::DoesNotExist
             | PublishSubscribeOpenError::IsMarkedForDestruction
             | PublishSubscribeOpenError::HangsInCreation
+            | PublishSubscribeOpenError::Interrupt
             | PublishSubscribeOpenError::ServiceInCorruptedState
     )
+}
+
+/// Removes the description of a service whose state is gone. A process that is killed while it removes a service, be it
+/// that of another killed process, leaves it behind; iceoryx2 can then neither open the service nor create it.
+fn remove_abandoned(link: &Link, name: &ServiceName, config: &Config, pattern: MessagingPattern) {
+    let Ok(Some(service)) = Ipc::details(name, config, pattern) else { return };
+    if service.dynamic_details.is_some() {
+        return;
+    }
+    let global = &config.global;
+    let (prefix, suffix) = (&global.prefix, &global.service.static_config_storage_suffix);
+    let file = format!("{prefix}{}{suffix}", service.static_details.service_hash());
+    let file = Path::new(&global.service_dir().to_string()).join(file);
+    match fs::remove_file(&file) {
+        Ok(()) => tracing::warn!("{link}: removed what a killed process left of the topic"),
+        Err(error) => tracing::debug!("{link}: {}: {error}", file.display()),
+    }
 }
 
 fn service_name(link: &Link) -> Result<ServiceName, TransportError> {
@@ -314,4 +343,40 @@ fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
         }
     })?;
     Ok(keep)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As [`remove_abandoned`] says; without it, both fail with `AlreadyExists`.
+    #[test]
+    fn a_topic_that_was_half_removed_is_created_anew() {
+        let link = Link::shm(&format!("/abandoned_{}", std::process::id()));
+        let services = Services::open(&link, "eddy_test").unwrap();
+        let type_name = "std_msgs/msg/String";
+        let opened =
+            (services.topic::<u8, ()>(&link, type_name).unwrap(), services.events(&link).unwrap());
+        let folder = lock(&services.node).config().global.service_dir().to_string();
+        let described = |path: &std::path::PathBuf| {
+            fs::read_to_string(path).is_ok_and(|text| text.contains(&link.topic))
+        };
+        let files: Vec<_> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(described)
+            .map(|path| {
+                (fs::read(&path).unwrap(), fs::metadata(&path).unwrap().permissions(), path)
+            })
+            .collect();
+        assert_eq!(files.len(), 2);
+        drop(opened);
+        for (bytes, permissions, path) in files {
+            assert!(!path.exists(), "{}", path.display());
+            fs::write(&path, bytes).unwrap();
+            fs::set_permissions(&path, permissions).unwrap();
+        }
+        services.topic::<u8, ()>(&link, type_name).unwrap();
+        services.events(&link).unwrap();
+    }
 }

@@ -103,7 +103,10 @@ fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
     let more = Source::Random(Extent::of(Preset::Kinds, 2600).unwrap());
     for (other, expected) in [
         (SimulationRequest { seed: 2, ..request(1) }, vec!["seed 1 instead of 2"]),
-        (SimulationRequest { fields: true, ..request(1) }, vec!["fields the default instead of true"]),
+        (
+            SimulationRequest { fields: true, ..request(1) },
+            vec!["fields the default instead of true"],
+        ),
         (
             SimulationRequest { settings: longer, ..request(1) },
             vec!["settings.duration 0.032 instead of 0.048"],
