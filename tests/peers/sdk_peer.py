@@ -18,6 +18,7 @@ import json
 import os
 import queue
 import re
+import shutil
 import sys
 import tempfile
 import time
@@ -61,8 +62,15 @@ def until(deadline, what, answer):
 
 def definitions(folder):
     """Make the sdk load eddy's message definitions from a local folder instead of the network."""
-    for package in [*MSGS.joinpath("standard").iterdir(), MSGS / "eddy_msgs"]:
-        os.symlink(package, Path(folder) / package.name)
+    for package in (path for path in [*MSGS.joinpath("standard").iterdir(), MSGS / "eddy_msgs"] if path.is_dir()):
+        shutil.copytree(package, Path(folder) / package.name)
+    for file in MSGS.joinpath("standard").glob("*.txt"):
+        for text in re.split(r"^=+\nMSG: ", file.read_text(), flags=re.MULTILINE)[1:]:
+            name, definition = text.split("\n", 1)
+            package, kind = name.split("/")
+            path = Path(folder) / package / "msg" / f"{kind}.msg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(definition)
     get_registry(str(folder))
     for kind in MESSAGES:
         expect(load_message_type(kind), f"{kind} was not loaded")
