@@ -358,7 +358,10 @@ fn open(
         #[cfg(feature = "dds")]
         TransportKind::Dds => Arc::new(super::dds::DdsNode::open(link, options, patience)?),
         #[cfg(not(all(feature = "shm", feature = "zenoh", feature = "dds")))]
-        _ => return Err(TransportError::NotBuilt { link: link.clone() }),
+        _ => {
+            let _ = options;
+            return Err(TransportError::NotBuilt { link: link.clone() });
+        }
     })
 }
 
