@@ -21,7 +21,12 @@ fn node(world: &World, options: &[&str]) -> Result<Process, String> {
         }
         (!process.is_running()).then_some(false)
     });
-    if started { Ok(process) } else { Err(fs::read_to_string(said).unwrap()) }
+    if !started {
+        return Err(fs::read_to_string(said).unwrap());
+    }
+    // All topics are open.
+    process.line("predicting");
+    Ok(process)
 }
 
 /// A field of a file in `/proc` of every thread.

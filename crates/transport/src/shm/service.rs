@@ -15,6 +15,7 @@ use iceoryx2::{
     service::{
         builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError},
         port_factory::{event, publish_subscribe},
+        service_hash::ServiceHash,
         static_config::{
             StaticConfig,
             message_type_details::{TypeDetail, TypeVariant},
@@ -239,16 +240,20 @@ fn is_transient(error: PublishSubscribeOpenError) -> bool {
     )
 }
 
-/// Removes the description of a service whose state is gone. A process that is killed while it removes a service, be it
-/// that of another killed process, leaves it behind; iceoryx2 can then neither open the service nor create it.
+/// Removes the description of a service that is empty, or whose state is gone. A process that is killed while it creates
+/// or removes a service leaves it behind; iceoryx2 can then neither open the service nor create it.
 fn remove_abandoned(link: &Link, name: &ServiceName, config: &Config, pattern: MessagingPattern) {
-    let Ok(Some(service)) = Ipc::details(name, config, pattern) else { return };
-    if service.dynamic_details.is_some() {
-        return;
+    match Ipc::details(name, config, pattern) {
+        Ok(Some(service)) if service.dynamic_details.is_none() => {}
+        // It cannot be read.
+        Err(_) => {}
+        Ok(_) => return,
     }
     let global = &config.global;
     let (prefix, suffix) = (&global.prefix, &global.service.static_config_storage_suffix);
-    let file = format!("{prefix}{}{suffix}", service.static_details.service_hash());
+    let hash =
+        ServiceHash::new::<<Ipc as iceoryx2::service::Service>::ServiceNameHasher>(name, pattern);
+    let file = format!("{prefix}{hash}{suffix}");
     let file = Path::new(&global.service_dir().to_string()).join(file);
     match fs::remove_file(&file) {
         Ok(()) => tracing::warn!("{link}: removed what a killed process left of the topic"),
@@ -351,7 +356,7 @@ mod tests {
 
     /// As [`remove_abandoned`] says; without it, both fail with `AlreadyExists`.
     #[test]
-    fn a_topic_that_was_half_removed_is_created_anew() {
+    fn a_topic_that_was_half_created_or_removed_is_created_anew() {
         let link = Link::shm(&format!("/abandoned_{}", std::process::id()));
         let services = Services::open(&link, "eddy_test").unwrap();
         let type_name = "std_msgs/msg/String";
@@ -371,12 +376,15 @@ mod tests {
             .collect();
         assert_eq!(files.len(), 2);
         drop(opened);
-        for (bytes, permissions, path) in files {
-            assert!(!path.exists(), "{}", path.display());
-            fs::write(&path, bytes).unwrap();
-            fs::set_permissions(&path, permissions).unwrap();
+        // With the whole description, and killed before it was written.
+        for is_written in [true, false] {
+            for (bytes, permissions, path) in &files {
+                assert!(!path.exists(), "{}", path.display());
+                fs::write(path, if is_written { bytes } else { [].as_slice() }).unwrap();
+                fs::set_permissions(path, permissions.clone()).unwrap();
+            }
+            services.topic::<u8, ()>(&link, type_name).unwrap();
+            services.events(&link).unwrap();
         }
-        services.topic::<u8, ()>(&link, type_name).unwrap();
-        services.events(&link).unwrap();
     }
 }
