@@ -243,18 +243,19 @@ fn is_transient(error: PublishSubscribeOpenError) -> bool {
 /// Removes the description of a service that is empty, or whose state is gone. A process that is killed while it creates
 /// or removes a service leaves it behind; iceoryx2 can then neither open the service nor create it.
 fn remove_abandoned(link: &Link, name: &ServiceName, config: &Config, pattern: MessagingPattern) {
-    match Ipc::details(name, config, pattern) {
-        Ok(Some(service)) if service.dynamic_details.is_none() => {}
-        // It cannot be read.
-        Err(_) => {}
-        Ok(_) => return,
-    }
     let global = &config.global;
     let (prefix, suffix) = (&global.prefix, &global.service.static_config_storage_suffix);
     let hash =
         ServiceHash::new::<<Ipc as iceoryx2::service::Service>::ServiceNameHasher>(name, pattern);
-    let file = format!("{prefix}{hash}{suffix}");
-    let file = Path::new(&global.service_dir().to_string()).join(file);
+    let file = Path::new(&global.service_dir().to_string()).join(format!("{prefix}{hash}{suffix}"));
+    let is_abandoned = match Ipc::details(name, config, pattern) {
+        Ok(Some(service)) => service.dynamic_details.is_none(),
+        // What cannot be read may also be of another version of iceoryx2.
+        Ok(None) | Err(_) => fs::metadata(&file).is_ok_and(|file| file.len() == 0),
+    };
+    if !is_abandoned {
+        return;
+    }
     match fs::remove_file(&file) {
         Ok(()) => tracing::warn!("{link}: removed what a killed process left of the topic"),
         Err(error) => tracing::debug!("{link}: {}: {error}", file.display()),
