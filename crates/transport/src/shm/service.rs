@@ -245,8 +245,7 @@ fn is_transient(error: PublishSubscribeOpenError) -> bool {
 fn remove_abandoned(link: &Link, name: &ServiceName, config: &Config, pattern: MessagingPattern) {
     let global = &config.global;
     let (prefix, suffix) = (&global.prefix, &global.service.static_config_storage_suffix);
-    let hash =
-        ServiceHash::new::<<Ipc as iceoryx2::service::Service>::ServiceNameHasher>(name, pattern);
+    let hash = ServiceHash::new::<<Ipc as Service>::ServiceNameHasher>(name, pattern);
     let file = Path::new(&global.service_dir().to_string()).join(format!("{prefix}{hash}{suffix}"));
     let is_abandoned = match Ipc::details(name, config, pattern) {
         Ok(Some(service)) => service.dynamic_details.is_none(),
