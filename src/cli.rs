@@ -28,6 +28,8 @@ pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
 };
+pub use values::PredictionDevice;
+
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
 /// Heading of the options that every command has.
@@ -477,6 +479,9 @@ pub struct NodeArgs {
     /// Number of threads for prediction [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
+    pub device: PredictionDevice,
     /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
     /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
@@ -535,6 +540,9 @@ pub struct PredictArgs {
     /// Number of threads for prediction [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
+    pub device: PredictionDevice,
 }
 
 /// `eddy eval`
@@ -561,7 +569,7 @@ pub struct EvalArgs {
         value_name = "REPORT",
         num_args = 2..,
         conflicts_with_all = [
-            "checkpoint", "data", "horizon", "starts", "references", "join_late", "without_rules", "threads"
+            "checkpoint", "data", "horizon", "starts", "references", "join_late", "without_rules", "threads", "device"
         ]
     )]
     pub compare: Vec<PathBuf>,
@@ -584,6 +592,9 @@ pub struct EvalArgs {
     /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
+    pub device: PredictionDevice,
 }
 
 /// A reference predictor.

@@ -21,3 +21,30 @@ fn number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<
         _ => Err(format!("expected {expected}")),
     }
 }
+
+/// Where a network predicts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PredictionDevice {
+    /// On the processor.
+    Cpu,
+    /// On the NVIDIA GPU of this number.
+    #[cfg(feature = "cuda")]
+    Cuda(u8),
+}
+
+impl PredictionDevice {
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "cpu" => Ok(Self::Cpu),
+            #[cfg(feature = "cuda")]
+            "cuda" => Ok(Self::Cuda(0)),
+            #[cfg(feature = "cuda")]
+            _ => match text.strip_prefix("cuda:").map(str::parse) {
+                Some(Ok(number)) => Ok(Self::Cuda(number)),
+                _ => Err("expected cpu, cuda or cuda:N".to_owned()),
+            },
+            #[cfg(not(feature = "cuda"))]
+            _ => Err("expected cpu: this program was built without the feature cuda".to_owned()),
+        }
+    }
+}

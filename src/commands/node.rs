@@ -101,7 +101,7 @@ pub fn run(
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
-    let surrogate = surrogate::load(checkpoint.as_deref(), args.threads)?;
+    let surrogate = surrogate::load(checkpoint.as_deref(), args.threads, args.device)?;
     let queue = FrameQueue::new(settings.queue, reliability);
     let mut node = SurrogateNode::new(surrogate, settings)?;
     node.stop_with(interrupt.shared());

@@ -23,7 +23,7 @@ const PREDICTION: &str = "/prediction";
 /// Writes the predictions from every frame of a bag into another. Log time is the predicted stamp, so that two runs give
 /// identical files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads)?;
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads, args.device)?;
     let mut settings = NodeSettings::default();
     let options = args.settings.parameters();
     options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
@@ -63,6 +63,10 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         });
         outcome?;
         node.counters_mut().published += published;
+        if let Err(error) = node.check() {
+            failure = Some(error.into());
+            break;
+        }
     }
     writer.finish()?;
     if !quiet {

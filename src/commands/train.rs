@@ -19,7 +19,7 @@ use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 use super::{
     Interrupt, TerminalProgress, allocator, counted,
     output::{Output, OutputKind},
-    progress_bar,
+    progress_bar, surrogate,
 };
 use crate::cli::TrainArgs;
 
@@ -46,7 +46,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let device = args.device.resolve(config.architecture);
     device.check()?;
-    let kernel_cache = kernel_cache();
+    let kernel_cache = surrogate::kernel_cache();
     let dataset = load(&args, quiet)?;
     if !quiet {
         introduce(&config, &dataset);
@@ -103,11 +103,6 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             Err(anyhow::Error::new(error).context(format!("seed {seed}")))
         }
     }
-}
-
-/// Where kernels compiled for a GPU are kept: in the user's cache folder, if there is one.
-fn kernel_cache() -> Option<PathBuf> {
-    Some(dirs::cache_dir()?.join("eddy").join("kernels"))
 }
 
 /// The defaults of the architecture, then the file, then the command line.

@@ -15,7 +15,7 @@ use libloading::Library;
 
 use eddy_cuda::{
     CudaError, Result,
-    device::{Address, Argument, Buffer, Device, Product, Queue, Recording, Shape},
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Recording, Shape},
     kernels::{Constants, Kernel, SOURCE},
 };
 
@@ -112,8 +112,21 @@ impl Device for Emulator {
         Ok(Buffer::new(Address(memory.as_ptr() as u64), bytes, memory))
     }
 
+    fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
+        let mut memory = vec![0u128; bytes.div_ceil(16).max(1)];
+        let address = Address(memory.as_mut_ptr().expose_provenance() as u64);
+        // SAFETY: the list is that long, and does not move when its owner does.
+        Ok(unsafe { HostBuffer::new(address, bytes, memory) })
+    }
+
     fn free_memory(&self) -> Result<u64> {
         Ok(u64::MAX)
+    }
+
+    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()> {
+        // SAFETY: addresses are those of buffers, which are as large as the caller says.
+        unsafe { std::ptr::copy_nonoverlapping(pointer(from), pointer(to), bytes) };
+        Ok(())
     }
 
     fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {

@@ -45,6 +45,38 @@ impl Buffer {
     }
 }
 
+/// Memory of the host that a device reads and writes itself, given back when it is dropped.
+pub struct HostBuffer {
+    /// Where it starts, for the device and for the host.
+    pub address: Address,
+    /// Its size.
+    pub bytes: usize,
+    /// What gives it back.
+    _owner: Box<dyn Any + Send + Sync>,
+}
+
+impl HostBuffer {
+    /// Memory that `owner` gives back when it is dropped.
+    ///
+    /// # Safety
+    /// The address must be that of as many bytes, aligned to 16, until then.
+    pub unsafe fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
+        Self { address, bytes, _owner: Box::new(owner) }
+    }
+
+    /// The memory as a list.
+    ///
+    /// # Safety
+    /// No work of the device that uses this memory may run while the list is used.
+    pub unsafe fn slice<T: bytemuck::Pod>(&mut self) -> &mut [T] {
+        // SAFETY: the constructor's promise; any bytes are a `T`; `&mut self` keeps out other lists.
+        unsafe {
+            let first = std::ptr::with_exposed_provenance_mut(self.address.0 as usize);
+            std::slice::from_raw_parts_mut(first, self.bytes / size_of::<T>())
+        }
+    }
+}
+
 /// Which of the two queues work is put into. Work in one queue runs in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Queue {
@@ -160,6 +192,12 @@ pub trait Device: Send + Sync {
     /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
     fn allocate(&self, bytes: usize) -> Result<Buffer>;
 
+    /// Memory of the host that the device reads and writes itself, all zero.
+    ///
+    /// # Errors
+    /// As above.
+    fn allocate_host(&self, bytes: usize) -> Result<HostBuffer>;
+
     /// Memory that is free (bytes).
     ///
     /// # Errors
@@ -177,6 +215,12 @@ pub trait Device: Send + Sync {
     /// # Errors
     /// As above.
     fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()>;
+
+    /// Copies within the device, in the main queue.
+    ///
+    /// # Errors
+    /// As above.
+    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()>;
 
     /// Sets memory to zero, in a queue.
     ///

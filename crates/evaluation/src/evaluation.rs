@@ -139,7 +139,7 @@ pub struct Evaluation {
     references: References,
     /// Paths of the checkpoints.
     names: Vec<String>,
-    /// The checkpoints' models, whose steppers have one thread.
+    /// The checkpoints' models; on the CPU their steppers have one thread.
     models: Vec<Surrogate>,
     join_late: bool,
     remarks: Vec<String>,
@@ -156,6 +156,19 @@ impl Evaluation {
         request: EvaluationRequest,
         progress: &dyn Progress,
     ) -> Result<Self, EvaluationError> {
+        let load = |checkpoint: &Checkpoint| Surrogate::load(checkpoint, Some(NonZeroUsize::MIN));
+        Self::with_models(request, &load, progress)
+    }
+
+    /// As [`Evaluation::new`], with models made by `load`, such as those of a GPU.
+    ///
+    /// # Errors
+    /// As [`Evaluation::new`], and those of `load`.
+    pub fn with_models(
+        request: EvaluationRequest,
+        load: &dyn Fn(&Checkpoint) -> Result<Surrogate, ModelError>,
+        progress: &dyn Progress,
+    ) -> Result<Self, EvaluationError> {
         request.check()?;
         let EvaluationRequest { checkpoints, streams, settings, references, join_late, threads } =
             request;
@@ -165,7 +178,7 @@ impl Evaluation {
         let threads = threads.map_or(0, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
-            Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)).map_err(|reason| {
+            load(checkpoint).map_err(|reason| {
                 EvaluationError::Checkpoint { checkpoint: name.clone(), reason: Box::new(reason) }
             })
         };

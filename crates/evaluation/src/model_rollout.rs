@@ -35,6 +35,7 @@ pub(super) fn roll_out_from_first(
             observer.add(index, &frame.position, &frame.velocity);
         }
     }
+    stepper.check()?;
     Ok(observer.finish())
 }
 
@@ -63,7 +64,7 @@ pub(super) fn roll_out_joined_late(
         }
         each(number, roll_out(&mut stepper, &mut hidden, &stream.states[start], frame, reach));
     }
-    Ok(())
+    stepper.check()
 }
 
 /// `first` and the states predicted from it, `reach` in total.

@@ -31,7 +31,7 @@ pub use surrogate::{
     Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle,
     NodeRequest, NodeResponse, NodeSettings, Observer, OpenClock, Outputs, PARAMETERS,
     ParameterSpec, Prediction, Publish, Rejection, RequestError, RosTime, SurrogateNode, Values,
-    diagnostics, drive,
+    DriveError, diagnostics, drive,
 };
 
 /// The example of the README, which a test runs.

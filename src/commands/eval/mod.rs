@@ -5,13 +5,14 @@
 
 mod compare;
 
-use std::path::Path;
+use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::{Context, ensure};
 
 use super::{
     Interrupt, TerminalProgress, counted,
     output::{Output, OutputKind},
+    surrogate,
 };
 use crate::cli::{EvalArgs, ReferenceName};
 use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Report, Settings, dataset};
@@ -27,7 +28,10 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let folder = args.output.as_deref().context("--output: expected a directory")?;
     let room = Output::at(folder, OutputKind::Report, args.force, &[])?;
     let progress = TerminalProgress::new(quiet, interrupt);
-    let evaluation = Evaluation::new(request(&args)?, &progress)?;
+    let load = |checkpoint: &Checkpoint| {
+        surrogate::on_device(checkpoint, Some(NonZeroUsize::MIN), args.device)
+    };
+    let evaluation = Evaluation::with_models(request(&args)?, &load, &progress)?;
     evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
     let report = evaluation.run(&progress)?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;

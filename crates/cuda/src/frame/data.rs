@@ -57,6 +57,15 @@ impl Store {
     }
 }
 
+/// Particles in the order of their materials, `[N]`, and where each material starts in it, `[MATERIALS + 1]`.
+pub(super) fn by_material(material: &[u8]) -> [Vec<u32>; 2] {
+    let mut order: Vec<u32> = (0..material.len() as u32).collect();
+    order.sort_by_key(|&particle| material[particle as usize]);
+    let before =
+        |kind: usize| material.iter().filter(|&&one| usize::from(one) < kind).count() as u32;
+    [order, (0..=MATERIALS).map(before).collect()]
+}
+
 /// Copies streams of N particles to a device, frame by frame.
 pub struct StoreWriter<'a> {
     device: &'a dyn Device,
@@ -95,11 +104,8 @@ impl<'a> StoreWriter<'a> {
     pub fn stream(&mut self, material: &[u8]) {
         assert_eq!(material.len(), self.particles, "materials of a stream");
         self.first.push(self.written);
-        let mut order: Vec<u32> = (0..self.particles as u32).collect();
-        order.sort_by_key(|&particle| material[particle as usize]);
-        let before =
-            |kind: usize| material.iter().filter(|&&one| usize::from(one) < kind).count() as u32;
-        self.segments.extend((0..=MATERIALS).map(before));
+        let [order, segments] = by_material(material);
+        self.segments.extend(segments);
         self.materials.extend_from_slice(material);
         self.order.extend(order);
     }

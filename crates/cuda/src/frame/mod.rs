@@ -3,11 +3,14 @@
 //! 1. `layout`: where its tensors are.
 //! 2. `data`: trajectories on the device, windows of them.
 //! 3. `training`: training steps.
+//! 4. `inference`: streams, frame by frame.
 
 mod data;
+mod inference;
 mod layout;
 mod training;
 
 pub use data::{Store, StoreWriter, Window};
+pub use inference::{Inference, MOST_STREAMS, Streams};
 pub use layout::{Layout, Matrix};
 pub use training::{Batch, GROUP, Outcome, Settings, Training};

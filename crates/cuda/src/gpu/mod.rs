@@ -23,7 +23,7 @@ use cudarc::{
 };
 
 use crate::{
-    device::{Address, Argument, Buffer, Device, Product, Queue, Recording, Shape},
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Recording, Shape},
     error::{Context as _, CudaError, Result},
     kernels::{Constants, Kernel, SOURCE},
 };
@@ -141,12 +141,26 @@ impl Device for Gpu {
         Ok(Buffer::new(address, bytes, memory))
     }
 
+    fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        // SAFETY: memory is read only after it is cleared.
+        let memory = unsafe { result::malloc_host(bytes.max(16), sys::CU_MEMHOSTALLOC_DEVICEMAP) };
+        let memory = Pinned { memory: memory.context("cuMemHostAlloc")?, context: self.context.clone() };
+        // SAFETY: the driver has given as many bytes, aligned to a page, which are freed with their owner. In the unified
+        // address space of 64-bit systems the device has them at the same address.
+        unsafe {
+            memory.memory.cast::<u8>().write_bytes(0, bytes);
+            Ok(HostBuffer::new(Address(memory.memory.expose_provenance() as u64), bytes, memory))
+        }
+    }
+
     fn free_memory(&self) -> Result<u64> {
         let (free, _) = self.context.mem_get_info().context("cuMemGetInfo")?;
         Ok(free as u64)
     }
 
     fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // In the main stream: a copy in the default stream is not ordered before its launches.
         // SAFETY: the buffer is as large as the caller says; the bytes live until the stream is done.
         unsafe { result::memcpy_htod_async(to.0, bytes, self.streams[0].cu_stream()) }
@@ -155,9 +169,17 @@ impl Device for Gpu {
     }
 
     fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         self.streams[0].synchronize().context("cuStreamSynchronize")?;
         // SAFETY: as above.
         unsafe { result::memcpy_dtoh_sync(bytes, from.0) }.context("cuMemcpyDtoH")
+    }
+
+    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        // SAFETY: the buffers are as large as the caller says.
+        unsafe { result::memcpy_dtod_async(to.0, from.0, bytes, self.streams[0].cu_stream()) }
+            .context("cuMemcpyDtoDAsync")
     }
 
     fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()> {
@@ -231,6 +253,26 @@ impl Device for Gpu {
             .iter()
             .try_for_each(|stream| stream.synchronize())
             .context("cuStreamSynchronize")
+    }
+}
+
+/// Memory of the host that the driver has pinned.
+struct Pinned {
+    memory: *mut std::ffi::c_void,
+    context: Arc<CudaContext>,
+}
+
+// SAFETY: the memory belongs to no thread.
+unsafe impl Send for Pinned {}
+// SAFETY: likewise; it is freed only.
+unsafe impl Sync for Pinned {}
+
+impl Drop for Pinned {
+    fn drop(&mut self) {
+        // A failure here has no remedy.
+        let _ = self.context.bind_to_thread();
+        // SAFETY: it was allocated so, and nobody uses it any more.
+        let _ = unsafe { result::free_host(self.memory) };
     }
 }
 

@@ -26,14 +26,14 @@ __device__ __forceinline__ float candidate_slope(float c) {
   const size_t block = (size_t)batch * HP, at = (size_t)b * HP + j;
 
 // minGRU: z = sigmoid(z'), h_t = (1 - z) h_{t-1} + z c.
+__device__ __forceinline__ float mingru(float z, float c, float h) { return fmaf(sigmoid(z), candidate(c) - h, h); }
 extern "C" __global__ void mingru_forward(const float* __restrict__ sums, float* __restrict__ states, int frames) {
   UNIT
   float h = j < H ? states[at] : 0.0f;
 #pragma unroll 4
   for (int t = 0; t < frames; t++) {
     const float* gates = sums + ((size_t)t * batch + b) * 2 * HP + j;
-    const float z = sigmoid(gates[0]), c = candidate(gates[HP]);
-    h = fmaf(z, c - h, h);
+    h = mingru(gates[0], gates[HP], h);
     states[(t + 1) * block + at] = padded(j, h);
   }
 }
@@ -56,18 +56,22 @@ extern "C" __global__ void mingru_backward(float* __restrict__ sums, const float
 // minLSTM: f = sigmoid(f'), i = sigmoid(i'); normalised: h_t = h_{t-1} + u (c - h_{t-1}), u = i / (f + i);
 // otherwise h_t = f h_{t-1} + i c.
 #define LEAST_SUM 1e-12f
+__device__ __forceinline__ float minlstm(float f, float i, float c, float h) {
+  f = sigmoid(f);
+  i = sigmoid(i);
+#if NORMALIZED
+  return fmaf(divide(i, f + i + LEAST_SUM), candidate(c) - h, h);
+#else
+  return fmaf(f, h, i * candidate(c));
+#endif
+}
 extern "C" __global__ void minlstm_forward(const float* __restrict__ sums, float* __restrict__ states, int frames) {
   UNIT
   float h = j < H ? states[at] : 0.0f;
 #pragma unroll 4
   for (int t = 0; t < frames; t++) {
     const float* gates = sums + ((size_t)t * batch + b) * 3 * HP + j;
-    const float f = sigmoid(gates[0]), i = sigmoid(gates[HP]), c = candidate(gates[2 * HP]);
-#if NORMALIZED
-    h = fmaf(divide(i, f + i + LEAST_SUM), c - h, h);
-#else
-    h = fmaf(f, h, i * c);
-#endif
+    h = minlstm(gates[0], gates[HP], gates[2 * HP], h);
     states[(t + 1) * block + at] = padded(j, h);
   }
 }

@@ -14,6 +14,7 @@ pub const SOURCE: &str = concat!(
     include_str!("cells.cu"),
     include_str!("loss.cu"),
     include_str!("adam.cu"),
+    include_str!("inference.cu"),
 );
 
 /// Materials that the kernels know, `Material::COUNT` of eddy-frames.
@@ -90,6 +91,28 @@ kernels! {
     Adam = "adam",
     /// The end of a step.
     Finish = "finish",
+    /// A batch of streams, from the memory of the host.
+    LoadStreams = "load_streams",
+    /// Pointwise encoder of streams.
+    EncodeStreams = "encode_streams",
+    /// Means over their particles.
+    PoolStreams = "pool_streams",
+    /// A product of one row with a matrix.
+    ProductOfRow = "product_of_row",
+    /// A product of few rows with a matrix.
+    ProductOfRows = "product_of_rows",
+    /// A linear layer's outputs.
+    LinearStreams = "linear_streams",
+    /// A frame of minGRU.
+    MinGruStreams = "mingru_streams",
+    /// A frame of minLSTM.
+    MinLstmStreams = "minlstm_streams",
+    /// A frame of GRU.
+    GruStreams = "gru_streams",
+    /// A frame of LSTM.
+    LstmStreams = "lstm_streams",
+    /// Predicted frames, to the memory of the host.
+    PredictStreams = "predict_streams",
 }
 
 /// Rounds up to a multiple.

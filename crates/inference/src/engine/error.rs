@@ -14,6 +14,9 @@ pub enum ModelError {
     /// The weights do not match the description.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// The device that predicts has failed.
+    #[error("{0}")]
+    Device(String),
     /// The frame model was trained on another number of particles.
     #[error("particles: found {found}, expected {expected} as in the checkpoint")]
     Particles {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::order::spatial_order;
+use super::{DeviceState, order::spatial_order};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
     kernels::rest_shape::RestShape,
@@ -21,7 +21,7 @@ pub(super) fn stride(hidden: usize) -> usize {
 ///
 /// `clone_from` copies into a state of the same network and number of particles without allocating, as a look-ahead does
 /// every frame.
-#[derive(Debug, PartialEq)]
+#[derive(Debug)]
 pub struct HiddenState {
     /// Particle model: the particle in each row, sorted by place in the stream's first frame. Empty in the frame model, which
     /// keeps the order of the input.
@@ -40,6 +40,8 @@ pub struct HiddenState {
     pub(super) expected_velocity: Vec<[f32; 2]>,
     /// Whether a frame was observed.
     pub(super) begun: bool,
+    /// The state on the device that predicts; then `hidden` and `cell` are empty.
+    pub(super) device: Option<Box<dyn DeviceState>>,
 }
 
 impl HiddenState {
@@ -69,6 +71,21 @@ impl HiddenState {
             cell: vec![0.0; cells],
             expected_velocity: vec![[0.0; 2]; expected_velocity],
             begun: false,
+            device: None,
+        }
+    }
+
+    /// The state of a frame model's stream on a device.
+    pub(super) fn on_device(material: Vec<u8>, device: Box<dyn DeviceState>) -> Self {
+        Self {
+            order: Arc::default(),
+            material,
+            rest: Arc::default(),
+            hidden: Vec::new(),
+            cell: Vec::new(),
+            expected_velocity: Vec::new(),
+            begun: false,
+            device: Some(device),
         }
     }
 
@@ -83,6 +100,9 @@ impl HiddenState {
         self.cell.fill(0.0);
         self.expected_velocity.fill([0.0; 2]);
         self.begun = false;
+        if let Some(device) = &mut self.device {
+            device.forget();
+        }
     }
 }
 
@@ -96,11 +116,12 @@ impl Clone for HiddenState {
             cell: self.cell.clone(),
             expected_velocity: self.expected_velocity.clone(),
             begun: self.begun,
+            device: self.device.as_ref().map(|device| device.duplicate()),
         }
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self { order, material, rest, hidden, cell, expected_velocity, begun } = self;
+        let Self { order, material, rest, hidden, cell, expected_velocity, begun, device } = self;
         *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
@@ -108,5 +129,20 @@ impl Clone for HiddenState {
         cell.clone_from(&other.cell);
         expected_velocity.clone_from(&other.expected_velocity);
         *begun = other.begun;
+        match (device, &other.device) {
+            (Some(device), Some(other)) => device.copy_from(&**other),
+            (device, other) => *device = other.as_ref().map(|other| other.duplicate()),
+        }
+    }
+}
+
+impl PartialEq for HiddenState {
+    fn eq(&self, other: &Self) -> bool {
+        let Self { order, material, rest, hidden, cell, expected_velocity, begun, device } = self;
+        (order, material, rest) == (&other.order, &other.material, &other.rest)
+            && (hidden, cell, expected_velocity)
+                == (&other.hidden, &other.cell, &other.expected_velocity)
+            && *begun == other.begun
+            && device.as_deref() == other.device.as_deref()
     }
 }

@@ -13,7 +13,8 @@
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
-//! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it.
+//! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
+//!    or the [`Accelerator`].
 //!
 //! SIMD instructions are selected at run time (crate `pulp`). After a stream's first frame nothing is allocated
 //! (`tests/allocation.rs` counts). The equations are those of the networks in burn (`eddy-learning`), which give the same
@@ -22,6 +23,7 @@
 //! Letters in shapes: `N` particles, `F` input features, `E` encoder width, `H` hidden width, `C0` to `C2` channels of
 //! the grid's levels.
 
+mod accelerator;
 mod ballistic;
 mod core;
 mod encoder;
@@ -45,10 +47,11 @@ mod warning;
 #[cfg(test)]
 mod tests;
 
+pub use accelerator::{Accelerator, DeviceState, DeviceStep};
 pub use ballistic::Ballistic;
 pub use error::ModelError;
 pub use hidden_state::HiddenState;
 pub use rules::Corrector;
-pub use stepper::Stepper;
+pub use stepper::{StepRequest, Stepper};
 pub use surrogate::Surrogate;
 pub use warning::Warning;

@@ -1,13 +1,14 @@
 //! Threads and scratch memory that predict streams: all threads on one stream, or each thread on its own.
 //!
 //! Threads that share a frame wait for each other at every stage. Where several streams have a frame waiting, each
-//! thread takes one and none waits: more frames per second, each with a higher latency.
+//! thread takes one and none waits: more frames per second, each with a higher latency. A device steps several streams at
+//! once.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 use std::sync::Arc;
 
 use super::{
-    HiddenState,
+    Accelerator, DeviceStep, HiddenState, ModelError,
     frame_model::{self, FrameModel},
     particle_model::{self, ParticleModel},
 };
@@ -22,6 +23,8 @@ const WORTH_WAKING: usize = 1 << 18;
 pub(super) enum Network {
     Frame(FrameModel),
     Particle(ParticleModel),
+    /// On a device beside the processor.
+    Device(Arc<dyn Accelerator>),
 }
 
 impl Network {
@@ -29,6 +32,7 @@ impl Network {
         match self {
             Self::Frame(model) => model.stages(),
             Self::Particle(model) => model.stages.len(),
+            Self::Device(_) => 1,
         }
     }
 
@@ -36,6 +40,7 @@ impl Network {
         match self {
             Self::Frame(model) => Scratch::Frame(Box::new(model.scratch(threads))),
             Self::Particle(model) => Scratch::Particle(Box::new(model.scratch(threads))),
+            Self::Device(_) => Scratch::None,
         }
     }
 }
@@ -44,6 +49,17 @@ impl Network {
 enum Scratch {
     Frame(Box<frame_model::Scratch>),
     Particle(Box<particle_model::Scratch>),
+    None,
+}
+
+/// A frame that a stream observes, true or predicted, and where its prediction goes.
+pub struct StepRequest<'a> {
+    /// The stream's hidden state.
+    pub hidden: &'a mut HiddenState,
+    /// The observed frame.
+    pub frame: FrameView<'a>,
+    /// The predicted one.
+    pub next: &'a mut Frame,
 }
 
 /// Predicts streams, one frame at a time, on its own threads and in its own scratch memory
@@ -58,6 +74,8 @@ pub struct Stepper {
     scratch: Scratch,
     /// A single-threaded stepper for each thread; none if there is only one thread.
     single: Vec<Self>,
+    /// Why the device predicts no more.
+    failure: Option<String>,
 }
 
 impl Stepper {
@@ -75,12 +93,33 @@ impl Stepper {
             scratch: network.scratch(threads),
             single: (0..single).map(|_| Self::new(network, interval, 1)).collect(),
             pool,
+            failure: None,
         }
     }
 
-    /// Number of threads, and so of items that [`Stepper::for_each`] processes at once.
-    pub fn threads(&self) -> usize {
-        self.pool.threads()
+    /// Number of streams that are best stepped at once: by [`Stepper::for_each`], one per thread, or, on a device, by
+    /// [`Stepper::step_all`].
+    pub fn streams(&self) -> usize {
+        match &*self.network {
+            Network::Device(device) => device.streams(),
+            _ => self.pool.threads(),
+        }
+    }
+
+    /// Whether a device predicts: then streams are best stepped by [`Stepper::step_all`].
+    pub fn is_on_device(&self) -> bool {
+        matches!(&*self.network, Network::Device(_))
+    }
+
+    /// Checks that the device has not failed. Predictions since a failure are NaN.
+    ///
+    /// # Errors
+    /// [`ModelError::Device`].
+    pub fn check(&self) -> Result<(), ModelError> {
+        match &self.failure {
+            None => Ok(()),
+            Some(reason) => Err(ModelError::Device(reason.clone())),
+        }
     }
 
     /// Observes a frame, true or predicted, of the particles that `hidden` was started for, and writes the predicted next
@@ -98,14 +137,12 @@ impl Stepper {
         frame: impl Into<FrameView<'a>>,
         next: &mut Frame,
     ) {
-        let frame = frame.into();
-        let particles = hidden.particles();
-        assert_eq!(
-            frame.particles.len(),
-            particles,
-            "the hidden state is for {particles} particles"
-        );
-        self.prepare(&frame, next);
+        let request = StepRequest { hidden, frame: frame.into(), next };
+        if self.is_on_device() {
+            return self.step_on_device(&mut [request]);
+        }
+        let StepRequest { hidden, frame, next } = request;
+        let particles = self.prepare(hidden, &frame, next);
         match (&*self.network, &mut self.scratch) {
             (Network::Frame(model), Scratch::Frame(scratch)) => {
                 let alone = model.work() < WORTH_WAKING;
@@ -116,6 +153,36 @@ impl Stepper {
                 model.step(&mut self.pool, alone, scratch, hidden, frame, next);
             }
             _ => unreachable!("a network and its scratch buffers are made together"),
+        }
+    }
+
+    /// [`Stepper::step_into`] for several streams; a device steps them together.
+    ///
+    /// # Panics
+    /// As [`Stepper::step_into`].
+    pub fn step_all(&mut self, requests: &mut [StepRequest<'_>]) {
+        if self.is_on_device() {
+            return self.step_on_device(requests);
+        }
+        self.for_each(requests, |stepper, StepRequest { hidden, frame, next }| {
+            stepper.step_into(hidden, *frame, next);
+        });
+    }
+
+    fn step_on_device(&mut self, requests: &mut [StepRequest<'_>]) {
+        let mut steps = Vec::with_capacity(requests.len());
+        for StepRequest { hidden, frame, next } in &mut *requests {
+            self.prepare(hidden, frame, next);
+            let state = hidden.device.as_deref_mut().expect("a state of this network is on its device");
+            steps.push(DeviceStep { state, frame: *frame, next });
+        }
+        let Network::Device(device) = &*self.network else { return };
+        if let Err(reason) = device.step(&mut steps) {
+            self.failure.get_or_insert_with(|| reason.to_string());
+            for DeviceStep { next, .. } in steps {
+                next.position.fill([f32::NAN; 2]);
+                next.velocity.fill([f32::NAN; 2]);
+            }
         }
     }
 
@@ -160,9 +227,11 @@ impl Stepper {
         });
     }
 
-    /// Sets everything in `next` but positions and velocities, for which it makes room.
-    fn prepare(&self, frame: &FrameView<'_>, next: &mut Frame) {
-        let particles = frame.particles.len();
+    /// Sets everything in `next` but positions and velocities, for which it makes room. Returns the number of particles.
+    fn prepare(&self, hidden: &HiddenState, frame: &FrameView<'_>, next: &mut Frame) -> usize {
+        let particles = hidden.particles();
+        let found = frame.particles.len();
+        assert_eq!(found, particles, "the hidden state is for {particles} particles");
         let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = next;
         (*stream, *sequence) = (frame.stream, frame.sequence + 1);
         *stamp = Stamp(frame.stamp.0.saturating_add(self.interval));
@@ -179,5 +248,6 @@ impl Stepper {
         }
         position.resize(particles, [0.0; 2]);
         velocity.resize(particles, [0.0; 2]);
+        particles
     }
 }

@@ -5,7 +5,7 @@ use std::{num::NonZeroUsize, sync::Arc, thread};
 use pulp::Arch;
 
 use super::{
-    HiddenState, ModelError, Stepper, Warning, frame_model::FrameModel,
+    Accelerator, HiddenState, ModelError, Stepper, Warning, frame_model::FrameModel,
     particle_model::ParticleModel, stepper::Network, warning,
 };
 use crate::checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization};
@@ -36,7 +36,7 @@ const SPEED_FACTOR: f32 = 2.0;
 /// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
 /// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
-/// and on all processors that have AVX2 with FMA or AVX-512. Other instruction sets round some products differently in
+/// and on all processors that have AVX2 with FMA or AVX-512; a device has bits of its own. Other instruction sets round some products differently in
 /// the last place.
 pub struct Surrogate {
     description: Description,
@@ -82,6 +82,23 @@ impl Surrogate {
             digest: checkpoint.digest(),
             network: Arc::new(network),
             threads,
+        })
+    }
+
+    /// The checkpoint's network on a device that has its weights.
+    ///
+    /// # Errors
+    /// [`ModelError::Checkpoint`] if the weights do not match the description.
+    pub fn on_device(
+        checkpoint: &Checkpoint,
+        device: Arc<dyn Accelerator>,
+    ) -> Result<Self, ModelError> {
+        checkpoint.check("checkpoint".as_ref())?;
+        Ok(Self {
+            description: checkpoint.description.clone(),
+            digest: checkpoint.digest(),
+            network: Arc::new(Network::Device(device)),
+            threads: 1,
         })
     }
 
@@ -147,7 +164,14 @@ impl Surrogate {
     /// As [`Surrogate::fits`].
     pub fn start(&self, frame: &Frame) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
-        Ok(HiddenState::new(&self.description, frame))
+        match &*self.network {
+            Network::Device(device) => {
+                let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
+                let state = device.start(&material)?;
+                Ok(HiddenState::on_device(material, state))
+            }
+            _ => Ok(HiddenState::new(&self.description, frame)),
+        }
     }
 }
 

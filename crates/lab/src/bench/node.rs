@@ -203,7 +203,7 @@ fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, u
             times.push(clock.now() - begin);
         }
     }
-    Ok((Spread::of(times), stepper.threads()))
+    Ok((Spread::of(times), stepper.streams()))
 }
 
 /// The latency in a diagnostics message of the node, unless it was idle.

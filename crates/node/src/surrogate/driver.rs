@@ -14,6 +14,7 @@ use super::{
     Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
 };
 use eddy_frames::clock::Clock;
+use eddy_inference::engine::ModelError;
 use eddy_messages::{ParameterEvent, PredictionStatus, cdr, services::Parameter};
 use eddy_transport::{Link, Publisher, Subscriber, TransportError};
 
@@ -67,6 +68,17 @@ impl Outputs {
     }
 }
 
+/// Why a node ended.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    /// Its input failed.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// Its network failed.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
 /// What a node is connected to, beside its outputs.
 pub struct NodeContext {
     /// Full name of the node, such as `/eddy_node`.
@@ -81,8 +93,8 @@ pub struct NodeContext {
 /// arrived. Answers requests through `handle` within 0.1 s.
 ///
 /// # Errors
-/// [`TransportError`] when the input fails, or `/clock` cannot be subscribed to at the start. The failure of an output is
-/// logged, and the node continues.
+/// [`DriveError`] when the input or the device that predicts fails, or `/clock` cannot be subscribed to at the start. The
+/// failure of an output is logged, and the node continues.
 pub fn drive(
     node: &mut SurrogateNode,
     context: &mut NodeContext,
@@ -91,11 +103,11 @@ pub fn drive(
     queue: &FrameQueue,
     handle: &NodeHandle,
     stop: &AtomicBool,
-) -> Result<(), TransportError> {
+) -> Result<(), DriveError> {
     let clock = Clock::start();
     context.time.use_simulated(node.settings().use_sim_time)?;
     let lost = AtomicU64::new(0);
-    thread::scope(|scope| {
+    thread::scope(|scope| -> Result<(), DriveError> {
         let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
         // Whatever ends the loop, even a panic, must not leave the receiver waiting for a free slot.
         let _close = CloseOnDrop(queue, handle);
@@ -131,7 +143,7 @@ pub fn drive(
             reported: clock.now(),
         };
         let mut end = Duration::MAX;
-        while !receiver.is_finished() && clock.now() < end {
+        while !receiver.is_finished() && clock.now() < end && running.node.check().is_ok() {
             running.step();
             if end == Duration::MAX && stop.load(Ordering::Relaxed) {
                 end = clock.now() + DRAIN_TIMEOUT;
@@ -150,10 +162,11 @@ pub fn drive(
         // The receiver may be waiting for a free slot.
         queue.close();
         match receiver.join() {
-            Ok(outcome) => outcome,
+            Ok(outcome) => Ok(outcome?),
             Err(panic) => std::panic::resume_unwind(panic),
         }
-    })
+    })?;
+    Ok(node.check()?)
 }
 
 /// Closes both queues on drop, so that nobody waits for a node that has ended.

@@ -35,7 +35,7 @@ mod tests;
 
 pub use cloud::CloudTopic;
 pub use counters::{Counters, Rejection};
-pub use driver::{NodeContext, Outputs, drive};
+pub use driver::{DriveError, NodeContext, Outputs, drive};
 pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
 pub use node::{Arrival, OutputCallback, SurrogateNode};
 pub use observer::Observer;

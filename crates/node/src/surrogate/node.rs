@@ -15,7 +15,7 @@ use super::{
     stream::{Order, StreamState},
 };
 use eddy_frames::{Frame, FrameView};
-use eddy_inference::engine::{Stepper, Surrogate};
+use eddy_inference::engine::{ModelError, StepRequest, Stepper, Surrogate};
 use eddy_messages::{StreamState as Phase, services::Parameter};
 use eddy_transport::Payload;
 
@@ -27,7 +27,7 @@ pub type Arrival = (Duration, Payload);
 pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejection>) + 'a;
 
 /// Maximum number of streams stepped in parallel; further threads do not help.
-const MAX_BATCH: usize = 16;
+const MAX_BATCH: usize = 64;
 
 /// Largest number of frames that a free run makes up for.
 const MAX_CATCH_UP: u32 = 16;
@@ -106,6 +106,14 @@ impl SurrogateNode {
         &self.surrogate
     }
 
+    /// Checks that the device that predicts has not failed.
+    ///
+    /// # Errors
+    /// [`ModelError::Device`]; then nothing is predicted any more.
+    pub fn check(&self) -> Result<(), ModelError> {
+        self.stepper.check()
+    }
+
     /// Once `stop` is raised, the predictions of a frame up to a far horizon are given up.
     pub fn stop_with(&mut self, stop: Arc<AtomicBool>) {
         self.stop = stop;
@@ -172,7 +180,7 @@ impl SurrogateNode {
 
     /// Maximum number of frames that [`SurrogateNode::on_frames`] steps in parallel.
     pub fn batch_size(&self) -> usize {
-        self.stepper.threads().min(MAX_BATCH)
+        self.stepper.streams().min(MAX_BATCH)
     }
 
     /// Observes frames in order. Frames of different streams are stepped in parallel, with bit-identical predictions.
@@ -209,14 +217,21 @@ impl SurrogateNode {
     /// last one, one interval after `now` at the latest.
     pub fn on_tick(&mut self, now: Duration, output: &mut OutputCallback<'_>) {
         let mut diverged = Vec::new();
-        for (&id, stream) in &mut self.streams {
-            let Some(due) = stream.free_run_due else { continue };
-            if due > now {
-                continue;
-            }
-            let StreamState { memory, predicted: next, spare: frame, .. } = stream;
-            std::mem::swap(next, frame);
-            self.stepper.step_into(memory, &*frame, next);
+        let due = self.streams.iter_mut().filter_map(|(&id, stream)| {
+            Some((id, stream.free_run_due.filter(|&due| due <= now)?, stream))
+        });
+        let mut due: Vec<_> = due.collect();
+        let mut requests: Vec<_> = due
+            .iter_mut()
+            .map(|(.., stream)| {
+                let StreamState { memory: hidden, predicted: next, spare, .. } = &mut **stream;
+                std::mem::swap(next, spare);
+                StepRequest { hidden, frame: (&*spare).into(), next }
+            })
+            .collect();
+        self.stepper.step_all(&mut requests);
+        for (id, due, stream) in due {
+            let frame = &stream.spare;
             self.uses += 1;
             stream.used = self.uses;
             let interval = interval(frame.dt);
@@ -349,10 +364,20 @@ impl SurrogateNode {
             let Scheduled { index, gap, .. } = batch[number];
             let (arrived, payload) = &arrivals[index];
             let Some(frame) = payload.view() else { return };
-            let (arrived, tracking, finite) = (*arrived, false, true);
+            let (arrived, stepped, tracking, finite) = (*arrived, 0, false, true);
             let now = simulated.unwrap_or(arrived);
-            let step = Step { stream, frame, arrived, now, gap, buffers, stop, tracking, finite };
-            steps[number] = Some(step);
+            steps[number] = Some(Step {
+                stream,
+                frame,
+                arrived,
+                now,
+                gap,
+                buffers,
+                stop,
+                stepped,
+                tracking,
+                finite,
+            });
         };
         // One stream is looked up; several are found by iteration, which gives mutable references to all of them.
         match &batch[..] {
@@ -374,11 +399,23 @@ impl SurrogateNode {
             }
         }
         let warm_up = u64::from(surrogate.description().warm_up);
-        stepper.for_each(&mut steps[..batch.len()], |stepper, step| {
-            if let Some(step) = step {
-                step.run(stepper, settings, warm_up);
+        if stepper.is_on_device() {
+            loop {
+                let next = |step| Step::next(step, settings, warm_up);
+                let mut requests: Vec<_> = steps.iter_mut().flatten().filter_map(next).collect();
+                if requests.is_empty() {
+                    break;
+                }
+                stepper.step_all(&mut requests);
             }
-        });
+            steps.iter_mut().flatten().for_each(|step| step.finish(settings));
+        } else {
+            stepper.for_each(&mut steps[..batch.len()], |stepper, step| {
+                if let Some(step) = step {
+                    step.run(stepper, settings, warm_up);
+                }
+            });
+        }
         let mut diverged = [const { None }; MAX_BATCH];
         for (step, diverged) in steps.iter_mut().flatten().zip(&mut diverged) {
             *uses += 1;

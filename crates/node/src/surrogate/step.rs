@@ -7,7 +7,7 @@ use std::{
 
 use super::{NodeSettings, Publish, stream::StreamState};
 use eddy_frames::{Frame, FrameView, decimal};
-use eddy_inference::engine::{HiddenState, Stepper};
+use eddy_inference::engine::{HiddenState, StepRequest, Stepper};
 use eddy_messages::{Header, PredictionStatus, StreamState as Phase};
 
 /// Predictions further ahead (frames) are given up when the program is asked to end; a nearer one takes no time.
@@ -61,60 +61,86 @@ pub(super) struct Step<'a> {
     pub(super) buffers: &'a mut HorizonBuffers,
     /// Raised when the program is asked to end: predictions far ahead are given up.
     pub(super) stop: &'a AtomicBool,
-    /// Whether there are predictions to publish; set by [`Step::run`].
+    /// Calls of [`Step::next`] so far.
+    pub(super) stepped: u64,
+    /// Whether there are predictions to publish; set when the frame is observed.
     pub(super) tracking: bool,
-    /// Whether all of them are finite; set by [`Step::run`].
+    /// Whether all of them are finite; set by [`Step::finish`].
     pub(super) finite: bool,
 }
 
 impl Step<'_> {
     /// Fills the gap, observes the frame, predicts up to the horizon.
     pub(super) fn run(&mut self, stepper: &mut Stepper, settings: &NodeSettings, warm_up: u64) {
-        let Self { stream, frame, .. } = self;
-        for _ in 0..self.gap {
-            let missing = &mut stream.spare;
-            std::mem::swap(missing, &mut stream.predicted);
-            stepper.step_into(&mut stream.memory, &*missing, &mut stream.predicted);
+        while let Some(StepRequest { hidden, frame, next }) = self.next(settings, warm_up) {
+            stepper.step_into(hidden, frame, next);
         }
-        stepper.step_into(&mut stream.memory, *frame, &mut stream.predicted);
+        self.finish(settings);
+    }
+
+    /// What is to be stepped next: the missing frames, the observed one, then those up to the horizon; `None` at the end.
+    pub(super) fn next(
+        &mut self,
+        settings: &NodeSettings,
+        warm_up: u64,
+    ) -> Option<StepRequest<'_>> {
+        let number = self.stepped;
+        self.stepped += 1;
+        if let Some(beyond) = number.checked_sub(self.gap + 1) {
+            if beyond == 0 {
+                self.observed(settings, warm_up);
+            }
+            return if self.tracking { self.look_ahead(beyond, settings) } else { None };
+        }
+        let StreamState { memory: hidden, predicted: next, spare, .. } = &mut *self.stream;
+        if number == self.gap {
+            return Some(StepRequest { hidden, frame: self.frame, next });
+        }
+        std::mem::swap(spare, next);
+        Some(StepRequest { hidden, frame: (&*spare).into(), next })
+    }
+
+    /// The stream has observed the frame: what comes next?
+    fn observed(&mut self, settings: &NodeSettings, warm_up: u64) {
+        let Self { stream, frame, .. } = self;
         (stream.sequence, stream.stamp) = (frame.sequence, frame.stamp);
         stream.observed += 1;
         if settings.free_run.is_some_and(|frames| stream.observed >= frames.max(warm_up)) {
             stream.free_run_due = Some(self.now + interval(stream.predicted.dt));
         } else if stream.observed >= warm_up {
-            self.tracking = self.look_ahead(stepper, settings);
-            let finite = self.published(settings).all(|(frame, _)| frame.check().is_ok());
-            self.finite = finite || !self.tracking;
+            self.tracking = true;
         }
     }
 
-    /// Predicts beyond the first frame, from a copy of the stream's hidden state. Returns whether it reached the horizon;
-    /// a stop ends it.
-    fn look_ahead(&mut self, stepper: &mut Stepper, settings: &NodeSettings) -> bool {
+    /// Frame `number` beyond the first, predicted from a copy of the stream's hidden state. A stop ends it: then there is
+    /// nothing to publish.
+    fn look_ahead(&mut self, number: u64, settings: &NodeSettings) -> Option<StepRequest<'_>> {
+        let number = number as usize;
+        if number + 1 >= settings.horizon as usize {
+            return None;
+        }
+        if number >= FAR && self.stop.load(Ordering::Relaxed) {
+            self.tracking = false;
+            return None;
+        }
         let Self { stream, buffers: HorizonBuffers { memory, frames }, .. } = self;
-        let beyond = settings.horizon as usize - 1;
-        if beyond == 0 {
-            return true;
+        let hidden = memory.get_or_insert_with(|| stream.memory.clone());
+        // If only the last frame is published, two buffers alternate.
+        let place = number % kept(settings);
+        if number == 0 {
+            hidden.clone_from(&stream.memory);
+            frames.resize_with(kept(settings), || stream.predicted.clone());
+            let frame = (&stream.predicted).into();
+            return Some(StepRequest { hidden, frame, next: &mut frames[place] });
         }
-        let memory = memory.get_or_insert_with(|| stream.memory.clone());
-        memory.clone_from(&stream.memory);
-        frames.resize_with(kept(settings), || stream.predicted.clone());
-        for number in 0..beyond {
-            if number >= FAR && self.stop.load(Ordering::Relaxed) {
-                return false;
-            }
-            // If only the last frame is published, two buffers alternate.
-            let place = number % frames.len();
-            if number == 0 {
-                stepper.step_into(memory, &stream.predicted, &mut frames[place]);
-                continue;
-            }
-            let last = (number - 1) % frames.len();
-            if let Ok([from, to]) = frames.get_disjoint_mut([last, place]) {
-                stepper.step_into(memory, &*from, to);
-            }
-        }
-        true
+        let [from, next] = frames.get_disjoint_mut([(number - 1) % kept(settings), place]).ok()?;
+        Some(StepRequest { hidden, frame: (&*from).into(), next })
+    }
+
+    /// After the last of [`Step::next`].
+    pub(super) fn finish(&mut self, settings: &NodeSettings) {
+        self.finite = !self.tracking
+            || self.published(settings).all(|(frame, _)| frame.check().is_ok());
     }
 
     /// The frames to publish with their horizons, in the order of time.

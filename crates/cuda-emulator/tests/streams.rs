@@ -1,0 +1,140 @@
+//! Streams predicted on a device beside those that the engine predicts on the processor.
+
+#[path = "../../inference/src/engine/test_streams.rs"]
+#[expect(dead_code, reason = "the engine's own tests use more of it")]
+mod streams;
+
+use std::sync::Arc;
+
+use proptest::{prelude::*, sample::select};
+
+use eddy_cuda::{
+    frame::{Inference, Streams},
+    kernels::Constants,
+};
+use eddy_cuda_emulator::Emulator;
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::{
+    checkpoint::{
+        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, GridOptions,
+        MaterialInput, Normalization, Sizes, initial_weights,
+    },
+    engine::{StepRequest, Surrogate},
+};
+use streams::{checkpoint, description, frames, largest_difference, predict, threads};
+
+/// Largest difference of predictions (domain lengths; domain lengths per second).
+const TOLERANCE: f32 = 1e-5;
+
+/// Descriptions of all kinds of frame models that a device predicts.
+fn descriptions() -> impl Strategy<Value = Description> {
+    let sizes = (1usize..40, 1usize..40, 1usize..4, 1usize..150);
+    let choices = (
+        select(&Core::ALL[..]),
+        select(&Activation::ALL[..]),
+        select(&[MaterialInput::OneHot, MaterialInput::Scalar][..]),
+        select(&[FeatureScaling::MinMax, FeatureScaling::ZScore][..]),
+        any::<[bool; 2]>(),
+    );
+    (choices, sizes).prop_map(|(choices, (encoder, hidden, layers, particles))| {
+        let (core, activation, material, scaling, [log, normalize_gates]) = choices;
+        let sizes = Sizes { encoder, hidden, layers, particles: Some(particles) };
+        let mut description = description(Architecture::Frame, core, sizes);
+        description.frame.activation = activation;
+        description.frame.material = material;
+        description.frame.scaling = scaling;
+        description.form = if log { Form::Log } else { Form::Plain };
+        description.normalize_gates = normalize_gates;
+        description
+    })
+}
+
+/// The network in the emulator.
+fn emulated(checkpoint: &Checkpoint) -> Surrogate {
+    let Checkpoint { description, tensors } = checkpoint;
+    let device = Emulator::new(&Constants::of(description).unwrap()).unwrap();
+    let inference = Inference::new(Arc::new(device), description, tensors).unwrap();
+    Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference))).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn a_device_predicts_what_the_processor_does(description in descriptions(), seed in any::<u64>()) {
+        let particles = description.sizes.particles.unwrap();
+        let checkpoint = checkpoint(description, seed);
+        let frames = frames(4, particles, seed);
+        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let found = predict(&emulated(&checkpoint), &frames);
+        for (found, expected) in found.iter().zip(&expected) {
+            let position = largest_difference(&found.position, &expected.position);
+            let velocity = largest_difference(&found.velocity, &expected.velocity);
+            prop_assert!(position.max(velocity) <= TOLERANCE, "{position} and {velocity} apart");
+            prop_assert_eq!(
+                (found.sequence, found.stamp, &found.material),
+                (expected.sequence, expected.stamp, &expected.material)
+            );
+        }
+    }
+}
+
+/// A checkpoint with a few particles.
+fn small(core: Core) -> Checkpoint {
+    let sizes = Sizes { encoder: 20, hidden: 30, layers: 2, particles: Some(70) };
+    checkpoint(description(Architecture::Frame, core, sizes), 3)
+}
+
+#[test]
+fn a_stream_has_the_same_bits_alone_and_beside_others() {
+    for core in Core::ALL {
+        let checkpoint = small(core);
+        let surrogate = emulated(&checkpoint);
+        let streams: Vec<_> = (0..11).map(|seed| frames(3, 70, seed)).collect();
+        let alone: Vec<_> = streams.iter().map(|frames| predict(&surrogate, frames)).collect();
+        assert_ne!(alone[0], alone[1]);
+
+        let mut stepper = surrogate.stepper();
+        let mut hidden: Vec<_> =
+            streams.iter().map(|frames| surrogate.start(&frames[0]).unwrap()).collect();
+        let mut predicted: Vec<Frame> = streams.iter().map(|frames| frames[0].clone()).collect();
+        for number in 0..3 {
+            let pairs = hidden.iter_mut().zip(&mut predicted).zip(&streams);
+            let mut requests: Vec<_> = pairs
+                .map(|((hidden, next), frames)| StepRequest {
+                    hidden,
+                    frame: (&frames[number]).into(),
+                    next,
+                })
+                .collect();
+            stepper.step_all(&mut requests);
+            let expected: Vec<_> = alone.iter().map(|frames| frames[number].clone()).collect();
+            assert!(predicted == expected, "{}: frame {number}", core.name());
+        }
+        stepper.check().unwrap();
+    }
+}
+
+#[test]
+fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
+    for core in [Core::MinGru, Core::Lstm] {
+        let surrogate = emulated(&small(core));
+        let frames = frames(4, 70, 5);
+        let (mut stepper, mut hidden) =
+            (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
+        let first = stepper.step(&mut hidden, &frames[0]);
+        let mut ahead = hidden.clone();
+        assert_eq!(ahead, hidden);
+        let second = stepper.step(&mut ahead, &frames[1]);
+        assert_ne!(ahead, hidden, "the copy has moved on");
+        assert_eq!(stepper.step(&mut hidden, &frames[1]), second);
+
+        stepper.step(&mut hidden, &frames[2]);
+        assert_ne!(ahead, hidden);
+        ahead.clone_from(&hidden);
+        assert_eq!(stepper.step(&mut ahead, &frames[3]), stepper.step(&mut hidden, &frames[3]));
+
+        hidden.forget();
+        assert_eq!(stepper.step(&mut hidden, &frames[0]), first);
+    }
+}

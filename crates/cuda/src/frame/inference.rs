@@ -1,0 +1,503 @@
+//! Streams predicted on a device: a frame of up to [`MOST_STREAMS`] streams at once, their states stay on the device.
+//!
+//! Frames and predictions lie in memory of the host that the device reads and writes itself, so that a step is one graph
+//! without copies. There is a graph for each of a few numbers of rows; rows that no stream needs compute with an idle one.
+
+#![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
+
+use std::{
+    any::Any,
+    collections::{BTreeMap, HashMap},
+    sync::{Arc, Mutex, MutexGuard},
+};
+
+use eddy_frames::{Frame, FrameView};
+use eddy_inference::{
+    checkpoint::{Core, Description, Weights},
+    engine::{Accelerator, DeviceState, DeviceStep, ModelError},
+};
+
+use super::layout::{Layout, Matrix};
+use crate::{
+    device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
+    error::{CudaError, Result},
+    kernels::{AXES, Constants, Kernel, MATERIALS, scaling},
+};
+
+/// Streams of a step.
+pub const MOST_STREAMS: usize = 64;
+/// Rows that graphs are made for.
+const SIZES: [usize; 5] = [1, 8, 16, 32, MOST_STREAMS];
+/// Particles of a block of the encoder, `STREAM_TILE` of the kernels.
+const TILE: usize = 64;
+/// Rows of a matrix in a part of a product, `PART` of the kernels.
+const PART: usize = 64;
+/// Rows that `product_of_rows` takes at once.
+const ROWS: usize = 8;
+/// Numbers of a body.
+const BODY: usize = 2 * AXES;
+
+/// x, y, vx, vy of a particle.
+type Body = [f32; BODY];
+
+/// A frame model that predicts streams on a device.
+pub struct Inference {
+    device: Arc<dyn Device>,
+    constants: Constants,
+    core: Core,
+    layout: Layout,
+    dt: f32,
+    weights: Buffer,
+    scaling: Buffer,
+    rows: Buffer,
+    frames: Buffer,
+    /// States before the frame, `[layers, B, HP]`.
+    before: Buffer,
+    sums: Buffer,
+    pooled: Buffer,
+    signal: Buffer,
+    /// Parts of a product, and of one with the states.
+    parts: [Buffer; 2],
+    host_rows: HostBuffer,
+    host_frames: HostBuffer,
+    host_next: HostBuffer,
+    /// For rows without a stream.
+    idle: Memory,
+    /// By the number of rows; none before the second step of so many.
+    graphs: HashMap<usize, Option<Box<dyn Recording + Send>>>,
+}
+
+/// What is remembered of a stream: states and cells, then the particles in the order of their materials, and where each
+/// material starts in it.
+struct Memory {
+    device: Arc<dyn Device>,
+    buffer: Buffer,
+    /// Layers of states, with those of cells, and their padded and their actual width.
+    layers: usize,
+    widths: [usize; 2],
+    particles: usize,
+}
+
+impl Memory {
+    fn new(
+        device: Arc<dyn Device>,
+        constants: &Constants,
+        layout: &Layout,
+        core: Core,
+        material: &[u8],
+    ) -> Result<Self> {
+        let layers = layout.core.len() * if core == Core::Lstm { 2 } else { 1 };
+        let widths = [constants.hidden_columns(), constants.hidden];
+        let particles = material.len();
+        let [order, segments] = super::data::by_material(material);
+        let bytes = 4 * (layers * widths[0] + order.len() + segments.len());
+        let buffer = device.allocate(bytes)?;
+        let memory = Self { device, buffer, layers, widths, particles };
+        memory.clear()?;
+        let tables = [order, segments].concat();
+        memory.device.write(memory.order(), bytemuck::cast_slice(&tables))?;
+        Ok(memory)
+    }
+
+    fn order(&self) -> Address {
+        self.buffer.address.plus(self.layers * self.widths[0])
+    }
+
+    /// `struct Row` of the kernels.
+    fn row(&self) -> [u64; 3] {
+        [self.buffer.address, self.order(), self.order().plus(self.particles)].map(|at| at.0)
+    }
+
+    /// States as they are before the first frame: zero, with the ones that the bias of W_hh is multiplied by.
+    fn clear(&self) -> Result<()> {
+        let [wide, hidden] = self.widths;
+        let mut states = vec![0f32; self.layers * wide];
+        states.iter_mut().skip(hidden).step_by(wide).for_each(|one| *one = 1.0);
+        self.device.write(self.buffer.address, bytemuck::cast_slice(&states))
+    }
+
+    fn states(&self) -> Result<Vec<f32>> {
+        let mut states = vec![0f32; self.layers * self.widths[0]];
+        self.device.read(self.buffer.address, bytemuck::cast_slice_mut(&mut states))?;
+        Ok(states)
+    }
+
+    fn copy_from(&self, other: &Self) -> Result<()> {
+        assert_eq!(self.buffer.bytes, other.buffer.bytes, "states of one network and as many particles");
+        self.device.copy(self.buffer.address, other.buffer.address, self.buffer.bytes)
+    }
+
+    fn duplicate(&self) -> Result<Self> {
+        let buffer = self.device.allocate(self.buffer.bytes)?;
+        let Self { device, layers, widths, particles, .. } = self;
+        let copy = Self {
+            device: device.clone(),
+            buffer,
+            layers: *layers,
+            widths: *widths,
+            particles: *particles,
+        };
+        copy.copy_from(self)?;
+        Ok(copy)
+    }
+}
+
+impl Inference {
+    /// The network of a checkpoint on a device that has its kernels.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`], [`CudaError::Memory`], [`CudaError::Call`].
+    pub fn new(
+        device: Arc<dyn Device>,
+        description: &Description,
+        tensors: &BTreeMap<String, Weights>,
+    ) -> Result<Self> {
+        let constants = Constants::of(description)?;
+        let layout = Layout::new(description, &constants);
+        let (core, particles, wide) =
+            (description.core, constants.particles, constants.hidden_columns());
+        let numbers = |count: usize| device.allocate(4 * count);
+        let parts = layout.matrices().map(|matrix| matrix.rows.div_ceil(PART) * matrix.columns);
+        let parts = MOST_STREAMS * parts.max().unwrap_or_default();
+        let recurrent = layout.core.iter().any(|(_, recurrent)| recurrent.is_some());
+        let inference = Self {
+            weights: numbers(layout.size)?,
+            scaling: numbers(2 * BODY)?,
+            rows: numbers(MOST_STREAMS * 6)?,
+            frames: numbers(MOST_STREAMS * particles * BODY)?,
+            before: numbers(layout.core.len() * MOST_STREAMS * wide)?,
+            sums: numbers(MOST_STREAMS * particles.div_ceil(TILE) * constants.encoder)?,
+            pooled: numbers(MOST_STREAMS * constants.pooled_columns())?,
+            signal: numbers(MOST_STREAMS * wide)?,
+            parts: [numbers(parts)?, numbers(if recurrent { parts } else { 0 })?],
+            host_rows: device.allocate_host(MOST_STREAMS * size_of::<[u64; 3]>())?,
+            host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
+            host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
+            idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
+            graphs: HashMap::new(),
+            dt: description.dt,
+            constants,
+            core,
+            layout,
+            device,
+        };
+        let Self { device, weights, scaling: scales, layout, .. } = &inference;
+        device.write(weights.address, bytemuck::cast_slice(&layout.pack(tensors)))?;
+        device.write(scales.address, bytemuck::cast_slice(&scaling(description)))?;
+        Ok(inference)
+    }
+
+    fn memory(&self, material: &[u8]) -> Result<Memory> {
+        Memory::new(self.device.clone(), &self.constants, &self.layout, self.core, material)
+    }
+
+    /// One frame of each stream, at most [`MOST_STREAMS`].
+    fn step(&mut self, steps: &mut [(&Memory, FrameView<'_>, &mut Frame)]) -> Result<()> {
+        let Some(&rows) = SIZES.iter().find(|&&rows| rows >= steps.len()) else {
+            panic!("{} streams, at most {MOST_STREAMS}", steps.len());
+        };
+        let particles = self.constants.particles;
+        {
+            // SAFETY: the last step has finished, and nothing else uses this memory.
+            let (table, frames) = unsafe {
+                (self.host_rows.slice::<[u64; 3]>(), self.host_frames.slice::<Body>())
+            };
+            let memories = steps.iter().map(|(memory, ..)| *memory);
+            for (row, memory) in
+                table.iter_mut().zip(memories.chain(std::iter::repeat(&self.idle))).take(rows)
+            {
+                *row = memory.row();
+            }
+            for ((_, frame, _), bodies) in steps.iter().zip(frames.chunks_exact_mut(particles)) {
+                for (particle, body) in bodies.iter_mut().enumerate() {
+                    let ([x, y], [vx, vy]) = frame.particles.motion(particle);
+                    *body = [x, y, vx, vy];
+                }
+            }
+        }
+        self.run(rows)?;
+        // SAFETY: as above.
+        let next = unsafe { self.host_next.slice::<Body>() };
+        for ((.., frame), bodies) in steps.iter_mut().zip(next.chunks_exact(particles)) {
+            let after = frame.position.iter_mut().zip(&mut frame.velocity);
+            for ((position, velocity), &[x, y, vx, vy]) in after.zip(bodies) {
+                (*position, *velocity) = ([x, y], [vx, vy]);
+            }
+        }
+        Ok(())
+    }
+
+    /// A step of so many rows, from the memory of the host to the memory of the host.
+    fn run(&mut self, rows: usize) -> Result<()> {
+        match self.graphs.get(&rows) {
+            None => {
+                self.launch_all(rows)?;
+                self.graphs.insert(rows, None);
+            }
+            Some(Some(graph)) => graph.repeat()?,
+            Some(None) => {
+                let graph = self.device.record(&mut || self.launch_all(rows))?;
+                match &graph {
+                    Some(graph) => graph.repeat()?,
+                    None => self.launch_all(rows)?,
+                }
+                self.graphs.insert(rows, graph);
+            }
+        }
+        self.device.finish()
+    }
+
+    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
+        // SAFETY: every call of this file passes the kernel's parameters in type and order, and buffers that `new` has made
+        // for these shapes.
+        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    }
+
+    fn weight(&self, matrix: &Matrix) -> Address {
+        self.weights.address.plus(matrix.first)
+    }
+
+    /// The parts of `left W`, and how many there are.
+    fn product(&self, matrix: &Matrix, left: Address, parts: &Buffer, rows: usize) -> Result<usize> {
+        let count = matrix.rows.div_ceil(PART);
+        let (kernel, groups) = match rows {
+            1 => (Kernel::ProductOfRow, 1),
+            _ => (Kernel::ProductOfRows, rows.div_ceil(ROWS)),
+        };
+        let grid = [matrix.columns.div_ceil(128), count, groups];
+        self.launch(
+            kernel,
+            Shape { grid, block: [256, 1], shared: 0 },
+            &[
+                left.into(),
+                self.weight(matrix).into(),
+                parts.address.into(),
+                matrix.rows.into(),
+                matrix.columns.into(),
+                rows.into(),
+            ],
+        )?;
+        Ok(count)
+    }
+
+    /// A linear layer.
+    fn linear(&self, matrix: &Matrix, left: Address, active: bool, rows: usize) -> Result<()> {
+        let [parts, _] = &self.parts;
+        let count = self.product(matrix, left, parts, rows)?;
+        self.launch(
+            Kernel::LinearStreams,
+            self.units(rows),
+            &[
+                parts.address.into(),
+                self.signal.address.into(),
+                count.into(),
+                usize::from(active).into(),
+            ],
+        )
+    }
+
+    /// Blocks over the hidden units of rows.
+    fn units(&self, rows: usize) -> Shape {
+        Shape::new(self.constants.hidden_columns().div_ceil(128), rows, 128)
+    }
+
+    /// Puts a step of so many rows into the queue.
+    fn launch_all(&self, rows: usize) -> Result<()> {
+        let Constants { encoder, particles, .. } = self.constants;
+        let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
+        let signal = self.signal.address;
+        self.launch(
+            Kernel::LoadStreams,
+            Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
+            &[
+                self.host_rows.address.into(),
+                self.host_frames.address.into(),
+                self.rows.address.into(),
+                self.frames.address.into(),
+                self.before.address.into(),
+                layers.into(),
+            ],
+        )?;
+        let chunks = particles.div_ceil(TILE);
+        self.launch(
+            Kernel::EncodeStreams,
+            Shape { grid: [chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 },
+            &[
+                self.frames.address.into(),
+                self.rows.address.into(),
+                self.weight(&self.layout.points).into(),
+                self.scaling.address.into(),
+                self.sums.address.into(),
+            ],
+        )?;
+        self.launch(
+            Kernel::PoolStreams,
+            Shape::new(rows, 1, 256),
+            &[self.sums.address.into(), self.pooled.address.into(), chunks.into()],
+        )?;
+        self.linear(&self.layout.pooled, self.pooled.address, false, rows)?;
+        (0..layers).try_for_each(|layer| self.core_layer(layer, rows))?;
+        self.linear(&self.layout.mixer, signal, true, rows)?;
+        let [parts, _] = &self.parts;
+        let count = self.product(&self.layout.decoder, signal, parts, rows)?;
+        self.launch(
+            Kernel::PredictStreams,
+            Shape::new(particles.div_ceil(256), rows, 256),
+            &[
+                parts.address.into(),
+                self.frames.address.into(),
+                self.host_next.address.into(),
+                count.into(),
+                self.dt.into(),
+            ],
+        )
+    }
+
+    fn core_layer(&self, layer: usize, rows: usize) -> Result<()> {
+        let (matrix, recurrent) = &self.layout.core[layer];
+        let signal = self.signal.address;
+        if self.core == Core::Mlp {
+            return self.linear(matrix, signal, true, rows);
+        }
+        let [parts, recurrent_parts] = &self.parts;
+        let states = self.before.address.plus(layer * rows * self.constants.hidden_columns());
+        let count = self.product(matrix, signal, parts, rows)?;
+        if let Some(recurrent) = recurrent {
+            self.product(recurrent, states, recurrent_parts, rows)?;
+        }
+        let kernel = match self.core {
+            Core::Mlp | Core::MinGru => Kernel::MinGruStreams,
+            Core::MinLstm => Kernel::MinLstmStreams,
+            Core::Gru => Kernel::GruStreams,
+            Core::Lstm => Kernel::LstmStreams,
+        };
+        let mut arguments: Vec<Argument> = vec![parts.address.into()];
+        if recurrent.is_some() {
+            arguments.push(recurrent_parts.address.into());
+        }
+        if self.core != Core::Lstm {
+            arguments.push(states.into());
+        }
+        let rest: [Argument; 4] =
+            [self.rows.address.into(), signal.into(), count.into(), layer.into()];
+        arguments.extend(rest);
+        if self.core == Core::Lstm {
+            arguments.push(self.layout.core.len().into());
+        }
+        self.launch(kernel, self.units(rows), &arguments)
+    }
+}
+
+/// A frame model on a device, as the streaming engine uses it. Steps from several threads follow each other. After a
+/// failure of the device every step fails with it.
+#[derive(Clone)]
+pub struct Streams(Arc<Mutex<Shared>>);
+
+struct Shared {
+    inference: Inference,
+    failure: Option<String>,
+}
+
+impl Streams {
+    /// Of a network on a device.
+    pub fn new(inference: Inference) -> Self {
+        Self(Arc::new(Mutex::new(Shared { inference, failure: None })))
+    }
+
+    fn shared(&self) -> MutexGuard<'_, Shared> {
+        self.0.lock().unwrap_or_else(|broken| broken.into_inner())
+    }
+
+    /// Runs `work`, unless the device has failed; keeps its failure.
+    fn attempt<T>(
+        &self,
+        work: impl FnOnce(&mut Inference) -> Result<T>,
+    ) -> std::result::Result<T, ModelError> {
+        let Shared { inference, failure } = &mut *self.shared();
+        if failure.is_none() {
+            match work(inference) {
+                Ok(value) => return Ok(value),
+                // Nothing is lost but this state: other streams go on.
+                Err(reason @ CudaError::Memory { .. }) => {
+                    return Err(ModelError::Device(reason.to_string()));
+                }
+                Err(reason) => *failure = Some(reason.to_string()),
+            }
+        }
+        Err(ModelError::Device(failure.clone().unwrap_or_default()))
+    }
+}
+
+impl Accelerator for Streams {
+    fn streams(&self) -> usize {
+        MOST_STREAMS
+    }
+
+    fn start(&self, material: &[u8]) -> std::result::Result<Box<dyn DeviceState>, ModelError> {
+        let memory = self.attempt(|inference| inference.memory(material))?;
+        Ok(Box::new(State { owner: self.clone(), memory: Some(memory) }))
+    }
+
+    fn step(&self, steps: &mut [DeviceStep<'_>]) -> std::result::Result<(), ModelError> {
+        self.attempt(|inference| {
+            for batch in steps.chunks_mut(MOST_STREAMS) {
+                let mut rows = Vec::with_capacity(batch.len());
+                for DeviceStep { state, frame, next } in batch {
+                    let Some(memory) = memory_of(&**state) else {
+                        let reason = "the state of a stream could not be copied".to_owned();
+                        return Err(CudaError::Call { call: "cuMemAlloc", reason });
+                    };
+                    rows.push((memory, *frame, &mut **next));
+                }
+                inference.step(&mut rows)?;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// The state of a stream on a device; without memory where a copy of it failed.
+struct State {
+    owner: Streams,
+    memory: Option<Memory>,
+}
+
+fn memory_of(state: &dyn DeviceState) -> Option<&Memory> {
+    let state: &dyn Any = state;
+    state.downcast_ref::<State>()?.memory.as_ref()
+}
+
+impl DeviceState for State {
+    fn duplicate(&self) -> Box<dyn DeviceState> {
+        let copy = self.memory.as_ref().and_then(|memory| {
+            self.owner.attempt(|_| memory.duplicate()).ok()
+        });
+        Box::new(Self { owner: self.owner.clone(), memory: copy })
+    }
+
+    fn copy_from(&mut self, other: &dyn DeviceState) {
+        let (Some(to), Some(from)) = (&self.memory, memory_of(other)) else {
+            self.memory = None;
+            return;
+        };
+        if self.owner.attempt(|_| to.copy_from(from)).is_err() {
+            self.memory = None;
+        }
+    }
+
+    fn forget(&mut self) {
+        if let Some(memory) = &self.memory
+            && self.owner.attempt(|_| memory.clear()).is_err()
+        {
+            self.memory = None;
+        }
+    }
+
+    fn numbers(&self) -> Vec<f32> {
+        let memory = self.memory.as_ref();
+        memory.and_then(|memory| self.owner.attempt(|_| memory.states()).ok()).unwrap_or_default()
+    }
+}
+
+/// Materials of particles, at most [`MATERIALS`] kinds.
+const _: () = assert!(MATERIALS == eddy_frames::Material::COUNT);

@@ -1,0 +1,63 @@
+//! Devices beside the processor that predict streams: eddy's own code for them lies in crates that use this one.
+
+use std::{any::Any, fmt};
+
+use super::ModelError;
+use eddy_frames::{Frame, FrameView};
+
+/// A device that predicts streams with one network. The hidden states stay on it.
+///
+/// The same frames give the same bits, whatever other streams are stepped with them.
+pub trait Accelerator: Send + Sync {
+    /// Number of streams from which on stepping more at once gains nothing.
+    fn streams(&self) -> usize;
+
+    /// The state of a stream of particles of these materials (by number, `[N]`), before its first frame.
+    ///
+    /// # Errors
+    /// [`ModelError::Device`].
+    fn start(&self, material: &[u8]) -> Result<Box<dyn DeviceState>, ModelError>;
+
+    /// Observes a frame of each stream and writes positions and velocities of the predicted next frame.
+    ///
+    /// # Errors
+    /// [`ModelError::Device`]: the device has failed, now or before; then nothing is predicted any more.
+    fn step(&self, steps: &mut [DeviceStep<'_>]) -> Result<(), ModelError>;
+}
+
+/// One stream of [`Accelerator::step`].
+pub struct DeviceStep<'a> {
+    /// The stream's state.
+    pub state: &'a mut dyn DeviceState,
+    /// The observed frame.
+    pub frame: FrameView<'a>,
+    /// The predicted one, with as many particles.
+    pub next: &'a mut Frame,
+}
+
+/// The hidden state of a stream on a device. A failure of the device shows at the next [`Accelerator::step`].
+pub trait DeviceState: Any + Send + Sync {
+    /// A copy.
+    fn duplicate(&self) -> Box<dyn DeviceState>;
+
+    /// Becomes a copy of a state of the same network and particles.
+    fn copy_from(&mut self, other: &dyn DeviceState);
+
+    /// Forgets the observed frames.
+    fn forget(&mut self);
+
+    /// The numbers of the state; empty where the device has failed.
+    fn numbers(&self) -> Vec<f32>;
+}
+
+impl fmt::Debug for dyn DeviceState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.numbers()).finish()
+    }
+}
+
+impl PartialEq for dyn DeviceState {
+    fn eq(&self, other: &Self) -> bool {
+        self.numbers() == other.numbers()
+    }
+}
