@@ -3,21 +3,19 @@
 //! `frame_training check` compares small networks of every core with the emulator; `frame_training time` times steps
 //! of the paper's network; `frame_training once` takes one step, for a profiler.
 
-use std::{collections::BTreeMap, error::Error, sync::Arc};
+mod problem;
+
+use std::sync::Arc;
 
 use eddy_cuda::{
     device::Device,
-    frame::{Batch, GROUP, Settings, Store, StoreWriter, Training, Window},
+    frame::{GROUP, Settings, Training},
     gpu::{Gpu, Precision, list},
-    kernels::Constants,
 };
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::clock::Clock;
-use eddy_inference::checkpoint::{
-    Architecture, Core, Description, MaterialInput, Sizes, Weights, initial_weights,
-};
-
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use eddy_inference::checkpoint::{Core, Sizes};
+use problem::{PAPER, Problem, Result, settings, worst};
 
 fn main() -> Result<()> {
     for gpu in list()? {
@@ -28,119 +26,6 @@ fn main() -> Result<()> {
         Some("time") => time(),
         Some("once") => once(),
         _ => Err("expected check, time or once".into()),
-    }
-}
-
-/// Numbers in -1..1 that only depend on the seed.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f32 {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / (1u64 << 23) as f32 - 1.0
-    }
-}
-
-/// A network of these widths, its weights, and streams of particles that move at random.
-struct Problem {
-    description: Description,
-    weights: BTreeMap<String, Weights>,
-    settings: Settings,
-    frames: usize,
-    streams: usize,
-}
-
-impl Problem {
-    fn new(core: Core, sizes: Sizes, one_hot: bool, settings: Settings) -> Self {
-        let mut description = Description::untrained(Architecture::Frame, core, sizes);
-        if !one_hot {
-            description.frame.material = MaterialInput::Scalar;
-        }
-        let mut noise = Noise(7);
-        let mut weights = initial_weights(&description, 1);
-        for weight in weights.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
-            *weight = 0.03 * noise.next();
-        }
-        Self { description, weights, settings, frames: 40, streams: 8 }
-    }
-
-    fn store(&self, device: &dyn Device) -> Result<Store> {
-        let particles = self.description.sizes.particles.unwrap_or_default();
-        let mut noise = Noise(3);
-        let mut store = StoreWriter::new(device, particles, self.frames * self.streams)?;
-        for stream in 0..self.streams {
-            let material: Vec<u8> =
-                (0..particles).map(|p| ((p * 4 / particles + stream) % 4) as u8).collect();
-            store.stream(&material);
-            for _ in 0..self.frames {
-                let bodies: Vec<_> = (0..particles)
-                    .map(|_| {
-                        [
-                            0.5 + 0.4 * noise.next(),
-                            0.5 + 0.4 * noise.next(),
-                            noise.next(),
-                            noise.next(),
-                        ]
-                    })
-                    .collect();
-                store.frame(&bodies)?;
-            }
-        }
-        Ok(store.finish()?)
-    }
-
-    fn training(&self, device: Arc<dyn Device>) -> Result<Training> {
-        let store = Arc::new(self.store(&*device)?);
-        let training = Training::new(device, store, &self.description, &self.settings)?;
-        training.set_weights(&self.weights)?;
-        let even = 2.0
-            * self.description.sizes.particles.unwrap_or_default() as f32
-            * self.settings.unroll as f32;
-        training.set_error_weights([1.0 / even, 1.0 / even, 0.25 / even, 0.25 / even])?;
-        Ok(training)
-    }
-
-    fn constants(&self) -> Result<Constants> {
-        Ok(Constants::of(&self.description)?)
-    }
-
-    fn batches(&self, count: usize) -> Vec<Batch> {
-        let window = |i: usize| Window {
-            stream: i * 7 % self.streams,
-            start: i * 13 % (self.frames - self.settings.warm_up - self.settings.unroll),
-            mirrored: i.is_multiple_of(3),
-            noise: i.is_multiple_of(2).then_some([i as u8; 32]),
-        };
-        (1..=count)
-            .map(|step| Batch {
-                windows: (0..self.settings.batch)
-                    .map(|i| window(i + step * self.settings.batch))
-                    .collect(),
-                rate: 1e-3 / (1.0 - 0.9f32.powi(step as i32)),
-                correction: 1.0 / (1.0 - 0.999f32.powi(step as i32)).sqrt(),
-                kept: 0.5,
-                dropout: [step as u8; 32],
-                weights: None,
-            })
-            .collect()
-    }
-}
-
-fn settings(batch: usize, warm_up: usize) -> Settings {
-    Settings {
-        batch,
-        warm_up,
-        unroll: 1,
-        relative: false,
-        observed_weight: 1.0,
-        density_weight: 0.0,
-        density_nodes: 32,
-        dropout: 0.0,
-        noise: [0.0, 0.0],
-        clip: f32::INFINITY,
-        epsilon: 1e-8,
-        average: false,
     }
 }
 
@@ -190,19 +75,6 @@ fn check() -> Result<()> {
     }
     Ok(())
 }
-
-/// The largest relative error of a tensor.
-fn worst(found: &BTreeMap<String, Weights>, expected: &BTreeMap<String, Weights>) -> f64 {
-    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
-    let errors = expected.iter().map(|(name, expected)| {
-        let pairs = found[name].values.iter().zip(&expected.values);
-        norm(&mut pairs.map(|(a, b)| f64::from(a - b)))
-            / norm(&mut expected.values.iter().map(|&b| f64::from(b))).max(1e-12)
-    });
-    errors.fold(0.0, f64::max)
-}
-
-const PAPER: Sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(2500) };
 
 /// Median milliseconds a step.
 fn median(

@@ -36,6 +36,41 @@ static unsigned long long atomicAdd(unsigned long long* to, unsigned long long b
   return before;
 }
 
+// A warp's exchange of numbers: all threads of a block take part as often.
+static void meet();
+static float lanes[1024][6];
+static unsigned thread_number() { return threadIdx.y * blockDim.x + threadIdx.x; }
+static float exchange_lanes(float v, int mask) {
+  lanes[thread_number()][0] = v;
+  meet();
+  const float found = lanes[thread_number() ^ mask][0];
+  meet();
+  return found;
+}
+// TF32: 10 bits of mantissa; the tensor cores ignore the others.
+static float masked(float v, unsigned add) {
+  unsigned bits;
+  std::memcpy(&bits, &v, 4);
+  bits = (bits + add) & 0xffffe000u;
+  std::memcpy(&v, &bits, 4);
+  return v;
+}
+static float round_mantissa(float v) { return masked(v, 0x1000u); }
+// Fragments of mma.m16n8k8 as the PTX ISA lays them out.
+static void multiply_fragments(float* c, const float* a, const float* b) {
+  const unsigned self = thread_number(), warp = self & ~31u, row = (self & 31) >> 2, pair = self & 3;
+  for (int i = 0; i < 4; i++) lanes[self][i] = masked(a[i], 0);
+  for (int i = 0; i < 2; i++) lanes[self][4 + i] = masked(b[i], 0);
+  meet();
+  for (int i = 0; i < 4; i++)
+    for (unsigned k = 0; k < 8; k++) {
+      const float left = lanes[warp + 4 * row + (k & 3)][(i >> 1) + 2 * (k >> 2)];
+      const float right = lanes[warp + 4 * (2 * pair + (i & 1)) + (k & 3)][4 + (k >> 2)];
+      c[i] += left * right;
+    }
+  meet();
+}
+
 static const size_t STACK = 64 << 10;
 struct Fiber { ucontext_t context; bool over; };
 static std::vector<Fiber> fibers;

@@ -26,6 +26,8 @@ type Launch = unsafe extern "C" fn(u32, *const u32, *const u32, *mut *mut c_void
 pub struct Emulator {
     /// The kernels keep blocks and fibers in static memory: one launch at a time.
     library: Arc<Mutex<Library>>,
+    /// Whether the encoder multiplies as tensor cores do. Other products are exact.
+    tf32: bool,
 }
 
 /// Compiled libraries by their text.
@@ -46,11 +48,19 @@ impl Emulator {
             .lock()
             .unwrap_or_else(|broken| broken.into_inner());
         if let Some(library) = known.get(&source) {
-            return Ok(Self { library: library.clone() });
+            return Ok(Self { library: library.clone(), tf32: false });
         }
         let library = Arc::new(Mutex::new(compile(&source)?));
         known.insert(source, library.clone());
-        Ok(Self { library })
+        Ok(Self { library, tf32: false })
+    }
+}
+
+impl Emulator {
+    /// The same, with an encoder whose factors are rounded to TF32.
+    #[must_use]
+    pub fn with_tf32(self) -> Self {
+        Self { tf32: true, ..self }
     }
 }
 
@@ -108,42 +118,53 @@ fn pointer(at: Address) -> *mut u8 {
 
 impl Device for Emulator {
     fn allocate(&self, bytes: usize) -> Result<Buffer> {
-        let memory = vec![0u128; bytes.div_ceil(16).max(1)];
-        Ok(Buffer::new(Address(memory.as_ptr() as u64), bytes, memory))
+        let mut memory = vec![0u128; bytes.div_ceil(16).max(1)];
+        let address = Address(memory.as_mut_ptr().expose_provenance() as u64);
+        // SAFETY: the list is that long, and does not move when its owner does.
+        Ok(unsafe { Buffer::new(address, bytes, memory) })
     }
 
     fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
         let mut memory = vec![0u128; bytes.div_ceil(16).max(1)];
         let address = Address(memory.as_mut_ptr().expose_provenance() as u64);
-        // SAFETY: the list is that long, and does not move when its owner does.
+        // SAFETY: as in `allocate`.
         Ok(unsafe { HostBuffer::new(address, bytes, memory) })
+    }
+
+    fn rounds_to_tf32(&self) -> bool {
+        self.tf32
     }
 
     fn free_memory(&self) -> Result<u64> {
         Ok(u64::MAX)
     }
 
-    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()> {
-        // SAFETY: addresses are those of buffers, which are as large as the caller says.
-        unsafe { std::ptr::copy_nonoverlapping(pointer(from), pointer(to), bytes) };
+    fn copy(&self, to: &Buffer, from: &Buffer) -> Result<()> {
+        let bytes = from.bytes();
+        // SAFETY: both buffers are that long, which `part` checks.
+        unsafe {
+            std::ptr::copy(pointer(from.part(0, bytes)), pointer(to.part(0, bytes)), bytes);
+        }
         Ok(())
     }
 
-    fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
-        // SAFETY: addresses are those of buffers, which are as large as the caller says.
-        unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), pointer(to), bytes.len()) };
+    fn write(&self, to: &Buffer, offset: usize, bytes: &[u8]) -> Result<()> {
+        let to = pointer(to.part(offset, bytes.len()));
+        // SAFETY: `part` checks the length.
+        unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) };
         Ok(())
     }
 
-    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
+    fn read(&self, from: &Buffer, offset: usize, bytes: &mut [u8]) -> Result<()> {
+        let from = pointer(from.part(offset, bytes.len()));
         // SAFETY: as above.
-        unsafe { std::ptr::copy_nonoverlapping(pointer(from), bytes.as_mut_ptr(), bytes.len()) };
+        unsafe { std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len()) };
         Ok(())
     }
 
-    fn clear(&self, _: Queue, at: Address, bytes: usize) -> Result<()> {
-        // SAFETY: as above.
-        unsafe { std::ptr::write_bytes(pointer(at), 0, bytes) };
+    fn clear(&self, _: Queue, buffer: &Buffer) -> Result<()> {
+        // SAFETY: the buffer has that many bytes.
+        unsafe { std::ptr::write_bytes(pointer(buffer.address()), 0, buffer.bytes()) };
         Ok(())
     }
 

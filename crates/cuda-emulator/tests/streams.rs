@@ -120,8 +120,7 @@ fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
     for core in [Core::MinGru, Core::Lstm] {
         let surrogate = emulated(&small(core));
         let frames = frames(4, 70, 5);
-        let (mut stepper, mut hidden) =
-            (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
+        let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
         let first = stepper.step(&mut hidden, &frames[0]);
         let mut ahead = hidden.clone();
         assert_eq!(ahead, hidden);

@@ -30,27 +30,50 @@ impl Address {
 
 /// Memory of a device, given back when it is dropped.
 pub struct Buffer {
-    /// Where it starts.
-    pub address: Address,
-    /// Its size.
-    pub bytes: usize,
+    address: Address,
+    bytes: usize,
     /// What gives it back.
     _owner: Box<dyn Any + Send + Sync>,
 }
 
 impl Buffer {
     /// Memory that `owner` gives back when it is dropped.
-    pub fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
+    ///
+    /// # Safety
+    /// The device must have as many bytes there until then.
+    pub unsafe fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
         Self { address, bytes, _owner: Box::new(owner) }
+    }
+
+    /// Where it starts.
+    pub fn address(&self) -> Address {
+        self.address
+    }
+
+    /// Its size.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Where `bytes` bytes from `offset` on start.
+    ///
+    /// # Panics
+    /// If they reach beyond the end.
+    pub fn part(&self, offset: usize, bytes: usize) -> Address {
+        let end = offset.checked_add(bytes);
+        assert!(
+            end.is_some_and(|end| end <= self.bytes),
+            "{bytes} bytes at {offset} of {}",
+            self.bytes
+        );
+        self.address.plus_bytes(offset)
     }
 }
 
 /// Memory of the host that a device reads and writes itself, given back when it is dropped.
 pub struct HostBuffer {
-    /// Where it starts, for the device and for the host.
-    pub address: Address,
-    /// Its size.
-    pub bytes: usize,
+    address: Address,
+    bytes: usize,
     /// What gives it back.
     _owner: Box<dyn Any + Send + Sync>,
 }
@@ -62,6 +85,11 @@ impl HostBuffer {
     /// The address must be that of as many bytes, aligned to 16, until then.
     pub unsafe fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
         Self { address, bytes, _owner: Box::new(owner) }
+    }
+
+    /// Where it starts, for the device and for the host.
+    pub fn address(&self) -> Address {
+        self.address
     }
 
     /// The memory as a list.
@@ -198,35 +226,41 @@ pub trait Device: Send + Sync {
     /// As above.
     fn allocate_host(&self, bytes: usize) -> Result<HostBuffer>;
 
+    /// Whether products are to be computed from factors in TF32, on tensor cores.
+    fn rounds_to_tf32(&self) -> bool;
+
     /// Memory that is free (bytes).
     ///
     /// # Errors
     /// As above.
     fn free_memory(&self) -> Result<u64>;
 
-    /// Copies to the device, after what is in the main queue; returns when the bytes may be changed.
+    /// Copies to the device, after what is in the main queue; returns when the bytes may be changed. `offset` is in bytes.
     ///
     /// # Errors
     /// As above.
-    fn write(&self, to: Address, bytes: &[u8]) -> Result<()>;
+    ///
+    /// # Panics
+    /// If the buffer is too short, as all copies.
+    fn write(&self, to: &Buffer, offset: usize, bytes: &[u8]) -> Result<()>;
 
     /// Copies from the device, after what is in the main queue; returns when the bytes are there.
     ///
     /// # Errors
     /// As above.
-    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()>;
+    fn read(&self, from: &Buffer, offset: usize, bytes: &mut [u8]) -> Result<()>;
 
-    /// Copies within the device, in the main queue.
+    /// Copies a buffer to another of the same size, in the main queue.
     ///
     /// # Errors
     /// As above.
-    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()>;
+    fn copy(&self, to: &Buffer, from: &Buffer) -> Result<()>;
 
     /// Sets memory to zero, in a queue.
     ///
     /// # Errors
     /// As above.
-    fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()>;
+    fn clear(&self, queue: Queue, buffer: &Buffer) -> Result<()>;
 
     /// Puts a kernel into a queue.
     ///

@@ -178,8 +178,9 @@ impl Evaluation {
         let threads = threads.map_or(0, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
-            load(checkpoint).map_err(|reason| {
-                EvaluationError::Checkpoint { checkpoint: name.clone(), reason: Box::new(reason) }
+            load(checkpoint).map_err(|reason| EvaluationError::Checkpoint {
+                checkpoint: name.clone(),
+                reason: Box::new(reason),
             })
         };
         let models: Vec<Surrogate> = checkpoints.iter().map(load).collect::<Result<_, _>>()?;

@@ -28,10 +28,10 @@ pub use recorder::{Losses, RecordError, Recorder, RecordingOptions, TopicDiscove
 pub use requests::{PendingRequest, RequestChannel, Responder};
 pub use service::Service;
 pub use surrogate::{
-    Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle,
-    NodeRequest, NodeResponse, NodeSettings, Observer, OpenClock, Outputs, PARAMETERS,
+    Arrival, CloudTopic, Counters, DriveError, FrameQueue, InvalidSettings, NodeContext,
+    NodeHandle, NodeRequest, NodeResponse, NodeSettings, Observer, OpenClock, Outputs, PARAMETERS,
     ParameterSpec, Prediction, Publish, Rejection, RequestError, RosTime, SurrogateNode, Values,
-    DriveError, diagnostics, drive,
+    diagnostics, drive,
 };
 
 /// The example of the README, which a test runs.

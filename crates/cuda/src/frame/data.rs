@@ -120,9 +120,8 @@ impl<'a> StoreWriter<'a> {
     pub fn frame(&mut self, bodies: &[[f32; 4]]) -> Result<()> {
         assert_eq!(bodies.len(), self.particles, "bodies of a frame");
         let at = 16 * self.written as usize;
-        assert!(at + 16 * bodies.len() <= self.bodies.bytes, "frames of the store");
         self.written += bodies.len() as u64;
-        self.device.write(self.bodies.address.plus_bytes(at), bytemuck::cast_slice(bodies))
+        self.device.write(&self.bodies, at, bytemuck::cast_slice(bodies))
     }
 
     /// The store.
@@ -133,7 +132,7 @@ impl<'a> StoreWriter<'a> {
         self.first.push(self.written);
         let keep = |bytes: &[u8]| -> Result<Buffer> {
             let buffer = self.device.allocate(bytes.len())?;
-            self.device.write(buffer.address, bytes)?;
+            self.device.write(&buffer, 0, bytes)?;
             Ok(buffer)
         };
         Ok(Store {

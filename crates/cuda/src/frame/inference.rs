@@ -11,13 +11,18 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-use eddy_frames::{Frame, FrameView};
+use eddy_frames::{Frame, FrameView, Particles};
 use eddy_inference::{
     checkpoint::{Core, Description, Weights},
     engine::{Accelerator, DeviceState, DeviceStep, ModelError},
 };
 
-use super::layout::{Layout, Matrix};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
+
+use super::{
+    Training,
+    layout::{Layout, Matrix},
+};
 use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
     error::{CudaError, Result},
@@ -36,6 +41,15 @@ const PART: usize = 64;
 const ROWS: usize = 8;
 /// Numbers of a body.
 const BODY: usize = 2 * AXES;
+
+/// Streams from which on several threads copy frames.
+const WORTH_THREADS: usize = 4;
+/// Threads that copy: more do not make the memory faster.
+const COPY_THREADS: usize = 4;
+
+fn copy_threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from).min(COPY_THREADS)
+}
 
 /// x, y, vx, vy of a particle.
 type Body = [f32; BODY];
@@ -63,6 +77,8 @@ pub struct Inference {
     host_next: HostBuffer,
     /// For rows without a stream.
     idle: Memory,
+    /// Copies frames to and from the memory of the host.
+    threads: ThreadPool,
     /// By the number of rows; none before the second step of so many.
     graphs: HashMap<usize, Option<Box<dyn Recording + Send>>>,
 }
@@ -95,17 +111,18 @@ impl Memory {
         let memory = Self { device, buffer, layers, widths, particles };
         memory.clear()?;
         let tables = [order, segments].concat();
-        memory.device.write(memory.order(), bytemuck::cast_slice(&tables))?;
+        let offset = 4 * layers * widths[0];
+        memory.device.write(&memory.buffer, offset, bytemuck::cast_slice(&tables))?;
         Ok(memory)
     }
 
     fn order(&self) -> Address {
-        self.buffer.address.plus(self.layers * self.widths[0])
+        self.buffer.address().plus(self.layers * self.widths[0])
     }
 
     /// `struct Row` of the kernels.
     fn row(&self) -> [u64; 3] {
-        [self.buffer.address, self.order(), self.order().plus(self.particles)].map(|at| at.0)
+        [self.buffer.address(), self.order(), self.order().plus(self.particles)].map(|at| at.0)
     }
 
     /// States as they are before the first frame: zero, with the ones that the bias of W_hh is multiplied by.
@@ -113,22 +130,21 @@ impl Memory {
         let [wide, hidden] = self.widths;
         let mut states = vec![0f32; self.layers * wide];
         states.iter_mut().skip(hidden).step_by(wide).for_each(|one| *one = 1.0);
-        self.device.write(self.buffer.address, bytemuck::cast_slice(&states))
+        self.device.write(&self.buffer, 0, bytemuck::cast_slice(&states))
     }
 
     fn states(&self) -> Result<Vec<f32>> {
         let mut states = vec![0f32; self.layers * self.widths[0]];
-        self.device.read(self.buffer.address, bytemuck::cast_slice_mut(&mut states))?;
+        self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut states))?;
         Ok(states)
     }
 
     fn copy_from(&self, other: &Self) -> Result<()> {
-        assert_eq!(self.buffer.bytes, other.buffer.bytes, "states of one network and as many particles");
-        self.device.copy(self.buffer.address, other.buffer.address, self.buffer.bytes)
+        self.device.copy(&self.buffer, &other.buffer)
     }
 
     fn duplicate(&self) -> Result<Self> {
-        let buffer = self.device.allocate(self.buffer.bytes)?;
+        let buffer = self.device.allocate(self.buffer.bytes())?;
         let Self { device, layers, widths, particles, .. } = self;
         let copy = Self {
             device: device.clone(),
@@ -139,6 +155,20 @@ impl Memory {
         };
         copy.copy_from(self)?;
         Ok(copy)
+    }
+}
+
+/// Positions and velocities side by side.
+fn copy_frame(frame: &FrameView<'_>, bodies: &mut [Body]) {
+    if let Particles::Lists { position, velocity, .. } = frame.particles {
+        for (body, (&[x, y], &[vx, vy])) in bodies.iter_mut().zip(position.iter().zip(velocity)) {
+            *body = [x, y, vx, vy];
+        }
+        return;
+    }
+    for (particle, body) in bodies.iter_mut().enumerate() {
+        let ([x, y], [vx, vy]) = frame.particles.motion(particle);
+        *body = [x, y, vx, vy];
     }
 }
 
@@ -174,6 +204,7 @@ impl Inference {
             host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
+            threads: ThreadPool::new("copies", copy_threads(), 1),
             graphs: HashMap::new(),
             dt: description.dt,
             constants,
@@ -182,8 +213,8 @@ impl Inference {
             device,
         };
         let Self { device, weights, scaling: scales, layout, .. } = &inference;
-        device.write(weights.address, bytemuck::cast_slice(&layout.pack(tensors)))?;
-        device.write(scales.address, bytemuck::cast_slice(&scaling(description)))?;
+        device.write(weights, 0, bytemuck::cast_slice(&layout.pack(tensors)))?;
+        device.write(scales, 0, bytemuck::cast_slice(&scaling(description)))?;
         Ok(inference)
     }
 
@@ -197,33 +228,37 @@ impl Inference {
             panic!("{} streams, at most {MOST_STREAMS}", steps.len());
         };
         let particles = self.constants.particles;
+        let alone = steps.len() < WORTH_THREADS;
         {
             // SAFETY: the last step has finished, and nothing else uses this memory.
-            let (table, frames) = unsafe {
-                (self.host_rows.slice::<[u64; 3]>(), self.host_frames.slice::<Body>())
-            };
+            let (table, frames) =
+                unsafe { (self.host_rows.slice::<[u64; 3]>(), self.host_frames.slice::<Body>()) };
             let memories = steps.iter().map(|(memory, ..)| *memory);
             for (row, memory) in
                 table.iter_mut().zip(memories.chain(std::iter::repeat(&self.idle))).take(rows)
             {
                 *row = memory.row();
             }
-            for ((_, frame, _), bodies) in steps.iter().zip(frames.chunks_exact_mut(particles)) {
-                for (particle, body) in bodies.iter_mut().enumerate() {
-                    let ([x, y], [vx, vy]) = frame.particles.motion(particle);
-                    *body = [x, y, vx, vy];
-                }
-            }
+            let (steps, frames) = (&*steps, DisjointSlice::new(frames));
+            self.threads.run([steps.len()], alone, &|Task { item, .. }| {
+                // SAFETY: each item runs once.
+                let bodies = unsafe { frames.part(item * particles..(item + 1) * particles) };
+                copy_frame(&steps[item].1, bodies);
+            });
         }
         self.run(rows)?;
         // SAFETY: as above.
         let next = unsafe { self.host_next.slice::<Body>() };
-        for ((.., frame), bodies) in steps.iter_mut().zip(next.chunks_exact(particles)) {
+        let (steps, next) = (DisjointSlice::new(steps), &*next);
+        self.threads.run([steps.len()], alone, &|Task { item, .. }| {
+            // SAFETY: each item runs once.
+            let (.., frame) = &mut unsafe { steps.part(item..item + 1) }[0];
             let after = frame.position.iter_mut().zip(&mut frame.velocity);
+            let bodies = &next[item * particles..];
             for ((position, velocity), &[x, y, vx, vy]) in after.zip(bodies) {
                 (*position, *velocity) = ([x, y], [vx, vy]);
             }
-        }
+        });
         Ok(())
     }
 
@@ -254,11 +289,17 @@ impl Inference {
     }
 
     fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address.plus(matrix.first)
+        self.weights.address().plus(matrix.first)
     }
 
     /// The parts of `left W`, and how many there are.
-    fn product(&self, matrix: &Matrix, left: Address, parts: &Buffer, rows: usize) -> Result<usize> {
+    fn product(
+        &self,
+        matrix: &Matrix,
+        left: Address,
+        parts: &Buffer,
+        rows: usize,
+    ) -> Result<usize> {
         let count = matrix.rows.div_ceil(PART);
         let (kernel, groups) = match rows {
             1 => (Kernel::ProductOfRow, 1),
@@ -271,7 +312,7 @@ impl Inference {
             &[
                 left.into(),
                 self.weight(matrix).into(),
-                parts.address.into(),
+                parts.address().into(),
                 matrix.rows.into(),
                 matrix.columns.into(),
                 rows.into(),
@@ -288,8 +329,8 @@ impl Inference {
             Kernel::LinearStreams,
             self.units(rows),
             &[
-                parts.address.into(),
-                self.signal.address.into(),
+                parts.address().into(),
+                self.signal.address().into(),
                 count.into(),
                 usize::from(active).into(),
             ],
@@ -305,16 +346,16 @@ impl Inference {
     fn launch_all(&self, rows: usize) -> Result<()> {
         let Constants { encoder, particles, .. } = self.constants;
         let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
-        let signal = self.signal.address;
+        let signal = self.signal.address();
         self.launch(
             Kernel::LoadStreams,
             Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
             &[
-                self.host_rows.address.into(),
-                self.host_frames.address.into(),
-                self.rows.address.into(),
-                self.frames.address.into(),
-                self.before.address.into(),
+                self.host_rows.address().into(),
+                self.host_frames.address().into(),
+                self.rows.address().into(),
+                self.frames.address().into(),
+                self.before.address().into(),
                 layers.into(),
             ],
         )?;
@@ -323,19 +364,19 @@ impl Inference {
             Kernel::EncodeStreams,
             Shape { grid: [chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 },
             &[
-                self.frames.address.into(),
-                self.rows.address.into(),
+                self.frames.address().into(),
+                self.rows.address().into(),
                 self.weight(&self.layout.points).into(),
-                self.scaling.address.into(),
-                self.sums.address.into(),
+                self.scaling.address().into(),
+                self.sums.address().into(),
             ],
         )?;
         self.launch(
             Kernel::PoolStreams,
             Shape::new(rows, 1, 256),
-            &[self.sums.address.into(), self.pooled.address.into(), chunks.into()],
+            &[self.sums.address().into(), self.pooled.address().into(), chunks.into()],
         )?;
-        self.linear(&self.layout.pooled, self.pooled.address, false, rows)?;
+        self.linear(&self.layout.pooled, self.pooled.address(), false, rows)?;
         (0..layers).try_for_each(|layer| self.core_layer(layer, rows))?;
         self.linear(&self.layout.mixer, signal, true, rows)?;
         let [parts, _] = &self.parts;
@@ -344,9 +385,9 @@ impl Inference {
             Kernel::PredictStreams,
             Shape::new(particles.div_ceil(256), rows, 256),
             &[
-                parts.address.into(),
-                self.frames.address.into(),
-                self.host_next.address.into(),
+                parts.address().into(),
+                self.frames.address().into(),
+                self.host_next.address().into(),
                 count.into(),
                 self.dt.into(),
             ],
@@ -355,12 +396,12 @@ impl Inference {
 
     fn core_layer(&self, layer: usize, rows: usize) -> Result<()> {
         let (matrix, recurrent) = &self.layout.core[layer];
-        let signal = self.signal.address;
+        let signal = self.signal.address();
         if self.core == Core::Mlp {
             return self.linear(matrix, signal, true, rows);
         }
         let [parts, recurrent_parts] = &self.parts;
-        let states = self.before.address.plus(layer * rows * self.constants.hidden_columns());
+        let states = self.before.address().plus(layer * rows * self.constants.hidden_columns());
         let count = self.product(matrix, signal, parts, rows)?;
         if let Some(recurrent) = recurrent {
             self.product(recurrent, states, recurrent_parts, rows)?;
@@ -371,15 +412,15 @@ impl Inference {
             Core::Gru => Kernel::GruStreams,
             Core::Lstm => Kernel::LstmStreams,
         };
-        let mut arguments: Vec<Argument> = vec![parts.address.into()];
+        let mut arguments: Vec<Argument> = vec![parts.address().into()];
         if recurrent.is_some() {
-            arguments.push(recurrent_parts.address.into());
+            arguments.push(recurrent_parts.address().into());
         }
         if self.core != Core::Lstm {
             arguments.push(states.into());
         }
         let rest: [Argument; 4] =
-            [self.rows.address.into(), signal.into(), count.into(), layer.into()];
+            [self.rows.address().into(), signal.into(), count.into(), layer.into()];
         arguments.extend(rest);
         if self.core == Core::Lstm {
             arguments.push(self.layout.core.len().into());
@@ -402,6 +443,18 @@ impl Streams {
     /// Of a network on a device.
     pub fn new(inference: Inference) -> Self {
         Self(Arc::new(Mutex::new(Shared { inference, failure: None })))
+    }
+
+    /// Takes the weights that a training on the same device has now, averaged if it keeps an average.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`].
+    ///
+    /// # Panics
+    /// With a training of another network.
+    pub fn copy_weights(&self, training: &Training) -> Result<()> {
+        let Shared { inference, .. } = &*self.shared();
+        inference.device.copy(&inference.weights, training.averaged_weights())
     }
 
     fn shared(&self) -> MutexGuard<'_, Shared> {
@@ -469,9 +522,8 @@ fn memory_of(state: &dyn DeviceState) -> Option<&Memory> {
 
 impl DeviceState for State {
     fn duplicate(&self) -> Box<dyn DeviceState> {
-        let copy = self.memory.as_ref().and_then(|memory| {
-            self.owner.attempt(|_| memory.duplicate()).ok()
-        });
+        let copy =
+            self.memory.as_ref().and_then(|memory| self.owner.attempt(|_| memory.duplicate()).ok());
         Box::new(Self { owner: self.owner.clone(), memory: copy })
     }
 

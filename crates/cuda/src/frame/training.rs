@@ -214,7 +214,7 @@ impl Training {
                 // The ones that the bias of W_hh is multiplied by.
                 let mut before = vec![0f32; batch * wide];
                 before.iter_mut().skip(constants.hidden).step_by(wide).for_each(|one| *one = 1.0);
-                device.write(memory.states.address, bytemuck::cast_slice(&before))?;
+                device.write(&memory.states, 0, bytemuck::cast_slice(&before))?;
             }
             Ok(memory)
         };
@@ -268,9 +268,7 @@ impl Training {
             store,
             device,
         };
-        training
-            .device
-            .write(training.scaling.address, bytemuck::cast_slice(&scaling(description)))?;
+        training.device.write(&training.scaling, 0, bytemuck::cast_slice(&scaling(description)))?;
         Ok(training)
     }
 
@@ -279,7 +277,7 @@ impl Training {
     /// # Errors
     /// [`CudaError::Call`].
     pub fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
-        self.device.write(self.weights.address, bytemuck::cast_slice(&self.layout.pack(tensors)))
+        self.device.write(&self.weights, 0, bytemuck::cast_slice(&self.layout.pack(tensors)))
     }
 
     /// Puts what Adam remembers of each tensor onto the device: first and second moments and the weights' running
@@ -293,7 +291,7 @@ impl Training {
         for (number, buffer) in buffers.into_iter().enumerate() {
             if let Some(buffer) = buffer {
                 let all = self.layout.pack_ordered(moments.iter().map(|tensor| tensor[number]));
-                self.device.write(buffer.address, bytemuck::cast_slice(&all))?;
+                self.device.write(buffer, 0, bytemuck::cast_slice(&all))?;
             }
         }
         Ok(())
@@ -325,7 +323,7 @@ impl Training {
     /// [`CudaError::Call`].
     pub fn set_error_weights(&self, weights: [f32; 4]) -> Result<()> {
         let all = vec![weights; self.settings.unroll * self.settings.batch * MATERIALS];
-        self.device.write(self.error_weights.address, bytemuck::cast_slice(&all))
+        self.device.write(&self.error_weights, 0, bytemuck::cast_slice(&all))
     }
 
     /// The weights as a checkpoint has them.
@@ -341,7 +339,7 @@ impl Training {
     /// # Errors
     /// [`CudaError::Call`].
     pub fn average(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(self.average.as_ref().unwrap_or(&self.weights))
+        self.read(self.averaged_weights())
     }
 
     /// The gradient of the last step, before any tensor of it was shortened.
@@ -352,13 +350,18 @@ impl Training {
         self.read(&self.gradients)
     }
 
+    /// The running average where it lies on the device; the weights themselves where none is kept.
+    pub(super) fn averaged_weights(&self) -> &Buffer {
+        self.average.as_ref().unwrap_or(&self.weights)
+    }
+
     fn read(&self, buffer: &Buffer) -> Result<BTreeMap<String, Weights>> {
         Ok(self.layout.unpack(&self.numbers(buffer)?))
     }
 
     fn numbers(&self, buffer: &Buffer) -> Result<Vec<f32>> {
         let mut all = vec![0f32; self.layout.size];
-        self.device.read(buffer.address, bytemuck::cast_slice_mut(&mut all))?;
+        self.device.read(buffer, 0, bytemuck::cast_slice_mut(&mut all))?;
         Ok(all)
     }
 
@@ -390,9 +393,9 @@ impl Training {
             schedule.push(0);
             schedule.extend(key(batch.dropout));
         }
-        self.device.write(self.windows.address, bytemuck::cast_slice(&windows))?;
-        self.device.write(self.schedule.address, bytemuck::cast_slice(&schedule))?;
-        self.device.write(self.progress.address, bytemuck::cast_slice(&[0u32]))?;
+        self.device.write(&self.windows, 0, bytemuck::cast_slice(&windows))?;
+        self.device.write(&self.schedule, 0, bytemuck::cast_slice(&schedule))?;
+        self.device.write(&self.progress, 0, bytemuck::cast_slice(&[0u32]))?;
         if batches.iter().any(|batch| batch.weights.is_some()) {
             let all: Vec<_> = batches
                 .iter()
@@ -400,7 +403,7 @@ impl Training {
                 .flatten()
                 .copied()
                 .collect();
-            self.device.write(self.error_weights.address, bytemuck::cast_slice(&all))?;
+            self.device.write(&self.error_weights, 0, bytemuck::cast_slice(&all))?;
         }
         for _ in batches {
             match &self.recording {
@@ -429,7 +432,7 @@ impl Training {
     pub fn outcomes(&self, steps: usize) -> Result<Vec<Outcome>> {
         assert!(steps <= GROUP, "{steps} steps, at most {GROUP}");
         let mut words = vec![[0u32; 4]; steps];
-        self.device.read(self.outcomes.address, bytemuck::cast_slice_mut(&mut words))?;
+        self.device.read(&self.outcomes, 0, bytemuck::cast_slice_mut(&mut words))?;
         let outcome = |&[loss, norm, not_finite, _]: &[u32; 4]| Outcome {
             loss: f32::from_bits(loss),
             gradient_norm: f32::from_bits(norm),
@@ -452,7 +455,7 @@ impl Training {
 
     /// The place of frame `t` in a buffer of so many numbers a window.
     fn at(&self, buffer: &Buffer, t: usize, numbers: usize) -> Address {
-        buffer.address.plus(t * self.settings.batch * numbers)
+        buffer.address().plus(t * self.settings.batch * numbers)
     }
 
     /// `struct Frames` of the kernels.
@@ -528,7 +531,7 @@ impl Training {
         slopes: Address,
         rows: usize,
     ) -> Result<()> {
-        let gradient = self.gradients.address.plus(matrix.first);
+        let gradient = self.gradients.address().plus(matrix.first);
         self.product(
             Queue::Side,
             [input, slopes, gradient],
@@ -556,7 +559,7 @@ impl Training {
     }
 
     fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address.plus(matrix.first)
+        self.weights.address().plus(matrix.first)
     }
 
     /// Blocks over the hidden units of rows.
@@ -576,24 +579,35 @@ impl Training {
             Kernel::Observe,
             self.particles(warm_up * batch),
             &[
-                self.store.bodies.address.into(),
-                self.windows.address.into(),
-                self.progress.address.into(),
-                self.states.address.into(),
+                self.store.bodies.address().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
+                self.states.address().into(),
                 batch.into(),
-                warm_up.into(),
                 self.sides.into(),
-                self.settings.noise[0].into(),
-                self.settings.noise[1].into(),
             ],
         )?;
+        let [positions, velocities] = self.settings.noise;
+        if positions > 0.0 || velocities > 0.0 {
+            self.launch(
+                Kernel::Disturb,
+                self.particles(batch),
+                &[
+                    self.windows.address().into(),
+                    self.progress.address().into(),
+                    self.at(&self.states, warm_up - 1, self.constants.particles * BODY).into(),
+                    positions.into(),
+                    velocities.into(),
+                ],
+            )?;
+        }
         let segments: Vec<(usize, usize)> =
             std::iter::once((0, warm_up)).chain((warm_up..self.frames()).map(|t| (t, 1))).collect();
         segments.iter().try_for_each(|&(first, frames)| self.forward(first, frames))?;
         self.loss()?;
         for layer in &self.layers {
             for carried in std::iter::once(&layer.carried).chain(&layer.carried_cell) {
-                self.device.clear(Queue::Main, carried.address, carried.bytes)?;
+                self.device.clear(Queue::Main, carried)?;
             }
         }
         segments.iter().rev().try_for_each(|&(first, frames)| self.backward(first, frames))?;
@@ -602,10 +616,10 @@ impl Training {
             Kernel::Finish,
             Shape::new(1, 1, 256),
             &[
-                self.tensor_totals.address.into(),
+                self.tensor_totals.address().into(),
                 self.layout.tensors.into(),
-                self.progress.address.into(),
-                self.outcomes.address.into(),
+                self.progress.address().into(),
+                self.outcomes.address().into(),
             ],
         )
     }
@@ -617,21 +631,27 @@ impl Training {
         let wide = self.constants.hidden_columns();
         let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
-        self.launch(
-            Kernel::Encode,
-            Shape { grid: [self.chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 },
-            &[
-                self.at(&self.states, first, particles * BODY).into(),
-                self.store.order.address.into(),
-                self.store.segments.address.into(),
-                self.windows.address.into(),
-                self.progress.address.into(),
-                self.weight(&self.layout.points).into(),
-                self.scaling.address.into(),
-                sums.into(),
-                batch.into(),
-            ],
-        )?;
+        let states: Argument = self.at(&self.states, first, particles * BODY).into();
+        let rest: [Argument; 6] = [
+            self.windows.address().into(),
+            self.progress.address().into(),
+            self.weight(&self.layout.points).into(),
+            self.scaling.address().into(),
+            sums.into(),
+            batch.into(),
+        ];
+        let shape =
+            Shape { grid: [self.chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 };
+        if self.device.rounds_to_tf32() {
+            let material = self.store.material.address().into();
+            let arguments: Vec<_> = [states, material].into_iter().chain(rest).collect();
+            self.launch(Kernel::EncodeTensor, shape, &arguments)?;
+        } else {
+            let order =
+                [&self.store.order, &self.store.segments].map(|buffer| buffer.address().into());
+            let arguments: Vec<_> = [states].into_iter().chain(order).chain(rest).collect();
+            self.launch(Kernel::Encode, shape, &arguments)?;
+        }
         self.launch(
             Kernel::Pool,
             Shape::new(rows, 1, 256),
@@ -657,14 +677,14 @@ impl Training {
             Kernel::Advance,
             self.particles(rows),
             &[
-                self.states.address.into(),
-                self.output.address.into(),
-                self.store.bodies.address.into(),
-                self.windows.address.into(),
-                self.progress.address.into(),
-                self.store.material.address.into(),
-                self.error_weights.address.into(),
-                self.squares.address.into(),
+                self.states.address().into(),
+                self.output.address().into(),
+                self.store.bodies.address().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
+                self.store.material.address().into(),
+                self.error_weights.address().into(),
+                self.squares.address().into(),
                 self.frames_argument(),
                 from.into(),
             ],
@@ -764,8 +784,8 @@ impl Training {
             &[
                 from.into(),
                 to.into(),
-                self.schedule.address.into(),
-                self.progress.address.into(),
+                self.schedule.address().into(),
+                self.progress.address().into(),
                 word.into(),
                 rows.into(),
                 self.settings.dropout.into(),
@@ -799,13 +819,13 @@ impl Training {
                 Kernel::Density,
                 Shape { grid: [unroll, batch, 1], block: [256, 1], shared: 8 * nodes },
                 &[
-                    self.states.address.into(),
-                    self.output.address.into(),
-                    self.store.bodies.address.into(),
-                    self.windows.address.into(),
-                    self.progress.address.into(),
-                    self.densities.address.into(),
-                    gradient.address.into(),
+                    self.states.address().into(),
+                    self.output.address().into(),
+                    self.store.bodies.address().into(),
+                    self.windows.address().into(),
+                    self.progress.address().into(),
+                    self.densities.address().into(),
+                    gradient.address().into(),
                     self.frames_argument(),
                     Argument::from_bytes(bytemuck::cast_slice(&grid)),
                     factor.into(),
@@ -816,16 +836,16 @@ impl Training {
             Kernel::Loss,
             Shape::new(1, 1, 256),
             &[
-                self.squares.address.into(),
+                self.squares.address().into(),
                 self.constants.particles.div_ceil(256).into(),
-                self.densities.address.into(),
+                self.densities.address().into(),
                 factor.into(),
                 self.frames_argument(),
                 usize::from(relative).into(),
                 observed_weight.into(),
-                self.scales.address.into(),
-                self.progress.address.into(),
-                self.outcomes.address.into(),
+                self.scales.address().into(),
+                self.progress.address().into(),
+                self.outcomes.address().into(),
             ],
         )
     }
@@ -841,21 +861,22 @@ impl Training {
         let output = self.at(&self.output, from - decoded, self.constants.output_columns());
         let [mixed, d_mixed] =
             [&self.mixed, &self.d_mixed].map(|buffer| self.at(buffer, from - decoded, wide));
-        let density = self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address);
+        let density =
+            self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
         self.launch(
             Kernel::LossGradient,
             self.particles(rows),
             &[
-                self.states.address.into(),
-                self.output.address.into(),
-                self.store.bodies.address.into(),
-                self.windows.address.into(),
-                self.progress.address.into(),
-                self.store.material.address.into(),
-                self.error_weights.address.into(),
-                self.scales.address.into(),
+                self.states.address().into(),
+                self.output.address().into(),
+                self.store.bodies.address().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
+                self.store.material.address().into(),
+                self.error_weights.address().into(),
+                self.scales.address().into(),
                 density.into(),
-                self.carried.address.into(),
+                self.carried.address().into(),
                 self.frames_argument(),
                 from.into(),
             ],
@@ -864,8 +885,8 @@ impl Training {
         self.learn(
             last,
             &self.layout.decoder,
-            self.mixed.address,
-            self.output.address,
+            self.mixed.address(),
+            self.output.address(),
             all_decoded,
         )?;
         self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
@@ -874,7 +895,7 @@ impl Training {
 
         let top = self.layers.len() - 1;
         let signal = self.outputs(top).plus(decoded * batch * wide);
-        self.learn(last, &self.layout.mixer, signal, self.d_mixed.address, all_decoded)?;
+        self.learn(last, &self.layout.mixer, signal, self.d_mixed.address(), all_decoded)?;
         self.backward_product(
             &self.layout.mixer,
             d_mixed,
@@ -897,7 +918,7 @@ impl Training {
             &[d_input.into(), rows.into()],
         )?;
         let all = self.frames() * batch;
-        self.learn(last, &self.layout.pooled, self.pooled.address, self.d_input.address, all)?;
+        self.learn(last, &self.layout.pooled, self.pooled.address(), self.d_input.address(), all)?;
         self.backward_product(&self.layout.pooled, d_input, d_pooled, rows, false)?;
         self.change(last, &self.layout.pooled)?;
         if last {
@@ -908,13 +929,13 @@ impl Training {
             self.particles(batch),
             &[
                 self.at(&self.states, first, self.constants.particles * BODY).into(),
-                self.store.material.address.into(),
-                self.windows.address.into(),
-                self.progress.address.into(),
+                self.store.material.address().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
                 self.weight(&self.layout.points).into(),
-                self.scaling.address.into(),
+                self.scaling.address().into(),
                 d_pooled.into(),
-                self.carried.address.into(),
+                self.carried.address().into(),
             ],
         )
     }
@@ -923,8 +944,8 @@ impl Training {
     fn outputs(&self, number: usize) -> Address {
         let layer = &self.layers[number];
         match (&layer.dropped, self.core) {
-            (Some(dropped), _) => dropped.address,
-            (None, Core::Mlp) => layer.sums.address,
+            (Some(dropped), _) => dropped.address(),
+            (None, Core::Mlp) => layer.sums.address(),
             (None, _) => self.at(&layer.states, 1, self.constants.hidden_columns()),
         }
     }
@@ -940,12 +961,12 @@ impl Training {
         if layer.dropped.is_some() {
             self.dropout(number, gradient, gradient, first, frames, 0.0)?;
         }
-        let carried = layer.carried.address;
+        let carried = layer.carried.address();
         // The MLP's outputs are where other cores have their sums, its gradients by the sums where others have those
         // by the outputs.
         let (slopes, all_slopes) = match self.core {
-            Core::Mlp => (gradient, layer.gradient.address),
-            _ => (sums, layer.sums.address),
+            Core::Mlp => (gradient, layer.gradient.address()),
+            _ => (sums, layer.sums.address()),
         };
         match (self.core, recurrent) {
             (Core::Mlp, _) => {
@@ -983,7 +1004,7 @@ impl Training {
                                 cells.into(),
                                 gradient.into(),
                                 carried.into(),
-                                carried_cell.address.into(),
+                                carried_cell.address().into(),
                             ],
                         )?;
                         self.backward_product(recurrent, sums, carried, batch, false)?;
@@ -1008,7 +1029,7 @@ impl Training {
         }
         let (last, all) = (first == 0, self.frames() * batch);
         let (input, d_input) = match number {
-            0 => (self.input.address, &self.d_input),
+            0 => (self.input.address(), &self.d_input),
             _ => (self.outputs(number - 1), &self.layers[number - 1].gradient),
         };
         self.learn(last, matrix, input, all_slopes, all)?;
@@ -1016,8 +1037,8 @@ impl Training {
         self.change(last, matrix)?;
         if let Some(recurrent) = recurrent {
             let slopes =
-                layer.recurrent.as_ref().map_or(layer.sums.address, |buffer| buffer.address);
-            self.learn(last, recurrent, layer.states.address, slopes, all)?;
+                layer.recurrent.as_ref().map_or(layer.sums.address(), |buffer| buffer.address());
+            self.learn(last, recurrent, layer.states.address(), slopes, all)?;
             self.change(last, recurrent)?;
         }
         Ok(())
@@ -1050,9 +1071,9 @@ impl Training {
             Kernel::EncoderGradient,
             Shape { grid: [encoder.div_ceil(32), matrix.rows, 1], block: [32, 32], shared: 0 },
             &[
-                self.d_pooled.address.into(),
-                self.sums.address.into(),
-                self.gradients.address.plus(matrix.first).into(),
+                self.d_pooled.address().into(),
+                self.sums.address().into(),
+                self.gradients.address().plus(matrix.first).into(),
                 rows.into(),
                 self.chunks.into(),
             ],
@@ -1064,13 +1085,13 @@ impl Training {
     /// The norms of a matrix's gradient, and what shortens it.
     fn measure(&self, matrix: &Matrix) -> Result<()> {
         let tensors = matrix.tensors();
-        let squares = self.tensor_squares.address.plus(matrix.tensor * CHUNKS);
+        let squares = self.tensor_squares.address().plus(matrix.tensor * CHUNKS);
         self.launch_in(
             Queue::Side,
             Kernel::SquaresOfGradient,
             Shape::new(CHUNKS, tensors, 256),
             &[
-                self.gradients.address.plus(matrix.first).into(),
+                self.gradients.address().plus(matrix.first).into(),
                 squares.into(),
                 matrix.columns.into(),
                 matrix.bias.into(),
@@ -1083,8 +1104,8 @@ impl Training {
             Shape::new(tensors, 1, 256),
             &[
                 squares.into(),
-                self.tensor_scales.address.plus(matrix.tensor).into(),
-                self.tensor_totals.address.plus(matrix.tensor).into(),
+                self.tensor_scales.address().plus(matrix.tensor).into(),
+                self.tensor_totals.address().plus(matrix.tensor).into(),
                 self.settings.clip.into(),
             ],
         )
@@ -1096,7 +1117,7 @@ impl Training {
             return Ok(());
         }
         self.device.wait(Queue::Side, Queue::Main)?;
-        let at = |buffer: &Buffer| buffer.address.plus(matrix.first);
+        let at = |buffer: &Buffer| buffer.address().plus(matrix.first);
         let average = self.average.as_ref().map_or(Address::NULL, at);
         let quads = matrix.size() / 4;
         self.launch_in(
@@ -1109,9 +1130,9 @@ impl Training {
                 at(&self.first).into(),
                 at(&self.second).into(),
                 average.into(),
-                self.tensor_scales.address.plus(matrix.tensor).into(),
-                self.schedule.address.into(),
-                self.progress.address.into(),
+                self.tensor_scales.address().plus(matrix.tensor).into(),
+                self.schedule.address().into(),
+                self.progress.address().into(),
                 quads.into(),
                 matrix.columns.into(),
                 matrix.bias.into(),

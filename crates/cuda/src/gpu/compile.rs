@@ -6,7 +6,7 @@
 use std::{
     ffi::{CStr, CString},
     fs,
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 use cudarc::nvrtc;
@@ -98,23 +98,46 @@ pub(super) fn cached(
     target: Target,
     cache: Option<&Path>,
 ) -> Result<Vec<u8>> {
-    let Some(folder) = cache else { return compile(source, definitions, target) };
+    if let Some(file) = cached_file(source, definitions, target, cache)?
+        && let Ok(image) = fs::read(file)
+    {
+        return Ok(image);
+    }
+    compiled_anew(source, definitions, target, cache)
+}
+
+/// Where a compiled text is kept.
+fn cached_file(
+    source: &str,
+    definitions: &[(&str, usize)],
+    target: Target,
+    cache: Option<&Path>,
+) -> Result<Option<PathBuf>> {
+    let Some(folder) = cache else { return Ok(None) };
     let (mut major, mut minor) = (0, 0);
     // SAFETY: writes two numbers.
     let version = unsafe { nvrtc::sys::nvrtcVersion(&mut major, &mut minor) };
     version.result().context("nvrtcVersion")?;
     let key = format!("{source}\n{:?}\n{major}.{minor}", options(definitions, target));
-    let file = folder.join(format!("{:032x}.cubin", xxh3_128(key.as_bytes())));
-    if let Ok(image) = fs::read(&file) {
-        return Ok(image);
-    }
+    Ok(Some(folder.join(format!("{:032x}.cubin", xxh3_128(key.as_bytes())))))
+}
+
+/// Compiles, and keeps the result in the folder `cache`.
+pub(super) fn compiled_anew(
+    source: &str,
+    definitions: &[(&str, usize)],
+    target: Target,
+    cache: Option<&Path>,
+) -> Result<Vec<u8>> {
     let image = compile(source, definitions, target)?;
-    let partial = file.with_extension(format!("{}.part", std::process::id()));
-    let kept = fs::create_dir_all(folder)
-        .and_then(|()| fs::write(&partial, &image))
-        .and_then(|()| fs::rename(&partial, &file));
-    if let Err(reason) = kept {
-        tracing::debug!("compiled kernels are not kept in {}: {reason}", folder.display());
+    if let (Some(folder), Some(file)) = (cache, cached_file(source, definitions, target, cache)?) {
+        let partial = file.with_extension(format!("{}.part", std::process::id()));
+        let kept = fs::create_dir_all(folder)
+            .and_then(|()| fs::write(&partial, &image))
+            .and_then(|()| fs::rename(&partial, &file));
+        if let Err(reason) = kept {
+            tracing::debug!("compiled kernels are not kept in {}: {reason}", folder.display());
+        }
     }
     Ok(image)
 }

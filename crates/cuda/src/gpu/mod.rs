@@ -52,6 +52,7 @@ impl Precision {
 /// A GPU, ready to compute with the kernels of some constants.
 pub struct Gpu {
     number: usize,
+    precision: Precision,
     context: Arc<CudaContext>,
     streams: [Arc<CudaStream>; 2],
     kernels: HashMap<Kernel, CudaFunction>,
@@ -78,15 +79,23 @@ impl Gpu {
         let streams = [stream()?, stream()?];
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
-        let image = compile::cached(SOURCE, &constants.definitions(), target, cache)?;
-        let module = context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData")?;
+        let definitions = constants.definitions();
+        let load = |image| context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData");
+        let module = match load(compile::cached(SOURCE, &definitions, target, cache)?) {
+            Ok(module) => module,
+            // A damaged file, or one of another compiler of the same version.
+            Err(_) if cache.is_some() => {
+                load(compile::compiled_anew(SOURCE, &definitions, target, cache)?)?
+            }
+            Err(error) => return Err(error),
+        };
         let mut kernels = HashMap::new();
         for &kernel in Kernel::ALL {
             let function = module.load_function(kernel.name()).context("cuModuleGetFunction")?;
             kernels.insert(kernel, function);
         }
         let products = Products::new(&streams[0], precision)?;
-        Ok(Self { number: device, context, streams, kernels, products })
+        Ok(Self { number: device, precision, context, streams, kernels, products })
     }
 
     fn stream(&self, queue: Queue) -> &Arc<CudaStream> {
@@ -138,14 +147,16 @@ impl Device for Gpu {
             memory => memory.context("cuMemAlloc")?,
         };
         let address = Address(memory.device_ptr(&self.streams[0]).0);
-        Ok(Buffer::new(address, bytes, memory))
+        // SAFETY: the driver has given as many bytes, which are freed with their owner.
+        Ok(unsafe { Buffer::new(address, bytes, memory) })
     }
 
     fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // SAFETY: memory is read only after it is cleared.
         let memory = unsafe { result::malloc_host(bytes.max(16), sys::CU_MEMHOSTALLOC_DEVICEMAP) };
-        let memory = Pinned { memory: memory.context("cuMemHostAlloc")?, context: self.context.clone() };
+        let memory =
+            Pinned { memory: memory.context("cuMemHostAlloc")?, context: self.context.clone() };
         // SAFETY: the driver has given as many bytes, aligned to a page, which are freed with their owner. In the unified
         // address space of 64-bit systems the device has them at the same address.
         unsafe {
@@ -154,37 +165,46 @@ impl Device for Gpu {
         }
     }
 
+    fn rounds_to_tf32(&self) -> bool {
+        self.precision == Precision::Tf32
+    }
+
     fn free_memory(&self) -> Result<u64> {
         let (free, _) = self.context.mem_get_info().context("cuMemGetInfo")?;
         Ok(free as u64)
     }
 
-    fn write(&self, to: Address, bytes: &[u8]) -> Result<()> {
+    fn write(&self, to: &Buffer, offset: usize, bytes: &[u8]) -> Result<()> {
+        let to = to.part(offset, bytes.len());
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // In the main stream: a copy in the default stream is not ordered before its launches.
-        // SAFETY: the buffer is as large as the caller says; the bytes live until the stream is done.
+        // SAFETY: `part` checks the length; the bytes live until the stream is done.
         unsafe { result::memcpy_htod_async(to.0, bytes, self.streams[0].cu_stream()) }
             .context("cuMemcpyHtoDAsync")?;
         self.streams[0].synchronize().context("cuStreamSynchronize")
     }
 
-    fn read(&self, from: Address, bytes: &mut [u8]) -> Result<()> {
+    fn read(&self, from: &Buffer, offset: usize, bytes: &mut [u8]) -> Result<()> {
+        let from = from.part(offset, bytes.len());
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         self.streams[0].synchronize().context("cuStreamSynchronize")?;
         // SAFETY: as above.
         unsafe { result::memcpy_dtoh_sync(bytes, from.0) }.context("cuMemcpyDtoH")
     }
 
-    fn copy(&self, to: Address, from: Address, bytes: usize) -> Result<()> {
+    fn copy(&self, to: &Buffer, from: &Buffer) -> Result<()> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
-        // SAFETY: the buffers are as large as the caller says.
+        let bytes = from.bytes();
+        let (to, from) = (to.part(0, bytes), from.part(0, bytes));
+        // SAFETY: `part` checks the length.
         unsafe { result::memcpy_dtod_async(to.0, from.0, bytes, self.streams[0].cu_stream()) }
             .context("cuMemcpyDtoDAsync")
     }
 
-    fn clear(&self, queue: Queue, at: Address, bytes: usize) -> Result<()> {
-        // SAFETY: the buffer is as large as the caller says.
-        unsafe { result::memset_d8_async(at.0, 0, bytes, self.stream(queue).cu_stream()) }
+    fn clear(&self, queue: Queue, buffer: &Buffer) -> Result<()> {
+        let (at, bytes) = (buffer.address().0, buffer.bytes());
+        // SAFETY: the buffer has that many bytes.
+        unsafe { result::memset_d8_async(at, 0, bytes, self.stream(queue).cu_stream()) }
             .context("cuMemsetD8Async")
     }
 

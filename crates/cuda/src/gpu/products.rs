@@ -54,7 +54,17 @@ unsafe impl Sync for Products {}
 
 impl Drop for Products {
     fn drop(&mut self) {
-        // SAFETY: nothing of this handle is used after this. A failure here has no remedy.
+        let plans = self.plans.get_mut().unwrap_or_else(|broken| broken.into_inner());
+        for plan in plans.values() {
+            // SAFETY: nothing of this handle is used after this. A failure here has no remedy.
+            unsafe {
+                let _ = lt::destroy_matmul_desc(plan.operation);
+                for layout in [plan.left, plan.right, plan.result] {
+                    let _ = lt::destroy_matrix_layout(layout);
+                }
+            }
+        }
+        // SAFETY: as above.
         let _ = unsafe { lt::destroy_handle(self.handle) };
     }
 }

@@ -25,6 +25,9 @@ typedef unsigned long long u64;
 #ifdef EMULATED
 #define exp2_approximate exp2f
 #define divide(a, b) ((a) / (b))
+#define shuffle_xor exchange_lanes
+#define multiply_tf32 multiply_fragments
+#define round_tf32 round_mantissa
 #else
 __device__ __forceinline__ float exp2_approximate(float v) {
   float r;
@@ -32,6 +35,16 @@ __device__ __forceinline__ float exp2_approximate(float v) {
   return r;
 }
 #define divide(a, b) __fdividef(a, b)
+__device__ __forceinline__ float shuffle_xor(float v, int mask) { return __shfl_xor_sync(0xffffffffu, v, mask); }
+// The nearest number with 10 bits of mantissa.
+__device__ __forceinline__ float round_tf32(float v) { return __uint_as_float((__float_as_uint(v) + 0x1000u) & 0xffffe000u); }
+// c[16, 8] += a[16, 8] b[8, 8] by a warp: PTX ISA, "Matrix Fragments for mma.m16n8k8", .tf32.
+__device__ __forceinline__ void multiply_tf32(float* c, const float* a, const float* b) {
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
+      : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+      : "r"(__float_as_uint(a[0])), "r"(__float_as_uint(a[1])), "r"(__float_as_uint(a[2])), "r"(__float_as_uint(a[3])),
+        "r"(__float_as_uint(b[0])), "r"(__float_as_uint(b[1])));
+}
 #endif
 
 // Position (domain lengths) and velocity (domain lengths per second) of a particle.

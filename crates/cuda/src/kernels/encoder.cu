@@ -29,6 +29,23 @@ __device__ __forceinline__ float material_bias(const float* w, int material, int
 #endif
 }
 
+// The activation and its slope at `a`, in units of 1 / log2(e): of ELU without slope - 1; it and ReLU stay in these units.
+__device__ __forceinline__ void activate_scaled(float a, float& y, float& s) {
+#if ACTIVATION == 0
+  y = divide(1.0f, 1.0f + exp2_approximate(-a));
+  s = y * (1.0f - y);
+#elif ACTIVATION == 1
+  y = 1.0f - divide(2.0f, 1.0f + exp2_approximate(2.0f * a));
+  s = 1.0f - y * y;
+#elif ACTIVATION == 2
+  y = fmaxf(a, 0.0f);
+  s = a > 0.0f ? 1.0f : 0.0f;
+#else
+  y = fmaxf(a, 0.0f);
+  s = exp2_approximate(fminf(a, 0.0f));
+#endif
+}
+
 // grid (chunks, rows, ceil(E / 256)), block 256: 128 pairs of units j, j + 128, twice for half of the particles
 extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restrict__ states, const u32* __restrict__ order,
     const u32* __restrict__ segments, const Window* __restrict__ windows, const Progress* __restrict__ progress,
@@ -79,15 +96,8 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
           float a = bias[q]; // in units of 1 / log2(e)
 #pragma unroll
           for (int k = 0; k < FEATURES; k++) a = fmaf(weight[q][k], x[k], a);
-#if ACTIVATION == 0
-          const float y = divide(1.0f, 1.0f + exp2_approximate(-a)), s = y * (1.0f - y);
-#elif ACTIVATION == 1
-          const float y = 1.0f - divide(2.0f, 1.0f + exp2_approximate(2.0f * a)), s = 1.0f - y * y;
-#elif ACTIVATION == 2
-          const float y = fmaxf(a, 0.0f), s = a > 0.0f ? 1.0f : 0.0f;
-#else
-          const float y = fmaxf(a, 0.0f), s = exp2_approximate(fminf(a, 0.0f));
-#endif
+          float y, s;
+          activate_scaled(a, y, s);
           value[q] += y;
           slopes[q] += s;
 #pragma unroll
@@ -124,6 +134,128 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
         const float total = value[q] + other[FEATURES * 256 + lane + 128 * q];
         to[(FEATURES + MATERIALS) * E + unit[q]] = ACTIVATION >= 2 ? total * (1.0f / LOG2E) : total;
       }
+}
+
+// The same with both products on tensor cores, factors rounded to TF32: units x particles from the inputs (features, and
+// one for the particle's material, whose weight is that material's bias), then with the slopes in the place of the sums
+// units x inputs. Taking the 8 particles of a group in the order 0 2 4 6 1 3 5 7 makes the first product's registers the
+// second one's left factor as they are. grid (chunks, rows, ceil(E / 256)), block 256: a warp has 64 units, and half of
+// the particles
+#define COLUMNS (FEATURES + MATERIALS)
+#define GROUPS ((COLUMNS + 7) / 8)
+#define TENSOR_TILE 512
+extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* __restrict__ states, const unsigned char* __restrict__ material,
+    const Window* __restrict__ windows, const Progress* __restrict__ progress, const float* __restrict__ w,
+    const Scaling* __restrict__ scaling, float* __restrict__ sums, int batch) {
+  __shared__ float4 tile[TENSOR_TILE * 2 * GROUPS];
+  const int tid = threadIdx.x, lane = tid & 31, warp = tid >> 5, half = warp >> 2, g = lane >> 2, q = lane & 3;
+  const int row = blockIdx.y, size = (N + gridDim.x - 1) / gridDim.x, first = blockIdx.x * size, last = min(N, first + size);
+  const u32 stream = windows[(size_t)progress->step * batch + row % batch].stream;
+  const int local = (warp & 3) * 64 + g;
+  float weight[4][GROUPS][4], slope[4][GROUPS][4], value[4][2];
+#pragma unroll
+  for (int t = 0; t < 4; t++)
+#pragma unroll
+    for (int i = 0; i < 4; i++) {
+      value[t][i & 1] = 0.0f;
+#pragma unroll
+      for (int group = 0; group < GROUPS; group++) {
+        const int k = 8 * group + q + 4 * (i >> 1), j = blockIdx.z * 256 + local + 16 * t + 8 * (i & 1);
+        float number = 0.0f;
+        if (j < E && k < COLUMNS) number = k < FEATURES ? w[k * EL + j] : material_bias(w, k - FEATURES, j);
+        weight[t][group][i] = round_tf32(number * LOG2E);
+        slope[t][group][i] = 0.0f;
+      }
+    }
+  int padding = 0;
+  for (int from = first; from < last; from += TENSOR_TILE) {
+    const int n = min(TENSOR_TILE, last - from), padded_n = (n + 15) & ~15;
+    padding += padded_n - n;
+    __syncthreads();
+    for (int p = tid; p < padded_n; p += 256) {
+      Body body;
+      int kind = -1;
+      if (p < n) {
+        body = states[(size_t)row * N + from + p];
+        kind = material[(size_t)stream * N + from + p];
+      }
+      float input[8 * GROUPS];
+#pragma unroll
+      for (int k = 0; k < 8 * GROUPS; k++) {
+        if (k < FEATURES) input[k] = p < n ? round_tf32(feature(body, k, scaling)) : 0.0f;
+        else input[k] = k - FEATURES == kind ? 1.0f : 0.0f;
+      }
+#pragma unroll
+      for (int k = 0; k < 2 * GROUPS; k++)
+        tile[p * 2 * GROUPS + k] = float4{input[4 * k], input[4 * k + 1], input[4 * k + 2], input[4 * k + 3]};
+    }
+    __syncthreads();
+    const float* numbers = (const float*)tile;
+#pragma unroll 1
+    for (int p = half * 8; p < padded_n; p += 16) {
+      float right[GROUPS][2], left[GROUPS][2];
+#pragma unroll
+      for (int group = 0; group < GROUPS; group++)
+#pragma unroll
+        for (int i = 0; i < 2; i++) {
+          right[group][i] = numbers[(p + g) * 8 * GROUPS + 8 * group + q + 4 * i];
+          left[group][i] = numbers[(p + 2 * q + i) * 8 * GROUPS + 8 * group + g];
+        }
+#pragma unroll
+      for (int t = 0; t < 4; t++) {
+        float a[4] = {0.0f, 0.0f, 0.0f, 0.0f}, s[4];
+#pragma unroll
+        for (int group = 0; group < GROUPS; group++) multiply_tf32(a, weight[t][group], right[group]);
+#pragma unroll
+        for (int i = 0; i < 4; i++) {
+          float y, by;
+          activate_scaled(a[i], y, by);
+          value[t][i >> 1] += y;
+          s[(i >> 1) + 2 * (i & 1)] = round_tf32(by);
+        }
+#pragma unroll
+        for (int group = 0; group < GROUPS; group++) multiply_tf32(slope[t][group], s, left[group]);
+      }
+    }
+  }
+#pragma unroll
+  for (int t = 0; t < 4; t++)
+#pragma unroll
+    for (int r = 0; r < 2; r++)
+#pragma unroll
+      for (int m = 1; m < 4; m *= 2) value[t][r] += shuffle_xor(value[t][r], m);
+  // The sums of both halves.
+  float* other = (float*)tile;
+  float* to = sums + ((size_t)row * gridDim.x + blockIdx.x) * SUMS * E + blockIdx.z * 256;
+#pragma unroll
+  for (int pass = 0; pass < 2; pass++) {
+    __syncthreads();
+    if (half != pass)
+#pragma unroll
+      for (int t = 0; t < 4; t++)
+#pragma unroll
+        for (int r = 0; r < 2; r++) {
+          const int unit = local + 16 * t + 8 * r;
+          if (blockIdx.z * 256 + unit >= E) continue;
+#pragma unroll
+          for (int group = 0; group < GROUPS; group++)
+#pragma unroll
+            for (int i = 0; i < 2; i++) {
+              const int k = 8 * group + 2 * q + i;
+              if (k >= COLUMNS) continue;
+              if (half) other[k * 256 + unit] = slope[t][group][2 * r + i];
+              else to[k * E + unit] = slope[t][group][2 * r + i] + other[k * 256 + unit];
+            }
+          if (q == 0) {
+            if (half) other[COLUMNS * 256 + unit] = value[t][r];
+            else {
+              float total = value[t][r] + other[COLUMNS * 256 + unit];
+              if (ACTIVATION == 0) total -= 0.5f * padding;
+              to[COLUMNS * E + unit] = ACTIVATION >= 2 ? total * (1.0f / LOG2E) : total;
+            }
+          }
+        }
+  }
 }
 
 // Means over the particles, and the ones beside them. grid rows, block 256

@@ -43,8 +43,12 @@ macro_rules! kernels {
 kernels! {
     /// Observed frames out of the trajectories.
     Observe = "observe",
+    /// Noise on the last of them.
+    Disturb = "disturb",
     /// Pointwise encoder with the sums for its gradient.
     Encode = "encode",
+    /// The same on tensor cores.
+    EncodeTensor = "encode_tensor",
     /// Means over the particles.
     Pool = "pool",
     /// Gradient of the encoder's weights.

@@ -8,33 +8,39 @@ __device__ __forceinline__ Body mirror(Body body, const Window& window, float si
   return body;
 }
 
-// The observed frames. Noise is evenly distributed, of the standard deviations `positions` and
-// `velocities`; word i of a window's generator belongs to its i-th number, positions first.
-// grid (ceil(N / 256), warm_up * batch), block 256
+// The observed frames. grid (ceil(N / 256), warm_up * batch), block 256
 extern "C" __global__ void __launch_bounds__(256) observe(const Body* __restrict__ store, const Window* __restrict__ windows,
-    const Progress* __restrict__ progress, Body* __restrict__ states, int batch, int warm_up, float sides,
-    float positions, float velocities) {
+    const Progress* __restrict__ progress, Body* __restrict__ states, int batch, float sides) {
   const int p = blockIdx.x * 256 + threadIdx.x, row = blockIdx.y, t = row / batch, b = row % batch;
   if (p >= N) return;
   const Window& window = windows[(size_t)progress->step * batch + b];
-  Body body = mirror(store[window.first + (u64)t * N + p], window, sides);
-  if (window.disturbed && t == warm_up - 1) {
-    u32 words[16];
-    u64 block = ~0ull;
+  states[(size_t)row * N + p] = mirror(store[window.first + (u64)t * N + p], window, sides);
+}
+
+// Noise on the last observed frame, `states` [B, N]: evenly distributed, of the standard deviations `positions` and
+// `velocities`; word i of a window's generator belongs to its i-th number, positions first. grid (ceil(N / 256), batch),
+// block 256
+extern "C" __global__ void __launch_bounds__(256) disturb(const Window* __restrict__ windows, const Progress* __restrict__ progress,
+    Body* __restrict__ states, float positions, float velocities) {
+  const int p = blockIdx.x * 256 + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
+  const Window& window = windows[(size_t)progress->step * batch + b];
+  if (p >= N || !window.disturbed) return;
+  Body body = states[(size_t)b * N + p];
+  u32 words[16];
+  u64 block = ~0ull;
 #pragma unroll
-    for (int i = 0; i < FEATURES; i++) {
-      const u64 word = (u64)(i / DIM) * DIM * N + (u64)p * DIM + i % DIM;
-      if (word / 16 != block) {
-        block = word / 16;
-        chacha8(window.key, block, words);
-      }
-      u32 found = 0; // a dynamic index would put the words into local memory
-#pragma unroll
-      for (int w = 0; w < 16; w++) found = (int)(word % 16) == w ? words[w] : found;
-      const float half = 1.7320508f * (i < DIM ? positions : velocities);
-      const float add = half * (2.0f * unit(found) - 1.0f);
-      if (i < DIM) body.x[i] += add; else body.v[i - DIM] += add;
+  for (int i = 0; i < FEATURES; i++) {
+    const u64 word = (u64)(i / DIM) * DIM * N + (u64)p * DIM + i % DIM;
+    if (word / 16 != block) {
+      block = word / 16;
+      chacha8(window.key, block, words);
     }
+    u32 found = 0; // a dynamic index would put the words into local memory
+#pragma unroll
+    for (int w = 0; w < 16; w++) found = (int)(word % 16) == w ? words[w] : found;
+    const float half = 1.7320508f * (i < DIM ? positions : velocities);
+    const float add = half * (2.0f * unit(found) - 1.0f);
+    if (i < DIM) body.x[i] += add; else body.v[i - DIM] += add;
   }
-  states[(size_t)row * N + p] = body;
+  states[(size_t)b * N + p] = body;
 }

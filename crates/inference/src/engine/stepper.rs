@@ -173,7 +173,8 @@ impl Stepper {
         let mut steps = Vec::with_capacity(requests.len());
         for StepRequest { hidden, frame, next } in &mut *requests {
             self.prepare(hidden, frame, next);
-            let state = hidden.device.as_deref_mut().expect("a state of this network is on its device");
+            let state =
+                hidden.device.as_deref_mut().expect("a state of this network is on its device");
             steps.push(DeviceStep { state, frame: *frame, next });
         }
         let Network::Device(device) = &*self.network else { return };

@@ -17,8 +17,8 @@ use eddy_inference::{
 };
 use eddy_messages::{DiagnosticArray, Message, ParticleFrame, PredictionStatus, cdr};
 use eddy_node::{
-    FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeSettings, Outputs, RosTime,
-    SurrogateNode, drive,
+    DriveError, FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeSettings, Outputs,
+    RosTime, SurrogateNode, drive,
 };
 use eddy_transport::{Link, Payload, Reliability, TransportError, TransportOptions, Transports};
 
@@ -52,6 +52,9 @@ pub enum BenchError {
     /// The network does not support the frame.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// The node ended with an error.
+    #[error(transparent)]
+    Drive(#[from] DriveError),
     /// A transport failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
@@ -160,12 +163,11 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
         }
         thread::sleep(DRAIN_TIME);
         stop.store(true, Ordering::Relaxed);
-        let join = |outcome: thread::Result<Result<(), TransportError>>| {
-            outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        };
-        join(driving.join())?;
+        let driven = driving.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         over.store(true, Ordering::Relaxed);
-        Ok(join(watching.join())?)
+        let watched = watching.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        driven?;
+        Ok(watched?)
     })?;
     let median = |of: fn(&Spread) -> f64| {
         let mut values: Vec<_> = reports.iter().map(of).collect();

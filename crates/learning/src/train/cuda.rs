@@ -17,13 +17,18 @@ use super::{
 use crate::model::{GpuOptions, Precision};
 use eddy_cuda::{
     device::Device,
-    frame::{Batch, GROUP, Outcome, Settings, Store, StoreWriter, Training, Window},
+    frame::{
+        Batch, GROUP, Inference, Outcome, Settings, Store, StoreWriter, Streams, Training, Window,
+    },
     gpu::{self, Gpu},
     kernels::{Constants, MATERIALS},
 };
 use eddy_evaluation::dataset::Trajectory;
 use eddy_frames::Material;
-use eddy_inference::checkpoint::Description;
+use eddy_inference::{
+    checkpoint::{Checkpoint, Description},
+    engine::Surrogate,
+};
 
 /// Materials as the kernels count them.
 const _: () = assert!(Material::COUNT == MATERIALS);
@@ -129,6 +134,8 @@ pub(super) struct Learner {
     store: Arc<Store>,
     /// Steps of the stage at hand.
     training: Option<Training>,
+    /// The network for validation.
+    streams: Option<Streams>,
 }
 
 /// Batches that are prepared and run at once.
@@ -154,7 +161,7 @@ impl Learner {
     /// Of any device.
     pub(super) fn on(device: Arc<dyn Device>, streams: &[Trajectory]) -> Result<Self, TrainError> {
         let store = Arc::new(store(&*device, streams)?);
-        Ok(Self { device, store, training: None })
+        Ok(Self { device, store, training: None, streams: None })
     }
 
     /// Takes the run's weights and moments onto the device, for steps of its stage.
@@ -210,6 +217,22 @@ impl Learner {
         training.start(&batches)?;
         let outcomes = training.outcomes(batches.len())?.into_iter().zip(drawn);
         Ok(outcomes.map(|(outcome, draws)| step(outcome, &draws, sampler)).collect())
+    }
+
+    /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
+    pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
+        let Checkpoint { description, tensors } = checkpoint;
+        let streams = match &self.streams {
+            Some(streams) => streams,
+            None => {
+                let inference = Inference::new(self.device.clone(), description, tensors)?;
+                self.streams.insert(Streams::new(inference))
+            }
+        };
+        if let Some(training) = &self.training {
+            streams.copy_weights(training)?;
+        }
+        Ok(Surrogate::on_device(checkpoint, Arc::new(streams.clone()))?)
     }
 
     /// Brings the run's weights and moments up to date.

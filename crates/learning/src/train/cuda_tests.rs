@@ -23,7 +23,7 @@ use eddy_inference::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
         MaterialInput, Weights, layout::linear_layers,
     },
-    engine::Ballistic,
+    engine::{Ballistic, Surrogate},
 };
 
 const PARTICLES: usize = 21;
@@ -279,6 +279,18 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
             let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
+            let tensors = state.tensors(&description);
+            let checkpoint = Checkpoint { description: description.clone(), tensors };
+            let found = learner.surrogate(&checkpoint).unwrap();
+            let expected = Surrogate::load(&checkpoint, None).unwrap();
+            let first = streams[0].cut(0..1).unwrap().frame(0);
+            let [found, expected] = [found, expected].map(|surrogate| {
+                let mut hidden = surrogate.start(&first).unwrap();
+                surrogate.stepper().step(&mut hidden, &first).velocity
+            });
+            for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                assert!((found - expected).abs() < 1e-5, "a model for validation");
+            }
         }
         (state, losses)
     };

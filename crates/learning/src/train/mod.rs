@@ -305,10 +305,11 @@ impl Trainer<'_> {
 
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
-        let Self { config, dataset, run, state, monitor, .. } = self;
+        let Self { config, dataset, run, state, monitor, learner, .. } = self;
         let tensors = state.tensors(self.description);
         let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
-        let score = validate::validate(&config.validation, &checkpoint, &dataset.validation)?;
+        let surrogate = learner.surrogate(&checkpoint)?;
+        let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
         let best = state.best_loss().is_none_or(|best| score.loss < best);
         let epoch = Epoch {
             epoch: state.epoch() + 1,

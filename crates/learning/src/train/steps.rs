@@ -7,12 +7,16 @@ use super::{
     Run, TrainError,
     gradients::{BatchGradient, GradientTask},
     state::RunState,
+    validate,
     window::{Sampler, Window},
 };
 #[cfg(feature = "cuda")]
 use crate::model::DeviceKind;
 use eddy_evaluation::dataset::Dataset;
-use eddy_inference::checkpoint::Description;
+use eddy_inference::{
+    checkpoint::{Checkpoint, Description},
+    engine::Surrogate,
+};
 
 /// What came of a batch.
 pub(super) struct Step {
@@ -97,6 +101,15 @@ impl Learner {
             }
             #[cfg(feature = "cuda")]
             Self::Cuda(learner) => learner.steps(task, sampler, rates, state),
+        }
+    }
+
+    /// A model with the weights of `checkpoint`, which were those of the run's state when it was brought up to date last.
+    pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
+        match self {
+            Self::Burn => validate::one_thread(checkpoint),
+            #[cfg(feature = "cuda")]
+            Self::Cuda(learner) => learner.surrogate(checkpoint),
         }
     }
 

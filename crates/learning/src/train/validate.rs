@@ -29,11 +29,11 @@ pub(super) struct Score {
 /// Rolls out over every stream; each thread has one stream in memory at a time.
 pub(super) fn validate(
     config: &ValidationConfig,
-    checkpoint: &Checkpoint,
+    surrogate: &Surrogate,
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
     let settings = Settings::errors_only(config.horizon, config.starts);
-    let scenes = roll_out(settings, checkpoint, streams, streams)?;
+    let scenes = roll_out(settings, surrogate, streams, streams)?;
     let skill = mean_skill(&scenes, config.horizon);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
@@ -64,29 +64,33 @@ pub fn test_skill(
         .flatten()
         .cloned()
         .collect();
-    let scenes = roll_out(settings, checkpoint, &dataset.test, &all)?;
+    let surrogate = one_thread(checkpoint)?;
+    let scenes = roll_out(settings, &surrogate, &dataset.test, &all)?;
     Ok(Some(mean_skill(&scenes, horizon)))
 }
 
 /// The results of the model and of every baseline over `streams`. The walls of baselines are those of `all` streams.
 fn roll_out(
     settings: Settings,
-    checkpoint: &Checkpoint,
+    surrogate: &Surrogate,
     streams: &[Trajectory],
     all: &[Trajectory],
 ) -> Result<Vec<SceneResult>, TrainError> {
-    // One thread per stream, which is more efficient than several threads per frame.
-    let surrogate = Surrogate::load(checkpoint, NonZeroUsize::new(1))?;
-    let context = context(settings, &checkpoint.description, all);
+    let context = context(settings, surrogate.description(), all);
     context.check(longest(streams)).map_err(TrainError::Validation)?;
     let baselines = Baseline::ALL.map(Predictor::Baseline);
     let scenes = streams.par_iter().map(|stream| {
-        let model = Predictor::Model(&surrogate);
+        let model = Predictor::Model(surrogate);
         let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
         let whole = stream.cut(0..stream.frames)?;
         evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
     });
     scenes.collect()
+}
+
+/// A model for rollouts of streams side by side: one thread for each stream is more efficient than several for each frame.
+pub(super) fn one_thread(checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
+    Ok(Surrogate::load(checkpoint, NonZeroUsize::new(1))?)
 }
 
 /// Skill of the model, which is the first predictor, averaged over kinds of scenes.

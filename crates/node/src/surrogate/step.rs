@@ -139,8 +139,8 @@ impl Step<'_> {
 
     /// After the last of [`Step::next`].
     pub(super) fn finish(&mut self, settings: &NodeSettings) {
-        self.finite = !self.tracking
-            || self.published(settings).all(|(frame, _)| frame.check().is_ok());
+        self.finite =
+            !self.tracking || self.published(settings).all(|(frame, _)| frame.check().is_ok());
     }
 
     /// The frames to publish with their horizons, in the order of time.
