@@ -1,7 +1,7 @@
 //! The frame model's training on a GPU: beside the emulator, twice the same bits, and its time.
 //!
 //! `frame_training check` compares small networks of every core with the emulator; `frame_training time` times steps
-//! of the paper's network; `frame_training once` takes one step, for a profiler.
+//! of the paper's network; `frame_training core` those of its core over many frames; `frame_training once` takes one step, for a profiler.
 
 mod problem;
 
@@ -24,8 +24,9 @@ fn main() -> Result<()> {
     match std::env::args().nth(1).as_deref() {
         Some("check") => check(),
         Some("time") => time(),
+        Some("core") => core(),
         Some("once") => once(),
-        _ => Err("expected check, time or once".into()),
+        _ => Err("expected check, time, core or once".into()),
     }
 }
 
@@ -137,6 +138,22 @@ fn time() -> Result<()> {
                     );
                 }
             }
+        }
+    }
+    Ok(())
+}
+
+/// With 8 particles the core takes nearly all of the time.
+fn core() -> Result<()> {
+    let sizes = || Sizes { particles: Some(8), ..PAPER };
+    for core in [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm] {
+        for frames in [16, 64] {
+            let mut problem = Problem::new(core, sizes(), true, settings(256, frames));
+            problem.frames = 2 * frames;
+            let gpu = Arc::new(Gpu::new(0, &problem.constants()?, Precision::Tf32, None)?);
+            let mut training = problem.training(gpu.clone())?;
+            let time = median(&gpu, &mut training, &problem, 3)?;
+            println!("8 particles: {} B 256 F 8 T {frames} tf32: {time:.3} ms/step", core.name());
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
 // Runs the kernels' text on the CPU, for tests on machines without a GPU: a fiber per CUDA thread, the blocks of a
 // grid one after the other. `__shared__` is static memory, `__syncthreads` lets every other fiber of the block come
 // as far. The file is compiled behind the constants and in front of `EMULATED_KERNELS`, which the caller writes.
+#include <setjmp.h>
 #include <ucontext.h>
 
 #include <algorithm>
@@ -71,18 +72,42 @@ static void multiply_fragments(float* c, const float* a, const float* b) {
   meet();
 }
 
+// A fiber serves the threads of one number in all blocks, one after the other. It is entered once; then jumps, which
+// leave signals alone and so cost no system call, switch between it and the scheduler.
 static const size_t STACK = 64 << 10;
-struct Fiber { ucontext_t context; bool over; };
+struct Fiber {
+  char* stack;
+  jmp_buf resume;
+  bool begun, over;
+};
 static std::vector<Fiber> fibers;
-static std::vector<char> stacks;
-static ucontext_t scheduler;
+static jmp_buf scheduler;
 static unsigned current;
 static const std::function<void()>* body;
 
-static void meet() { swapcontext(&fibers[current].context, &scheduler); }
+static void meet() {
+  if (!_setjmp(fibers[current].resume)) _longjmp(scheduler, 1);
+}
 static void run_fiber() {
-  (*body)();
-  fibers[current].over = true;
+  for (;;) {
+    (*body)();
+    fibers[current].over = true;
+    meet();
+  }
+}
+// Goes on with the current fiber, until it waits or is over.
+static __attribute__((noinline)) void resume() {
+  if (_setjmp(scheduler)) return;
+  Fiber& fiber = fibers[current];
+  if (fiber.begun) _longjmp(fiber.resume, 1);
+  fiber.begun = true;
+  ucontext_t context;
+  getcontext(&context);
+  context.uc_stack.ss_sp = fiber.stack;
+  context.uc_stack.ss_size = STACK;
+  context.uc_link = nullptr;
+  makecontext(&context, run_fiber, 0);
+  setcontext(&context);
 }
 
 static void run(const unsigned* grid, const unsigned* block, const std::function<void()>& work) {
@@ -90,27 +115,18 @@ static void run(const unsigned* grid, const unsigned* block, const std::function
   blockDim = {block[0], block[1], 1};
   const unsigned threads = block[0] * block[1];
   body = &work;
-  fibers.resize(std::max<size_t>(fibers.size(), threads));
-  stacks.resize(std::max(stacks.size(), threads * STACK));
+  while (fibers.size() < threads) fibers.push_back({new char[STACK], {}, false, false});
   for (unsigned z = 0; z < grid[2]; z++)
     for (unsigned y = 0; y < grid[1]; y++)
       for (unsigned x = 0; x < grid[0]; x++) {
         blockIdx = {x, y, z};
-        for (unsigned i = 0; i < threads; i++) {
-          Fiber& fiber = fibers[i];
-          fiber.over = false;
-          getcontext(&fiber.context);
-          fiber.context.uc_stack.ss_sp = stacks.data() + i * STACK;
-          fiber.context.uc_stack.ss_size = STACK;
-          fiber.context.uc_link = &scheduler;
-          makecontext(&fiber.context, run_fiber, 0);
-        }
+        for (unsigned i = 0; i < threads; i++) fibers[i].over = false;
         for (bool any = true; any;) {
           any = false;
           for (current = 0; current < threads; current++) {
             if (fibers[current].over) continue;
             threadIdx = {current % block[0], current / block[0], 0};
-            swapcontext(&scheduler, &fibers[current].context);
+            resume();
             any = true;
           }
         }

@@ -58,7 +58,7 @@ fn emulated(checkpoint: &Checkpoint) -> Surrogate {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(ProptestConfig::with_cases(10))]
 
     #[test]
     fn a_device_predicts_what_the_processor_does(description in descriptions(), seed in any::<u64>()) {

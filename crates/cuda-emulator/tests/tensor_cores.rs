@@ -28,7 +28,9 @@ fn factors_in_tf32_give_the_gradients_of_exact_ones_but_for_rounding() {
         let error = worst(&rounded.1, &exact.1);
         let case = format!("{}, one_hot {one_hot}: relative error {error:.1e}", activation.name());
         assert!(error > 1e-7, "{case}: nothing was rounded");
-        assert!(error < 2e-3, "{case}");
+        // The slope of ReLU jumps: a sum that rounding moves across 0 changes it by 1.
+        let most = if activation == Activation::Relu { 2e-2 } else { 2e-3 };
+        assert!(error < most, "{case}");
         assert!((rounded.0.loss / exact.0.loss - 1.0).abs() < 1e-4, "{case}");
     }
 }

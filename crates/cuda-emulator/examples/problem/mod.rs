@@ -32,7 +32,7 @@ pub struct Problem {
     pub description: Description,
     pub weights: BTreeMap<String, Weights>,
     pub settings: Settings,
-    frames: usize,
+    pub frames: usize,
     streams: usize,
 }
 
