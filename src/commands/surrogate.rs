@@ -1,9 +1,6 @@
 //! The surrogate of a command.
 
-use std::{
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-};
+use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::Context;
 use eddy_inference::{
@@ -48,14 +45,10 @@ fn on_gpu(checkpoint: &Checkpoint, number: usize) -> Result<Surrogate, ModelErro
     let Checkpoint { description, tensors } = checkpoint;
     let streams = || -> Result<Streams, CudaError> {
         let constants = Constants::of(description)?;
-        let gpu = Gpu::new(number, &constants, Precision::Fp32, kernel_cache().as_deref())?;
+        let cache = eddy_learning::model::kernel_cache();
+        let gpu = Gpu::new(number, &constants, Precision::Fp32, cache.as_deref())?;
         Ok(Streams::new(Inference::new(std::sync::Arc::new(gpu), description, tensors)?))
     };
     let streams = streams().map_err(|reason| ModelError::Device(reason.to_string()))?;
     Surrogate::on_device(checkpoint, std::sync::Arc::new(streams))
-}
-
-/// Where kernels compiled for a GPU are kept: in the user's cache folder, if there is one.
-pub(super) fn kernel_cache() -> Option<PathBuf> {
-    Some(dirs::cache_dir()?.join("eddy").join("kernels"))
 }

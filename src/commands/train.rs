@@ -7,7 +7,7 @@ use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
 use eddy_evaluation::dataset::{Dataset, Trajectory, available_memory};
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::{Architecture, GpuOptions},
+    model::{Architecture, GpuOptions, kernel_cache},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
@@ -19,7 +19,7 @@ use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 use super::{
     Interrupt, TerminalProgress, allocator, counted,
     output::{Output, OutputKind},
-    progress_bar, surrogate,
+    progress_bar,
 };
 use crate::cli::TrainArgs;
 
@@ -46,7 +46,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let device = args.device.resolve(config.architecture);
     device.check()?;
-    let kernel_cache = surrogate::kernel_cache();
+    let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;
     if !quiet {
         introduce(&config, &dataset);

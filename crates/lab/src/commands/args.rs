@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 
 use crate::{bench::training::Step, study::Comparison};
 use eddy_learning::{
-    model::{Core, DeviceKind},
+    model::{Core, DeviceKind, Precision},
     train::step_benchmark::PARTICLES,
 };
 use eddy_mpm::Law;
@@ -248,4 +248,7 @@ pub struct StudyArgs {
     /// Device for training and for the timed steps (comparisons cores, loss and window).
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
+    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    pub precision: Precision,
 }

@@ -29,13 +29,13 @@ pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
 
 /// The settings of the preset, overridden by the file.
 fn request(args: StudyArgs) -> anyhow::Result<StudyRequest> {
-    let StudyArgs { comparison, paper, config, output, jobs, device, .. } = args;
+    let StudyArgs { comparison, paper, config, output, jobs, device, precision, .. } = args;
     let defaults = if paper { StudyConfig::paper() } else { StudyConfig::quick() };
     let study = match &config {
         Some(file) => Overrides::read(file)?.over(&defaults)?,
         None => defaults,
     };
-    let request = StudyRequest { comparison, study, output, jobs, device };
+    let request = StudyRequest { comparison, study, output, jobs, device, precision };
     match &config {
         Some(file) => request.check().with_context(|| file.display().to_string())?,
         None => {

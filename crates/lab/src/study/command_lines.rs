@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{Comparison, Folders, StudyConfig, Variant, plan::runs};
 use eddy_evaluation::page::command_line;
-use eddy_learning::model::DeviceKind;
+use eddy_learning::model::{DeviceKind, Precision};
 
 /// Builds command lines.
 pub(super) struct CommandLines<'a> {
@@ -16,6 +16,8 @@ pub(super) struct CommandLines<'a> {
     pub(super) presets: &'a [String],
     /// The device that trains.
     pub(super) device: DeviceKind,
+    /// Precision of products on a GPU.
+    pub(super) precision: Precision,
 }
 
 impl CommandLines<'_> {
@@ -42,6 +44,9 @@ impl CommandLines<'_> {
         words.extend(["--output".into(), shown(&output), "--resume".into()]);
         if self.device != DeviceKind::default() {
             words.extend(["--device".into(), self.device.name().into()]);
+        }
+        if self.precision != Precision::default() {
+            words.extend(["--precision".into(), self.precision.name().into()]);
         }
         words
     }

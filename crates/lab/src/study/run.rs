@@ -27,7 +27,7 @@ use eddy_evaluation::{
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
-    model::{Architecture, DeviceKind},
+    model::{Architecture, DeviceKind, Precision},
     train::TrainConfig,
 };
 
@@ -45,6 +45,8 @@ pub struct StudyRequest {
     pub jobs: NonZeroUsize,
     /// The device that trains the networks of cores, losses and windows, and takes the timed steps.
     pub device: DeviceKind,
+    /// Precision of products on a GPU.
+    pub precision: Precision,
 }
 
 /// Results of a comparison.
@@ -78,7 +80,7 @@ impl StudyRequest {
 /// The error of the part that failed, or cancellation. Finished parts are kept.
 pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<StudyOutcome> {
     request.check()?;
-    let StudyRequest { comparison, study, output, jobs, device } = request;
+    let StudyRequest { comparison, study, output, jobs, device, precision } = request;
     if *comparison == Comparison::Activations {
         ensure!(
             *device == DeviceKind::Flex,
@@ -96,6 +98,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
         study,
         jobs: jobs.get(),
         device,
+        precision: *precision,
         progress,
         failed: AtomicBool::new(false),
     };
@@ -128,6 +131,8 @@ pub(super) struct Work<'a> {
     pub(super) jobs: usize,
     /// The device that trains the networks whose cores, losses or windows are compared.
     pub(super) device: DeviceKind,
+    /// Precision of products on a GPU.
+    pub(super) precision: Precision,
     pub(super) progress: &'a dyn Progress,
     /// Set when a task has failed, to stop the others.
     failed: AtomicBool,
@@ -148,6 +153,7 @@ impl Work<'_> {
             variants: &self.variants,
             presets: self.presets,
             device: self.device,
+            precision: self.precision,
         }
     }
 

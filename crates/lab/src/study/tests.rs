@@ -13,7 +13,7 @@ use super::*;
 use eddy_evaluation::Report;
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Core;
-use eddy_learning::model::DeviceKind;
+use eddy_learning::model::{DeviceKind, Precision};
 
 /// Small enough for a test: three scenes, two networks of two epochs, or two learning curves.
 fn request(comparison: Comparison, output: &Path) -> StudyRequest {
@@ -32,7 +32,8 @@ fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     (study.evaluation.horizon, study.evaluation.starts) = (3, 1);
     (study.step_frames, study.step_seconds) = (vec![2], 0.01);
     let (output, device) = (output.to_owned(), DeviceKind::Flex);
-    StudyRequest { comparison, study, output, jobs: NonZeroUsize::MIN, device }
+    let (jobs, precision) = (NonZeroUsize::MIN, Precision::default());
+    StudyRequest { comparison, study, output, jobs, device, precision }
 }
 
 /// Collects messages; cancels after the first that contains the given text.

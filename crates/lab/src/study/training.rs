@@ -14,7 +14,7 @@ use eddy_evaluation::{
 };
 use eddy_frames::progress::Progress;
 use eddy_learning::{
-    model::GpuOptions,
+    model::{GpuOptions, kernel_cache},
     train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
 };
 
@@ -77,9 +77,10 @@ impl Task {
         let Self { name, config, output, command } = self;
         // Beside the folder, which `train` creates.
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
+        let cache = kernel_cache();
         let run = Run {
             device: work.device,
-            gpu: GpuOptions::default(),
+            gpu: GpuOptions { precision: work.precision, kernel_cache: cache.as_deref() },
             output,
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,

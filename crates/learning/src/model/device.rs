@@ -1,6 +1,9 @@
 //! The compute devices.
 
-use std::{panic, path::Path};
+use std::{
+    panic,
+    path::{Path, PathBuf},
+};
 
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
@@ -222,6 +225,11 @@ pub struct GpuOptions<'a> {
     pub precision: Precision,
     /// Folder that compiled kernels are kept in, none to compile them each time.
     pub kernel_cache: Option<&'a Path>,
+}
+
+/// The folder that eddy's commands keep compiled kernels in: in the user's cache folder, if there is one.
+pub fn kernel_cache() -> Option<PathBuf> {
+    Some(dirs::cache_dir()?.join("eddy").join("kernels"))
 }
 
 /// The device is not available.

@@ -48,7 +48,7 @@ pub(crate) mod strain;
 
 mod device;
 
-pub use device::{DeviceKind, GpuOptions, NoDevice, Precision};
+pub use device::{DeviceKind, GpuOptions, NoDevice, Precision, kernel_cache};
 pub use reference::Reference;
 
 pub use eddy_inference::checkpoint::{Architecture, Core};

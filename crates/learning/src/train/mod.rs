@@ -55,7 +55,7 @@ pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::test_skill;
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
 use crate::model::{DeviceKind, GpuOptions};
 use eddy_evaluation::dataset::Dataset;
@@ -93,7 +93,7 @@ pub struct Run<'a> {
     /// Receives batches, and a line per epoch. It is asked before every batch whether to stop; the best and the last epoch
     /// are then kept.
     pub progress: &'a dyn Progress,
-    /// Called after every epoch, when it is saved.
+    /// Called after every epoch. It is saved then, but on a GPU at most every ten seconds.
     pub on_epoch: &'a (dyn Fn(&Epoch) + Sync),
 }
 
@@ -185,20 +185,38 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let monitor = Monitor::new(run.output, config, &state, run.progress)?;
     let description = &description;
     let learner = Learner::new(run, description, dataset)?;
-    let mut trainer =
-        Trainer { config, dataset, run, description, state, sampler, scale, monitor, learner };
+    let mut trainer = Trainer {
+        config,
+        dataset,
+        run,
+        description,
+        state,
+        sampler,
+        scale,
+        monitor,
+        learner,
+        saved: Duration::ZERO,
+        has_unsaved_best: false,
+    };
     if trainer.state.unroll > 0 {
         trainer.begin_stage()?;
     }
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
-        match trainer.epoch()? {
-            Some(means) => trainer.validate_and_save(&means)?,
-            None => interrupted = true,
+        match trainer.epoch() {
+            Ok(Some(means)) => trainer.validate_and_save(&means)?,
+            Ok(None) => interrupted = true,
+            Err(error) => {
+                trainer.save_best()?;
+                return Err(error);
+            }
         }
     }
     trainer.finish(interrupted)
 }
+
+/// Shortest time between two saves of a run on a GPU, whose epochs may take less time than a save.
+const SAVE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The training loop.
 struct Trainer<'a> {
@@ -211,6 +229,10 @@ struct Trainer<'a> {
     scale: LossScale<'a>,
     monitor: Monitor<'a>,
     learner: Learner,
+    /// When the run was saved last, since its start.
+    saved: Duration,
+    /// Whether the best checkpoint is yet to be saved.
+    has_unsaved_best: bool,
 }
 
 /// Training loss and learning rate of an epoch.
@@ -325,18 +347,40 @@ impl Trainer<'_> {
         epoch.summarize(&mut checkpoint.description.training);
         state.epochs.push(epoch);
         state.since_best = if best { 0 } else { state.since_best + 1 };
-        let seconds = state.seconds + monitor.elapsed().as_secs_f64();
-        resume::save(run, config, state, &checkpoint, seconds)?;
+        let elapsed = monitor.elapsed();
+        let is_due = !learner.is_fast() || elapsed >= self.saved + SAVE_INTERVAL;
+        let saves = is_due || state.is_over(config);
+        if saves {
+            let seconds = state.seconds + elapsed.as_secs_f64();
+            resume::save(run, config, state, &checkpoint, seconds)?;
+        }
         if best {
-            checkpoint.save(run.output)?;
             state.best = Some(checkpoint);
+            self.has_unsaved_best = true;
         }
         (run.on_epoch)(&epoch);
-        monitor.epoch(&epoch, config.validation.horizon)
+        monitor.epoch(&epoch, config.validation.horizon)?;
+        if saves {
+            self.save_best()?;
+            self.saved = self.monitor.elapsed();
+        }
+        Ok(())
+    }
+
+    /// Saves the best checkpoint, if it is not yet saved.
+    fn save_best(&mut self) -> Result<(), TrainError> {
+        if self.has_unsaved_best
+            && let Some(best) = &self.state.best
+        {
+            best.save(self.run.output)?;
+            self.has_unsaved_best = false;
+        }
+        Ok(())
     }
 
     /// Enters the number of epochs in the best checkpoint.
-    fn finish(self, interrupted: bool) -> Result<Outcome, TrainError> {
+    fn finish(mut self, interrupted: bool) -> Result<Outcome, TrainError> {
+        self.save_best()?;
         self.monitor.finish();
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();

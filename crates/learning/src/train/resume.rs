@@ -1,6 +1,6 @@
 //! Saves a run so that it can be resumed bit for bit.
 //!
-//! After every epoch, the folder `last` in the output is replaced. It contains
+//! After every epoch (on a GPU at most every ten seconds), the folder `last` in the output is replaced. It contains
 //!
 //! | file | content |
 //! |---|---|

@@ -60,6 +60,11 @@ impl Learner {
         }
     }
 
+    /// Whether an epoch may take less time than saving it.
+    pub(super) fn is_fast(&self) -> bool {
+        !matches!(self, Self::Burn)
+    }
+
     /// Batches that are prepared and run at once.
     pub(super) fn group(&self) -> usize {
         match self {
