@@ -220,3 +220,17 @@ fn an_unstable_number_of_substeps_is_refused_with_the_limit() {
     let message = fail(1, ["simulate", "--substeps", "20", "--output", &output]);
     says(&message, &["substeps", "20", "at least"]);
 }
+
+#[cfg(feature = "cuda")]
+#[test]
+fn a_gpu_is_refused_for_what_it_cannot_predict() {
+    let folder = Folder::new();
+    let bag = folder.path("bag");
+    for device in ["cuda", "cuda:1"] {
+        let arguments = ["predict", "--input", &bag, "--output", &folder.path("out"), "--device"];
+        let words = arguments.into_iter().chain([device]);
+        says(&fail(1, words), &["shipped checkpoint", "particle", "expected architecture frame"]);
+    }
+    let arguments = ["predict", "--input", &bag, "--output", &folder.path("out"), "--device"];
+    says(&fail(2, arguments.into_iter().chain(["gpu"])), &["--device", "cpu, cuda or cuda:N"]);
+}

@@ -1,5 +1,6 @@
 //! The rules of the surrogate node, one test a rule.
 
+mod device;
 mod requests;
 
 use std::{
