@@ -55,6 +55,7 @@ pages! {
     how_to_set_up_a_shell: "docs/src/how-to/shell.md",
     how_to_deploy: "docs/src/deploy/README.md",
     where_the_numbers_come_from: "docs/src/background/numbers.md",
+    what_a_gpu_does: "docs/src/background/gpu.md",
 }
 
 fn root() -> &'static Path {

@@ -75,6 +75,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
 pub const NOT_HERE: &[(&str, &str)] = &[
     ("cargo test --release", "it runs this test"),
     ("cargo install --locked --path .", "already built"),
+    ("cargo build --release -p eddy-cuda-emulator --examples", "compiles dependencies anew"),
+    (
+        "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference",
+        "needs an NVIDIA GPU and PyTorch",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (
