@@ -39,7 +39,7 @@ pub(crate) fn train_network<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = settings(config)?;
     let device: DeviceKind = values::word("device", device)?;
-    let device = device.resolve(config.architecture);
+    let device = device.resolve(config.runs_on_gpus());
     let precision: Precision = values::word("precision", precision)?;
     let data: Vec<PathBuf> = data.into();
     let work = |watch: &interrupt::Watch<Epoch>| -> Result<train::Outcome, String> {

@@ -44,7 +44,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             outcome => outcome?,
         }
     }
-    let device = args.device.resolve(config.architecture);
+    let device = args.device.resolve(config.runs_on_gpus());
     device.check()?;
     let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;

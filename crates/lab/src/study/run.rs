@@ -27,7 +27,7 @@ use eddy_evaluation::{
 use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
-    model::{Architecture, DeviceKind, Precision},
+    model::{DeviceKind, Precision},
     train::TrainConfig,
 };
 
@@ -88,7 +88,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
             device.name()
         );
     }
-    let device = device.resolve(Architecture::Frame);
+    let device = device.resolve(study.training.runs_on_gpus());
     device.check()?;
     let work = Work {
         folders: Folders::new(output),

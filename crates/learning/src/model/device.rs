@@ -8,8 +8,6 @@ use std::{
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-use eddy_inference::checkpoint::Architecture;
-
 /// A compute device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
@@ -94,16 +92,14 @@ impl DeviceKind {
         }
     }
 
-    /// The device that is meant for a network: never [`DeviceKind::Auto`].
+    /// The device that is meant, for a network that can be trained on an NVIDIA GPU or not: never [`DeviceKind::Auto`].
     #[must_use]
-    pub fn resolve(self, architecture: Architecture) -> Self {
+    pub fn resolve(self, runs_on_gpus: bool) -> Self {
         match self {
             #[cfg(feature = "cuda")]
-            Self::Auto if architecture == Architecture::Frame && Self::Cuda(0).check().is_ok() => {
-                Self::Cuda(0)
-            }
+            Self::Auto if runs_on_gpus && Self::Cuda(0).check().is_ok() => Self::Cuda(0),
             Self::Auto => {
-                let _ = architecture;
+                let _ = runs_on_gpus;
                 Self::Flex
             }
             known => known,

@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use eddy_inference::checkpoint::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes};
+use eddy_inference::checkpoint::{
+    Architecture, Core, Form, FrameOptions, GridOptions, Pooling, Sizes,
+};
 
 /// Largest width in a checkpoint.
 const LARGEST_WIDTH: usize = 1 << 16;
@@ -282,6 +284,11 @@ impl TrainConfig {
             },
             validation: ValidationConfig { horizon: 20, starts: 3 },
         }
+    }
+
+    /// Whether the network can be trained on an NVIDIA GPU.
+    pub fn runs_on_gpus(&self) -> bool {
+        self.architecture == Architecture::Frame && self.network.frame.pooling == Pooling::Mean
     }
 
     /// Sizes of the layers for streams of `particles` particles.
