@@ -32,25 +32,15 @@ use anyhow::{Context as _, bail};
 use eddy_bag::{QosOverrides, read_qos_overrides};
 use eddy_frames::clock::Clock;
 use eddy_node::{ros::RosNode, viewer::LivePage};
-use eddy_settings::ensure_usage;
-use eddy_transport::{Link, Publisher, TransportError, TransportKind, TransportOptions};
+use eddy_settings::usage::Usage;
+use eddy_transport::{Link, Publisher};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::terminal;
 
 /// Rejects links that no other process can use.
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
-    ensure_usage!(
-        link.transport != TransportKind::Memory,
-        "{link}: found memory, expected shm, zenoh or dds: memory links stay within one process"
-    );
-    Ok(())
-}
-
-/// The node of this process on its transports.
-pub(crate) fn transport_options(ros: &RosNode) -> Result<TransportOptions, TransportError> {
-    let options = TransportOptions::from_env(ros.name())?;
-    Ok(TransportOptions { namespace: ros.namespace().to_owned(), ..options })
+    Ok(link.leaves_the_process().map_err(Usage::new)?)
 }
 
 /// Rejects parameters given to this node: only `eddy node` has parameters.

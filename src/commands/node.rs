@@ -14,30 +14,21 @@ use std::{
 use anyhow::Context;
 use serde::{Deserialize, Deserializer, de::Error as _};
 
-use super::{
-    Interrupt, announce_page, counted, keyboard::Keyboard, leaves_the_process, real_time,
-    surrogate, transport_options,
-};
+use super::{Interrupt, announce_page, counted, keyboard::Keyboard, real_time, surrogate};
 use crate::{cli::NodeArgs, terminal};
 use eddy_frames::FrameView;
-use eddy_messages::{
-    Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
-};
+use eddy_messages::{DiagnosticArray, Message, ParticleFrame, PointCloud2, PredictionStatus};
 use eddy_node::{
-    CloudTopic, Counters, FrameQueue, InvalidSettings, NodeContext, NodeHandle, NodeRequest,
-    NodeResponse, NodeSettings, Observer, Outputs, Prediction, RosTime, Service, SurrogateNode,
+    CloudTopic, Counters, InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeRequest,
+    NodeResponse, NodeSettings, Observer, Outputs, Prediction, SurrogateNode,
     diagnostics::Rates,
-    drive,
     ros::RosNode,
-    surrogate::node_services,
     viewer::{ControlPanel, LivePage, PageInfo},
 };
 use eddy_settings::{self as config, usage::Usage};
 #[cfg(feature = "foxglove")]
 use eddy_transport::{FoxgloveAddress, FoxgloveServer};
-use eddy_transport::{
-    InvalidLink, Link, Reliability, Served, TransportError, TransportKind, Transports,
-};
+use eddy_transport::{Link, Reliability};
 
 /// Interval between looks at the keyboard.
 const KEY_INTERVAL: Duration = Duration::from_millis(50);
@@ -91,56 +82,44 @@ pub fn run(
     let options = args.settings.parameters();
     options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
     set_parameters(&mut settings, ros)?;
-    let links = Links::named(
-        args.input.or(file.input),
-        [args.output, file.output].into_iter().find(|links| !links.is_empty()),
-    );
-    let links = links.map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
+    let outputs = if args.output.is_empty() { file.output } else { args.output };
+    let links = NodeLinks::new(args.input.or(file.input), outputs)
+        .map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
     let renamed = links.renamed(ros);
-    renamed.check()?;
+    renamed.check().map_err(Usage::new)?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
     let surrogate = surrogate::load(checkpoint.as_deref(), args.threads, args.device)?;
-    let queue = FrameQueue::new(settings.queue, reliability);
-    let mut node = SurrogateNode::new(surrogate, settings)?;
-    node.stop_with(interrupt.shared());
-
-    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
+    let node = SurrogateNode::new(surrogate, settings)?;
+    let mut live = LiveNode::open(node, &links, ros, reliability, interrupt.shared())?;
     let input = &renamed.input;
-    let mut subscriber = transports
-        .subscriber(input, ParticleFrame::TYPE)
-        .with_context(|| format!("cannot subscribe to {input}"))?;
-    let mut outputs = open(&transports, &links, ros, reliability, node.settings().cloud)
-        .context("cannot publish")?;
     #[cfg(feature = "foxglove")]
-    let foxglove = foxglove(args.foxglove, &args.foxglove_origin, &links, ros, &mut outputs)
+    let foxglove = foxglove(args.foxglove, &args.foxglove_origin, &links, ros, &mut live.outputs)
         .context("--foxglove")?;
-    let mut context = node_context(&transports, input, ros);
-    let handle = Arc::new(NodeHandle::default());
-    let _services = serve(&transports, &renamed, ros, &handle).context("cannot offer services")?;
+    let (handle, surrogate) = (Arc::clone(live.handle()), live.node().surrogate());
 
     // Dropped before the outputs, whose observer may outlive it.
     let page = args.view.map(|address| {
         let info = PageInfo {
             command: "node",
             title: format!("{} on {input}", ros.full_name()),
-            model: Some(node.surrogate().digest().to_owned()),
+            model: Some(surrogate.digest().to_owned()),
         };
         let panel = ControlPanel::of_node(Arc::clone(&handle));
-        LivePage::serve(address, node.surrogate().description(), info, panel)
+        LivePage::serve(address, surrogate.description(), info, panel)
     });
     let page = page.transpose().context("--view")?;
-    if let (Some(page), Some(first)) = (&page, outputs.first_mut()) {
+    if let (Some(page), Some(first)) = (&page, live.outputs.first_mut()) {
         first.observers.push(page.observer());
     }
 
     if !quiet {
-        let digest = &node.surrogate().digest()[..12];
+        let digest = &live.node().surrogate().digest()[..12];
         let names: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
         println!("predicting {input} -> {} with model {digest}", names.join(", "));
         for link in &renamed.outputs {
-            if let Some(memory) = transports.shared_memory(link, ParticleFrame::TYPE)? {
+            if let Some(memory) = live.transports().shared_memory(link, ParticleFrame::TYPE)? {
                 println!("{link} uses {memory}, more for frames of more than 2,560 particles");
             }
         }
@@ -155,7 +134,7 @@ pub fn run(
         announce_page(page);
     }
     let has_line = !quiet && stdout().is_terminal();
-    if let (true, Some(first)) = (has_line, outputs.first_mut()) {
+    if let (true, Some(first)) = (has_line, live.outputs.first_mut()) {
         terminal::show_status(&format!("waiting for frames on {input}"));
         first.observers.push(Box::new(StatusLine));
     }
@@ -166,21 +145,13 @@ pub fn run(
             println!("keys: r resets all streams");
             scope.spawn(|| answer_keys(keyboard, &handle, &ended));
         }
-        let outcome = drive(
-            &mut node,
-            &mut context,
-            subscriber.as_mut(),
-            &mut outputs,
-            &queue,
-            &handle,
-            interrupt.flag(),
-        );
+        let outcome = live.run();
         ended.store(true, Ordering::Relaxed);
         outcome
     });
     terminal::clear_status();
     if !quiet {
-        println!("{}", summary(node.counters()));
+        println!("{}", summary(live.node().counters()));
     }
     Ok(outcome?)
 }
@@ -240,91 +211,12 @@ fn answer_keys(mut keyboard: Keyboard, handle: &NodeHandle, ended: &AtomicBool) 
     }
 }
 
-/// Input and outputs.
-struct Links {
-    input: Link,
-    outputs: Vec<Link>,
-}
-
-impl Links {
-    /// The given links. Default links have relative topics, below the namespace of the node.
-    fn named(input: Option<Link>, outputs: Option<Vec<Link>>) -> Result<Self, InvalidLink> {
-        let transport = TransportKind::from_env()?;
-        let relative = |topic: &str| Link { transport, topic: topic.to_owned() };
-        Ok(Self {
-            input: input.unwrap_or(relative("particles")),
-            outputs: outputs.unwrap_or(vec![relative("prediction")]),
-        })
-    }
-
-    fn renamed(&self, ros: &RosNode) -> Self {
-        let outputs = self.outputs.iter().map(|link| ros.link(link));
-        Self { input: ros.link(&self.input), outputs: outputs.collect() }
-    }
-
-    fn check(&self) -> anyhow::Result<()> {
-        let usage = |message: std::fmt::Arguments<'_>| Usage::new(message).into();
-        self.outputs.iter().chain([&self.input]).try_for_each(leaves_the_process)?;
-        for (index, link) in self.outputs.iter().enumerate() {
-            if self.outputs[..index].contains(link) {
-                return Err(usage(format_args!("output: found {link} twice, expected once")));
-            }
-            if *link == self.input {
-                return Err(usage(format_args!(
-                    "output: found {link}, which is the input, expected another topic"
-                )));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Opens the outputs; topics of the whole node once per transport.
-fn open(
-    transports: &Transports,
-    links: &Links,
-    ros: &RosNode,
-    reliability: Reliability,
-    clouds: bool,
-) -> Result<Vec<Outputs>, TransportError> {
-    let mut opened = Vec::new();
-    for (index, link) in links.outputs.iter().enumerate() {
-        let prediction = transports.publisher(&ros.link(link), ParticleFrame::TYPE, reliability)?;
-        let status = ros.beside(link, "status");
-        let status = transports.publisher(&status, PredictionStatus::TYPE, reliability)?;
-        let mut outputs = Outputs::new(prediction, status);
-        let publish = |link: &Link, type_name| {
-            transports.publisher(link, type_name, Reliability::Drop).map(Some)
-        };
-        let cloud = |link: &Link| {
-            let publisher = publish(&ros.beside(link, "cloud"), PointCloud2::TYPE);
-            publisher.map(|publisher| publisher.map(CloudTopic::new))
-        };
-        if clouds {
-            outputs.prediction_cloud = cloud(link)?;
-        }
-        if links.outputs[..index].iter().all(|other| other.transport != link.transport) {
-            let shared = |topic: &str| ros.link(&link.with_topic(topic));
-            outputs.diagnostics = publish(&shared("/diagnostics"), DiagnosticArray::TYPE)?;
-            if matches!(link.transport, TransportKind::Zenoh | TransportKind::Dds) {
-                let events = shared("/parameter_events");
-                outputs.parameter_events = publish(&events, ParameterEvent::TYPE)?;
-            }
-            if clouds {
-                outputs.input_cloud = cloud(&link.with_topic(&links.input.topic))?;
-            }
-        }
-        opened.push(outputs);
-    }
-    Ok(opened)
-}
-
 /// Serves status, diagnostics and point clouds to Foxglove, under the names of the first output.
 #[cfg(feature = "foxglove")]
 fn foxglove(
     address: Option<FoxgloveAddress>,
     origins: &[String],
-    links: &Links,
+    links: &NodeLinks,
     ros: &RosNode,
     outputs: &mut Vec<Outputs>,
 ) -> anyhow::Result<Option<FoxgloveServer>> {
@@ -343,34 +235,6 @@ fn foxglove(
         ..Outputs::status_only(status)
     });
     Ok(Some(server))
-}
-
-/// The name of the node and its time; `/clock` is on the transport of the input.
-fn node_context(transports: &Transports, input: &Link, ros: &RosNode) -> NodeContext {
-    let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
-    let open = move || transports.subscriber(&clock, Clock::TYPE);
-    NodeContext { name: ros.full_name(), input: input.clone(), time: RosTime::new(Box::new(open)) }
-}
-
-/// Offers the services of the node on every transport of its links that has services.
-fn serve(
-    transports: &Transports,
-    links: &Links,
-    ros: &RosNode,
-    handle: &Arc<NodeHandle>,
-) -> Result<Vec<Box<dyn Served>>, TransportError> {
-    let links: Vec<_> = [&links.input].into_iter().chain(&links.outputs).collect();
-    let mut served = Vec::new();
-    for (index, link) in links.iter().enumerate() {
-        if links[..index].iter().any(|other| other.transport == link.transport) {
-            continue;
-        }
-        for Service { name, type_name, handler } in node_services(&ros.full_name(), handle) {
-            let link = link.with_topic(&ros.service(&name));
-            served.extend(transports.serve(&link, type_name, handler)?);
-        }
-    }
-    Ok(served)
 }
 
 /// The counters in one line, without zeros.

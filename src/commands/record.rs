@@ -13,7 +13,6 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 use super::{
     Interrupt, has_no_parameters, leaves_the_process,
     output::{Output, OutputKind, unused},
-    transport_options,
 };
 use crate::cli::RecordArgs;
 use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic};
@@ -51,7 +50,7 @@ pub fn run(
     let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
-    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
+    let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
     let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
     let opener =
         TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);

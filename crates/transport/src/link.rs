@@ -104,6 +104,14 @@ pub enum InvalidLink {
         /// The part after the colon.
         found: String,
     },
+    /// The link stays within a process, but others are to use it.
+    #[error(
+        "{link}: found memory, expected shm, zenoh or dds: memory links stay within one process"
+    )]
+    Memory {
+        /// The link.
+        link: Link,
+    },
 }
 
 impl Link {
@@ -138,6 +146,17 @@ impl Link {
             return Err(invalid);
         }
         Ok(Self { transport: transport.parse()?, topic: topic.to_owned() })
+    }
+
+    /// Rejects a link that no other process can use.
+    ///
+    /// # Errors
+    /// [`InvalidLink::Memory`].
+    pub fn leaves_the_process(&self) -> Result<(), InvalidLink> {
+        match self.transport {
+            TransportKind::Memory => Err(InvalidLink::Memory { link: self.clone() }),
+            _ => Ok(()),
+        }
     }
 
     /// The same transport with another topic.

@@ -9,8 +9,7 @@ use anyhow::{Context as _, bail, ensure};
 use indicatif::HumanCount;
 
 use super::{
-    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, transport_options,
-    wait_for_subscribers,
+    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, wait_for_subscribers,
 };
 use crate::{cli::ReplayArgs, terminal};
 use eddy_bag::{BagMessage, BagReader};
@@ -58,7 +57,7 @@ pub fn run(
         },
     )?;
     // Sessions end with it, hence it lives until the last message is sent.
-    let transports = Transports::stopped_by(interrupt.shared(), transport_options(ros)?);
+    let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
     let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
     for topic in outputs.topics() {
         println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);

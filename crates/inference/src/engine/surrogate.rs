@@ -38,6 +38,9 @@ const SPEED_FACTOR: f32 = 2.0;
 /// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
 /// and on all processors that have AVX2 with FMA or AVX-512; a device has bits of its own. Other instruction sets round some products differently in
 /// the last place.
+///
+/// Clones share the network.
+#[derive(Clone)]
 pub struct Surrogate {
     description: Description,
     digest: String,

@@ -1,10 +1,10 @@
 //! Target applies to one node: its name, topics and parameters.
 
 use super::{
-    Given, RosArguments,
+    Given, InvalidArgument, RosArguments,
     remap::{Rule, Target},
 };
-use eddy_transport::Link;
+use eddy_transport::{Link, TransportError, TransportOptions};
 
 /// A node with its arguments applied.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,6 +54,16 @@ impl RosNode {
         node
     }
 
+    /// A node with this name and namespace, without further arguments.
+    ///
+    /// # Errors
+    /// [`InvalidArgument`] when one of them is not a name in ROS 2.
+    pub fn named(name: &str, namespace: &str) -> Result<Self, InvalidArgument> {
+        let rules = [format!("__node:={name}"), format!("__ns:={namespace}")];
+        let words = rules.map(|rule| ["-r".to_owned(), rule]).concat();
+        Ok(RosArguments::parse(&words)?.node(name))
+    }
+
     /// Its name without the namespace.
     pub fn name(&self) -> &str {
         &self.name
@@ -67,6 +77,15 @@ impl RosNode {
     /// Namespace and name, such as `/robot1/eddy_node`.
     pub fn full_name(&self) -> String {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.name)
+    }
+
+    /// The options of its transports: the environment's, with its name and namespace.
+    ///
+    /// # Errors
+    /// [`TransportError::Environment`].
+    pub fn transport_options(&self) -> Result<TransportOptions, TransportError> {
+        let options = TransportOptions::from_env(&self.name)?;
+        Ok(TransportOptions { namespace: self.namespace.clone(), ..options })
     }
 
     /// The absolute name of a topic of this node, after remapping.

@@ -12,12 +12,15 @@
 //! 8. [`handle`]: requests to a running node. `services`: the same as ROS services.
 //! 9. [`time`]: system time or `/clock`.
 //! 10. [`driver`]: the loop that receives, predicts and publishes.
+//! 11. [`links`]: input, outputs and the topics that belong to them. [`live`]: a node with all of them open.
 
 mod cloud;
 mod counters;
 pub mod diagnostics;
 mod driver;
 mod handle;
+mod links;
+mod live;
 mod node;
 mod observer;
 #[cfg(feature = "clap")]
@@ -37,6 +40,8 @@ pub use cloud::CloudTopic;
 pub use counters::{Counters, Rejection};
 pub use driver::{DriveError, NodeContext, Outputs, drive};
 pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
+pub use links::{InvalidLinks, NodeLinks};
+pub use live::{LiveNode, OpenError};
 pub use node::{Arrival, OutputCallback, SurrogateNode};
 pub use observer::Observer;
 #[cfg(feature = "clap")]

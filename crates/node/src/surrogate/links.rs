@@ -1,0 +1,176 @@
+//! Input and outputs of a node: which links, and the topics that belong to each.
+
+use eddy_messages::{
+    DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
+};
+use eddy_transport::{InvalidLink, Link, Reliability, TransportError, TransportKind, Transports};
+
+use super::{CloudTopic, Outputs};
+use crate::ros::RosNode;
+
+/// Input and outputs of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeLinks {
+    /// Where frames come from.
+    pub input: Link,
+    /// Where predictions go.
+    pub outputs: Vec<Link>,
+}
+
+/// Links that a node cannot use together.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
+pub enum InvalidLinks {
+    /// One of them cannot be used.
+    #[error(transparent)]
+    Link(#[from] InvalidLink),
+    /// Two outputs are the same.
+    #[error("output: found {link} twice, expected once")]
+    Twice { link: Link },
+    /// The node would predict from its own predictions.
+    #[error("output: found {link}, which is the input, expected another topic")]
+    Loop { link: Link },
+}
+
+impl NodeLinks {
+    /// The given links; by default `particles` and `prediction` below the namespace of the node, on the transport of the
+    /// environment.
+    ///
+    /// # Errors
+    /// [`InvalidLink::Transport`] when the environment names another transport.
+    pub fn new(input: Option<Link>, outputs: Vec<Link>) -> Result<Self, InvalidLink> {
+        let transport = TransportKind::from_env()?;
+        let relative = |topic: &str| Link { transport, topic: topic.to_owned() };
+        let outputs = if outputs.is_empty() { vec![relative("prediction")] } else { outputs };
+        Ok(Self { input: input.unwrap_or(relative("particles")), outputs })
+    }
+
+    /// The links with the names of a node, which are absolute.
+    pub fn renamed(&self, ros: &RosNode) -> Self {
+        let outputs = self.outputs.iter().map(|link| ros.link(link));
+        Self { input: ros.link(&self.input), outputs: outputs.collect() }
+    }
+
+    /// Checks renamed links.
+    ///
+    /// # Errors
+    /// [`InvalidLinks`].
+    pub fn check(&self) -> Result<(), InvalidLinks> {
+        self.all().try_for_each(Link::leaves_the_process)?;
+        for (index, link) in self.outputs.iter().enumerate() {
+            if self.outputs[..index].contains(link) {
+                return Err(InvalidLinks::Twice { link: link.clone() });
+            }
+            if *link == self.input {
+                return Err(InvalidLinks::Loop { link: link.clone() });
+            }
+        }
+        Ok(())
+    }
+
+    /// One link for each transport, the input's first.
+    pub(super) fn one_per_transport(&self) -> Vec<&Link> {
+        let mut links: Vec<&Link> = Vec::new();
+        for link in self.all() {
+            if links.iter().all(|other| other.transport != link.transport) {
+                links.push(link);
+            }
+        }
+        links
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Link> {
+        [&self.input].into_iter().chain(&self.outputs)
+    }
+
+    /// Opens the outputs; topics of the whole node once per transport.
+    pub(super) fn open_outputs(
+        &self,
+        transports: &Transports,
+        ros: &RosNode,
+        reliability: Reliability,
+        clouds: bool,
+    ) -> Result<Vec<Outputs>, TransportError> {
+        let mut opened = Vec::new();
+        for (index, link) in self.outputs.iter().enumerate() {
+            let prediction =
+                transports.publisher(&ros.link(link), ParticleFrame::TYPE, reliability)?;
+            let status = ros.beside(link, "status");
+            let status = transports.publisher(&status, PredictionStatus::TYPE, reliability)?;
+            let mut outputs = Outputs::new(prediction, status);
+            let publish = |link: &Link, type_name| {
+                transports.publisher(link, type_name, Reliability::Drop).map(Some)
+            };
+            let cloud = |link: &Link| {
+                let publisher = publish(&ros.beside(link, "cloud"), PointCloud2::TYPE);
+                publisher.map(|publisher| publisher.map(CloudTopic::new))
+            };
+            if clouds {
+                outputs.prediction_cloud = cloud(link)?;
+            }
+            if self.outputs[..index].iter().all(|other| other.transport != link.transport) {
+                let shared = |topic: &str| ros.link(&link.with_topic(topic));
+                outputs.diagnostics = publish(&shared("/diagnostics"), DiagnosticArray::TYPE)?;
+                if matches!(link.transport, TransportKind::Zenoh | TransportKind::Dds) {
+                    let events = shared("/parameter_events");
+                    outputs.parameter_events = publish(&events, ParameterEvent::TYPE)?;
+                }
+                if clouds {
+                    outputs.input_cloud = cloud(&link.with_topic(&self.input.topic))?;
+                }
+            }
+            opened.push(outputs);
+        }
+        Ok(opened)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros::RosArguments;
+
+    fn link(text: &str) -> Link {
+        Link::parse_of_node(text).unwrap()
+    }
+
+    fn check(input: &str, outputs: &[&str]) -> Result<(), String> {
+        let outputs = outputs.iter().map(|text| link(text)).collect();
+        let links = NodeLinks { input: link(input), outputs };
+        let words = ["-r", "__ns:=/robot1"].map(str::to_owned);
+        let ros = RosArguments::parse(&words).unwrap().node("eddy_node");
+        links.renamed(&ros).check().map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn links_that_cannot_be_used_together_are_named() {
+        assert_eq!(check("shm:particles", &["shm:prediction", "dds:prediction"]), Ok(()));
+        assert_eq!(check("shm:a", &["dds:a"]), Ok(()), "another transport is another topic");
+        for (input, outputs, expected) in [
+            (
+                "shm:a",
+                &["shm:b", "shm:/robot1/b"][..],
+                "output: found shm:/robot1/b twice, expected once",
+            ),
+            (
+                "shm:a",
+                &["shm:/robot1/a"],
+                "output: found shm:/robot1/a, which is the input, expected another topic",
+            ),
+            ("memory:a", &["shm:b"], "memory:/robot1/a: found memory, expected shm, zenoh or dds"),
+        ] {
+            let message = check(input, outputs).unwrap_err();
+            assert!(message.starts_with(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn topics_of_the_whole_node_are_on_each_transport_once() {
+        let links = NodeLinks {
+            input: link("shm:/a"),
+            outputs: vec![link("zenoh:/b"), link("shm:/c"), link("zenoh:/d")],
+        };
+        let found: Vec<_> = links.one_per_transport().iter().map(|link| link.to_string()).collect();
+        assert_eq!(found, ["shm:/a", "zenoh:/b"]);
+    }
+}

@@ -1,0 +1,132 @@
+//! A node with its topics and services open.
+
+use std::sync::{Arc, atomic::AtomicBool};
+
+use eddy_messages::{Clock, Message, ParticleFrame};
+use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
+
+use super::{
+    FrameQueue, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime, SurrogateNode, drive,
+    node_services,
+};
+use crate::{ros::RosNode, service::Service};
+
+/// Why the topics of a node cannot be opened.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the message says what the fields are")]
+pub enum OpenError {
+    /// The environment is invalid.
+    #[error(transparent)]
+    Environment(TransportError),
+    /// The input cannot be opened.
+    #[error("cannot subscribe to {link}")]
+    Input { link: Box<Link>, source: TransportError },
+    /// An output cannot be opened.
+    #[error("cannot publish")]
+    Outputs(#[source] TransportError),
+    /// The services cannot be offered.
+    #[error("cannot offer services")]
+    Services(#[source] TransportError),
+}
+
+/// A node with its topics and services open.
+pub struct LiveNode {
+    // Dropped first: requests come from other threads.
+    _services: Vec<Box<dyn Served>>,
+    /// The outputs: others can be added before the node runs, and observers.
+    pub outputs: Vec<Outputs>,
+    subscriber: Box<dyn Subscriber>,
+    context: NodeContext,
+    transports: Transports,
+    queue: FrameQueue,
+    handle: Arc<NodeHandle>,
+    stop: Arc<AtomicBool>,
+    node: SurrogateNode,
+}
+
+impl LiveNode {
+    /// Opens input, outputs and services under the names of `ros`. The node ends once `stop` is raised.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn open(
+        mut node: SurrogateNode,
+        links: &NodeLinks,
+        ros: &RosNode,
+        reliability: Reliability,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, OpenError> {
+        node.stop_with(Arc::clone(&stop));
+        let options = ros.transport_options().map_err(OpenError::Environment)?;
+        let transports = Transports::stopped_by(Arc::clone(&stop), options);
+        let renamed = links.renamed(ros);
+        let input = renamed.input.clone();
+        let subscriber = transports
+            .subscriber(&input, ParticleFrame::TYPE)
+            .map_err(|source| OpenError::Input { link: Box::new(input.clone()), source })?;
+        let outputs = links
+            .open_outputs(&transports, ros, reliability, node.settings().cloud)
+            .map_err(OpenError::Outputs)?;
+        let handle = Arc::default();
+        let services = serve(&transports, &renamed, ros, &handle).map_err(OpenError::Services)?;
+        Ok(Self {
+            _services: services,
+            outputs,
+            subscriber,
+            context: context(&transports, input, ros),
+            transports,
+            queue: FrameQueue::new(node.settings().queue, reliability),
+            handle,
+            stop,
+            node,
+        })
+    }
+
+    /// Runs until the node is stopped, see [`drive`].
+    ///
+    /// # Errors
+    /// As [`drive`].
+    pub fn run(&mut self) -> Result<(), TransportError> {
+        let Self { node, context, subscriber, outputs, queue, handle, stop, .. } = self;
+        drive(node, context, subscriber.as_mut(), outputs, queue, handle, stop)
+    }
+
+    /// The node itself.
+    pub fn node(&self) -> &SurrogateNode {
+        &self.node
+    }
+
+    /// For requests while it runs.
+    pub fn handle(&self) -> &Arc<NodeHandle> {
+        &self.handle
+    }
+
+    /// The transports of its links.
+    pub fn transports(&self) -> &Transports {
+        &self.transports
+    }
+}
+
+/// The name of the node and its time; `/clock` is on the transport of the input.
+fn context(transports: &Transports, input: Link, ros: &RosNode) -> NodeContext {
+    let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
+    let open = move || transports.subscriber(&clock, Clock::TYPE);
+    NodeContext { name: ros.full_name(), input, time: RosTime::new(Box::new(open)) }
+}
+
+/// Offers the services of the node on every transport of its links that has services.
+fn serve(
+    transports: &Transports,
+    links: &NodeLinks,
+    ros: &RosNode,
+    handle: &Arc<NodeHandle>,
+) -> Result<Vec<Box<dyn Served>>, TransportError> {
+    let mut served = Vec::new();
+    for link in links.one_per_transport() {
+        for Service { name, type_name, handler } in node_services(&ros.full_name(), handle) {
+            let link = link.with_topic(&ros.service(&name));
+            served.extend(transports.serve(&link, type_name, handler)?);
+        }
+    }
+    Ok(served)
+}
