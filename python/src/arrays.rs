@@ -7,7 +7,7 @@
 use std::{fmt::Display, slice};
 
 use pyo3::{
-    exceptions::{PyTypeError, PyValueError},
+    exceptions::{PyException, PyTypeError, PyValueError},
     prelude::*,
     sync::PyOnceLock,
     types::{PyDict, PyTuple, PyType},
@@ -138,14 +138,19 @@ fn numpy_array<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py
             value.get_type().name()?
         )));
     }
-    let (device, _): (i32, i32) = value.call_method0("__dlpack_device__")?.extract()?;
+    let unshared = |error: PyErr| {
+        let found = format!("an array that cannot be shared ({error})");
+        // Ctrl-C is not a matter of the array.
+        let is_its_own = error.is_instance_of::<PyException>(value.py());
+        if is_its_own { wrong(name, found, "plain memory of the CPU") } else { error }
+    };
+    let device = value.call_method0("__dlpack_device__").and_then(|found| found.extract());
+    let (device, _): (i32, i32) = device.map_err(unshared)?;
     if device != CPU {
         let found = format!("memory of a device (DLPack device type {device})");
         return Err(wrong(name, found, "memory of the CPU"));
     }
-    numpy.call_method1("from_dlpack", (value,)).map_err(|error| {
-        wrong(name, format!("an array that cannot be shared ({error})"), "plain memory")
-    })
+    numpy.call_method1("from_dlpack", (value,)).map_err(unshared)
 }
 
 /// `ValueError` in the form of all messages.

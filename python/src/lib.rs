@@ -2,7 +2,7 @@
 //!
 //! 1. `errors`: exceptions. `arrays`: checked arguments, and views without a copy. `values`: Python values as settings.
 //! 2. `interrupt`: long work that Ctrl-C ends, and that calls back into Python.
-//! 3. `frame`, `scene`, `solver`, `surrogate`, `bag`, `evaluate`, `train`: the classes and functions.
+//! 3. `frame`, `scene`, `solver`, `surrogate`, `bag`, `evaluate`, `train`, `node`: the classes and functions.
 //!
 //! Every computation releases the interpreter's lock. Classes are frozen; what changes is behind a mutex, so that calls
 //! from several threads wait for each other.
@@ -13,6 +13,7 @@ mod errors;
 mod evaluate;
 mod frame;
 mod interrupt;
+mod node;
 mod scene;
 mod solver;
 mod surrogate;
@@ -46,10 +47,12 @@ mod _eddy {
     use crate::{
         bag::{Bag, BagWriter, Frames, Message, Messages},
         errors::{
-            BagError, CheckpointError, EddyError, EvaluationError, SimulationError, TrainError,
+            BagError, CheckpointError, EddyError, EvaluationError, NodeError, SimulationError,
+            TrainError,
         },
         evaluate::{Report, evaluate, skill},
         frame::Frame,
+        node::Node,
         scene::Scene,
         solver::Solver,
         surrogate::{Stream, Surrogate},

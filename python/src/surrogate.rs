@@ -2,7 +2,7 @@
 
 use std::{
     num::NonZeroUsize,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex},
 };
 
@@ -14,7 +14,7 @@ use eddy_inference::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
-    arrays::{Argument, view_pairs, wrong},
+    arrays::{Argument, array, wrong},
     detached,
     errors::{CheckpointError, raise},
     frame::Frame,
@@ -26,7 +26,7 @@ use crate::{
 /// One set of threads predicts for all its streams: calls from several Python threads wait for each other.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Surrogate {
-    inner: engine::Surrogate,
+    pub(crate) inner: engine::Surrogate,
     stepper: Arc<Mutex<Stepper>>,
 }
 
@@ -56,11 +56,7 @@ impl Surrogate {
         let count =
             |threads| NonZeroUsize::new(threads).ok_or_else(|| wrong("threads", 0, "at least 1"));
         let threads = threads.map(count).transpose()?;
-        let load = || {
-            let checkpoint = Checkpoint::load_or_shipped(checkpoint.as_deref())?;
-            engine::Surrogate::load(&checkpoint, threads)
-        };
-        let inner = py.detach(load).map_err(raise::<CheckpointError>)?;
+        let inner = load(py, checkpoint.as_deref(), threads)?;
         let stepper = Arc::new(Mutex::new(inner.stepper()));
         Ok(Self { inner, stepper })
     }
@@ -180,7 +176,8 @@ impl Stream {
         Ok(next.into())
     }
 
-    /// As `step`, with arrays: position and velocity are float32 [N, 2] and read in place, the results are new.
+    /// As `step`, with arrays: position and velocity are float32 [N, 2] and read in place; the results are new
+    /// arrays, which may be written to.
     fn step_arrays<'py>(
         &self,
         py: Python<'py>,
@@ -201,7 +198,11 @@ impl Stream {
         detached(py, &surrogate.get().stepper, |stepper| {
             stepper.step_into(&mut lock(&self.hidden), frame, &mut next);
         });
-        arrays_of(py, next)
+        let pairs = |values: Vec<[f32; 2]>| {
+            let shape = vec![values.len(), 2];
+            array(py, values.into_flattened(), shape)
+        };
+        Ok((pairs(next.position)?, pairs(next.velocity)?))
     }
 
     /// Observes a frame, then its own predictions: a list of the next `frames` predicted frames.
@@ -240,6 +241,19 @@ impl Stream {
     }
 }
 
+/// The network of the checkpoint in a directory, or of the package's.
+pub(crate) fn load(
+    py: Python<'_>,
+    checkpoint: Option<&Path>,
+    threads: Option<NonZeroUsize>,
+) -> PyResult<engine::Surrogate> {
+    let load = || {
+        let checkpoint = Checkpoint::load_or_shipped(checkpoint)?;
+        engine::Surrogate::load(&checkpoint, threads)
+    };
+    py.detach(load).map_err(raise::<CheckpointError>)
+}
+
 /// A frame to predict into.
 fn empty(like: &eddy_frames::Frame) -> eddy_frames::Frame {
     eddy_frames::Frame {
@@ -251,21 +265,6 @@ fn empty(like: &eddy_frames::Frame) -> eddy_frames::Frame {
         position: Vec::new(),
         velocity: Vec::new(),
         material: Vec::new(),
-    }
-}
-
-/// Position and velocity as arrays that own the frame's memory.
-#[expect(unsafe_code, reason = "arrays that borrow the memory of a frozen object")]
-fn arrays_of<'py>(
-    py: Python<'py>,
-    frame: eddy_frames::Frame,
-) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-    let owner = Bound::new(py, Frame::from(frame))?;
-    let inner = &owner.get().inner;
-    // SAFETY: the object is frozen and owns both.
-    unsafe {
-        let position = view_pairs(&inner.position, owner.clone().into_any())?;
-        Ok((position, view_pairs(&inner.velocity, owner.clone().into_any())?))
     }
 }
 
