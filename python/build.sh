@@ -5,13 +5,15 @@
 #   python/build.sh --portable   manylinux_2_28 (glibc 2.28 and later), through the linker of zig
 #   python/build.sh --portable --target aarch64-unknown-linux-gnu
 #
-# The wheel is in python/dist. Needs Rust and Python 3.10 or later; installs the build tools into python/.venv.
+# The wheel is in python/dist. Needs Rust and Python 3.10 or later; installs the build tools outside the checkout. The same
+# sources give the same bytes.
 set -euo pipefail
-cd "$(dirname "$0")"
-export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$PWD/../target}"
+python=$(cd "$(dirname "$0")" && pwd)
+root=$(dirname "$python")
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$root/target}"
 
 portable=
-target=x86_64-unknown-linux-gnu
+target="$(uname -m)-unknown-linux-gnu"
 while [ $# -gt 0 ]; do
     case "$1" in
         --portable) portable=yes ;;
@@ -21,28 +23,33 @@ while [ $# -gt 0 ]; do
     shift
 done
 
-python3 -m venv .venv
-.venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements-build.txt
-PATH="$PWD/.venv/bin:$PATH"
+venv="${XDG_CACHE_HOME:-$HOME/.cache}/eddy/wheel"
+[ -x "$venv/bin/python" ] || python3 -m venv "$venv"
+"$venv/bin/pip" install --quiet --disable-pip-version-check --requirement "$python/requirements-build.txt"
+export PATH="$venv/bin:$PATH"
 
-# pip installs what lies in data/scripts beside the interpreter.
-mkdir -p data/scripts dist
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+# The module and the program from one build: what both use is compiled once.
+cd "$root"
 if [ -n "$portable" ]; then
-    cargo zigbuild --release --locked --manifest-path ../Cargo.toml --target "$target.2.28"
-    program="$CARGO_TARGET_DIR/$target/release/eddy"
+    cargo zigbuild --release --locked --workspace --target "$target.2.28"
+    built="$CARGO_TARGET_DIR/$target/release"
+    strip() { python3 -m ziglang objcopy --strip-all "$1" "$2"; }
+    tag="manylinux_2_28_${target%%-*}"
 else
-    cargo build --release --locked --manifest-path ../Cargo.toml
-    program="$CARGO_TARGET_DIR/release/eddy"
+    cargo build --release --locked --workspace
+    built="$CARGO_TARGET_DIR/release"
+    strip() { command strip -o "$2" "$1"; }
+    tag="linux_${target%%-*}"
 fi
-if [ "$target" = "$(uname -m)-unknown-linux-gnu" ]; then
-    strip -o data/scripts/eddy "$program"
-else
-    cp "$program" data/scripts/eddy
-fi
-chmod +x data/scripts/eddy
+strip "$built/lib_eddy.so" "$work/lib_eddy.so"
+strip "$built/eddy" "$work/eddy"
+chmod 755 "$work/eddy"
 
-if [ -n "$portable" ]; then
-    maturin build --release --locked --out dist --zig --target "$target" --compatibility manylinux_2_28
-else
-    maturin build --release --locked --out dist
-fi
+# hatchling takes licences from its own folder only.
+cp "$root"/LICENSE-* "$python"
+trap 'rm -rf "$work" "$python"/LICENSE-*' EXIT
+mkdir -p "$python/dist"
+cd "$python"
+EDDY_BUILT="$work" EDDY_PLATFORM="$tag" python3 -m hatchling build --target wheel --directory dist
