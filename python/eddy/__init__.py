@@ -16,6 +16,8 @@ from ._eddy import (
     Frames,
     Message,
     Messages,
+    Node,
+    NodeError,
     Report,
     Scene,
     SimulationError,
@@ -28,6 +30,7 @@ from ._eddy import (
     skill,
     train,
 )
+from ._player import Player
 
 #: Names of the materials, by their numbers in ``Frame.material``.
 MATERIALS = ("liquid", "snow", "jelly", "rope")
@@ -44,6 +47,9 @@ __all__ = [
     "Frames",
     "Message",
     "Messages",
+    "Node",
+    "NodeError",
+    "Player",
     "Report",
     "Scene",
     "SimulationError",

@@ -1,8 +1,9 @@
-"""The example of the README and the notebook do what they say."""
+"""The example of the README and the notebook do what they say, and everything public is documented."""
 
 import re
 from pathlib import Path
 
+import eddy
 import nbformat
 import pytest
 from nbclient import NotebookClient
@@ -25,3 +26,35 @@ def test_the_notebook_runs() -> None:
     )
     assert "skill at 1, 20 and 50 frames: 0." in text, text
     assert "Report(streams=" in text, text
+    pages = [
+        output.data["text/html"] for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+        if "text/html" in output.get("data", {})
+    ]
+    assert len(pages) == 1 and "<iframe srcdoc=" in pages[0], "the player"
+
+
+def members() -> list[tuple[str, object]]:
+    """Everything that `eddy` offers, and the public members of its classes."""
+    found: list[tuple[str, object]] = [("eddy", eddy)]
+    for name in eddy.__all__:
+        item = getattr(eddy, name)
+        found.append((name, item))
+        if isinstance(item, type) and not issubclass(item, Exception):
+            found += [(f"{name}.{member}", getattr(item, member)) for member in vars(item) if not member.startswith("_")]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "item"), [(name, item) for name, item in members() if not isinstance(item, (str, tuple))]
+)
+def test_everything_public_has_a_docstring(name: str, item: object) -> None:
+    text = item.__doc__
+    assert text, name
+    assert re.match(r"[`A-Z]", text) and text.rstrip()[-1] in ".:)", f"{name}: {text}"
+
+
+def test_the_page_names_everything_public() -> None:
+    page = (ROOT.parent / "docs" / "src" / "how-to" / "python.md").read_text()
+    main = [name for name in eddy.__all__ if not name.endswith("Error")]
+    helpers = {"Frames", "Message", "Messages", "Report", "MATERIALS", "__version__"}
+    assert [name for name in main if name not in helpers and f"`eddy.{name}`" not in page] == []
