@@ -1,6 +1,6 @@
 """Recurrent surrogates for particle simulations.
 
-Solver, surrogates, bags, evaluation and training on NumPy arrays. Lengths are domain lengths (the side of the unit square),
+Solver, surrogates, bags, evaluation, training and live nodes on NumPy arrays. Lengths are domain lengths (the side of the unit square),
 times are seconds, unless a name says otherwise. Arrays of positions and velocities are float32 ``[N, 2]`` in C order; arrays of
 other libraries are read in place through the DLPack protocol.
 """

@@ -129,6 +129,15 @@ pub const NOT_HERE: &[(&str, &str)] = &[
     ),
     ("python/build.sh", "builds the program again, for a wheel"),
     ("pip install python/dist/eddy_surrogates-*.whl", "builds the program again, for a wheel"),
+    (
+        "python/reference.sh python/dist/eddy_surrogates-*.whl",
+        "builds the program again, for a wheel",
+    ),
+    ("pip install torch==2.15.0", "needs PyTorch; python/examples/check runs it"),
+    (
+        "python python/examples/torch_tensors.py",
+        "needs PyTorch; python/examples/check runs it",
+    ),
     ("pip install taichi==1.7.4", "needs Taichi and a quarter of an hour"),
     (
         "python python/examples/mpm_taichi.py --output out/taichi",
@@ -141,6 +150,29 @@ pub const NOT_HERE: &[(&str, &str)] = &[
     (
         "apt install ./target/debian/eddy_0.1.0_amd64.deb",
         "tests/packages/check_deb installs what it makes",
+    ),
+    (
+        "docs/src/deploy/container.sh target/debian/eddy_0.1.0_amd64.deb target/container",
+        "needs root; tests/packages/check_container runs what it makes",
+    ),
+    ("podman load --input target/container/eddy.oci.tar", "needs systemd, root or Docker"),
+    ("docs/src/deploy/sbom.sh target/sbom", "installs a tool of cargo's"),
+    ("cargo deny check bans licenses sources", "needs cargo-deny; .ci/run runs it"),
+    (
+        "colcon build --cmake-args -DEDDY=/usr/bin/eddy",
+        "needs ROS 2; tests/packages/check_ament builds the packages",
+    ),
+    (
+        "ros2 run eddy_ros eddy node --input dds:/particles --output dds:/prediction",
+        "needs ROS 2; tests/packages/check_ament runs the program",
+    ),
+    (
+        "ros2 launch eddy_ros node.launch.yaml input:=dds:/truth output:=dds:/ahead horizon:=20 namespace:=/robot1",
+        "needs ROS 2; tests/packages/check_ament runs what the file says",
+    ),
+    (
+        "ros2 launch eddy_ros replay.launch.yaml bag:=/usr/share/eddy/bags/sample",
+        "needs ROS 2; tests/packages/check_ament runs what the file says",
     ),
     ("systemctl enable --now eddy-node", "needs systemd, root or Docker"),
     ("install -D target/release/eddy /usr/local/bin/eddy", "needs systemd, root or Docker"),
