@@ -13,10 +13,11 @@ use std::{
 use eddy_frames::{FrameView, clock::Clock};
 use eddy_messages::services::{Parameter, ParameterKind, ParameterValue};
 use eddy_node::{
-    Counters, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse, NodeSettings, Observer,
-    PARAMETERS, Prediction, RequestError, SurrogateNode, diagnostics::Rates, ros::RosNode,
+    Counters, DriveError, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse, NodeSettings,
+    Observer, PARAMETERS, Prediction, RequestError, SurrogateNode, diagnostics::Rates,
+    ros::RosNode,
 };
-use eddy_transport::{Link, Reliability, TransportError};
+use eddy_transport::{Link, Reliability};
 use pyo3::{
     exceptions::{PyTypeError, PyValueError},
     prelude::*,
@@ -56,7 +57,7 @@ pub(crate) struct Node {
 struct Running {
     stop: Arc<AtomicBool>,
     handle: Arc<NodeHandle>,
-    thread: Option<JoinHandle<Result<(), TransportError>>>,
+    thread: Option<JoinHandle<Result<(), DriveError>>>,
 }
 
 impl Running {

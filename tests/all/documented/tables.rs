@@ -134,10 +134,7 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "builds the program again, for a wheel",
     ),
     ("pip install torch==2.15.0", "needs PyTorch; python/examples/check runs it"),
-    (
-        "python python/examples/torch_tensors.py",
-        "needs PyTorch; python/examples/check runs it",
-    ),
+    ("python python/examples/torch_tensors.py", "needs PyTorch; python/examples/check runs it"),
     ("pip install taichi==1.7.4", "needs Taichi and a quarter of an hour"),
     (
         "python python/examples/mpm_taichi.py --output out/taichi",

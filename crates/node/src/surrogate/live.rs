@@ -6,8 +6,8 @@ use eddy_messages::{Clock, Message, ParticleFrame};
 use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
 
 use super::{
-    FrameQueue, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime, SurrogateNode, drive,
-    node_services,
+    DriveError, FrameQueue, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime, SurrogateNode,
+    drive, node_services,
 };
 use crate::{ros::RosNode, service::Service};
 
@@ -86,7 +86,7 @@ impl LiveNode {
     ///
     /// # Errors
     /// As [`drive`].
-    pub fn run(&mut self) -> Result<(), TransportError> {
+    pub fn run(&mut self) -> Result<(), DriveError> {
         let Self { node, context, subscriber, outputs, queue, handle, stop, .. } = self;
         drive(node, context, subscriber.as_mut(), outputs, queue, handle, stop)
     }
