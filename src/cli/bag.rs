@@ -154,13 +154,13 @@ pub struct ExportArgs {
     #[arg(long, short, value_enum, required_unless_present = "cloud")]
     pub format: Option<ExportFormat>,
     /// Copy a bag and add its frames as sensor_msgs/PointCloud2 on TOPIC/cloud, for Foxglove, RViz and Rerun.
-    #[arg(long, conflicts_with_all = ["format", "topic", "stream", "frames"])]
+    #[arg(long, conflicts_with_all = ["format", "topic", "truth", "stream", "frames"])]
     pub cloud: bool,
     /// Compression of chunks with --cloud [default: as in the input].
     #[arg(long, value_enum, requires = "cloud")]
     pub compression: Option<CompressionArg>,
-    /// Output path: a file for csv, otherwise a directory; npz (one stream) and gns write a single file if the
-    /// name ends in .npz [default: named after the bag].
+    /// Output path: a file for csv, otherwise a directory; npz and vtkhdf (one stream) and gns write a single file if the
+    /// name ends in .npz or .vtkhdf [default: named after the bag].
     #[arg(long, short, value_name = "PATH")]
     pub output: Option<PathBuf>,
     /// Replace an existing export.
@@ -169,6 +169,10 @@ pub struct ExportArgs {
     /// Topic with the frames.
     #[arg(long, default_value = TRUTH_TOPIC)]
     pub topic: String,
+    /// Bag with the true frames, on /particles: vtu and vtkhdf then have the error of each particle [default: the exported
+    /// bag, if it has them and another topic is exported].
+    #[arg(long, value_name = "BAG")]
+    pub truth: Option<PathBuf>,
     /// Export only this stream.
     #[arg(long, value_name = "ID")]
     pub stream: Option<u64>,

@@ -61,7 +61,7 @@ fn streams(bag: &Path) -> Streams {
 }
 
 fn try_export(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), ExchangeError> {
-    export(&streams(bag), format, to, &mut || true)
+    export(&streams(bag), None, format, to, &mut || true)
 }
 
 fn try_import(
@@ -438,7 +438,7 @@ fn an_interrupted_export_leaves_nothing() {
         ExportFormat::Csv,
     ] {
         let mut frames = 0;
-        let outcome = export(&streams, format, &folder.path().join("out"), &mut || {
+        let outcome = export(&streams, None, format, &folder.path().join("out"), &mut || {
             frames += 1;
             frames < 6
         });
@@ -453,8 +453,10 @@ fn a_program_without_hdf5_says_how_to_get_it() {
     let (folder, bag) = two_streams();
     let (bag, out) = (bag.to_str().unwrap(), folder.path().join("out"));
     let out = out.to_str().unwrap();
-    let error = fail(1, ["bag", "export", bag, "--format", "hdf5", "--output", out]);
-    assert!(error.contains("--features hdf5"), "{error}");
+    for format in ["hdf5", "vtkhdf"] {
+        let error = fail(1, ["bag", "export", bag, "--format", format, "--output", out]);
+        assert!(error.contains("--features hdf5"), "{error}");
+    }
     assert_eq!(entries(folder.path()), ["bag"]);
 }
 
@@ -602,4 +604,58 @@ fn pictures_are_what_their_names_say() {
     let [bag, out] = [&bag, &out].map(|path| path.to_str().unwrap());
     let error = fail(2, ["bag", "render", bag, "--output", out, "--rate", "0"]);
     assert!(error.contains("--rate") && error.contains("expected a positive number"), "{error}");
+}
+
+#[test]
+fn predictions_are_exported_with_their_distance_from_the_truth() {
+    let folder = tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let truth: Vec<Frame> = (0..2).map(|k| frame(3, k, 2)).collect();
+    write_bag(folder.path().join("truth").as_path(), &truth);
+    // The prediction of frame 1 is a quarter of a domain length too low, frame 2 has no truth.
+    let position = |frame: &Frame| frame.position.iter().map(|[x, _]| [*x, 0.5]).collect();
+    let predicted: Vec<Frame> = (1..3)
+        .map(|k| frame(3, k, 2))
+        .map(|frame| Frame { position: position(&frame), ..frame })
+        .collect();
+    for (name, with_truth) in [("alone", false), ("both", true)] {
+        let mut bag =
+            BagWriter::create(&folder.path().join(name), WriterOptions::default()).unwrap();
+        let topics = [("/particles", &truth[..0]), ("/prediction", &predicted[..])];
+        let topics = if with_truth { [("/particles", &truth[..]), topics[1]] } else { topics };
+        for (topic, frames) in topics.into_iter().filter(|(_, frames)| !frames.is_empty()) {
+            let topic = bag.topic(topic, ParticleFrame::TYPE).unwrap();
+            for frame in frames {
+                bag.write(topic, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
+            }
+        }
+        bag.finish().unwrap();
+    }
+    let export = |bag: &str, out: &str, more: &[&str]| {
+        let (bag, out) = (at(bag), at(out));
+        let usual = ["bag", "export", &bag, "--topic", "/prediction", "--output", &out];
+        usual.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    let grid = |out: &str, number: u32| {
+        fs::read_to_string(folder.path().join(format!("{out}/stream_0003/{number:06}.vtu")))
+            .unwrap()
+    };
+    succeed(export("alone", "without", &["--format", "vtu"]));
+    assert!(!grid("without", 0).contains(r#"Name="error""#));
+    let elsewhere = at("truth");
+    succeed(export("alone", "beside", &["--format", "vtu", "--truth", &elsewhere]));
+    succeed(export("both", "within", &["--format", "vtu"]));
+    for out in ["beside", "within"] {
+        // The number of bytes, then 0.25 twice; NaN twice.
+        for (number, values) in [(0, "CAAAAAAAAAAAAIA+AACAPg=="), (1, "CAAAAAAAAAAAAMB/AADAfw==")] {
+            let expected = format!(r#"Name="error"  format="binary">{values}<"#);
+            let grid = grid(out, number);
+            assert!(grid.contains(&expected), "{out} {number}: {grid}");
+        }
+    }
+    let error = fail(2, export("both", "none", &["--format", "npz", "--truth", &elsewhere]));
+    assert!(error.contains("--truth: expected the format vtu or vtkhdf"), "{error}");
+    write_bag(&folder.path().join("others"), &[frame(4, 0, 2)]);
+    let error = fail(1, export("alone", "none", &["--format", "vtu", "--truth", &at("others")]));
+    assert!(error.contains("others: found streams [4], expected 3 as in "), "{error}");
 }

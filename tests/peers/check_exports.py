@@ -4,8 +4,8 @@
 
 EDDY is the program, BAGS a directory of at least three bags with one stream each, all of the same shape. The frames
 that rosbags reads from them are the reference. Checks:
-1. Every format of `eddy bag export` contains these frames: npz, csv, gns (numpy), vtu and ply (meshio), hdf5 (h5py; skipped
-   with a note if EDDY was built without it).
+1. Every format of `eddy bag export` contains these frames: npz, csv, gns (numpy), vtu and ply (meshio), hdf5 (h5py) and
+   vtkhdf (VTK's own reader, which is ParaView's; both skipped with a note if EDDY was built without HDF5).
 2. gns and hdf5 data sets work as the loaders of geoelements/gns and LagrangeBench use them, and the statistics
    in metadata.json equal those that numpy computes.
 3. Conversely, `eddy bag import` reads files written by numpy (and h5py), and rejects pickles.
@@ -233,6 +233,28 @@ def check_import_gns(program, work, truth, store):
         expect(not output.exists(), f"import gns: {output} was written")
 
 
+def check_vtkhdf(directory, truths, meshes):
+    """Check against the frames, and the other properties against the VTU files in `meshes`."""
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    for truth in truths:
+        reader = vtk.vtkHDFReader()
+        reader.SetFileName(str(directory / f"{truth.name}.vtkhdf"))
+        reader.UpdateInformation()
+        times = reader.GetOutputInformation(0).Get(vtk.vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+        close(times, numpy.array(truth.stamp) / 1e9, f"vtkhdf: {truth.name}: times")
+        for frame, time in enumerate(times):
+            reader.UpdateTimeStep(time)
+            grid, what = reader.GetOutput(), f"vtkhdf: {truth.name}: frame {frame}"
+            same(vtk_to_numpy(grid.GetPoints().GetData())[:, :2], truth.position[frame], f"{what}: points")
+            expect(grid.GetNumberOfCells() == len(truth.material), f"{what}: found {grid.GetNumberOfCells()} cells")
+            mesh = meshio.read(meshes / truth.name / f"{frame:06}.vtu")
+            for name, values in mesh.point_data.items():
+                found = vtk_to_numpy(grid.GetPointData().GetArray(name))
+                expect(numpy.array_equal(found, values, equal_nan=True), f"{what}: {name} differs from the VTU file")
+
+
 def check_import_hdf5(program, work, truth, store):
     import h5py
 
@@ -288,7 +310,8 @@ def main():
         else:
             check_hdf5(export(program, bags, work, "hdf5"), truths)
             check_import_hdf5(program, work, truths[0], store)
-            print("hdf5: h5py reads the same as rosbags from the bags, and its files are imported")
+            check_vtkhdf(export(program, bags, work, "vtkhdf"), truths, work / "vtu")
+            print("hdf5: h5py reads the same as rosbags from the bags, and its files are imported; so does VTK vtkhdf")
         check_pictures(program, sorted(bags.glob("scene_*"))[0], work)
         print("pictures: Pillow opens strips and animations")
 

@@ -19,6 +19,8 @@ pub enum ExportFormat {
     Npz,
     /// VTK grids for ParaView: one .vtu per frame, one .pvd per stream.
     Vtu,
+    /// One VTKHDF file per stream, with all frames, for ParaView 5.12 and later.
+    Vtkhdf,
     /// Binary point clouds, one .ply per frame.
     Ply,
     /// A data set for graph network simulators: train.npz, valid.npz, test.npz, metadata.json.
@@ -37,6 +39,8 @@ impl ExportFormat {
             Self::Npz if streams == 1 => format!("{stem}.npz"),
             Self::Npz => format!("{stem}_npz"),
             Self::Vtu => format!("{stem}_vtu"),
+            Self::Vtkhdf if streams == 1 => format!("{stem}.vtkhdf"),
+            Self::Vtkhdf => format!("{stem}_vtkhdf"),
             Self::Ply => format!("{stem}_ply"),
             Self::Gns => format!("{stem}_gns"),
             Self::Csv => format!("{stem}.csv"),
@@ -45,8 +49,10 @@ impl ExportFormat {
     }
 }
 
-/// Writes streams to `path`, which must not exist: a file for CSV, a directory otherwise; `Npz` (of one stream) and
-/// `Gns` write a single file if the path ends in `.npz`. The output appears when it is complete.
+/// Writes streams to `path`, which must not exist: a file for CSV, a directory otherwise; `Npz` and `Vtkhdf` (of one
+/// stream) and `Gns` write a single file if the path ends in `.npz` or `.vtkhdf`. The output appears when it is
+/// complete. `truth` has streams of the same ids: `Vtu` and `Vtkhdf` then have the distance of each particle from its
+/// true position.
 ///
 /// # Errors
 /// [`ExchangeError::Exists`], [`ExchangeError::Unsuitable`] when the format cannot represent a stream,
@@ -54,11 +60,15 @@ impl ExportFormat {
 /// [`Streams::read`].
 pub fn export(
     streams: &Streams,
+    truth: Option<&Streams>,
     format: ExportFormat,
     path: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
-    let single_file = path.extension().is_some_and(|extension| extension == "npz");
+    let single_file = path.extension().is_some_and(|extension| match format {
+        ExportFormat::Vtkhdf => extension == "vtkhdf",
+        _ => extension == "npz",
+    });
     let tracks: Vec<&Track> = streams.tracks().iter().collect();
     let output = Staged::new(path).map_err(ExchangeError::output(path))?;
     let staged = &output.path();
@@ -67,10 +77,9 @@ pub fn export(
         Ok::<&Path, ExchangeError>(staged)
     };
     match format {
-        ExportFormat::Npz if single_file => match tracks.as_slice() {
-            [track] => npz::write(streams, track, staged, progress)?,
-            _ => return Err(ExchangeError::OneFile { path: path.into(), found: tracks.len() }),
-        },
+        ExportFormat::Npz if single_file => {
+            npz::write(streams, only(&tracks, path)?, staged, progress)?;
+        }
         ExportFormat::Npz => {
             let directory = directory()?;
             for track in tracks {
@@ -78,7 +87,19 @@ pub fn export(
                 npz::write(streams, track, &file, progress)?;
             }
         }
-        ExportFormat::Vtu => vtu::write(streams, directory()?, progress)?,
+        ExportFormat::Vtu => vtu::write(streams, truth, directory()?, progress)?,
+        #[cfg(feature = "hdf5")]
+        ExportFormat::Vtkhdf if single_file => {
+            super::vtkhdf::write(streams, only(&tracks, path)?, truth, staged, progress)?;
+        }
+        #[cfg(feature = "hdf5")]
+        ExportFormat::Vtkhdf => {
+            let directory = directory()?;
+            for track in tracks {
+                let file = directory.join(format!("{}.vtkhdf", track.name()));
+                super::vtkhdf::write(streams, track, truth, &file, progress)?;
+            }
+        }
         ExportFormat::Ply => ply::write(streams, directory()?, progress)?,
         ExportFormat::Gns if single_file => gns::write(streams, &tracks, staged, None, progress)?,
         ExportFormat::Gns => {
@@ -90,7 +111,15 @@ pub fn export(
             data_set::write_set(streams, directory()?, "h5", super::hdf5::write, progress)?
         }
         #[cfg(not(feature = "hdf5"))]
-        ExportFormat::Hdf5 => return Err(ExchangeError::NoHdf5),
+        ExportFormat::Hdf5 | ExportFormat::Vtkhdf => return Err(ExchangeError::NoHdf5),
     }
     output.commit().map_err(ExchangeError::output(path))
+}
+
+/// The only stream, for a format with one per file.
+fn only<'a>(tracks: &[&'a Track], path: &Path) -> Result<&'a Track, ExchangeError> {
+    match tracks {
+        [track] => Ok(track),
+        _ => Err(ExchangeError::OneFile { path: path.into(), found: tracks.len() }),
+    }
 }

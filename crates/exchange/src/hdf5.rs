@@ -1,6 +1,6 @@
-//! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group per trajectory, `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside
-//! `metadata.json` (tumaer/lagrangebench, `data_gen/lagrangebench_data/gen_dataset.py` and
-//! `lagrangebench/data/data.py`).
+//! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group per trajectory,
+//! `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside `metadata.json`
+//! (tumaer/lagrangebench, `data_gen/lagrangebench_data/gen_dataset.py` and `lagrangebench/data/data.py`).
 //!
 //! Positions only, as in [`super::gns`]. All trajectories of a file have the same `T`; `N` may differ. One
 //! trajectory at a time is in memory.
@@ -23,7 +23,7 @@ use super::{
 const TYPES: Types = Types([0, 4, 5, 6]);
 
 /// Compression level, the default of h5py.
-const GZIP: u8 = 4;
+pub(super) const GZIP: u8 = 4;
 
 const RULE: &str = "LagrangeBench needs trajectories of equal length with a constant number of \
                     particles; --frames N selects the first N frames of each";
@@ -118,6 +118,7 @@ fn array<T: hdf5::H5Type>(group: &Group, name: &str) -> hdf5::Result<Array<T>> {
     Ok(Array { shape, values: dataset.read_raw()? })
 }
 
-fn hdf5_error(path: &Path, error: hdf5::Error) -> ExchangeError {
+/// An error of the library.
+pub(super) fn hdf5_error(path: &Path, error: hdf5::Error) -> ExchangeError {
     ExchangeError::Hdf5 { path: path.into(), reason: error.to_string() }
 }

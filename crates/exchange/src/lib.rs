@@ -5,9 +5,10 @@
 //! Export:
 //! 1. `streams`: the streams of bags, their properties and frames. `aligned`: frames of several topics, matched by
 //!    sequence number.
-//! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, the latter with density
-//!    and strain (`fields`), pressure and energy (`recorded`), `npz` has arrays, `gns` and `hdf5` are data sets of learned simulators (`data_set`) with a
-//!    `metadata.json` (`metadata`).
+//! 2. `export`: selects the format. `csv` is one table, `ply` and `vtu` are one file per frame, `vtkhdf` is one per
+//!    stream; `vtu` and `vtkhdf` have properties of the particles (`point_data`), among them density and strain (`fields`),
+//!    pressure and energy (`recorded`). `npz` has arrays, `gns` and `hdf5` are data sets of learned simulators
+//!    (`data_set`) with a `metadata.json` (`metadata`).
 //!
 //! Import:
 //! 3. `trajectory`: checks the arrays of one stream and makes frames of them.
@@ -29,9 +30,12 @@ mod import;
 mod metadata;
 mod npz;
 mod ply;
+mod point_data;
 mod recorded;
 mod streams;
 mod trajectory;
+#[cfg(feature = "hdf5")]
+mod vtkhdf;
 mod vtu;
 
 pub use aligned::{AlignedFrames, Frames};

@@ -209,6 +209,11 @@ impl Streams {
         &self.tracks
     }
 
+    /// The stream with this id.
+    pub(super) fn track(&self, stream: u64) -> Option<&Track> {
+        self.tracks.iter().find(|track| track.stream == stream)
+    }
+
     /// Total number of frames.
     pub fn frames(&self) -> usize {
         self.tracks.iter().map(|track| track.frames).sum()

@@ -1,6 +1,5 @@
 //! VTK unstructured grids, one `.vtu` per frame, and a `.pvd` collection per stream to open in ParaView. Every
-//! particle is a vertex with `velocity`, `material`, `density` and `strain` relative to the first frame, and
-//! `pressure` and `energy` where they were recorded.
+//! particle is a vertex with the properties of `point_data`.
 //!
 //! Format: "VTK XML Formats" (docs.vtk.org), inline base64 with 64-bit headers.
 
@@ -10,19 +9,18 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{
     error::ExchangeError,
-    fields::{Fields, Reference},
-    recorded::{self, RecordedProperties},
+    point_data::{self, PointArray, Values, spatial},
     streams::{Progress, Streams},
 };
-use eddy_bag::BagReader;
 use eddy_frames::Frame;
 
 /// Cell type of a vertex (`vtkCellType.h`).
-const VERTEX: u8 = 1;
+pub(super) const VERTEX: u8 = 1;
 
 /// Writes `stream_0007.pvd`, `stream_0007/000000.vtu` and so on into the directory.
 pub(super) fn write(
     streams: &Streams,
+    truth: Option<&Streams>,
     directory: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
@@ -32,10 +30,8 @@ pub(super) fn write(
         fs::create_dir(&folder).map_err(ExchangeError::io(&folder, "creating the directory"))?;
         let mut collection = header("Collection");
         collection.push_str("  <Collection>\n");
-        let (mut number, mut reference) = (0, None);
-        let mut recorded =
-            RecordedProperties::open(&BagReader::open(&track.bag)?, streams.topic())?;
-        streams.read(track, progress, |frame| {
+        let mut number = 0;
+        point_data::read(streams, track, truth, progress, |frame, arrays| {
             let path = folder.join(format!("{number:06}.vtu"));
             let time = frame.stamp.seconds();
             line(
@@ -45,10 +41,7 @@ pub(super) fn write(
                 ),
             );
             number += 1;
-            let fields = reference.get_or_insert_with(|| Reference::new(&frame)).fields(&frame);
-            let recorded = recorded.as_mut().map(|recorded| recorded.of(&frame)).transpose()?;
-            fs::write(&path, grid(&frame, &fields, recorded.as_ref()))
-                .map_err(ExchangeError::io(&path, "writing"))
+            fs::write(&path, grid(frame, arrays)).map_err(ExchangeError::io(&path, "writing"))
         })?;
         collection.push_str("  </Collection>\n</VTKFile>\n");
         let path = directory.join(format!("{name}.pvd"));
@@ -58,16 +51,8 @@ pub(super) fn write(
 }
 
 /// One frame as the text of a `.vtu` file.
-fn grid(
-    frame: &Frame,
-    Fields { density, strain }: &Fields,
-    recorded: Option<&[Vec<f32>; 2]>,
-) -> String {
+fn grid(frame: &Frame, arrays: &[PointArray]) -> String {
     let particles = frame.len();
-    let spatial = |vectors: &[[f32; 2]]| -> Vec<f32> {
-        vectors.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect()
-    };
-    let material = frame.material.iter().map(|&material| [material as u8]);
     let count = particles as i64;
     let mut text = header("UnstructuredGrid");
     text.push_str("  <UnstructuredGrid>\n    <FieldData>\n");
@@ -84,17 +69,18 @@ fn grid(
         format_args!("    <Piece NumberOfPoints=\"{particles}\" NumberOfCells=\"{particles}\">"),
     );
     text.push_str("    <Points>\n");
-    let position = spatial(&frame.position);
-    array(&mut text, "Points", "Float32", VECTOR, position.iter().map(|x| x.to_le_bytes()));
+    let position: Vec<_> = frame.position.iter().copied().map(spatial).collect();
+    floats(&mut text, "Points", VECTOR, position.as_flattened());
     text.push_str("    </Points>\n    <PointData Scalars=\"material\" Vectors=\"velocity\">\n");
-    let velocity = spatial(&frame.velocity);
-    array(&mut text, "velocity", "Float32", VECTOR, velocity.iter().map(|x| x.to_le_bytes()));
-    array(&mut text, "material", "UInt8", "", material);
-    array(&mut text, "density", "Float32", "", density.iter().map(|x| x.to_le_bytes()));
-    let strain = strain.as_flattened().iter().map(|x| x.to_le_bytes());
-    array(&mut text, "strain", "Float32", STRAIN, strain);
-    for (name, values) in recorded::NAMES.iter().zip(recorded.into_iter().flatten()) {
-        array(&mut text, name, "Float32", "", values.iter().map(|x| x.to_le_bytes()));
+    for PointArray { name, values } in arrays {
+        match values {
+            Values::Byte(values) => {
+                array(&mut text, name, "UInt8", "", values.iter().map(|&x| [x]))
+            }
+            Values::Scalar(values) => floats(&mut text, name, "", values),
+            Values::Vector(values) => floats(&mut text, name, VECTOR, values.as_flattened()),
+            Values::Tensor(values) => floats(&mut text, name, TENSOR, values.as_flattened()),
+        }
     }
     text.push_str("    </PointData>\n    <Cells>\n");
     array(&mut text, "connectivity", "Int64", "", (0..count).map(i64::to_le_bytes));
@@ -107,8 +93,8 @@ fn grid(
 /// Attribute of arrays with three numbers per particle.
 const VECTOR: &str = "NumberOfComponents=\"3\"";
 
-/// Attributes of the strain.
-const STRAIN: &str =
+/// Attributes of a symmetric tensor in the plane.
+const TENSOR: &str =
     "NumberOfComponents=\"3\" ComponentName0=\"xx\" ComponentName1=\"yy\" ComponentName2=\"xy\"";
 
 fn header(kind: &str) -> String {
@@ -120,6 +106,10 @@ fn header(kind: &str) -> String {
 
 fn line(text: &mut String, line: std::fmt::Arguments<'_>) {
     writeln!(text, "{line}").expect("writing to a String does not fail");
+}
+
+fn floats(text: &mut String, name: &str, extent: &str, values: &[f32]) {
+    array(text, name, "Float32", extent, values.iter().map(|x| x.to_le_bytes()));
 }
 
 /// Appends an array: its length in bytes and its bytes, in base64.

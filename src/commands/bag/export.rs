@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 
-use super::{find_streams, watch};
+use super::{find_streams, messages, watch};
 use crate::{
     cli::ExportArgs,
     commands::{
@@ -13,14 +13,27 @@ use crate::{
         progress_bar,
     },
 };
-use eddy_exchange::{FrameSelection, export};
+use eddy_bag::find_bags;
+use eddy_evaluation::dataset::TRUTH_TOPIC;
+use eddy_exchange::{ExportFormat, FrameSelection, Streams, export};
+use eddy_settings::ensure_usage;
 
 /// Writes frames as files for other programs.
 pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     // Required by the command line.
     let format = args.format.context("--format: expected a format")?;
+    let compares = matches!(format, ExportFormat::Vtu | ExportFormat::Vtkhdf);
+    ensure_usage!(
+        compares || args.truth.is_none(),
+        "--truth: expected the format vtu or vtkhdf, which have the error of each particle"
+    );
     let stem = stem(&args.bags);
-    let inputs = args.bags.clone();
+    let inputs: Vec<PathBuf> = args.bags.iter().chain(&args.truth).cloned().collect();
+    let truth = match &args.truth {
+        Some(truth) => vec![truth.clone()],
+        None if compares && args.topic != TRUTH_TOPIC => with_truth(&args.bags)?,
+        None => Vec::new(),
+    };
     let choice = FrameSelection {
         bags: args.bags,
         topic: args.topic,
@@ -28,17 +41,58 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         frames: args.frames.map(|frames| frames as usize),
     };
     let streams = find_streams(&choice, quiet, interrupt)?;
+    let truth = match truth.is_empty() {
+        true => None,
+        false => Some(find_streams(
+            &FrameSelection {
+                bags: truth,
+                topic: TRUTH_TOPIC.to_owned(),
+                ..FrameSelection::default()
+            },
+            quiet,
+            interrupt,
+        )?),
+    };
+    if let (Some(path), Some(truth)) = (&args.truth, &truth) {
+        check_streams(path, truth, &streams)?;
+    }
     let count = streams.tracks().len();
     let output = args.output.unwrap_or_else(|| PathBuf::from(format.output_name(&stem, count)));
     let room = Output::at(&output, OutputKind::Export, args.force, &inputs)?;
     let bar = progress_bar(streams.frames() as u64, "frames", quiet);
-    let outcome = export(&streams, format, &output, &mut watch(&bar, interrupt));
+    let outcome = export(&streams, truth.as_ref(), format, &output, &mut watch(&bar, interrupt));
     bar.finish_and_clear();
     outcome?;
     room.replaced();
     let (count, frames) =
         (counted(count as u64, "stream"), counted(streams.frames() as u64, "frame"));
     println!("{}: {count}, {frames}", output.display());
+    Ok(())
+}
+
+/// The bags with true frames.
+fn with_truth(bags: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for bag in find_bags(bags)? {
+        if messages(std::slice::from_ref(&bag), TRUTH_TOPIC)? > 0 {
+            found.push(bag);
+        }
+    }
+    Ok(found)
+}
+
+/// Checks that the truth has all streams.
+fn check_streams(path: &Path, truth: &Streams, streams: &Streams) -> anyhow::Result<()> {
+    let known: Vec<u64> = truth.tracks().iter().map(|track| track.stream).collect();
+    for track in streams.tracks() {
+        ensure!(
+            known.contains(&track.stream),
+            "{}: found streams {known:?}, expected {} as in {}",
+            path.display(),
+            track.stream,
+            track.bag.display()
+        );
+    }
     Ok(())
 }
 
