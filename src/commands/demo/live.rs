@@ -7,11 +7,8 @@ use eddy_frames::Frame;
 use eddy_messages::PredictionStatus;
 use eddy_node::{
     diagnostics::Monitor,
-    viewer::{Comparison, PredictionInfo, StatusJoiner, Summary},
+    viewer::{Comparison, PredictionInfo, StatusJoiner},
 };
-
-/// Error of the best baseline below which nothing moves (domain lengths).
-const AT_REST: f64 = 1e-4;
 
 /// Between the parts of the line.
 const SEPARATOR: &str = " | ";
@@ -62,7 +59,7 @@ impl Live {
             return "waiting for the first frame".to_owned();
         };
         let mut parts = vec![(1, format!("t = {time:6.2} s"))];
-        let Some(Summary { horizon, error, baseline }) = self.comparison.summary() else {
+        let Some(summary) = self.comparison.summary() else {
             parts.push((0, "warming up".to_owned()));
             return terminal::fit(&parts, SEPARATOR, columns);
         };
@@ -72,16 +69,15 @@ impl Live {
             let [p50, p99] = [rates.latency_p50, rates.latency_p99].map(milliseconds);
             parts.push((5, format!("latency p50 {p50:.1} ms, p99 {p99:.1} ms")));
         }
-        parts.push((0, format!("error {error:.1e}")));
-        if let Some((best, best_error)) = baseline {
-            parts.push((2, format!("{} {best_error:.1e}", best.name())));
-            // At rest the best baseline is exact, and skill is undefined.
-            if best_error > AT_REST {
-                parts.push((0, format!("skill {:+.2}", 1.0 - (error / best_error).powi(2))));
-            }
+        parts.push((0, format!("error {:.1e}", summary.error)));
+        if let Some((best, error)) = summary.baseline {
+            parts.push((2, format!("{} {error:.1e}", best.name())));
         }
-        if horizon > 1 {
-            parts.push((1, format!("{horizon} frames ahead")));
+        if let Some(skill) = summary.skill() {
+            parts.push((0, format!("skill {skill:+.2}")));
+        }
+        if summary.horizon > 1 {
+            parts.push((1, format!("{} frames ahead", summary.horizon)));
         }
         terminal::fit(&parts, SEPARATOR, columns)
     }
