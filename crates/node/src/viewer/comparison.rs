@@ -1,4 +1,4 @@
-//! Pairs truth and prediction of the same instant and measures them beside the trivial baselines.
+//! Pairs truth and prediction of the same instant and measures their distance.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -6,9 +6,12 @@ use std::{
     sync::Arc,
 };
 
-use super::curves::{Curves, Point, Recent, Squared, Summary};
-use eddy_evaluation::{Baseline, dataset::State, mean_squared_distance};
-use eddy_frames::{Domain, Frame};
+use super::{
+    baselines::Baselines,
+    curves::{Curves, Point, Recent, Squared, Summary},
+};
+use eddy_evaluation::{Baseline, mean_squared_distance};
+use eddy_frames::Frame;
 use eddy_inference::{checkpoint::Description, engine::Ballistic};
 
 /// Points of the curve over time.
@@ -19,10 +22,6 @@ const MAX_WAITING: usize = 1024;
 const WAITING_BYTES: usize = 64 << 20;
 /// Bytes of a particle in a frame: position, velocity, material.
 const PARTICLE_BYTES: usize = 17;
-/// Maximum number of particle steps for the baselines of one pair.
-const MAX_ROLLOUT_STEPS: usize = 4_000_000;
-/// Particles of all baseline rollouts kept for continuation.
-const KEPT_PARTICLES: usize = 1_000_000;
 /// Horizons for which errors are kept.
 const MAX_HORIZONS: usize = 512;
 /// Pairs after which the errors of a horizon without pairs of its own are no longer shown.
@@ -56,26 +55,14 @@ pub struct Pair {
     pub baseline: Option<(Baseline, f64)>,
 }
 
-/// Rollouts of the baselines from one observed frame.
-#[derive(Debug)]
-struct Rollout {
-    source: u64,
-    horizon: u32,
-    states: [State; Baseline::ALL.len()],
-}
-
 /// Compares the predictions of one stream with its truth, whichever arrives first.
 #[derive(Debug)]
 pub struct Comparison {
-    gravity: [f32; 2],
-    /// Domain of the model and its walls, lower and upper.
-    domain: Domain,
-    walls: [[f32; 2]; 2],
+    baselines: Baselines,
     stream: Option<u64>,
     truths: BTreeMap<u64, Arc<Frame>>,
     /// By sequence and horizon.
     waiting: BTreeMap<(u64, u32), (Arc<Frame>, PredictionInfo)>,
-    rollouts: VecDeque<Rollout>,
     /// By horizon.
     recent: BTreeMap<u32, Recent>,
     time: VecDeque<Point>,
@@ -98,23 +85,20 @@ impl Comparison {
     /// Baselines use gravity and walls of `model`.
     pub fn new(model: &Description) -> Self {
         let Ballistic { gravity, lower, upper, .. } = Ballistic::new(model);
-        Self::within(gravity, model.domain, [lower, upper])
+        Self::beside(Baselines::new(gravity, model.domain, [lower, upper]))
     }
 
     /// An empty comparison with the same baselines.
     pub fn emptied(&self) -> Self {
-        Self::within(self.gravity, self.domain, self.walls)
+        Self::beside(self.baselines.emptied())
     }
 
-    fn within(gravity: [f32; 2], domain: Domain, walls: [[f32; 2]; 2]) -> Self {
+    fn beside(baselines: Baselines) -> Self {
         Self {
-            gravity,
-            domain,
-            walls,
+            baselines,
             stream: None,
             truths: BTreeMap::new(),
             waiting: BTreeMap::new(),
-            rollouts: VecDeque::new(),
             recent: BTreeMap::new(),
             time: VecDeque::new(),
             pairs: 0,
@@ -208,7 +192,8 @@ impl Comparison {
             return None;
         }
         let model = mean_squared_distance(&predicted.position, &truth.position);
-        let baselines = self.baselines(truth, info);
+        let source = self.truths.get(&info.source).map(|frame| &**frame);
+        let baselines = self.baselines.errors(truth, source, info);
         self.pairs += 1;
         self.last = Some(info.horizon);
         if !self.recent.contains_key(&info.horizon) && self.recent.len() >= MAX_HORIZONS {
@@ -233,64 +218,6 @@ impl Comparison {
             self.time.pop_front();
         }
         Some(Pair { truth: Arc::clone(truth), predicted, info, error, baseline })
-    }
-
-    /// Squared errors of the baselines from the same observed frame.
-    fn baselines(
-        &mut self,
-        truth: &Frame,
-        info: PredictionInfo,
-    ) -> Option<[f64; Baseline::ALL.len()]> {
-        if info.horizon == 0 {
-            return None;
-        }
-        let step = self.step(truth);
-        let found = self
-            .rollouts
-            .iter()
-            .position(|rollout| rollout.source == info.source && rollout.horizon <= info.horizon);
-        let mut rollout = match found.and_then(|place| self.rollouts.remove(place)) {
-            Some(rollout) => rollout,
-            None => {
-                let source = self.truths.get(&info.source)?;
-                let state = || State {
-                    position: source.position.clone(),
-                    velocity: source.velocity.clone(),
-                };
-                Rollout { source: info.source, horizon: 0, states: Baseline::ALL.map(|_| state()) }
-            }
-        };
-        let frames = (info.horizon - rollout.horizon) as usize;
-        if frames.saturating_mul(truth.len()) > MAX_ROLLOUT_STEPS {
-            return None;
-        }
-        for (baseline, state) in Baseline::ALL.into_iter().zip(&mut rollout.states) {
-            (0..frames).for_each(|_| baseline.step(state, &step));
-        }
-        rollout.horizon = info.horizon;
-        let errors =
-            rollout.states.each_ref().map(|s| mean_squared_distance(&s.position, &truth.position));
-        self.rollouts.push_back(rollout);
-        let kept = (KEPT_PARTICLES / truth.len().max(1)).clamp(1, 64);
-        while self.rollouts.len() > kept {
-            self.rollouts.pop_front();
-        }
-        Some(errors)
-    }
-
-    /// The ballistic step in the domain of `frame`, with walls as thick as in the model's domain.
-    fn step(&self, frame: &Frame) -> Ballistic {
-        let [lower, upper] = self.walls;
-        let (seen, domain) = (self.domain, frame.domain);
-        let moved = |wall: [f32; 2], from: [f32; 2], to: [f32; 2]| {
-            [0, 1].map(|axis| wall[axis] + (to[axis] - from[axis]))
-        };
-        Ballistic {
-            gravity: self.gravity,
-            dt: frame.dt,
-            lower: moved(lower, seen.lower, domain.lower),
-            upper: moved(upper, seen.upper, domain.upper),
-        }
     }
 
     /// Mean errors over the last second of simulation time at the horizon of the last pair.
@@ -337,7 +264,7 @@ fn bound(frames: &mut BTreeMap<u64, Arc<Frame>>, particles: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_frames::{Material, Stamp};
+    use eddy_frames::{Domain, Material, Stamp};
 
     const DT: f32 = 0.016;
 
@@ -357,7 +284,8 @@ mod tests {
     }
 
     fn comparison() -> Comparison {
-        Comparison::within([0.0, -9.8], Domain::UNIT, [[0.05; 2], [0.95; 2]])
+        let walls = [[0.05; 2], [0.95; 2]];
+        Comparison::beside(Baselines::new([0.0, -9.8], Domain::UNIT, walls))
     }
 
     fn info(source: u64, horizon: u32) -> PredictionInfo {
@@ -424,7 +352,7 @@ mod tests {
             let pair = comparison.prediction(falling(sequence, 0.001), free).unwrap();
             assert!(pair.baseline.unwrap().1 < 1e-5, "{pair:?}");
         }
-        assert_eq!(comparison.rollouts.len(), 1, "one rollout that is continued");
+        assert_eq!(comparison.baselines.rollouts.len(), 1, "one rollout that is continued");
         assert_eq!(comparison.curves().by_horizon.len(), 19);
         assert_eq!(comparison.curves().time.len(), 19);
     }

@@ -1,4 +1,4 @@
-//! HTTP and WebSocket, on a thread of their own.
+//! HTTP, on a thread of its own.
 
 use std::{
     io,
@@ -13,44 +13,27 @@ use std::{
 
 use axum::{
     Router,
-    extract::{
-        RawQuery, Request, State,
-        ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code},
-    },
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    extract::{RawQuery, Request, State},
+    http::{HeaderValue, StatusCode, header},
     middleware::{self, Next},
     response::{IntoResponse, Response},
     routing::get,
 };
 use tokio::{
     runtime,
-    sync::{self, mpsc, watch},
+    sync::{self, watch},
     time,
 };
 
 use super::{
-    Comparison, ControlState, Controls, Hub, NoControls, PageCommand, PageInfo, access, composer,
-    connections,
-    mailbox::{Mailbox, Outgoing},
-    prometheus,
-    protocol::{self, ClientMessage},
-    token::Token,
+    Comparison, ControlState, Controls, Hub, PageInfo, access, browser, composer, connections,
+    prometheus, token::Token,
 };
 use eddy_frames::clock;
 use eddy_transport::ListenAddress;
 
-/// Maximum number of browsers.
-const MAX_BROWSERS: usize = 32;
-/// Maximum number of frames sent to a page and not drawn yet: one under way while another is drawn.
-const MAX_UNDRAWN: u32 = 2;
-/// A browser that reads nothing for this long is disconnected.
-const SEND_TIMEOUT: Duration = Duration::from_secs(20);
 /// Interval between metrics messages.
-const METRICS_INTERVAL: Duration = Duration::from_millis(250);
-/// Maximum size of a message from a page (bytes).
-const MAX_MESSAGE_SIZE: usize = 1024;
-/// Commands of one page that may wait.
-const QUEUED_COMMANDS: usize = 4;
+pub(super) const METRICS_INTERVAL: Duration = Duration::from_millis(250);
 /// How long shutdown waits for browsers to disconnect.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 
@@ -105,21 +88,21 @@ pub struct Viewer {
 }
 
 /// Shared by all connections.
-struct ServerState {
-    hub: Arc<Hub>,
-    info: PageInfo,
-    controls: Arc<dyn Controls>,
+pub(super) struct ServerState {
+    pub(super) hub: Arc<Hub>,
+    pub(super) info: PageInfo,
+    pub(super) controls: Arc<dyn Controls>,
     /// Needed for commands.
-    token: Option<Token>,
+    pub(super) token: Option<Token>,
     /// The last known state of the controls.
     controls_state: Mutex<ControlState>,
     /// Held while it is refreshed, so that a newer state is not replaced by an older one.
     refreshing: sync::Mutex<()>,
     /// Identifies this run of the program.
-    instance: String,
+    pub(super) instance: String,
     /// Host name of this machine.
     host_name: Option<String>,
-    stop: watch::Receiver<bool>,
+    pub(super) stop: watch::Receiver<bool>,
 }
 
 impl Viewer {
@@ -200,7 +183,8 @@ impl Drop for Viewer {
 
 async fn serve(listener: TcpListener, server: Arc<ServerState>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let mut router = Router::new().route("/ws", get(connect)).route("/metrics", get(metrics));
+    let mut router =
+        Router::new().route("/ws", get(browser::connect)).route("/metrics", get(metrics));
     for (path, kind, content) in FILES {
         router = match path {
             "/" => router.route(path, get(move |state, query| page(state, query, kind, content))),
@@ -294,152 +278,8 @@ async fn refresh_controls(server: Arc<ServerState>) {
     }
 }
 
-async fn connect(
-    State(server): State<Arc<ServerState>>,
-    RawQuery(query): RawQuery,
-    headers: HeaderMap,
-    upgrade: WebSocketUpgrade,
-) -> Response {
-    let may_control = server.token.as_ref().is_none_or(|token| {
-        token.is_in_cookies(&headers) || token.is_in(query.as_deref()) == Some(true)
-    });
-    let Some(mailbox) = server.hub.join(MAX_BROWSERS) else {
-        let full = format!("{MAX_BROWSERS} browsers are connected, no more are accepted\n");
-        return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();
-    };
-    let (commands, queued) = mpsc::channel(QUEUED_COMMANDS);
-    // Ends after the connection, when its commands are executed.
-    tokio::spawn(execute_all(Arc::clone(&server), Arc::clone(&mailbox), queued));
-    let credit = MAX_UNDRAWN;
-    let connection = Connection { server, mailbox, may_control, commands, credit, sent: 0 };
-    let upgrade = upgrade.max_message_size(MAX_MESSAGE_SIZE).max_frame_size(MAX_MESSAGE_SIZE);
-    upgrade.on_upgrade(move |socket| async move {
-        let mut connection = connection;
-        if let Err(error) = connection.run(socket).await {
-            tracing::debug!("page: {error}");
-        }
-    })
-}
-
-/// The connection of one browser.
-struct Connection {
-    server: Arc<ServerState>,
-    mailbox: Arc<Mailbox>,
-    /// Whether it has the token.
-    may_control: bool,
-    /// Its commands, executed in order.
-    commands: mpsc::Sender<PageCommand>,
-    /// Frames that may be sent before it draws one.
-    credit: u32,
-    sent: u64,
-}
-
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.server.hub.leave(&self.mailbox);
-    }
-}
-
-impl Connection {
-    /// Runs until the browser disconnects, stops reading, or the program ends.
-    async fn run(&mut self, mut socket: WebSocket) -> Result<(), axum::Error> {
-        let ServerState { info, controls, instance, .. } = &*self.server;
-        let controls: &dyn Controls =
-            if self.may_control { controls.as_ref() } else { &NoControls };
-        let hello = protocol::hello(info, controls, instance);
-        send(&mut socket, Message::text(hello)).await?;
-        let mut stop = self.server.stop.clone();
-        let mut metrics = time::interval(METRICS_INTERVAL);
-        metrics.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
-        let mailbox = Arc::clone(&self.mailbox);
-        loop {
-            tokio::select! {
-                received = socket.recv() => match received {
-                    Some(Ok(Message::Text(text))) => self.receive(&text),
-                    Some(Ok(Message::Close(_))) | None => return Ok(()),
-                    Some(Ok(_)) => {}
-                    Some(Err(error)) => return Err(error),
-                },
-                outgoing = mailbox.next(self.credit > 0) => match outgoing {
-                    Outgoing::Text(text) => send(&mut socket, Message::text(text)).await?,
-                    Outgoing::Frame(frame) => {
-                        self.credit -= 1;
-                        self.sent += 1;
-                        send(&mut socket, Message::Binary(frame)).await?;
-                    }
-                },
-                _ = metrics.tick() => {
-                    let state = *self.server.controls_state();
-                    let metrics = protocol::metrics(&self.server.hub, &mailbox, &state, self.sent);
-                    send(&mut socket, Message::text(metrics)).await?;
-                }
-                _ = ended(&mut stop) => {
-                    let reason = "the program ended".into();
-                    let close = CloseFrame { code: close_code::AWAY, reason };
-                    return send(&mut socket, Message::Close(Some(close))).await;
-                }
-            }
-        }
-    }
-
-    fn receive(&mut self, text: &str) {
-        match ClientMessage::parse(text) {
-            Ok(ClientMessage::Drawn { drawn }) => {
-                self.credit = self.credit.saturating_add(drawn).min(MAX_UNDRAWN);
-            }
-            Ok(ClientMessage::Select { select }) => {
-                self.mailbox.select(select.and_then(|stream| stream.parse().ok()));
-            }
-            Ok(ClientMessage::Command(command)) if !self.may_control => {
-                let reason = "not allowed: open the URL with the token that the program printed";
-                let state = *self.server.controls_state();
-                let outcome = protocol::outcome(&command, &Err(reason.to_owned()), &state);
-                self.mailbox.put_text(outcome);
-            }
-            Ok(ClientMessage::Command(command)) => {
-                if self.commands.try_send(command).is_err() {
-                    let busy = Err("still busy with previous commands".to_owned());
-                    let state = *self.server.controls_state();
-                    self.mailbox.put_text(protocol::outcome(&command, &busy, &state));
-                }
-            }
-            Err(error) => tracing::debug!("page: invalid message `{text}`: {error}"),
-        }
-    }
-}
-
-/// Executes the commands of one page in order and sends it the outcomes.
-async fn execute_all(
-    server: Arc<ServerState>,
-    mailbox: Arc<Mailbox>,
-    mut commands: mpsc::Receiver<PageCommand>,
-) {
-    while let Some(command) = commands.recv().await {
-        let outcome = execute(&server, command).await;
-        let state = *server.controls_state();
-        mailbox.put_text(protocol::outcome(&command, &outcome, &state));
-    }
-}
-
-async fn execute(server: &ServerState, command: PageCommand) -> Result<String, String> {
-    let controls = Arc::clone(&server.controls);
-    let is_available = match command {
-        // One button for both.
-        PageCommand::Resume => controls.available().contains(&"pause"),
-        _ => controls.available().contains(&command.name()),
-    };
-    if !is_available {
-        let expected = controls.available().join(", ");
-        return Err(format!("found {}, expected one of {expected}", command.name()));
-    }
-    let outcome = tokio::task::spawn_blocking(move || controls.execute(command)).await;
-    // Even a failed command may have changed something.
-    server.refresh().await;
-    outcome.unwrap_or_else(|_| Err("the command failed".to_owned()))
-}
-
 impl ServerState {
-    async fn refresh(&self) {
+    pub(super) async fn refresh(&self) {
         let _refreshing = self.refreshing.lock().await;
         let controls = Arc::clone(&self.controls);
         if let Ok(current) = tokio::task::spawn_blocking(move || controls.state()).await {
@@ -448,21 +288,13 @@ impl ServerState {
         }
     }
 
-    fn controls_state(&self) -> MutexGuard<'_, ControlState> {
+    pub(super) fn controls_state(&self) -> MutexGuard<'_, ControlState> {
         self.controls_state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Waits until the program ends.
-async fn ended(stop: &mut watch::Receiver<bool>) {
+pub(super) async fn ended(stop: &mut watch::Receiver<bool>) {
     // An error means that the sender is gone, and the program ends as well.
     let _ = stop.wait_for(|stop| *stop).await;
-}
-
-/// Sends a message; fails if the browser reads nothing for [`SEND_TIMEOUT`].
-async fn send(socket: &mut WebSocket, message: Message) -> Result<(), axum::Error> {
-    match time::timeout(SEND_TIMEOUT, socket.send(message)).await {
-        Ok(outcome) => outcome,
-        Err(late) => Err(axum::Error::new(late)),
-    }
 }
