@@ -4,8 +4,9 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 /// Colours of series, from the palette of Okabe and Ito ("Color Universal Design", 2008) without its yellow, which is
-/// too light for print. `page.css` has the dashes of each and its replacement in dark mode.
-pub(super) const COLORS: [RGBColor; 7] = [
+/// too light for print, then wine and olive of Tol's muted scheme ("Colour Schemes", 2021) and a grey: as many as a study
+/// has networks and baselines. `page.css` has the dashes of each and its replacement in dark mode.
+pub(super) const COLORS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -13,6 +14,9 @@ pub(super) const COLORS: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
     INK,
+    RGBColor(136, 34, 85),
+    RGBColor(153, 153, 51),
+    RGBColor(136, 136, 136),
 ];
 /// Text.
 pub(super) const INK: RGBColor = RGBColor(30, 30, 30);
@@ -31,10 +35,23 @@ pub(super) enum Mark {
     Cross,
     Plus,
     Bar,
+    Dash,
+    Nabla,
+    Hourglass,
 }
 
-const MARKS: [Mark; 7] =
-    [Mark::Disc, Mark::Square, Mark::Triangle, Mark::Diamond, Mark::Cross, Mark::Plus, Mark::Bar];
+const MARKS: [Mark; 10] = [
+    Mark::Disc,
+    Mark::Square,
+    Mark::Triangle,
+    Mark::Diamond,
+    Mark::Cross,
+    Mark::Plus,
+    Mark::Bar,
+    Mark::Dash,
+    Mark::Nabla,
+    Mark::Hourglass,
+];
 
 /// How a series is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,12 +60,12 @@ pub(super) struct Style {
     pub(super) color: RGBColor,
     /// The shape of its marks.
     pub(super) mark: Mark,
-    /// Line width (drawing units): wider for the first seven series.
+    /// Line width (drawing units): wider for the first ten series.
     pub(super) width: u32,
 }
 
 impl Style {
-    /// The style of series `number`: seven colours and seven marks, shifted by one every seven series, so that 49 series
+    /// The style of series `number`: ten colours and ten marks, shifted by one every ten series, so that 100 series
     /// differ.
     pub(super) fn of(number: usize) -> Self {
         let (round, place) = (number / COLORS.len(), number % COLORS.len());
@@ -93,6 +110,9 @@ impl Mark {
             Self::Cross => star(std::f64::consts::FRAC_PI_4),
             Self::Plus => star(0.0),
             Self::Bar => vec![[-0.35, -1.2], [0.35, -1.2], [0.35, 1.2], [-0.35, 1.2]],
+            Self::Dash => vec![[-1.2, -0.35], [1.2, -0.35], [1.2, 0.35], [-1.2, 0.35]],
+            Self::Nabla => vec![[-1.0, -0.8], [1.0, -0.8], [0.0, 1.1]],
+            Self::Hourglass => vec![[-0.9, -1.0], [0.9, -1.0], [-0.9, 1.0], [0.9, 1.0]],
         };
         let round = |number: f64| (10.0 * number).round() / 10.0;
         unit.into_iter().map(|[a, b]| [round(x + radius * a), round(y + radius * b)]).collect()
@@ -114,13 +134,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn forty_nine_series_differ_and_seven_differ_in_both_colour_and_mark() {
-        let all: Vec<Style> = (0..49).map(Style::of).collect();
+    fn a_hundred_series_differ_and_ten_differ_in_both_colour_and_mark() {
+        let all: Vec<Style> = (0..100).map(Style::of).collect();
         for (number, style) in all.iter().enumerate() {
             assert!(!all[..number].contains(style), "{number}");
-            let near = &all[number.saturating_sub(6)..number];
-            let same_round = near.iter().skip(6_usize.saturating_sub(number % 7).min(near.len()));
-            for other in same_round {
+            for other in &all[number - number % COLORS.len()..number] {
                 assert!(other.color != style.color && other.mark != style.mark, "{number}");
             }
         }
