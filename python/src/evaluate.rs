@@ -18,6 +18,9 @@ use crate::{
     values::{self, Paths},
 };
 
+/// Width of the lines of tables (characters).
+const TABLE_COLUMNS: usize = 80;
+
 /// The result of an evaluation.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Report {
@@ -33,7 +36,7 @@ impl Report {
 
     /// The tables that `eddy eval` prints.
     fn tables(&self) -> String {
-        self.inner.tables()
+        self.inner.tables(TABLE_COLUMNS)
     }
 
     /// Writes report.html, report.json and tables into a folder.

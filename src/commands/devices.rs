@@ -1,18 +1,19 @@
 //! `eddy devices`: what networks can be trained on.
 
-use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
+use eddy_evaluation::page::Table;
 use eddy_learning::model::DeviceKind;
+
+use crate::terminal;
 
 /// Lists the devices.
 pub fn run() -> anyhow::Result<()> {
-    let mut table = Table::new();
-    table.load_style(UTF8_BORDERS_ONLY);
-    table.set_header(["--device", "description", "memory"]);
+    let mut table = Table::new("devices", ["--device", "memory", "description"]);
     let threads = std::thread::available_parallelism()?.get();
-    table.add_row([DeviceKind::Flex.name(), &format!("this machine's CPU, {threads} threads"), ""]);
+    let cpu = format!("this machine's CPU, {threads} threads");
+    table.row(DeviceKind::Flex.name(), ["", &cpu]);
     #[cfg(feature = "cuda")]
     let missing = gpus(&mut table);
-    println!("{table}");
+    println!("{}", table.plain(terminal::columns()));
     #[cfg(feature = "cuda")]
     if let Some(reason) = missing {
         println!("no usable NVIDIA GPU: {reason}");
@@ -34,7 +35,7 @@ fn gpus(table: &mut Table) -> Option<eddy_cuda::CudaError> {
             "{}, compute capability {major}.{minor}, {} multiprocessors",
             gpu.name, gpu.multiprocessors
         );
-        table.add_row([name, what, format!("{} MiB", gpu.memory >> 20)]);
+        table.row(name, [format!("{} MiB", gpu.memory >> 20), what]);
     }
     eddy_cuda::gpu::check(0).err()
 }

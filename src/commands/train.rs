@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use comfy_table::{Table, presets::UTF8_BORDERS_ONLY};
-use eddy_evaluation::dataset::{Dataset, Trajectory, available_memory};
+use eddy_evaluation::{
+    dataset::{Dataset, Trajectory, available_memory},
+    page::Table,
+};
 use eddy_frames::clock::Clock;
 use eddy_learning::{
     model::{Architecture, GpuOptions, kernel_cache},
@@ -21,7 +23,7 @@ use super::{
     output::{Output, OutputKind},
     progress_bar,
 };
-use crate::cli::TrainArgs;
+use crate::{cli::TrainArgs, terminal};
 
 /// Bytes of a GiB.
 const GIB: f64 = (1u64 << 30) as f64;
@@ -90,7 +92,8 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         }
     }
     if outcomes.len() > 1 {
-        println!("{}", comparison(&outcomes, config.validation.horizon));
+        let table = comparison(&outcomes, config.validation.horizon);
+        println!("{}", table.framed(terminal::columns()));
     }
     match failure {
         None => {
@@ -254,21 +257,20 @@ fn best_of(epochs: &[Epoch]) -> Option<&Epoch> {
 }
 
 /// A table of the runs of several seeds.
-fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> String {
-    let mut table = Table::new();
-    table.load_style(UTF8_BORDERS_ONLY);
+fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> Table {
     let last = format!("skill at {horizon}");
-    table.set_header(["seed", "best epoch", "validation loss", "skill at 1", &last]);
+    let titles = ["seed", "best epoch", "validation loss", "skill at 1", &last];
+    let mut table = Table::new("validation part, by seed", titles);
     let best: Vec<_> = outcomes
         .iter()
         .filter_map(|(seed, outcome)| Some((seed, best_of(&outcome.epochs)?)))
         .collect();
     let numbers = |epoch: &Epoch| [epoch.validation_loss, epoch.first_skill, epoch.last_skill];
-    let row = |name: String, epoch: String, [loss, first, last]: [f64; 3]| {
-        [name, epoch, format!("{loss:.4}"), format!("{first:+.4}"), format!("{last:+.4}")]
+    let cells = |epoch: String, [loss, first, last]: [f64; 3]| {
+        [epoch, format!("{loss:.4}"), format!("{first:+.4}"), format!("{last:+.4}")]
     };
     for (seed, epoch) in &best {
-        table.add_row(row(seed.to_string(), epoch.epoch.to_string(), numbers(epoch)));
+        table.row(seed.to_string(), cells(epoch.epoch.to_string(), numbers(epoch)));
     }
     let column = |index: usize| best.iter().map(move |(_, epoch)| numbers(epoch)[index]);
     let mean = |index| column(index).sum::<f64>() / best.len() as f64;
@@ -282,8 +284,8 @@ fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> String {
         0 => column(0).fold(f64::INFINITY, f64::min),
         _ => column(index).fold(f64::NEG_INFINITY, f64::max),
     };
-    table.add_row(row("mean".into(), String::new(), each.map(mean)));
-    table.add_row(row("standard deviation".into(), String::new(), each.map(deviation)));
-    table.add_row(row("best of each".into(), String::new(), each.map(extreme)));
-    table.to_string()
+    table.row("mean", cells(String::new(), each.map(mean)));
+    table.row("standard deviation", cells(String::new(), each.map(deviation)));
+    table.row("best of each", cells(String::new(), each.map(extreme)));
+    table
 }

@@ -301,6 +301,7 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     let again = judge(&data).into_iter().chain(["--force".to_owned(), "--tables".to_owned()]);
     let printed = succeed(again);
     assert!(printed.contains("MinMax MSE"), "{printed}");
+    assert!(printed.lines().all(|line| line.chars().count() <= 80), "{printed}");
     fs::remove_dir_all(&output).unwrap();
     let message = fail(1, judge(&format!("{data}/scene_0001")));
     assert!(message.contains("every stream was used to train a checkpoint"), "{message}");
@@ -369,6 +370,7 @@ fn reports_of_the_same_data_are_compared_and_what_differs_is_said() {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }
     assert!(!printed.contains("frame 5"), "{printed}");
+    assert!(printed.lines().all(|line| line.chars().count() <= 80), "{printed}");
     let page = fs::read_to_string(&html).unwrap();
     is_a_page_of_its_own(&page);
     assert!(page.contains("Horizons differ") && page.contains("eval --compare"), "{page}");

@@ -5,8 +5,8 @@ use std::{
     process::{Command, Stdio},
 };
 
-use eddy_bag::BagReader;
-use eddy_messages::{Message, ParticleFrame, RosString};
+use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString};
 
 use crate::{
     pty::{OnTerminal, lines},
@@ -153,4 +153,33 @@ fn a_node_shows_its_rate_and_answers_keys() {
     let status: Vec<String> =
         lines(&node.shown()).into_iter().filter(|line| line.contains("predictions/s |")).collect();
     assert!(status.iter().all(|line| line.chars().count() < 80), "{status:?}");
+}
+
+#[test]
+fn the_topics_of_a_bag_fit_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+    let frame = BagReader::open(SAMPLE.as_ref()).unwrap().frames("/particles").unwrap().next();
+    let frame = frame.unwrap().unwrap();
+    let name = "/robot1/predictor/of/the/left/arm/prediction";
+    for topic in [name, "/particles"] {
+        let topic = writer.topic(topic, ParticleFrame::TYPE).unwrap();
+        writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
+    }
+    writer.finish().unwrap();
+    for columns in [60, 80, 200] {
+        let command = ["bag", "info", bag.to_str().unwrap()];
+        let mut info = OnTerminal::start(talking_eddy().args(command), columns);
+        assert!(info.wait().success());
+        info.wait_for("sizes of topics", 0);
+        let shown = lines(&info.shown());
+        let table = shown.iter().skip_while(|line| !line.contains("topic"));
+        let table: Vec<_> = table.take_while(|line| !line.starts_with("sizes")).collect();
+        let most = usize::from(columns);
+        assert!(table.iter().all(|line| line.chars().count() <= most), "{columns}: {shown:?}");
+        let titles = table.iter().filter(|line| line.contains("type")).count();
+        assert_eq!(titles, 1, "{shown:?}");
+        assert_eq!(table[0].contains("type"), columns == 200, "{shown:?}");
+    }
 }

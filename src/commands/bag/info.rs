@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
 use super::survey;
+use crate::terminal;
 use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
+use eddy_evaluation::page::Table;
 use eddy_frames::{Stamp, date::Utc, decimal};
 
 /// Prints files, topics and streams of a bag, as text or as JSON.
@@ -44,32 +45,17 @@ fn print(bag: &BagReader, survey: &Survey) {
             println!("{name:<12} {} ({} s)", date(time), exact(time));
         }
     }
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header([
-        "topic",
-        "type",
-        "messages",
-        "rate (1/s)",
-        "size",
-        "streams",
-        "particles",
-        "dt (s)",
-    ]);
+    let titles =
+        ["topic", "messages", "rate (1/s)", "size", "streams", "particles", "dt (s)", "type"];
+    let mut table = Table::new("topics", titles);
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
-        let rate = rate(topic.message_count, bag.duration());
-        let rate = rate.map_or("-".to_owned(), |rate| format!("{rate:.2}"));
+        let rate = found.rate().map_or("-".to_owned(), |rate| format!("{rate:.2}"));
         let [streams, particles, dt] = streams(found);
         let (count, size) = (topic.message_count.to_string(), bytes(found.bytes));
-        let name = &topic.name;
-        table.add_row([name, &topic.type_name, &count, &rate, &size, &streams, &particles, &dt]);
+        let cells = [count, rate, size, streams, particles, dt, topic.type_name.clone()];
+        table.row(topic.name.as_str(), cells);
     }
-    for column in 2..8 {
-        if let Some(column) = table.column_mut(column) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    println!("{}", table.trim_fmt());
+    println!("{}", table.plain(terminal::columns()));
     println!("sizes of topics are those of the messages without compression");
     for topic in bag.topics().iter().filter(|topic| topic.schema.is_empty()) {
         println!("no definition: {} ({})", topic.name, topic.type_name);
@@ -114,7 +100,7 @@ struct TopicEntry {
     #[serde(rename = "type")]
     type_name: String,
     messages: u64,
-    /// Mean rate over the whole bag (Hz).
+    /// Mean rate (Hz).
     rate: Option<f64>,
     /// Size of the messages without compression (bytes).
     size: u64,
@@ -149,13 +135,13 @@ impl Info {
             start: bag.start().map(time),
             end: bag.end().map(time),
             unfinished: bag.is_unfinished(),
-            topics: topics.map(|(topic, found)| TopicEntry::new(bag, topic, found)).collect(),
+            topics: topics.map(|(topic, found)| TopicEntry::new(topic, found)).collect(),
         }
     }
 }
 
 impl TopicEntry {
-    fn new(bag: &BagReader, topic: &TopicInfo, found: &TopicSurvey) -> Self {
+    fn new(topic: &TopicInfo, found: &TopicSurvey) -> Self {
         let streams = found.streams.iter().map(|(&stream, found)| StreamEntry {
             stream,
             frames: found.frames,
@@ -167,7 +153,7 @@ impl TopicEntry {
             topic: topic.name.clone(),
             type_name: topic.type_name.clone(),
             messages: topic.message_count,
-            rate: rate(topic.message_count, bag.duration()),
+            rate: found.rate(),
             size: found.bytes,
             streams: streams.collect(),
         }
@@ -187,11 +173,6 @@ fn date(time: Stamp) -> String {
 fn exact(Stamp(nanoseconds): Stamp) -> String {
     const SECOND: i64 = 1_000_000_000;
     format!("{}.{:09}", nanoseconds / SECOND, nanoseconds % SECOND)
-}
-
-/// Mean rate over the whole bag (Hz).
-fn rate(messages: u64, duration: f64) -> Option<f64> {
-    (messages > 1 && duration > 0.0).then(|| (messages - 1) as f64 / duration)
 }
 
 /// Number of streams, range of particles, range of intervals.

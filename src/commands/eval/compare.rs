@@ -7,6 +7,7 @@ use anyhow::Context;
 use crate::{
     cli::EvalArgs,
     commands::output::{Output, OutputKind},
+    terminal,
 };
 use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
 
@@ -17,7 +18,12 @@ pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let room = args.output.as_ref().map(room).transpose()?;
     let reports = paths.iter().map(|path| Report::load(path)).collect::<Result<Vec<_>, _>>()?;
     let comparison = Comparison::new(names(paths).into_iter().zip(reports).collect())?;
-    print!("{}", if args.tables { comparison.tables() } else { comparison.first_table() });
+    let columns = terminal::columns();
+    let tables = match args.tables {
+        true => comparison.tables(columns),
+        false => comparison.first_table(columns),
+    };
+    print!("{tables}");
     if let Some(output) = &args.output {
         let page = comparison.page(&Provenance::here());
         page.save(output).with_context(|| format!("cannot write {}", output.display()))?;

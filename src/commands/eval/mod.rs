@@ -14,7 +14,10 @@ use super::{
     output::{Output, OutputKind},
     surrogate,
 };
-use crate::cli::{EvalArgs, ReferenceName};
+use crate::{
+    cli::{EvalArgs, ReferenceName},
+    terminal,
+};
 use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Report, Settings, dataset};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
 use eddy_settings::ensure_usage;
@@ -52,7 +55,8 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 
 /// Prints the first table, or all of them, and where the report is.
 pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
-    let tables = if all { report.tables() } else { report.first_table() };
+    let columns = terminal::columns();
+    let tables = if all { report.tables(columns) } else { report.first_table(columns) };
     print!("{tables}");
     println!("report: {}", folder.join("report.html").display());
 }

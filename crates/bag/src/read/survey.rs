@@ -70,6 +70,8 @@ pub struct TopicSurvey {
     pub messages: u64,
     /// Their size without compression (bytes).
     pub bytes: u64,
+    /// Log times of the first and the last one.
+    pub times: Option<(Stamp, Stamp)>,
     /// Streams of a topic of frames, by stream id.
     pub streams: BTreeMap<u64, StreamSurvey>,
 }
@@ -87,6 +89,15 @@ pub struct StreamSurvey {
     pub restarts: u64,
     /// Highest sequence so far, and its stamp.
     highest: (u64, Stamp),
+}
+
+impl TopicSurvey {
+    /// Mean rate of the messages (Hz); `None` for fewer than two, and without time between them.
+    pub fn rate(&self) -> Option<f64> {
+        let (first, last) = self.times?;
+        let seconds = last.seconds() - first.seconds();
+        (self.messages > 1 && seconds > 0.0).then(|| (self.messages - 1) as f64 / seconds)
+    }
 }
 
 impl Survey {
@@ -179,6 +190,8 @@ impl Survey {
         let number = self.topics[index].messages;
         self.topics[index].messages += 1;
         self.topics[index].bytes += message.data.len() as u64;
+        let times = self.topics[index].times.get_or_insert((message.log_time, message.log_time));
+        times.1 = message.log_time;
         let data = &message.data;
         let decoded = match &*message.type_name {
             ParticleFrame::TYPE => match Frame::from_cdr(data) {

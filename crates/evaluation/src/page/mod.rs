@@ -1,7 +1,7 @@
 //! Self-contained HTML pages, for the reports of `eval`, `bench` and `study`.
 //!
 //! 1. `document`: a page of sections, each with paragraphs, tables, plots and pictures.
-//! 2. `table`: rows of numbers under a caption.
+//! 2. `table`: rows of numbers under a caption. `text`: the same for a terminal.
 //! 3. `plot`: named curves on linear or logarithmic axes, as SVG. `hover`: their values for `page.js`.
 //! 4. `scale`: ranges and ticks of axes.
 //! 5. `style`: colours, dashes and marks, distinguishable in print and by colour-blind readers.
@@ -19,6 +19,7 @@ mod provenance;
 mod scale;
 mod style;
 mod table;
+mod text;
 
 pub use document::{Page, Section};
 pub use grid::{Picture, PictureGrid};

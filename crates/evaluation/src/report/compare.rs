@@ -4,7 +4,6 @@ use super::{
     Entry, Report, ReportError, Role,
     page::{at, error, milliseconds, skill},
     scenes::SceneEntry,
-    tables::terminal,
 };
 use crate::{
     Interval,
@@ -213,18 +212,20 @@ impl Comparison {
         Some(table)
     }
 
-    /// The remarks and the first table, for a terminal.
-    pub fn first_table(&self) -> String {
-        let notes = self.notes.iter().map(|note| format!("{note}\n"));
-        let table = self.all_tables().first().map(|table| format!("{}\n", terminal(table)));
-        notes.chain(table).collect()
+    /// The remarks and the first table, in lines of at most `columns` characters.
+    pub fn first_table(&self, columns: usize) -> String {
+        self.text(1, columns)
     }
 
-    /// The remarks and tables for a terminal.
-    pub fn tables(&self) -> String {
+    /// The remarks and all tables, in lines of at most `columns` characters.
+    pub fn tables(&self, columns: usize) -> String {
+        self.text(usize::MAX, columns)
+    }
+
+    fn text(&self, tables: usize, columns: usize) -> String {
         let notes = self.notes.iter().map(|note| format!("{note}\n"));
-        let tables = self.all_tables();
-        let tables = tables.iter().map(|table| format!("{}\n", terminal(table)));
+        let all = self.all_tables();
+        let tables = all.iter().take(tables).map(|table| format!("{}\n", table.framed(columns)));
         notes.chain(tables).collect()
     }
 

@@ -16,7 +16,7 @@ pub use args::{BenchArgs, BenchCommand, StudyArgs};
 pub use study::run as study;
 
 use eddy_frames::progress::Progress;
-use output::{BenchOutput, plain_text, table};
+use output::{BenchOutput, table};
 
 /// Runs a benchmark and prints its results.
 ///

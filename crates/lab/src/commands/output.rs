@@ -6,10 +6,12 @@ use std::{
 };
 
 use anyhow::Context;
-use comfy_table::{CellAlignment, Table as Printed, presets};
 use serde::Serialize;
 
 use eddy_evaluation::page::{LinePlot, Page, Provenance, Table};
+
+/// Width of tables (characters): that of a terminal that nobody has widened, and of a log.
+pub(super) const COLUMNS: usize = 80;
 
 /// Results of a benchmark.
 pub(super) struct BenchOutput {
@@ -34,7 +36,8 @@ impl BenchOutput {
         if json {
             print(&serde_json::to_string_pretty(report)?)?;
         } else {
-            let tables: Vec<String> = self.tables.iter().map(plain_text).collect();
+            let tables = self.tables.iter().map(|table| table.plain(COLUMNS));
+            let tables: Vec<String> = tables.collect();
             print(&format!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n")))?;
         }
         let Some(html) = html else { return Ok(()) };
@@ -64,18 +67,6 @@ pub(super) fn print(text: &str) -> anyhow::Result<()> {
         }
         _ => Ok(()),
     }
-}
-
-/// A table without borders.
-pub(crate) fn plain_text(of: &Table) -> String {
-    let mut table = Printed::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(of.header());
-    table.add_rows(of.rows());
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table.trim_fmt()
 }
 
 /// A table from rows that start with their names.

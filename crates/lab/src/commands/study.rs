@@ -2,7 +2,10 @@
 
 use anyhow::Context;
 
-use super::{StudyArgs, output::print, plain_text};
+use super::{
+    StudyArgs,
+    output::{COLUMNS, print},
+};
 use crate::study::{self, StudyConfig, StudyRequest};
 use eddy_frames::progress::Progress;
 use eddy_settings::{Overrides, usage::Usage};
@@ -22,7 +25,7 @@ pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
         print(&format!("\n{warning}"))?;
     }
     for (heading, table) in &outcome.summaries {
-        print(&format!("\n{heading}: {}\n{}", table.caption(), plain_text(table)))?;
+        print(&format!("\n{heading}: {}\n{}", table.caption(), table.plain(COLUMNS)))?;
     }
     print(&format!("\n{}", outcome.page.display()))
 }
