@@ -122,7 +122,7 @@ fn shown(value: &toml::Value) -> String {
 fn training() -> String {
     let source = Source::of(&[
         "crates/learning/src/train/config.rs",
-        "crates/inference/src/checkpoint/description.rs",
+        "crates/inference/src/checkpoint/network.rs",
     ]);
     let [particle, frame] = [Architecture::Particle, Architecture::Frame]
         .map(|architecture| toml::Table::try_from(TrainConfig::defaults(architecture)).unwrap());

@@ -2,8 +2,8 @@
 //!
 //! A checkpoint is a directory with two files:
 //!
-//! 1. `model.toml`, the [`Description`]: network, training data, normalisation (`description`), and the rules that correct
-//!    its predictions (`rules`).
+//! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
+//!    that correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32 in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
 //!    derives from the description.
 //!
@@ -15,17 +15,19 @@ mod error;
 mod files;
 mod initial;
 pub mod layout;
+mod network;
 mod rules;
 
-pub use description::{
-    Activation, Architecture, Core, Description, FORMAT_VERSION, FeatureScaling, Form,
-    FrameOptions, GridOptions, MaterialInput, Normalization, Pooling, Sizes, TrainingSummary,
-};
+pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};
 pub use initial::initial_weights;
 pub use layout::tensor_shapes;
+pub use network::{
+    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, GridOptions, MaterialInput,
+    Pooling, Sizes,
+};
 pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
 
 use std::{collections::BTreeMap, path::Path};

@@ -1,0 +1,190 @@
+//! The network of a checkpoint: architecture, core, options and sizes.
+
+use serde::{Deserialize, Serialize};
+
+/// The architecture of a network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Architecture {
+    /// The paper's network: one hidden state per frame, a fixed number of particles (Table 1).
+    Frame,
+    /// One hidden state per particle, shared weights, any number of particles.
+    #[default]
+    Particle,
+}
+
+impl Architecture {
+    /// Its name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Frame => "frame",
+            Self::Particle => "particle",
+        }
+    }
+}
+
+/// The recurrent core of a network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Core {
+    /// No recurrence: a linear layer and an activation, the paper's baseline.
+    Mlp,
+    /// Long short-term memory (Hochreiter and Schmidhuber 1997), as in PyTorch.
+    Lstm,
+    /// Gated recurrent unit (Cho et al. 2014), as in PyTorch.
+    Gru,
+    /// Forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
+    #[cfg_attr(feature = "clap", value(name = "minlstm"))]
+    MinLstm,
+    /// One gate, one candidate (Feng et al. 2024, section 3.1).
+    #[default]
+    #[cfg_attr(feature = "clap", value(name = "mingru"))]
+    MinGru,
+}
+
+impl Core {
+    /// All cores, in the paper's order.
+    pub const ALL: [Self; 5] = [Self::Mlp, Self::Lstm, Self::Gru, Self::MinLstm, Self::MinGru];
+
+    /// Its name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mlp => "mlp",
+            Self::Lstm => "lstm",
+            Self::Gru => "gru",
+            Self::MinLstm => "minlstm",
+            Self::MinGru => "mingru",
+        }
+    }
+}
+
+/// The form of the minimal recurrences; other cores have only the plain form.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Form {
+    /// Candidates enter the state unchanged (the paper's Fig. 6).
+    #[default]
+    Plain,
+    /// Candidates pass through g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, which is positive, so that the recurrence can be
+    /// computed in logarithms (Feng et al. 2024, appendix B). This is a different model.
+    Log,
+}
+
+/// How the frame model pools particles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Pooling {
+    /// The mean over the particles.
+    #[default]
+    #[serde(rename = "mean")]
+    Mean,
+    /// The largest value over the particles.
+    #[serde(rename = "max")]
+    Max,
+    /// Both, concatenated.
+    #[serde(rename = "mean+max")]
+    MeanMax,
+}
+
+/// The activation after the frame model's linear layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Activation {
+    /// 1 / (1 + exp(-x)).
+    Sigmoid,
+    /// Hyperbolic tangent.
+    Tanh,
+    /// max(0, x).
+    Relu,
+    /// x for x > 0, exp(x) - 1 below (Clevert et al. 2015), the paper's choice.
+    #[default]
+    Elu,
+}
+
+impl Activation {
+    /// All activations, in the order of the paper's Fig. 5.
+    pub const ALL: [Self; 4] = [Self::Sigmoid, Self::Tanh, Self::Relu, Self::Elu];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sigmoid => "sigmoid",
+            Self::Tanh => "tanh",
+            Self::Relu => "relu",
+            Self::Elu => "elu",
+        }
+    }
+}
+
+/// How a particle's material enters the frame model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MaterialInput {
+    /// One input per material: 1 for the particle's material, else 0.
+    #[default]
+    #[serde(rename = "one-hot")]
+    OneHot,
+    /// As in the paper: one input, the material's number divided by the largest, 0..1.
+    #[serde(rename = "scalar")]
+    Scalar,
+}
+
+/// How the frame model's features are normalised, with statistics of the training split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FeatureScaling {
+    /// To 0..1 by minimum and maximum (the paper's eq. 1).
+    #[default]
+    #[serde(rename = "min-max")]
+    MinMax,
+    /// By mean and standard deviation.
+    #[serde(rename = "z-score")]
+    ZScore,
+}
+
+/// Options of the frame model that the paper leaves open or compares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrameOptions {
+    /// Pooling over particles.
+    pub pooling: Pooling,
+    /// Activation of the encoder, the MLP core and the mixer.
+    pub activation: Activation,
+    /// How materials enter.
+    pub material: MaterialInput,
+    /// How the other features are normalised.
+    pub scaling: FeatureScaling,
+}
+
+impl FrameOptions {
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// The sparse grid that connects the particle model's particles with their surroundings: particles are summed on its nodes,
+/// three levels of convolutions follow, and particles gather the result. Its table in `model.toml` is `[surroundings]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GridOptions {
+    /// Cell width of the finest level (domain lengths); the coarser levels have cells two and four times as wide.
+    pub cell_width: f32,
+    /// Channels of each level, finest first.
+    pub channels: [usize; 3],
+    /// Distance between neighbouring particles at rest (domain lengths).
+    pub spacing: f32,
+}
+
+/// Sizes of a network's layers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sizes {
+    /// Width of the encoder's first layer.
+    pub encoder: usize,
+    /// Width of the hidden state.
+    pub hidden: usize,
+    /// Number of recurrent layers.
+    pub layers: usize,
+    /// The frame model's number of particles; absent in particle models.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub particles: Option<usize>,
+}
