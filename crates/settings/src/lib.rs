@@ -36,6 +36,23 @@ pub fn load<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
     parse(file, &read(file)?)
 }
 
+/// As [`load`]; for an unknown key that a table of `defaults` has, the error suggests the key in that table.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_like<T: Serialize + DeserializeOwned>(
+    file: &Path,
+    defaults: &T,
+) -> Result<T, ConfigError> {
+    load(file).map_err(|error| match error {
+        ConfigError::Key { file, reason } => {
+            let tables = Table::try_from(defaults).unwrap_or_default();
+            ConfigError::Key { file, reason: near::in_tables(reason, &tables) }
+        }
+        other => other,
+    })
+}
+
 /// The settings in the text of a file.
 ///
 /// # Errors

@@ -2,6 +2,8 @@
 
 use std::{fs, io, path::Path};
 
+use toml::{Table, Value};
+
 /// Minimum Jaro similarity (0 to 1) of a suggestion, as in clap.
 const MIN_SIMILARITY: f64 = 0.7;
 
@@ -53,6 +55,20 @@ pub fn in_toml(reason: &str) -> String {
         nearest(names.next()?, names)
     });
     format!("{reason}{}", meant.map(question).unwrap_or_default())
+}
+
+/// A message of the TOML parser about an unknown key, with the table that has it: `gravity` is `solver.gravity`.
+pub(crate) fn in_tables(reason: String, tables: &Table) -> String {
+    let word = reason.split_once("unknown field `").and_then(|(_, rest)| rest.split('`').next());
+    let has = |value: &Value, word| value.as_table().is_some_and(|table| table.contains_key(word));
+    let meant = word.and_then(|word| {
+        let (table, _) = tables.iter().find(|(_, value)| has(value, word))?;
+        Some(format!("{table}.{word}"))
+    });
+    match meant {
+        Some(meant) => format!("{reason}{}", question(&meant)),
+        None => reason,
+    }
 }
 
 /// An error of the system for a path; if it does not exist, with a suggestion.

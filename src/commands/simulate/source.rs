@@ -9,7 +9,7 @@ use clap::{
 
 use crate::cli::SimulateArgs;
 use eddy_evaluation::dataset::simulate::Source;
-use eddy_mpm::{Extent, Preset};
+use eddy_mpm::{Extent, Preset, Scene};
 use eddy_settings::{self as config, usage::Usage};
 
 /// Scene files within the program, by their names for `--preset`.
@@ -36,7 +36,7 @@ pub(crate) fn presets() -> PossibleValuesParser {
 /// The source that the arguments describe.
 pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
     if let Some(file) = &args.scene {
-        return Ok(Source::Written(Box::new(config::load(file)?)));
+        return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
     }
     if let Ok(preset) = Preset::from_str(&args.preset, false) {
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
