@@ -7,7 +7,10 @@ mod values;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
-use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
+use clap::{
+    Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum,
+    error::{ContextKind, ContextValue, ErrorKind},
+};
 use clap_complete::Shell;
 use regex::Regex;
 
@@ -112,10 +115,24 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command.mut_subcommands(with_negative_numbers)
 }
 
+/// Removes the tip to pass an unknown option as a value, which it hardly ever is.
+fn without_escape_tip(mut error: clap::Error) -> clap::Error {
+    if error.kind() == ErrorKind::UnknownArgument
+        && let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested)
+    {
+        tips.retain(|tip| !tip.to_string().starts_with("to pass "));
+        if !tips.is_empty() {
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+        }
+    }
+    error
+}
+
 impl Cli {
     /// Parses the arguments of this process; exits after printing help or an error.
     pub fn read() -> Self {
-        let read = Self::from_arg_matches(&command().get_matches());
+        let matches = command().try_get_matches().map_err(without_escape_tip);
+        let read = matches.and_then(|matches| Self::from_arg_matches(&matches));
         read.unwrap_or_else(|error| error.exit()).without_aliases()
     }
 
@@ -318,8 +335,8 @@ pub struct RecordArgs {
     #[arg(long, value_name = "BYTES", default_value_t = 100 << 20)]
     pub max_cache_size: usize,
     /// Compression of chunks.
-    #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
-    pub compression: CompressionArg,
+    #[arg(long, value_enum, default_value_t = Compression::Zstd)]
+    pub compression: Compression,
     /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`
     /// [default: what the publishers offer].
     #[arg(long, value_name = "FILE")]
@@ -335,23 +352,6 @@ pub struct RecordArgs {
     pub ament_prefix_path: Vec<PathBuf>,
     #[command(flatten)]
     pub ros: RosArgs,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum CompressionArg {
-    None,
-    Lz4,
-    Zstd,
-}
-
-impl From<CompressionArg> for Compression {
-    fn from(arg: CompressionArg) -> Self {
-        match arg {
-            CompressionArg::None => Self::None,
-            CompressionArg::Lz4 => Self::Lz4,
-            CompressionArg::Zstd => Self::Zstd,
-        }
-    }
 }
 
 /// `eddy replay`

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use regex::Regex;
 
-use super::{CompressionArg, RecordArgs, ReplayArgs};
-use eddy_bag::Moment;
+use super::{RecordArgs, ReplayArgs};
+use eddy_bag::{Compression, Moment};
 use eddy_evaluation::dataset::TRUTH_TOPIC;
 use eddy_exchange::{ExportFormat, ImportFormat};
 use eddy_frames::Material;
@@ -76,7 +76,7 @@ pub struct NewBagArgs {
     pub force: bool,
     /// Compression of chunks [default: as in the input; zstd if mixed].
     #[arg(long, value_enum)]
-    pub compression: Option<CompressionArg>,
+    pub compression: Option<Compression>,
 }
 
 /// `eddy bag recover`
@@ -158,7 +158,7 @@ pub struct ExportArgs {
     pub cloud: bool,
     /// Compression of chunks with --cloud [default: as in the input].
     #[arg(long, value_enum, requires = "cloud")]
-    pub compression: Option<CompressionArg>,
+    pub compression: Option<Compression>,
     /// Output path: a file for csv, otherwise a directory; npz and vtkhdf (one stream) and gns write a single file if the
     /// name ends in .npz or .vtkhdf [default: named after the bag].
     #[arg(long, short, value_name = "PATH")]

@@ -72,7 +72,7 @@ pub fn run(
         size: args.max_bag_size,
         duration: args.max_bag_duration.map(Duration::from_secs_f64),
     };
-    let compression = args.compression.into();
+    let compression = args.compression;
     let options = WriterOptions { compression, split, ..WriterOptions::default() };
     let place = args.output.clone().unwrap_or_else(default_output);
     let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;

@@ -50,7 +50,7 @@ fn writer_options(new: &NewBagArgs, bags: &[BagReader]) -> WriterOptions {
         ["lz4"] => Compression::Lz4,
         _ => Compression::Zstd,
     };
-    let compression = new.compression.map_or(unchanged, Compression::from);
+    let compression = new.compression.unwrap_or(unchanged);
     WriterOptions { compression, ..WriterOptions::default() }
 }
 
