@@ -23,6 +23,7 @@ mod output;
 mod progress;
 mod surrogate;
 
+pub(crate) use eddy_frames::counted;
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
@@ -95,11 +96,6 @@ pub(crate) fn wait_for_subscribers(
     Ok(true)
 }
 
-/// A number with its unit in the singular or the plural: `1 scene`, `20 scenes`.
-pub(crate) fn counted(number: u64, unit: &str) -> String {
-    format!("{number} {unit}{}", if number == 1 { "" } else { "s" })
-}
-
 /// Prints the URL of a live page.
 pub(crate) fn announce_page(page: &LivePage) {
     println!("page:   {}", page.announcement());
@@ -114,6 +110,8 @@ pub(crate) fn progress_bar(length: u64, unit: &str, quiet: bool) -> ProgressBar 
     } else {
         ProgressBar::new(length)
     };
-    let template = format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left  {{wide_msg}}");
+    // What a narrow terminal leaves beside the numbers and a message.
+    let width = terminal::columns().saturating_sub(64).clamp(10, 30);
+    let template = format!("{{bar:{width}}} {{pos}}/{{len}} {unit}, {{eta}} left  {{wide_msg}}");
     bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

@@ -185,13 +185,14 @@ fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
 
 fn introduce(config: &TrainConfig, dataset: &Dataset) {
     println!(
-        "{} {}: {} streams for training, {} for validation, {} for testing",
+        "{} {}: {} for training, {} for validation, {} for testing",
         config.architecture.name(),
         config.core.name(),
-        dataset.train.len(),
+        counted(dataset.train.len() as u64, "stream"),
         dataset.validation.len(),
         dataset.test.len(),
     );
+    println!("skill below: validation part, at frames 1 and {}", config.validation.horizon);
     if let Some(store) = dataset.frame_store() {
         println!("frames stay on disk, up to {} of them in memory", HumanBytes(store.limit()));
     }
@@ -221,7 +222,7 @@ fn summarize(
     let horizon = config.validation.horizon;
     let streams = |part: &[Trajectory]| counted(part.len() as u64, "stream");
     println!(
-        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation part ({}), which selected the epoch",
+        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation, {}; selected the epoch",
         best.first_skill,
         best.last_skill,
         streams(&dataset.validation),
@@ -229,18 +230,19 @@ fn summarize(
     let tested = if *interrupted { None } else { test_skill(checkpoint, dataset, horizon)? };
     if let Some((first, last)) = tested.as_ref().and_then(|skill| skill.first().zip(skill.last())) {
         println!(
-            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test part ({}), as `eddy eval` reports it",
+            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test, {}; as `eddy eval` reports it",
             streams(&dataset.test),
         );
     }
     let place = output.display();
     println!(
-        "{place}: best checkpoint, {} parameters, digest {}; last epoch in {LAST_FOLDER}/; curves: tensorboard --logdir {place}",
+        "{place}: {} parameters, digest {}; last epoch in {LAST_FOLDER}/",
         HumanCount(checkpoint.parameters() as u64),
         checkpoint.short_digest(),
     );
+    println!("curves:   tensorboard --logdir {place}");
     if *interrupted {
-        println!("resume: the same command with --resume");
+        println!("resume:   the same command with --resume");
     }
     let data: Vec<_> = args.data.iter().map(|path| path.display().to_string()).collect();
     let name = output.file_name().unwrap_or_default().display();

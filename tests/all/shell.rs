@@ -121,6 +121,7 @@ const NEARLY: &[(&str, i32, &str)] = &[
         "; did you mean checkpoints/particle-mingru?",
     ),
     ("launch launch_configs/chain_shn.toml", 1, "; did you mean launch_configs/chain_shm.toml?"),
+    ("simulate --scene nearly_scene.toml --output o", 1, "; did you mean solver.gravity?"),
     ("node --config nearly.toml", 1, "; did you mean horizon?"),
     (
         "train --data bags/sample --output o --config nearly_train.toml",
@@ -137,6 +138,7 @@ fn errors_suggest_the_near_miss() {
         std::os::unix::fs::symlink(root.join(name), folder.path().join(name)).unwrap();
     }
     fs::write(folder.path().join("nearly.toml"), "[node]\nhorizn = 3\n").unwrap();
+    fs::write(folder.path().join("nearly_scene.toml"), "gravity = 1.6\n").unwrap();
     fs::write(folder.path().join("nearly_train.toml"), "core = \"minlstn\"\n").unwrap();
     for (typed, code, said) in NEARLY {
         let output = eddy().args(typed.split(' ')).current_dir(folder.path()).output().unwrap();
@@ -149,6 +151,9 @@ fn errors_suggest_the_near_miss() {
 #[test]
 fn what_is_far_from_everything_gets_no_suggestion() {
     assert!(!fail(2, ["node", "--input", "tcp:/particles"]).contains("did you mean"));
+    let unknown = fail(2, ["bag", "info", "bag", "--latest"]);
+    assert!(unknown.contains("unexpected argument '--latest'"), "{unknown}");
+    assert!(!unknown.contains("to pass '--latest' as a value"), "{unknown}");
 }
 
 /// Options that were renamed: a command with the old name and an invalid value, and the new name in its error.

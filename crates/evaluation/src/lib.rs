@@ -108,7 +108,7 @@ pub enum EvalError {
     },
     /// Every stream is too short.
     #[error(
-        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict"
+        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict; choose a shorter horizon or longer scenes"
     )]
     TooShort {
         /// Frames of the longest stream.

@@ -28,7 +28,7 @@ pub enum ExchangeError {
     #[error("stream: found {found}, expected {wanted}")]
     NoStream { found: String, wanted: u64 },
     /// Two bags or files have a stream with this id.
-    #[error("stream {stream}: found in {first} and in {second}, expected in one of them", first = .first.display(), second = .second.display())]
+    #[error("stream {stream}: found in {first} and in {second}, expected in one of them; convert them one by one", first = .first.display(), second = .second.display())]
     SameStream { stream: u64, first: PathBuf, second: PathBuf },
     /// A stream has fewer frames than selected.
     #[error("{bag}: stream {stream}: found {found} frames, expected at least {wanted}", bag = .bag.display())]

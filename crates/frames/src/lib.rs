@@ -42,6 +42,11 @@ impl Stamp {
     }
 }
 
+/// A number with its unit in the singular or the plural: `1 scene`, `20 scenes`.
+pub fn counted(number: u64, unit: &str) -> String {
+    format!("{number} {unit}{}", if number == 1 { "" } else { "s" })
+}
+
 /// The shortest decimal number that is `value` as `f32`, as `f64`: 0.016f32 is 0.016, not 0.01599999964.
 pub fn decimal(value: f32) -> f64 {
     // Without the allocation of `to_string`; at most nine digits, two signs, a point and an exponent.

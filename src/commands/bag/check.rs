@@ -30,7 +30,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Says which streams start anew, which is no damage.
+/// Prints which streams restart, which is no damage.
 fn print_restarts(bag: &BagReader, survey: &Survey) {
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
         for (stream, found) in found.streams.iter().filter(|(_, stream)| stream.restarts > 0) {

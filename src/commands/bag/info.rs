@@ -115,7 +115,7 @@ struct StreamEntry {
     particles: [usize; 2],
     /// Time between two frames (s).
     dt: f64,
-    /// How often the stream started anew.
+    /// How often the stream restarted.
     restarts: u64,
 }
 

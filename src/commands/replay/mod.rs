@@ -88,8 +88,8 @@ pub fn run(
     );
     if keyboard.is_some() && !quiet {
         println!(
-            "keys: space pauses or resumes, right arrow or n plays the next message, up and down change the rate, \
-             left arrow or b skips back 5 s, f skips forward 5 s"
+            "keys: space pauses or resumes, right arrow or n plays the next message,\n      \
+             up and down change the rate, left arrow or b skips back 5 s, f forward 5 s"
         );
     }
     let clock = Clock::start();

@@ -38,6 +38,14 @@ pub(super) fn run(
         }
         thread::sleep(SEARCH_INTERVAL);
     }
+    if topics.is_empty() {
+        let transports: Vec<_> = args.from.iter().map(ToString::to_string).collect();
+        let transports = transports.join(", ");
+        tracing::warn!(
+            "no topics on {transports} within {} s; --from selects transports",
+            args.wait
+        );
+    }
     let width = topics.iter().map(|topic| topic.link.to_string().len()).max().unwrap_or(0);
     for topic in topics {
         if !print(&format!("{:width$}  {}", topic.link.to_string(), topic.type_name)) {

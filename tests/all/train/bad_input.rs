@@ -146,7 +146,7 @@ fn one_stream_is_too_few_to_split() {
     let folder = tempfile::tempdir().unwrap();
     write_bag(&folder.path().join("lone"), &[stream(0)]);
     let message = load(&[folder.path().join("lone")], u64::MAX).unwrap_err().to_string();
-    says(&message, &["lone: found 1 streams, expected at least 2"]);
+    says(&message, &["lone: number of streams: found 1, expected at least 2"]);
 }
 
 #[test]

@@ -313,7 +313,7 @@ fn a_process_that_is_interrupted_ends_well_and_says_how_to_go_on() {
     assert!(process.wait().success());
     let printed = process.rest();
     assert!(printed.contains("interrupted: "), "{printed}");
-    assert!(printed.contains("resume: the same command with --resume"), "{printed}");
+    assert!(printed.contains("resume:   the same command with --resume"), "{printed}");
     let epochs = |folder: &Path| Checkpoint::load(folder).unwrap().description.training.epochs;
     let (best, last) = (folder.path().join("model"), folder.path().join("model/last"));
     assert_eq!(epochs(&best), epochs(&last), "both tell how many epochs were done");

@@ -66,7 +66,7 @@ fn the_summary_says_what_came_out_and_how_to_go_on() {
         (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert!(output.status.success(), "{lines}");
     for words in [
-        "particle mingru: 1 streams for training, 1 for validation, 1 for testing",
+        "particle mingru: 1 stream for training, 1 for validation, 1 for testing",
         "frames stay on disk",
         "done: 2 epochs, 256 samples in ",
         "best: epoch ",

@@ -24,7 +24,7 @@ use eddy_messages::{
 /// Groups of findings that are kept; findings of others are counted.
 const KEPT_FINDINGS: usize = 50;
 
-/// A stamp more than this many intervals in the past starts a stream anew, as in a node (a looped bag).
+/// A stamp more than this many intervals in the past restarts a stream, as in a node (a looped bag).
 const RESTART_INTERVALS: u32 = 16;
 
 /// Bytes of a file that are read at a time.
@@ -85,7 +85,7 @@ pub struct StreamSurvey {
     pub particles: (usize, usize),
     /// Time between two frames (s), from the first frame.
     pub dt: f32,
-    /// How often the stream started anew, as in the recording of a loop.
+    /// How often the stream restarted, as in the recording of a loop.
     pub restarts: u64,
     /// Highest sequence so far, and its stamp.
     highest: (u64, Stamp),
@@ -267,7 +267,7 @@ impl StreamSurvey {
         }
     }
 
-    /// Adds the next frame; returns what contradicts the frames before it. A stream that starts anew contradicts nothing.
+    /// Adds the next frame; returns what contradicts the frames before it. A stream that restarts contradicts nothing.
     fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 2] {
         let (fewest, most) = self.particles;
         self.frames += 1;

@@ -75,7 +75,7 @@ pub enum DatasetError {
     Bag(#[from] BagError),
     /// There are too few trajectories to split.
     #[error(
-        "{}: found {found} streams, expected at least 2: one for training and one for validation",
+        "{}: number of streams: found {found}, expected at least 2: one for training and one for validation",
         list(paths)
     )]
     TooFew {

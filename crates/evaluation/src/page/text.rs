@@ -1,17 +1,25 @@
 //! Tables as text, for a terminal.
 
 use comfy_table::{
-    CellAlignment, ColumnConstraint, ContentArrangement, Table as Printed, TableStyle, Width,
-    presets,
+    CellAlignment, ColumnConstraint, ContentArrangement, ContentLineStyle, LineStyle,
+    Table as Printed, TableStyle, Width, presets,
 };
 
 use super::Table;
+
+/// A frame and a line below the titles; columns are two characters apart.
+const FRAME: TableStyle = TableStyle::new()
+    .top_border(LineStyle::none().left('┌').fill('─').right('┐'))
+    .header_lines(ContentLineStyle::none().left('│').right('│'))
+    .header_separator(LineStyle::none().left('╞').fill('═').right('╡'))
+    .content_lines(ContentLineStyle::none().left('│').right('│'))
+    .bottom_border(LineStyle::none().left('└').fill('─').right('┘'));
 
 impl Table {
     /// The table in a frame below its caption, in lines of at most `columns` characters. Columns that do not fit follow
     /// below, with the names of the rows again; long names are wrapped.
     pub fn framed(&self, columns: usize) -> String {
-        let table = self.text(presets::UTF8_BORDERS_ONLY, columns);
+        let table = self.text(FRAME, columns);
         format!("{}\n{table}", wrapped(self.caption(), columns))
     }
 
@@ -29,7 +37,10 @@ impl Table {
             part.set_header(titles.iter().take(1).chain(&titles[from..to]));
             for row in &rows {
                 let cells = row.get(from..to.min(row.len())).unwrap_or_default();
-                part.add_row(row.iter().take(1).chain(cells));
+                // A row without anything below has been printed above.
+                if from == 1 || cells.iter().any(|cell| !cell.is_empty()) {
+                    part.add_row(row.iter().take(1).chain(cells));
+                }
             }
             for (column, number) in part.column_iter_mut().skip(1).zip(from..) {
                 let is_text =
@@ -106,12 +117,12 @@ mod tests {
     fn a_table_that_fits_is_one_table_with_numbers_at_the_right() {
         let expected = "\
 speed of vehicles
-┌──────────────────────────────────────────────────────────────────────┐
-│                                           kind     m/s   m/s, uphill │
-╞══════════════════════════════════════════════════════════════════════╡
-│ a very long name of one of the bicycles   cycle    5.1          2.25 │
-│ cars                                      car     33.0             - │
-└──────────────────────────────────────────────────────────────────────┘";
+┌───────────────────────────────────────────────────────────────────┐
+│                                          kind    m/s  m/s, uphill │
+╞═══════════════════════════════════════════════════════════════════╡
+│ a very long name of one of the bicycles  cycle   5.1         2.25 │
+│ cars                                     car    33.0            - │
+└───────────────────────────────────────────────────────────────────┘";
         assert_eq!(speeds().framed(100), expected);
     }
 

@@ -2,14 +2,14 @@
 
 use super::{
     Report,
-    page::{at, milliseconds, skill},
+    page::{at, milliseconds},
 };
 use crate::page::Table;
 
 impl Report {
     /// The skill of all predictors, their blow-ups and the remarks, in lines of at most `columns` characters.
     pub fn first_table(&self, columns: usize) -> String {
-        let time = self.has_costs().then(|| "ms a frame".to_owned());
+        let time = self.has_costs().then(|| "ms/frame".to_owned());
         let frames = self.shown.iter().map(usize::to_string);
         let titles = std::iter::once("frames ahead".to_owned()).chain(frames).chain(time);
         let kinds = match self.kinds.len() {
@@ -22,7 +22,7 @@ impl Report {
             table.row("rollouts with truth", self.compared.iter().map(usize::to_string));
         }
         for entry in self.skilled() {
-            let skills = self.shown.iter().map(|&ahead| skill(at(&entry.skill, ahead)));
+            let skills = self.shown.iter().map(|&ahead| rounded(at(&entry.skill, ahead)));
             let cost = entry.cost.as_ref().map_or("-".to_owned(), |cost| milliseconds(cost.p50));
             let cost = self.has_costs().then_some(cost);
             table.row(entry.name.as_str(), skills.chain(cost));
@@ -56,5 +56,16 @@ impl Report {
         }
         let tables = tables.iter().map(|table| format!("{}\n", table.framed(columns)));
         tables.chain(self.notes.iter().map(|note| format!("{note}\n"))).collect()
+    }
+}
+
+/// A skill with two decimals, without a minus before zero. Where a baseline is exact, as the ballistic one in free fall,
+/// others are worse by millions.
+fn rounded(skill: f64) -> String {
+    match skill {
+        _ if skill.is_nan() => "-".to_owned(),
+        _ if skill < -99.0 => "< -99".to_owned(),
+        _ if skill.abs() < 0.005 => "+0.00".to_owned(),
+        _ => format!("{skill:+.2}"),
     }
 }

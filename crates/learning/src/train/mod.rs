@@ -359,7 +359,7 @@ impl Trainer<'_> {
             self.has_unsaved_best = true;
         }
         (run.on_epoch)(&epoch);
-        monitor.epoch(&epoch, config.validation.horizon)?;
+        monitor.epoch(&epoch)?;
         if saves {
             self.save_best()?;
             self.saved = self.monitor.elapsed();

@@ -168,7 +168,7 @@ impl<'a> Monitor<'a> {
     }
 
     /// Reports an epoch.
-    pub(super) fn epoch(&mut self, epoch: &Epoch, horizon: usize) -> Result<(), TrainError> {
+    pub(super) fn epoch(&mut self, epoch: &Epoch) -> Result<(), TrainError> {
         self.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
         let scalars = [
             ("loss/training", epoch.training_loss),
@@ -182,7 +182,7 @@ impl<'a> Monitor<'a> {
         let Epoch { first_skill, last_skill, best, .. } = epoch;
         let star = if *best { "  best" } else { "" };
         self.progress.message(&format!(
-            "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first_skill:.2} at 1, {last_skill:.2} at {horizon}{star}"
+            "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first_skill:+.2} {last_skill:+.2}{star}"
         ));
         Ok(())
     }

@@ -6,6 +6,7 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use super::{NodeHandle, NodeRequest, NodeResponse, PARAMETERS, parameter};
 use crate::service::{Service, handler};
+use eddy_frames::counted;
 use eddy_messages::services::{
     DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
     ListParametersRequest, ListParametersResponse, Parameter, ParameterDescriptor, ParameterKind,
@@ -53,8 +54,8 @@ fn answer<A: DeserializeOwned + 'static, B: Serialize + 'static>(
 fn reset(handle: &NodeHandle, _: Empty) -> TriggerResponse {
     match handle.request(NodeRequest::Reset, TIMEOUT) {
         Ok(NodeResponse::Reset(streams)) => {
-            let plural = if streams == 1 { "" } else { "s" };
-            TriggerResponse { success: true, message: format!("{streams} stream{plural} reset") }
+            let streams = counted(streams as u64, "stream");
+            TriggerResponse { success: true, message: format!("{streams} reset") }
         }
         Ok(_) => TriggerResponse { success: true, message: String::new() },
         Err(error) => TriggerResponse { success: false, message: error.to_string() },

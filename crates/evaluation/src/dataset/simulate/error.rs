@@ -60,7 +60,7 @@ pub enum SimulateError {
         action: &'static str,
         /// The file or directory.
         path: PathBuf,
-        /// What the system said.
+        /// The reason from the operating system.
         reason: io::Error,
     },
     /// The manifest is invalid or of another version.
@@ -97,7 +97,7 @@ pub enum SimulateError {
     Locked {
         /// The locked file.
         lock: PathBuf,
-        /// What the system said.
+        /// The reason from the operating system.
         reason: std::fs::TryLockError,
     },
     /// Another process has finished scenes between the plan and the lock.

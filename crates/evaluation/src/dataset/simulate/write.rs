@@ -14,7 +14,7 @@ use super::{
     plan::Planned,
     recording::{Recording, Store},
 };
-use eddy_frames::progress::Progress;
+use eddy_frames::{counted, progress::Progress};
 
 /// Outcome of a request.
 #[derive(Debug)]
@@ -59,9 +59,9 @@ impl Summary {
 /// The scenes and frames written in this run, and their directory.
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scenes = self.finished.len();
-        let plural = if scenes == 1 { "" } else { "s" };
-        write!(f, "{scenes} scene{plural}, {} frames: {}", self.frames(), self.output.display())
+        let scenes = counted(self.finished.len() as u64, "scene");
+        let frames = counted(self.frames(), "frame");
+        write!(f, "{scenes}, {frames}: {}", self.output.display())
     }
 }
 

@@ -25,6 +25,7 @@ use crate::{
     Interval,
     page::{Axis, Page, Series, Table},
 };
+use eddy_frames::counted;
 
 /// The horizontal axis of most plots.
 const AHEAD: &str = "frames ahead";
@@ -36,11 +37,11 @@ impl Report {
     /// A snapshot without pixels.
     pub fn page(&self) -> io::Result<Page> {
         let lead = format!(
-            "{} free rollouts per predictor over {} unseen streams: every predictor continues from its own output and is \
-             compared with the truth for {} frames of {} ms.",
-            self.windows,
-            self.streams,
-            self.horizon,
+            "{} per predictor over {}: every predictor continues from its own output and is \
+             compared with the truth for {} of {} ms.",
+            counted(self.windows as u64, "free rollout"),
+            counted(self.streams as u64, "unseen stream"),
+            counted(self.horizon as u64, "frame"),
             rounded(1e3 * f64::from(self.dt)),
         );
         let mut page = Page::new(self.title(), lead);

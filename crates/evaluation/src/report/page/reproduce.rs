@@ -2,13 +2,16 @@
 
 use super::{Report, rounded};
 use crate::page::Section;
+use eddy_frames::counted;
 
 impl Report {
     pub(super) fn reproduce(&self, section: &mut Section) {
         section.provenance(&self.made);
         let fact = |name: &str, value: String| (name.to_owned(), value);
-        let mut facts =
-            vec![fact("Data", format!("{} streams, digest {}", self.streams, self.data_digest))];
+        let mut facts = vec![fact(
+            "Data",
+            format!("{}, digest {}", counted(self.streams as u64, "stream"), self.data_digest),
+        )];
         for entry in &self.predictors {
             let (Some(checkpoint), Some(digest)) = (&entry.checkpoint, &entry.digest) else {
                 continue;

@@ -5,6 +5,7 @@ use crate::{
     BlowUps,
     page::{Axis, LinePlot, Section, Series, Table},
 };
+use eddy_frames::counted;
 
 impl Report {
     pub(super) fn summary(&self, section: &mut Section) {
@@ -87,8 +88,8 @@ impl Report {
             let seeds = group.members.len();
             cells.extend(counts(&group.blow_ups, seeds * self.windows));
             cells.push(group.ms.map_or("-".into(), milliseconds));
-            let plural = if seeds == 1 { "" } else { "s" };
-            table.row(format!("{}, mean of {seeds} seed{plural}", group.name), cells);
+            let of_seeds = counted(seeds as u64, "seed");
+            table.row(format!("{}, mean of {of_seeds}", group.name), cells);
             if seeds > 1 {
                 table
                     .detail_row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
