@@ -4,8 +4,10 @@
 //! 2. `data`: trajectories on the device, windows of them.
 //! 3. `training`: training steps.
 //! 4. `inference`: streams, frame by frame.
+//! 5. [`footprint`]: the memory that a training needs.
 
 mod data;
+pub mod footprint;
 mod inference;
 mod layout;
 mod training;

@@ -19,6 +19,7 @@ use eddy_cuda::{
     device::Device,
     frame::{
         Batch, GROUP, Inference, Outcome, Settings, Store, StoreWriter, Streams, Training, Window,
+        footprint,
     },
     gpu::{self, Gpu},
     kernels::{Constants, MATERIALS},
@@ -146,6 +147,7 @@ impl Learner {
     pub(super) fn new(
         number: usize,
         options: GpuOptions,
+        config: &TrainConfig,
         description: &Description,
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
@@ -155,6 +157,10 @@ impl Learner {
             Precision::Fp32 => gpu::Precision::Fp32,
         };
         let gpu = Gpu::new(number, &constants, precision, options.kernel_cache)?;
+        let stages: Vec<_> =
+            config.unroll.iter().map(|stage| settings(config, stage.frames)).collect();
+        let frames = streams.iter().map(|stream| stream.frames).sum();
+        footprint::check(&gpu, number, description, &stages, frames)?;
         Self::on(Arc::new(gpu), streams)
     }
 

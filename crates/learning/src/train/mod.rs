@@ -184,7 +184,7 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     };
     let monitor = Monitor::new(run.output, config, &state, run.progress)?;
     let description = &description;
-    let learner = Learner::new(run, description, dataset)?;
+    let learner = Learner::new(run, config, description, dataset)?;
     let mut trainer = Trainer {
         config,
         dataset,

@@ -4,7 +4,7 @@
 #[cfg(feature = "cuda")]
 use super::cuda;
 use super::{
-    Run, TrainError,
+    Run, TrainConfig, TrainError,
     gradients::{BatchGradient, GradientTask},
     state::RunState,
     validate,
@@ -43,18 +43,19 @@ impl Learner {
     /// For a run on its device.
     pub(super) fn new(
         run: &Run,
+        config: &TrainConfig,
         description: &Description,
         dataset: &Dataset,
     ) -> Result<Self, TrainError> {
         match run.device {
             #[cfg(feature = "cuda")]
             DeviceKind::Cuda(number) => {
-                let learner =
-                    cuda::Learner::new(number.into(), run.gpu, description, &dataset.train)?;
+                let (number, streams) = (number.into(), &dataset.train);
+                let learner = cuda::Learner::new(number, run.gpu, config, description, streams)?;
                 Ok(Self::Cuda(Box::new(learner)))
             }
             _ => {
-                let _ = (description, dataset);
+                let _ = (config, description, dataset);
                 Ok(Self::Burn)
             }
         }
