@@ -1,6 +1,6 @@
 //! DDS as in ROS 2's DDS middlewares: an unmodified ROS 2 sees the node, its topics and parameters.
 //!
-//! 1. [`participant`]: the DDS participant and its networks.
+//! 1. [`participant`]: the DDS participant and its networks; [`farewell`]: its end.
 //! 2. [`graph`]: the node and its endpoints in the ROS graph; matched endpoints.
 //! 3. [`event_loop`]: a thread that handles events of RustDDS.
 //! 4. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
@@ -31,6 +31,7 @@
 mod cdr;
 mod client;
 mod event_loop;
+mod farewell;
 mod graph;
 mod participant;
 mod publisher;
@@ -50,6 +51,7 @@ use super::{
     patience::Patience,
 };
 use eddy_messages::{QosProfile, TypeSupport, dds_type};
+use farewell::Farewell;
 use graph::Graph;
 use publisher::DdsPublisher;
 use service::DdsService;
@@ -65,6 +67,8 @@ pub(super) struct DdsNode {
     patience: Patience,
     /// Bytes.
     largest_message: usize,
+    /// The last field: sent after the participant is closed, which `graph` also keeps open.
+    _farewell: Farewell,
 }
 
 impl DdsNode {
@@ -74,6 +78,7 @@ impl DdsNode {
         patience: Patience,
     ) -> Result<Self, TransportError> {
         let participant = participant::open(link, options)?;
+        let _farewell = Farewell::of(&participant, options);
         let failed = |error| middleware(link, "open the DDS participant", &error);
         let none = qos::default();
         let publisher = participant.create_publisher(&none).map_err(failed)?;
@@ -81,7 +86,7 @@ impl DdsNode {
         let graph = Graph::open(link, &participant, &publisher, options)?;
         let largest_message = qos::largest_message();
         tracing::info!("DDS: largest message is {largest_message} bytes");
-        Ok(Self { participant, publisher, subscriber, graph, patience, largest_message })
+        Ok(Self { participant, publisher, subscriber, graph, patience, largest_message, _farewell })
     }
 
     /// The writers of ROS topics of other participants.

@@ -1,7 +1,7 @@
 //! DDS: what RustDDS transmits, discovery, and limits.
 
 use std::{
-    net::{IpAddr, Ipv4Addr},
+    net::{IpAddr, Ipv4Addr, UdpSocket},
     time::{Duration, Instant},
 };
 
@@ -210,6 +210,33 @@ fn a_best_effort_publisher_meets_no_reliable_subscriber() {
     assert_eq!(readers.len(), 1);
     let reliability = readers[0].subscription_topic_data.qos().reliability();
     assert_eq!(reliability, Some(policy::Reliability::BestEffort));
+}
+
+/// Fast DDS needs the key hash, without which it keeps the node in the ROS graph until its lease ends.
+#[test]
+fn a_participant_says_farewell_with_its_key_hash() {
+    const PID_KEY_HASH: [u8; 4] = [0x70, 0, 16, 0];
+    let options = options();
+    // The discovery port of the last participant of the domain.
+    let port = 7_400 + 250 * options.domain_id + 10 + 2 * 119;
+    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).unwrap();
+    socket.set_read_timeout(Some(DEADLINE)).unwrap();
+    let transports = Transports::new(options.clone());
+    let watcher = DomainParticipantBuilder::new(options.domain_id)
+        .with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)])
+        .build()
+        .unwrap();
+    let publisher = frames_publisher(&transports, &link("dds"), Reliability::Drop);
+    let writer = || watcher.discovered_writers().first().map(|w| w.writer_proxy.remote_writer_guid);
+    eventually("the publisher is seen", || writer().is_some());
+    let prefix = writer().unwrap().to_bytes()[..12].to_vec();
+    drop((publisher, transports));
+    let mut farewell = [0; 256];
+    let (length, _) = socket.recv_from(&mut farewell).unwrap();
+    let farewell = &farewell[..length];
+    assert_eq!((&farewell[..4], &farewell[8..20]), (&b"RTPS"[..], &prefix[..]));
+    let at = farewell.windows(4).position(|bytes| bytes == PID_KEY_HASH).unwrap();
+    assert_eq!(farewell[at + 4..at + 16], prefix);
 }
 
 /// The client uses RustDDS directly, with the names and identities of a ROS client.
