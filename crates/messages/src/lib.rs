@@ -5,7 +5,7 @@
 //! 3. `library`: the built-in `.msg` texts. `definition`: the language of these files.
 //! 4. [`schema`]: the `.msg` text with its dependencies, as stored in MCAP files, and the type
 //!    description parsed from it. [`type_descriptions`]: definitions from the nodes that use a type.
-//! 5. [`services`], [`playback`]: requests and responses, also one struct each.
+//! 5. [`services`], [`playback`], [`lifecycle`]: requests and responses, also one struct each.
 //! 6. [`service_type`]: the `.srv` files and their type hashes.
 //! 7. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
 //! 8. `dds_type`: type names in DDS. [`qos`]: quality of service.
@@ -20,6 +20,7 @@ mod convert;
 mod dds_type;
 mod definition;
 mod library;
+pub mod lifecycle;
 mod messages;
 pub mod playback;
 pub mod qos;
@@ -33,12 +34,12 @@ pub use dds_type::{dds_type, ros_type};
 pub use definition::InvalidDefinition;
 pub use library::{names as built_in_types, text_of as built_in_text};
 pub use messages::{
-    Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ParameterEvent, ParticleFrame,
+    Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, Log, ParameterEvent, ParticleFrame,
     PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
 };
 pub use qos::QosProfile;
 pub use schema::{TypeSupport, UnknownType, type_support};
-pub use service_type::{UnknownService, service_hash};
+pub use service_type::{UnknownService, service_hash, service_messages};
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -48,8 +49,8 @@ pub trait Message: Serialize + DeserializeOwned {
     const TYPE: &'static str;
 }
 
-/// The message type of a topic of eddy, from the last part of its name: status, cloud, fields, diagnostics, clock and
-/// parameter events have fixed names, all other topics carry frames.
+/// The message type of a topic of eddy, from the last part of its name: status, cloud, fields, diagnostics, clock, log,
+/// parameter events and transitions have fixed names, all other topics carry frames.
 pub fn topic_type(topic: &str) -> &'static str {
     match topic.rsplit('/').next() {
         Some("status") => PredictionStatus::TYPE,
@@ -57,6 +58,8 @@ pub fn topic_type(topic: &str) -> &'static str {
         Some("clock") => Clock::TYPE,
         Some("cloud" | "fields") => PointCloud2::TYPE,
         Some("parameter_events") => ParameterEvent::TYPE,
+        Some("rosout") => Log::TYPE,
+        Some("transition_event") => lifecycle::TransitionEvent::TYPE,
         _ => ParticleFrame::TYPE,
     }
 }
@@ -80,6 +83,8 @@ mod tests {
             ("/clock", Clock::TYPE),
             ("/prediction/cloud", PointCloud2::TYPE),
             ("/parameter_events", ParameterEvent::TYPE),
+            ("/rosout", Log::TYPE),
+            ("/eddy_node/transition_event", lifecycle::TransitionEvent::TYPE),
         ];
         for (topic, expected) in cases {
             assert_eq!(topic_type(topic), expected, "{topic}");

@@ -191,6 +191,29 @@ impl Message for ParameterEvent {
     const TYPE: &'static str = "rcl_interfaces/msg/ParameterEvent";
 }
 
+/// `rcl_interfaces/msg/Log`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Log {
+    /// Wall-clock time.
+    pub stamp: Time,
+    /// 10 DEBUG, 20 INFO, 30 WARN, 40 ERROR, 50 FATAL.
+    pub level: u8,
+    /// Name of the logger.
+    pub name: String,
+    /// The message.
+    pub msg: String,
+    /// Source file.
+    pub file: String,
+    /// Function or module.
+    pub function: String,
+    /// Line in the file.
+    pub line: u32,
+}
+
+impl Message for Log {
+    const TYPE: &'static str = "rcl_interfaces/msg/Log";
+}
+
 /// `sensor_msgs/msg/PointField`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PointField {

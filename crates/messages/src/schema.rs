@@ -12,7 +12,7 @@ use hiroz_schema::{TypeDescription, TypeDescriptionMsg, calculate_hash};
 
 use super::{
     definition::{InvalidDefinition, full_name, parse, parts, render, short_name},
-    library,
+    library, service_type,
 };
 
 /// Description of a message type for other programs.
@@ -148,17 +148,20 @@ pub struct UnknownType {
 }
 
 /// Each type is assembled when it is first asked for.
-static TYPES: LazyLock<BTreeMap<&'static str, OnceLock<TypeSupport>>> =
-    LazyLock::new(|| library::names().map(|name| (name, OnceLock::new())).collect());
+static TYPES: LazyLock<BTreeMap<&'static str, OnceLock<TypeSupport>>> = LazyLock::new(|| {
+    let names = library::names().chain(service_type::part_names());
+    names.map(|name| (name, OnceLock::new())).collect()
+});
 
-/// The type support of a message type.
+/// The type support of a message type, or of the request, response or event of a service.
 ///
 /// # Errors
 /// [`UnknownType`] when the type is not built in.
 pub fn type_support(name: &str) -> Result<&'static TypeSupport, UnknownType> {
     let known = TYPES.get(name).ok_or_else(|| UnknownType { found: name.to_owned() })?;
     Ok(known.get_or_init(|| {
-        TypeSupport::from_texts(name, &|of| library::text_of(of).map(Cow::Borrowed))
+        let text_of = |of: &str| library::text_of(of).or_else(|| service_type::text_of_part(of));
+        TypeSupport::from_texts(name, &|of| text_of(of).map(Cow::Borrowed))
             .unwrap_or_else(|error| panic!("msgs/: {error}"))
     }))
 }
@@ -185,8 +188,8 @@ mod tests {
 
     use super::*;
     use crate::{
-        Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus, RosString,
+        Clock, DiagnosticArray, Log, Message, ParameterEvent, ParticleFrame, PointCloud2,
+        PredictionStatus, RosString, lifecycle::TransitionEvent,
     };
 
     #[test]
@@ -268,6 +271,8 @@ mod tests {
         agree::<ParameterEvent>();
         agree::<PointCloud2>();
         agree::<RosString>();
+        agree::<Log>();
+        agree::<TransitionEvent>();
     }
 
     fn agree<M: Message + DeserializeOwned>() {

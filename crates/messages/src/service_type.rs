@@ -4,14 +4,16 @@
 //! the types `T_Request`, `T_Response` and `T_Event` (`rosidl_parser/rosidl_parser/definition.py`, `Service`, and
 //! REP 2016). An event has a `service_msgs/msg/ServiceEventInfo` and at most one request and one response.
 
-use std::{collections::BTreeMap, sync::LazyLock};
+use std::{borrow::Cow, collections::BTreeMap, sync::LazyLock};
 
 use hiroz_schema::{
     FieldTypeDescription, TypeDescription, TypeDescriptionMsg, TypeId, calculate_hash,
 };
 
 use super::{
+    InvalidDefinition, TypeSupport,
     definition::{field, parse},
+    library,
     schema::{references, type_support},
 };
 
@@ -30,7 +32,11 @@ macro_rules! files {
 }
 
 /// Names and texts of the built-in `.srv` files.
-const FILES: [(&str, &str); 16] = files![
+const FILES: [(&str, &str); 22] = files![
+    "lifecycle_msgs/srv/ChangeState",
+    "lifecycle_msgs/srv/GetAvailableStates",
+    "lifecycle_msgs/srv/GetAvailableTransitions",
+    "lifecycle_msgs/srv/GetState",
     "rcl_interfaces/srv/DescribeParameters",
     "rcl_interfaces/srv/GetParameterTypes",
     "rcl_interfaces/srv/GetParameters",
@@ -45,6 +51,8 @@ const FILES: [(&str, &str); 16] = files![
     "rosbag2_interfaces/srv/Seek",
     "rosbag2_interfaces/srv/SetRate",
     "rosbag2_interfaces/srv/TogglePaused",
+    "std_srvs/srv/Empty",
+    "std_srvs/srv/SetBool",
     "std_srvs/srv/Trigger",
     "type_description_interfaces/srv/GetTypeDescription",
 ];
@@ -65,31 +73,67 @@ fn known_services() -> Vec<&'static str> {
     FILES.iter().map(|(name, _)| *name).collect()
 }
 
+/// The `.msg` texts of the requests, responses and events of the built-in services, by name.
+static PARTS: LazyLock<BTreeMap<String, String>> = LazyLock::new(|| {
+    let parts = FILES.iter().map(|(name, text)| parts(name, text));
+    parts.flat_map(|parts| parts.unwrap_or_else(|error| panic!("msgs/: {error}"))).collect()
+});
+
+/// The `.msg` text of the request, response or event of a built-in service, such as `std_srvs/srv/Trigger_Event`.
+pub(crate) fn text_of_part(name: &str) -> Option<&'static str> {
+    PARTS.get(name).map(String::as_str)
+}
+
+/// The names of these parts.
+pub(crate) fn part_names() -> impl Iterator<Item = &'static str> {
+    PARTS.keys().map(String::as_str)
+}
+
+/// Request and response of the service `name` from its `.srv` text; `text_of` returns the `.msg` text of any other type,
+/// unless it is built in.
+///
+/// # Errors
+/// [`InvalidDefinition`] when a text is missing or is not a definition.
+pub fn service_messages(
+    name: &str,
+    text: &str,
+    text_of: &dyn Fn(&str) -> Option<String>,
+) -> Result<[TypeSupport; 2], InvalidDefinition> {
+    let parts = BTreeMap::from(parts(name, text)?);
+    let text_of = |of: &str| {
+        let part = parts.get(of).map(|text| Cow::Borrowed(text.as_str()));
+        part.or_else(|| text_of(of).map(Cow::Owned))
+            .or_else(|| library::text_of(of).map(Cow::Borrowed))
+    };
+    let part = |part: &str| TypeSupport::from_texts(&format!("{name}_{part}"), &text_of);
+    Ok([part("Request")?, part("Response")?])
+}
+
+/// Names and `.msg` texts of request, response and event.
+fn parts(name: &str, text: &str) -> Result<[(String, String); 3], InvalidDefinition> {
+    let (request, response) = text.split_once("---").ok_or_else(|| InvalidDefinition::Line {
+        type_name: name.to_owned(),
+        line: text.lines().next_back().unwrap_or_default().to_owned(),
+    })?;
+    let event = format!(
+        "service_msgs/ServiceEventInfo info\n{name}_Request[<=1] request\n{name}_Response[<=1] response\n"
+    );
+    let named = |part: &str, text: &str| (format!("{name}_{part}"), text.to_owned());
+    Ok([named("Request", request), named("Response", response), named("Event", &event)])
+}
+
 fn hash(name: &str, text: &str) -> String {
     calculate_hash(&description(name, text)).to_rihs_string()
 }
 
 /// The service as a message, with all referenced types sorted by name.
 fn description(name: &str, text: &str) -> TypeDescriptionMsg {
-    let (request, response) = text
-        .split_once("---")
-        .unwrap_or_else(|| panic!("{name}: found no `---`, expected one between two messages"));
-    let [request, response] = [("Request", request), ("Response", response)].map(|(part, text)| {
-        parse(&format!("{name}_{part}"), text).unwrap_or_else(|error| panic!("msgs/: {error}"))
+    let parts = parts(name, text).and_then(|parts| {
+        let [request, response, event] = parts.map(|(name, text)| parse(&name, &text));
+        Ok([request?, response?, event?])
     });
+    let [request, response, event] = parts.unwrap_or_else(|error| panic!("msgs/: {error}"));
     let one = |name: &str| FieldTypeDescription::nested(TypeId::NESTED_TYPE, name);
-    let at_most_one = |name: &str| {
-        let kind = TypeId::NESTED_TYPE + TypeId::BOUNDED_SEQUENCE_OFFSET;
-        FieldTypeDescription::nested_array(kind, 1, name)
-    };
-    let event = TypeDescription {
-        type_name: format!("{name}_Event"),
-        fields: vec![
-            field("info", one("service_msgs/msg/ServiceEventInfo")),
-            field("request", at_most_one(&request.type_name)),
-            field("response", at_most_one(&response.type_name)),
-        ],
-    };
     let service = TypeDescription {
         type_name: name.to_owned(),
         fields: vec![
@@ -101,8 +145,8 @@ fn description(name: &str, text: &str) -> TypeDescriptionMsg {
     let parts = [request, response, event];
     let mut referenced = BTreeMap::new();
     for dependency in parts.iter().flat_map(references) {
-        // The parts have no `.msg` file.
-        if let Ok(known) = type_support(&dependency) {
+        let is_part = dependency.starts_with(&format!("{name}_"));
+        if let (false, Ok(known)) = (is_part, type_support(&dependency)) {
             let TypeDescriptionMsg { type_description, referenced_type_descriptions } =
                 known.description.clone();
             let all = referenced_type_descriptions.into_iter().chain([type_description]);
@@ -121,7 +165,7 @@ mod tests {
     use super::*;
 
     /// From the type descriptions that ROS 2 Kilted installs, `share/<package>/srv/<name>.json`
-    /// (packages std_srvs 5.5.1 and rcl_interfaces 2.3.0, type_description_interfaces 2.3.0).
+    /// (packages std_srvs 5.5.1, lifecycle_msgs, rcl_interfaces and type_description_interfaces 2.3.0).
     #[test]
     fn hashes_of_standard_services_are_the_published_ones() {
         for (name, published) in [
@@ -154,11 +198,66 @@ mod tests {
                 "0e192ef259c07fc3c07a13191d27002222e65e00ccec653ca05e856f79285fcd",
             ),
             (
+                "lifecycle_msgs/srv/ChangeState",
+                "356fe34f0475a43acf54542013af4167b0e729f77ea22ffb045c6ad8e20668e5",
+            ),
+            (
+                "lifecycle_msgs/srv/GetAvailableStates",
+                "00a07d79d2207d71e81a8cbc1880e5d924cc16d4688ea8e8e06e443dc8f8aa1d",
+            ),
+            (
+                "lifecycle_msgs/srv/GetAvailableTransitions",
+                "59b7ecefce0982a8a844b9f2c4f14764c1c4543cc55e72924e2aa4adad83e9bc",
+            ),
+            (
+                "lifecycle_msgs/srv/GetState",
+                "800a0a5aae599782b02932de0caf563f6dc4e7e94b794eadde075ba2cbef9795",
+            ),
+            (
+                "std_srvs/srv/Empty",
+                "5888399dedec5ccc85ea6451949fd2c9f97bfdf963f9a588821639fcd31b5d19",
+            ),
+            (
+                "std_srvs/srv/SetBool",
+                "abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+            ),
+            (
                 "type_description_interfaces/srv/GetTypeDescription",
                 "69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5",
             ),
         ] {
             assert_eq!(service_hash(name).unwrap(), format!("RIHS01_{published}"), "{name}");
+        }
+    }
+
+    /// From the same files.
+    #[test]
+    fn hashes_of_service_events_are_the_published_ones() {
+        for (name, published) in [
+            ("SetBool", "3c4c20015afb4303eafd347b1d6a786f171a89c814726961a9593ef10df878cf"),
+            ("Empty", "66fa7fcfb5f2bf04b9a8a55603318c5c402edfc4bd56bb0ed7b602990c29305a"),
+            ("Trigger", "ec4a1d26b0575e61906890342aba9523a2360e9845857c5590fa6e23bc39e1c2"),
+        ] {
+            let event = type_support(&format!("std_srvs/srv/{name}_Event")).unwrap();
+            assert_eq!(event.hash, format!("RIHS01_{published}"), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_service_of_another_package_is_parsed_with_its_own_types() {
+        let text = "Level level\nstd_msgs/Header header\n---\nbool done\n";
+        let text_of = |of: &str| (of == "acme/msg/Level").then(|| "float64 x\n".to_owned());
+        let [request, response] = service_messages("acme/srv/Fill", text, &text_of).unwrap();
+        assert_eq!(request.name, "acme/srv/Fill_Request");
+        assert!(request.schema.contains("MSG: acme/Level\nfloat64 x\n"), "{}", request.schema);
+        assert_eq!(response.schema.trim(), "bool done");
+        for (text, expected) in [
+            ("Tank tank\n---\n", "found none, expected one for acme/srv/Fill_Request"),
+            ("bool a\nbool b", "found `bool b`"),
+        ] {
+            let message =
+                service_messages("acme/srv/Fill", text, &text_of).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
         }
     }
 
@@ -176,8 +275,8 @@ mod tests {
 
     #[test]
     fn an_unknown_service_is_rejected_with_the_known_ones() {
-        let message = service_hash("std_srvs/srv/SetBool").unwrap_err().to_string();
-        assert!(message.starts_with("service type: found std_srvs/srv/SetBool, expected one of"));
+        let message = service_hash("acme/srv/Fill").unwrap_err().to_string();
+        assert!(message.starts_with("service type: found acme/srv/Fill, expected one of"));
         assert!(message.contains("std_srvs/srv/Trigger"));
     }
 

@@ -4,17 +4,18 @@
 
 use std::borrow::Cow;
 
-use hiroz_schema::TypeDescriptionMsg;
+use hiroz_schema::{TypeDescription, TypeDescriptionMsg};
 use serde::{Deserialize, Serialize};
 
-use super::{InvalidDefinition, KeyValue, TypeSupport};
+use super::{InvalidDefinition, KeyValue, TypeSupport, built_in_text, type_support};
 
 /// Type of the service.
 pub const GET_TYPE_DESCRIPTION: &str = "type_description_interfaces/srv/GetTypeDescription";
 /// Name of the service, below that of the node.
 pub const SERVICE_NAME: &str = "get_type_description";
-/// Encoding of sources that are `.msg` files.
+/// Encoding of sources that are `.msg` files, and of types without a file.
 const MSG: &str = "msg";
+const IMPLICIT: &str = "implicit";
 
 /// Request of the service.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,6 +55,47 @@ pub struct TypeSource {
 }
 
 impl TypeDescriptionResponse {
+    /// The response of a node that knows the built-in types.
+    pub fn to(request: &TypeDescriptionRequest) -> Self {
+        let TypeDescriptionRequest { type_name, type_hash, include_type_sources } = request;
+        match type_support(type_name) {
+            Ok(known) if known.hash == *type_hash => {
+                let known = &known.description;
+                let referenced = known.referenced_type_descriptions.iter();
+                let all = [&known.type_description].into_iter().chain(referenced);
+                let source = |of: &TypeDescription| {
+                    let text = built_in_text(&of.type_name);
+                    TypeSource {
+                        type_name: of.type_name.clone(),
+                        encoding: if text.is_some() { MSG } else { IMPLICIT }.to_owned(),
+                        raw_file_contents: text.unwrap_or_default().to_owned(),
+                    }
+                };
+                Self {
+                    successful: true,
+                    failure_reason: String::new(),
+                    type_description: known.clone(),
+                    type_sources: all.filter(|_| *include_type_sources).map(source).collect(),
+                    extra_information: Vec::new(),
+                }
+            }
+            Ok(known) => {
+                Self::failed(format!("found type hash {type_hash}, expected {}", known.hash))
+            }
+            Err(error) => Self::failed(error.to_string()),
+        }
+    }
+
+    fn failed(failure_reason: String) -> Self {
+        Self {
+            successful: false,
+            failure_reason,
+            type_description: TypeSupport::foreign("", "").description,
+            type_sources: Vec::new(),
+            extra_information: Vec::new(),
+        }
+    }
+
     /// The type `name` with type hash `hash`: from the `.msg` files, with their comments and constants, or from the
     /// description where these are missing.
     ///
@@ -112,6 +154,45 @@ mod tests {
             assert_eq!((support.name.as_str(), &support.hash), (name, hash));
             assert!(support.schema.starts_with("builtin_interfaces/Time stamp\n"));
         }
+    }
+
+    #[test]
+    fn a_node_describes_the_built_in_types() {
+        for name in [
+            "eddy_msgs/msg/ParticleFrame",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            "std_srvs/srv/Trigger_Event",
+        ] {
+            let known = type_support(name).unwrap();
+            let mut request = TypeDescriptionRequest {
+                type_name: name.to_owned(),
+                type_hash: known.hash.clone(),
+                include_type_sources: true,
+            };
+            let response = TypeDescriptionResponse::to(&request);
+            assert!(response.successful, "{}", response.failure_reason);
+            let sources = response.type_sources.len();
+            assert_eq!(sources, 1 + known.description.referenced_type_descriptions.len());
+            let described = response.into_type(name, &known.hash).unwrap();
+            assert_eq!((&described.name, &described.hash), (&known.name, &known.hash));
+            request.include_type_sources = false;
+            let response = TypeDescriptionResponse::to(&request);
+            assert_eq!((response.successful, response.type_sources.len()), (true, 0));
+            request.type_hash = format!("RIHS01_{}", "0".repeat(64));
+            let response = TypeDescriptionResponse::to(&request);
+            let expected =
+                format!("found type hash {}, expected {}", request.type_hash, known.hash);
+            assert_eq!((response.successful, response.failure_reason), (false, expected));
+        }
+        let request = TypeDescriptionRequest {
+            type_name: "acme_msgs/msg/Probe".to_owned(),
+            type_hash: String::new(),
+            include_type_sources: true,
+        };
+        let failed = TypeDescriptionResponse::to(&request);
+        assert!(failed.failure_reason.contains("found acme_msgs/msg/Probe"));
+        // Empty types are on the wire, too.
+        cdr::decode::<TypeDescriptionResponse>(&cdr::encode(&failed)).unwrap();
     }
 
     #[test]

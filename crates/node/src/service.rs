@@ -4,7 +4,12 @@ use std::sync::Arc;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use eddy_messages::cdr;
+use eddy_messages::{
+    cdr,
+    type_descriptions::{
+        GET_TYPE_DESCRIPTION, SERVICE_NAME, TypeDescriptionRequest, TypeDescriptionResponse,
+    },
+};
 use eddy_transport::Handler;
 
 /// A service of a node.
@@ -22,6 +27,13 @@ impl Service {
     pub(crate) fn of(node: &str, name: &str, type_name: &'static str, handler: Handler) -> Self {
         Self { name: format!("{node}/{name}"), type_name, handler }
     }
+}
+
+/// The service with which a node tells the definitions of its types: `rosbag2` and `eddy record` ask for them.
+pub(crate) fn describe_types(node: &str) -> Service {
+    let describe =
+        |(): &(), request: TypeDescriptionRequest| Some(TypeDescriptionResponse::to(&request));
+    Service::of(node, SERVICE_NAME, GET_TYPE_DESCRIPTION, handler(&Arc::new(()), describe))
 }
 
 /// Decodes the request, calls `function`, encodes the response. Bytes that cannot be decoded get no response.

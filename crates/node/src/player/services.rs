@@ -8,7 +8,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use super::{CommandOutcome, PendingCommand, PlayerCommand, PlayerHandle};
 use crate::{
     ros::RosNode,
-    service::{Service, handler},
+    service::{Service, describe_types, handler},
 };
 use eddy_messages::{
     playback::{Paused, PlayingRate, SeekRequest, Success},
@@ -31,6 +31,7 @@ pub fn player_services(node: &str, player: &Arc<PlayerHandle>) -> Vec<Service> {
         service("get_rate", "rosbag2_interfaces/srv/GetRate", answer(player, get_rate)),
         service("play_next", "rosbag2_interfaces/srv/PlayNext", answer(player, play_next)),
         service("seek", "rosbag2_interfaces/srv/Seek", answer(player, seek)),
+        describe_types(node),
     ]
 }
 
