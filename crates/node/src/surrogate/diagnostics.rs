@@ -28,6 +28,8 @@ pub struct Monitor {
     latency: Histogram<u64>,
     last: Counters,
     rejection: Option<String>,
+    /// State of a managed node that is not active.
+    idle: Option<&'static str>,
 }
 
 /// Rate and latency since the last report.
@@ -46,7 +48,14 @@ impl Monitor {
     pub fn start(now: Duration) -> Self {
         let latency = Histogram::new_with_bounds(1, MAX_LATENCY, 3)
             .expect("1 to 60 s in microseconds with 3 digits is a valid histogram");
-        Self { since: now, published: 0, latency, last: Counters::default(), rejection: None }
+        Self {
+            since: now,
+            published: 0,
+            latency,
+            last: Counters::default(),
+            rejection: None,
+            idle: None,
+        }
     }
 
     /// Records the predictions of one frame.
@@ -59,6 +68,11 @@ impl Monitor {
     /// Records why a frame was rejected; the latest reason is reported.
     pub fn rejected(&mut self, reason: String) {
         self.rejection = Some(reason);
+    }
+
+    /// The node is in this state at the next report and does not predict.
+    pub fn idle(&mut self, state: &'static str) {
+        self.idle = Some(state);
     }
 
     /// Rate and latency since the last report.
@@ -123,7 +137,7 @@ impl Monitor {
         } else if counters.lost() > self.last.lost() {
             (Level::Warn, "frames were lost".to_owned())
         } else {
-            (Level::Ok, "predicting".to_owned())
+            (Level::Ok, self.idle.unwrap_or("predicting").to_owned())
         }
     }
 }

@@ -10,12 +10,16 @@ use std::{
 };
 
 use super::{
-    Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, NodeHandle, Observer, Prediction,
-    Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
+    Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, LifecycleTransition, NodeHandle,
+    Observer, Prediction, Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
 };
-use eddy_frames::clock::Clock;
+use eddy_frames::clock::{self, Clock};
 use eddy_inference::engine::ModelError;
-use eddy_messages::{ParameterEvent, PredictionStatus, cdr, services::Parameter};
+use eddy_messages::{
+    ParameterEvent, PredictionStatus, cdr,
+    lifecycle::{TransitionDescription, TransitionEvent},
+    services::Parameter,
+};
 use eddy_transport::{Link, Publisher, Subscriber, TransportError};
 
 /// Longest wait before the stop flag is checked.
@@ -40,6 +44,8 @@ pub struct Outputs {
     pub diagnostics: Option<Box<dyn Publisher>>,
     /// Changed parameters; on one output per transport.
     pub parameter_events: Option<Box<dyn Publisher>>,
+    /// Transitions of a managed node; on one output per transport.
+    pub transition_events: Option<Box<dyn Publisher>>,
     /// Predicted frames as point clouds.
     pub prediction_cloud: Option<CloudTopic>,
     /// Observed frames as point clouds; on one output per transport.
@@ -61,6 +67,7 @@ impl Outputs {
             status,
             diagnostics: None,
             parameter_events: None,
+            transition_events: None,
             prediction_cloud: None,
             input_cloud: None,
             observers: Vec::new(),
@@ -152,6 +159,7 @@ pub fn drive(
             if !changed.is_empty() {
                 running.announce(changed);
             }
+            running.announce_transitions();
             if clock.now() - running.reported >= DIAGNOSTICS_INTERVAL {
                 running.report();
             }
@@ -229,6 +237,8 @@ struct Running<'a> {
 #[derive(Default)]
 struct Warnings {
     silence: bool,
+    /// When the node began to wait for frames.
+    waiting_since: Duration,
     /// Time of the last warning about dropped frames, and their number then.
     dropped: Option<(Duration, u64)>,
 }
@@ -263,7 +273,8 @@ impl Load {
 impl Warnings {
     fn check(&mut self, now: Duration, input: &Link, load: &Load) {
         let Load { received, dropped, .. } = *load;
-        if received == 0 && now > SILENCE_TIMEOUT && !self.silence {
+        let waiting = now.saturating_sub(self.waiting_since);
+        if received == 0 && waiting > SILENCE_TIMEOUT && !self.silence {
             self.silence = true;
             tracing::warn!(
                 "no frames received for {} s on {input}; check topic and transport with `eddy topic list`",
@@ -335,7 +346,9 @@ impl Running<'_> {
             }
         });
         *busy += output.clock.now() - started;
-        output.show_observed(batch);
+        if node.is_active() {
+            output.show_observed(batch);
+        }
         // Returns loaned samples to the transport.
         batch.clear();
         let now = self.now();
@@ -395,6 +408,26 @@ impl Running<'_> {
         }
     }
 
+    /// Publishes the transitions of a managed node.
+    fn announce_transitions(&mut self) {
+        for transition in self.node.take_transitions() {
+            let LifecycleTransition { start, goal, .. } = transition;
+            tracing::info!("{} -> {}", start.label(), goal.label());
+            if self.node.is_active() {
+                self.warnings.waiting_since = self.output.clock.now();
+            }
+            let TransitionDescription { transition, start_state, goal_state } =
+                (&transition).into();
+            let timestamp = clock::wall().0.unsigned_abs();
+            let event = TransitionEvent { timestamp, transition, start_state, goal_state };
+            let bytes = cdr::encode(&event);
+            let Output { outputs, failures, clock, .. } = &mut self.output;
+            for events in outputs.iter_mut().filter_map(|o| o.transition_events.as_mut()) {
+                failures.log(clock.now(), events.publish_cdr(&bytes));
+            }
+        }
+    }
+
     /// Waits until subscribers have what was published, reports for the last time and says what was lost.
     fn finish(&mut self) {
         for output in self.output.outputs.iter_mut() {
@@ -417,7 +450,8 @@ impl Running<'_> {
 
     fn report(&mut self) {
         let Self { node, queue, output, context, .. } = self;
-        let streams = node.streams();
+        let (streams, is_active) = (node.streams(), node.is_active());
+        let idle = node.lifecycle().filter(|_| !is_active);
         let counters = node.counters_mut();
         counters.published = output.published;
         counters.unpublished = output.unpublished;
@@ -435,7 +469,10 @@ impl Running<'_> {
             interval: now - self.reported,
         };
         self.reported = now;
-        self.warnings.check(now, &context.input, &self.load);
+        match idle {
+            Some(state) => output.monitor.idle(state.label()),
+            None => self.warnings.check(now, &context.input, &self.load),
+        }
         output.report(context, counters, streams);
     }
 }

@@ -3,9 +3,9 @@
 
 use std::time::Duration;
 
-use super::{InvalidSettings, NodeSettings, SurrogateNode};
+use super::{InvalidSettings, LifecycleState, NodeSettings, SurrogateNode};
 use crate::requests::RequestChannel;
-use eddy_messages::services::Parameter;
+use eddy_messages::{lifecycle::Transition, services::Parameter};
 
 /// A request to a running node.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +16,10 @@ pub enum NodeRequest {
     Set(Vec<Parameter>),
     /// Reset all streams.
     Reset,
+    /// Get the state of a managed node.
+    State,
+    /// Change it.
+    ChangeState(Transition),
 }
 
 /// The response to the request of the same name.
@@ -27,6 +31,10 @@ pub enum NodeResponse {
     Set,
     /// Number of streams that were reset.
     Reset(usize),
+    /// The current state; `None` if the node is not managed.
+    State(Option<LifecycleState>),
+    /// Whether there is such a transition from the current state.
+    ChangeState(bool),
 }
 
 /// Why a request failed.
@@ -86,6 +94,10 @@ impl NodeHandle {
                     outcome.map(|()| NodeResponse::Set)
                 }
                 NodeRequest::Reset => Ok(NodeResponse::Reset(node.reset())),
+                NodeRequest::State => Ok(NodeResponse::State(node.lifecycle())),
+                NodeRequest::ChangeState(wanted) => {
+                    Ok(NodeResponse::ChangeState(node.change_state(&wanted)))
+                }
             };
             responder.send(response);
         }

@@ -9,7 +9,8 @@
 //! 6. [`queue`]: between the subscriber and the node.
 //! 7. [`diagnostics`]: counters, rate and latency as `diagnostic_msgs/DiagnosticArray`. [`cloud`]: frames as point
 //!    clouds. [`observer`]: the node's output within this process.
-//! 8. [`handle`]: requests to a running node. `services`: the same as ROS services.
+//! 8. [`lifecycle`]: states of a managed node. [`handle`]: requests to a running node. `services`: the same as ROS
+//!    services.
 //! 9. [`time`]: system time or `/clock`.
 //! 10. [`driver`]: the loop that receives, predicts and publishes.
 //! 11. [`links`]: input, outputs and the topics that belong to them. [`live`]: a node with all of them open.
@@ -19,6 +20,7 @@ mod counters;
 pub mod diagnostics;
 mod driver;
 mod handle;
+mod lifecycle;
 mod links;
 mod live;
 mod node;
@@ -40,6 +42,7 @@ pub use cloud::CloudTopic;
 pub use counters::{Counters, Rejection};
 pub use driver::{DriveError, NodeContext, Outputs, drive};
 pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
+pub use lifecycle::{LifecycleState, LifecycleTransition, TRANSITIONS};
 pub use links::{InvalidLinks, NodeLinks};
 pub use live::{LiveNode, OpenError};
 pub use node::{Arrival, OutputCallback, SurrogateNode};
@@ -48,7 +51,7 @@ pub use observer::Observer;
 pub use options::{NodeOptions, PredictOptions};
 pub use parameter::Values;
 pub use queue::FrameQueue;
-pub use services::node_services;
+pub use services::{lifecycle_services, node_services};
 pub use settings::{InvalidSettings, NodeSettings, PARAMETERS, ParameterSpec, Publish, parameter};
 pub use step::Prediction;
 pub use time::{OpenClock, RosTime};

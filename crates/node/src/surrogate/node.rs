@@ -10,13 +10,14 @@ use std::{
 };
 
 use super::{
-    Counters, InvalidSettings, NodeSettings, Prediction, Rejection,
+    Counters, InvalidSettings, LifecycleState, LifecycleTransition, NodeSettings, Prediction,
+    Rejection,
     step::{FAR, HorizonBuffers, Step, interval},
     stream::{Order, StreamState},
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_inference::engine::{ModelError, StepRequest, Stepper, Surrogate};
-use eddy_messages::{StreamState as Phase, services::Parameter};
+use eddy_messages::{StreamState as Phase, lifecycle::Transition, services::Parameter};
 use eddy_transport::Payload;
 
 /// A message with its time of arrival.
@@ -56,6 +57,10 @@ pub struct SurrogateNode {
     warned: BTreeSet<u64>,
     /// See [`SurrogateNode::stop_with`].
     stop: Arc<AtomicBool>,
+    /// State of a managed node; others are always active.
+    lifecycle: Option<LifecycleState>,
+    /// Transitions since they were last taken.
+    transitions: Vec<LifecycleTransition>,
 }
 
 /// A frame to step with the batch.
@@ -98,6 +103,8 @@ impl SurrogateNode {
             counters: Counters::default(),
             warned: BTreeSet::new(),
             stop: Arc::default(),
+            lifecycle: None,
+            transitions: Vec::new(),
         })
     }
 
@@ -117,6 +124,40 @@ impl SurrogateNode {
     /// Once `stop` is raised, the predictions of a frame up to a far horizon are given up.
     pub fn stop_with(&mut self, stop: Arc<AtomicBool>) {
         self.stop = stop;
+    }
+
+    /// Makes this a managed node, which is unconfigured at first.
+    pub fn manage(&mut self) {
+        self.lifecycle = Some(LifecycleState::Unconfigured);
+    }
+
+    /// The state of a managed node.
+    pub fn lifecycle(&self) -> Option<LifecycleState> {
+        self.lifecycle
+    }
+
+    /// Whether frames are observed; they are ignored otherwise.
+    pub fn is_active(&self) -> bool {
+        self.lifecycle.is_none_or(|state| state == LifecycleState::Active)
+    }
+
+    /// Changes the state of a managed node. A node that is no longer active resets its streams. Returns whether there is
+    /// such a transition from the current state.
+    pub fn change_state(&mut self, wanted: &Transition) -> bool {
+        let Some([first, second]) = self.lifecycle.and_then(|state| state.after(wanted)) else {
+            return false;
+        };
+        if self.is_active() {
+            self.reset();
+        }
+        self.lifecycle = Some(second.goal);
+        self.transitions.extend([first, second]);
+        true
+    }
+
+    /// The transitions since the last call.
+    pub fn take_transitions(&mut self) -> Vec<LifecycleTransition> {
+        std::mem::take(&mut self.transitions)
     }
 
     /// Counts since the start.
@@ -183,7 +224,7 @@ impl SurrogateNode {
         self.stepper.streams().min(MAX_BATCH)
     }
 
-    /// Observes frames in order. Frames of different streams are stepped in parallel, with bit-identical predictions.
+    /// Observes frames in order, if the node is active. Frames of different streams are stepped in parallel, with bit-identical predictions.
     /// Free runs start at `simulated`, the time of a node that follows `/clock`, otherwise at the arrival of the last
     /// observed frame.
     pub fn on_frames(
@@ -192,6 +233,9 @@ impl SurrogateNode {
         simulated: Option<Duration>,
         output: &mut OutputCallback<'_>,
     ) {
+        if !self.is_active() {
+            return;
+        }
         self.simulated = simulated;
         let mut batch = std::mem::take(&mut self.batch);
         for (arrived, payload) in &mut *arrivals {

@@ -1,17 +1,26 @@
-//! The ROS services of the surrogate node: parameters and reset.
+//! The ROS services of the surrogate node: parameters, reset, types; the lifecycle of a managed node.
 
 use std::{sync::Arc, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{NodeHandle, NodeRequest, NodeResponse, PARAMETERS, parameter};
-use crate::service::{Service, handler};
+use super::{
+    LifecycleState, NodeHandle, NodeRequest, NodeResponse, PARAMETERS, TRANSITIONS, parameter,
+};
+use crate::service::{Service, describe_types, handler};
 use eddy_frames::counted;
-use eddy_messages::services::{
-    DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
-    ListParametersRequest, ListParametersResponse, Parameter, ParameterDescriptor, ParameterKind,
-    ParameterNames, SetParametersAtomicallyResponse, SetParametersRequest, SetParametersResponse,
-    SetParametersResult, TriggerResponse,
+use eddy_messages::{
+    lifecycle::{
+        ChangeStateRequest, GetAvailableStatesResponse, GetAvailableTransitionsResponse,
+        GetStateResponse,
+    },
+    playback::Success,
+    services::{
+        DescribeParametersResponse, Empty, GetParameterTypesResponse, GetParametersResponse,
+        ListParametersRequest, ListParametersResponse, Parameter, ParameterDescriptor,
+        ParameterKind, ParameterNames, SetParametersAtomicallyResponse, SetParametersRequest,
+        SetParametersResponse, SetParametersResult, TriggerResponse,
+    },
 };
 use eddy_transport::Handler;
 
@@ -40,6 +49,31 @@ pub fn node_services(node: &str, handle: &Arc<NodeHandle>) -> Vec<Service> {
             "get_parameter_types",
             "rcl_interfaces/srv/GetParameterTypes",
             answer(handle, types),
+        ),
+        describe_types(node),
+    ]
+}
+
+/// The services of a managed node.
+pub fn lifecycle_services(node: &str, handle: &Arc<NodeHandle>) -> Vec<Service> {
+    let service = |name, kind: &'static str, handler| Service::of(node, name, kind, handler);
+    vec![
+        service("change_state", "lifecycle_msgs/srv/ChangeState", answer(handle, change_state)),
+        service("get_state", "lifecycle_msgs/srv/GetState", handler(handle, get_state)),
+        service(
+            "get_available_states",
+            "lifecycle_msgs/srv/GetAvailableStates",
+            answer(handle, all_states),
+        ),
+        service(
+            "get_available_transitions",
+            "lifecycle_msgs/srv/GetAvailableTransitions",
+            handler(handle, transitions),
+        ),
+        service(
+            "get_transition_graph",
+            "lifecycle_msgs/srv/GetAvailableTransitions",
+            answer(handle, all_transitions),
         ),
     ]
 }
@@ -118,4 +152,34 @@ fn set_all(handle: &NodeHandle, parameters: Vec<Parameter>) -> SetParametersResu
         Ok(_) => SetParametersResult { successful: true, reason: String::new() },
         Err(error) => SetParametersResult { successful: false, reason: error.to_string() },
     }
+}
+
+fn change_state(handle: &NodeHandle, request: ChangeStateRequest) -> Success {
+    let changed = handle.request(NodeRequest::ChangeState(request.transition), TIMEOUT);
+    Success { success: changed == Ok(NodeResponse::ChangeState(true)) }
+}
+
+fn state(handle: &NodeHandle) -> Option<LifecycleState> {
+    match handle.request(NodeRequest::State, TIMEOUT) {
+        Ok(NodeResponse::State(state)) => state,
+        _ => None,
+    }
+}
+
+fn get_state(handle: &NodeHandle, _: Empty) -> Option<GetStateResponse> {
+    state(handle).map(|state| GetStateResponse { current_state: state.into() })
+}
+
+fn all_states(_: &NodeHandle, _: Empty) -> GetAvailableStatesResponse {
+    GetAvailableStatesResponse { available_states: LifecycleState::ALL.map(Into::into).to_vec() }
+}
+
+fn transitions(handle: &NodeHandle, _: Empty) -> Option<GetAvailableTransitionsResponse> {
+    let from_here = state(handle)?.transitions().map(Into::into);
+    Some(GetAvailableTransitionsResponse { available_transitions: from_here.collect() })
+}
+
+fn all_transitions(_: &NodeHandle, _: Empty) -> GetAvailableTransitionsResponse {
+    let all = TRANSITIONS.iter().map(Into::into);
+    GetAvailableTransitionsResponse { available_transitions: all.collect() }
 }
