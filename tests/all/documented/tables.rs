@@ -66,6 +66,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
         "shared memory is global to the machine",
     ),
     ("shm:/", "shm:/{topic}/", "the same"),
+    (
+        "record --all",
+        "record --all --from zenoh",
+        "topics of other tests in shared memory would be recorded, too",
+    ),
     ("/particles:=/truth", "/particles:=/{topic}/truth", "the same"),
     ("10.0.0.1:7450", "127.0.0.1:{port}", "one machine instead of two"),
     ("10.0.0.2:7450", "127.0.0.1:{other_port}", "one machine instead of two"),
@@ -102,6 +107,7 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "python3 tests/peers/torch_speed.py target/release/eddy",
         "needs hours on an idle machine, Taichi and PyTorch",
     ),
+    ("tests/bench/latency.sh", "needs forty minutes, an idle machine and real-time rights"),
     ("tests/bench/steady.sh", "needs hours on an idle machine, Taichi and PyTorch"),
     (
         r#"openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 365 -subj "/CN=eddy" -keyout ca_key.pem -out ca.pem"#,

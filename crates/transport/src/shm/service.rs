@@ -352,7 +352,12 @@ fn spawn_cleaner(config: Config) -> std::io::Result<Cleaner> {
 
 #[cfg(test)]
 mod tests {
+    use std::{fs::Permissions, os::unix::fs::PermissionsExt as _};
+
     use super::*;
+
+    /// Mode of a description that is being written (iceoryx2-cal, `static_storage/file.rs`, `INIT_PERMISSIONS`).
+    const LOCKED: u32 = 0o600;
 
     /// As [`remove_abandoned`] says; without it, both fail with `AlreadyExists`.
     #[test]
@@ -376,12 +381,14 @@ mod tests {
             .collect();
         assert_eq!(files.len(), 2);
         drop(opened);
-        // With the whole description, and killed before it was written.
-        for is_written in [true, false] {
+        // With the whole description; empty; empty, and locked as it is until it is written.
+        for (is_written, is_locked) in [(true, false), (false, false), (false, true)] {
             for (bytes, permissions, path) in &files {
                 assert!(!path.exists(), "{}", path.display());
                 fs::write(path, if is_written { bytes } else { [].as_slice() }).unwrap();
-                fs::set_permissions(path, permissions.clone()).unwrap();
+                let locked = Permissions::from_mode(LOCKED);
+                let permissions = if is_locked { locked } else { permissions.clone() };
+                fs::set_permissions(path, permissions).unwrap();
             }
             services.topic::<u8, ()>(&link, type_name).unwrap();
             services.events(&link).unwrap();
