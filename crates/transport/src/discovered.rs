@@ -1,4 +1,4 @@
-//! Topics found on a transport.
+//! Topics and services found on a transport.
 
 use super::Link;
 use eddy_messages::{QosProfile, TypeSupport, type_support};
@@ -14,6 +14,17 @@ pub struct SeenTopic {
     pub hash: Option<String>,
     /// What each of its publishers offers, sorted; empty if unknown.
     pub offered: Vec<QosProfile>,
+}
+
+/// A service of another node.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SeenService {
+    /// Transport and name of the service.
+    pub link: Link,
+    /// Its type, such as `std_srvs/srv/Trigger`.
+    pub type_name: String,
+    /// RIHS01 type hash, if known.
+    pub hash: Option<String>,
 }
 
 impl SeenTopic {

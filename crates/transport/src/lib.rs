@@ -53,7 +53,7 @@ pub use payload::Payload;
 #[cfg(feature = "shm")]
 pub use shm::{SharedFrame, SharedMemory};
 
-pub use discovered::SeenTopic;
+pub use discovered::{SeenService, SeenTopic};
 pub use transports::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 
 use std::{

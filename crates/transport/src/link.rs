@@ -38,6 +38,11 @@ impl TransportKind {
         }
     }
 
+    /// Whether ROS 2 nodes use it too.
+    pub fn is_of_ros(self) -> bool {
+        matches!(self, Self::Zenoh | Self::Dds)
+    }
+
     /// The name in links.
     pub fn name(self) -> &'static str {
         match self {

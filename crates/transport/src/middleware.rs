@@ -2,7 +2,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use super::{Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError};
+use super::{
+    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    TransportError,
+};
 use eddy_messages::{QosProfile, TypeSupport};
 
 /// An open middleware.
@@ -42,6 +45,21 @@ pub(crate) trait Middleware: Send + Sync {
         _request: &[u8],
         _timeout: Duration,
     ) -> Result<Vec<Vec<u8>>, TransportError> {
+        Ok(Vec::new())
+    }
+
+    /// Sends a request to a service. `None` if nobody answers within `timeout`, or the middleware has no services.
+    fn call(
+        &self,
+        _service: &SeenService,
+        _request: &[u8],
+        _timeout: Duration,
+    ) -> Result<Option<Vec<u8>>, TransportError> {
+        Ok(None)
+    }
+
+    /// The known services. `link` is for error messages.
+    fn services(&self, _link: &Link) -> Result<Vec<SeenService>, TransportError> {
         Ok(Vec::new())
     }
 

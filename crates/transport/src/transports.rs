@@ -8,8 +8,9 @@ use std::{
 };
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, lock, memory::Broker, middleware::Middleware, patience::Patience,
+    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    TransportError, TransportKind, lock, memory::Broker, middleware::Middleware,
+    patience::Patience,
 };
 use eddy_messages::{
     Message, ParticleFrame, QosProfile, TypeSupport, cdr,
@@ -295,6 +296,32 @@ impl Transports {
         handler: Handler,
     ) -> Result<Option<Box<dyn Served>>, TransportError> {
         self.middleware(link)?.service(link, type_name, handler)
+    }
+
+    /// The services of other nodes, sorted; none on transports without services.
+    ///
+    /// # Errors
+    /// [`TransportError`] when the middleware cannot be opened or asked.
+    pub fn services(&self, transport: TransportKind) -> Result<Vec<SeenService>, TransportError> {
+        // For error messages.
+        let link = Link { transport, topic: "/".to_owned() };
+        let mut services = self.middleware(&link)?.services(&link)?;
+        services.sort();
+        services.dedup();
+        Ok(services)
+    }
+
+    /// Sends a request, CDR bytes with their header, to a service. `None` if nobody answers within `timeout`.
+    ///
+    /// # Errors
+    /// [`TransportError`] from the middleware.
+    pub fn call(
+        &self,
+        service: &SeenService,
+        request: &[u8],
+        timeout: Duration,
+    ) -> Result<Option<Vec<u8>>, TransportError> {
+        self.middleware(&service.link)?.call(service, request, timeout)
     }
 
     /// The known topics with a publisher (on DDS also those with a subscriber only), sorted. Topics within the process

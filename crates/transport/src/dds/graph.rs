@@ -48,7 +48,7 @@ struct State {
     wakers: Vec<Weak<Waker>>,
     /// Readers of each local writer whose lease ended without a farewell.
     vanished: BTreeMap<GUID, u64>,
-    /// The topics of local writers, for messages.
+    /// The topics of local writers, and of local readers that request certain policies, for messages.
     links: BTreeMap<GUID, Link>,
 }
 
@@ -95,8 +95,12 @@ impl Graph {
         state.links.remove(&writer);
     }
 
-    /// Announces a local reader.
-    pub(super) fn add_reader(&self, reader: GUID) {
+    /// Announces a local reader. `link`: what to log writers under whose messages it does not receive; others that it cannot
+    /// read have a reader of their own.
+    pub(super) fn add_reader(&self, reader: GUID, link: Option<&Link>) {
+        if let Some(link) = link {
+            lock(&self.state).links.insert(reader, link.clone());
+        }
         self.announce(|announcer| {
             announcer.readers.insert(reader);
         });
@@ -106,7 +110,9 @@ impl Graph {
         self.announce(|announcer| {
             announcer.readers.remove(&reader);
         });
-        lock(&self.state).writers.remove(&reader);
+        let mut state = lock(&self.state);
+        state.writers.remove(&reader);
+        state.links.remove(&reader);
     }
 
     /// Wakes `waker`, as long as it lives, whenever a writer appears or disappears.
@@ -270,6 +276,16 @@ impl State {
                         } else {
                             ""
                         }
+                    );
+                }
+            }
+            Event::RemoteWriterQosIncompatible {
+                local_reader, requested_qos, offered_qos, ..
+            } => {
+                if let Some(link) = self.links.get(&local_reader) {
+                    let policy = incompatible(&requested_qos, &offered_qos);
+                    tracing::warn!(
+                        "{link}: new publisher discovered, offering incompatible QoS; no messages will be received from it; incompatible policy: {policy}"
                     );
                 }
             }

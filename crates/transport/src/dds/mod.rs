@@ -6,7 +6,7 @@
 //! 4. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
 //! 5. [`qos`]: QoS of the endpoints; largest message size.
 //! 6. [`publisher`], [`subscriber`]: messages; [`writers`]: publishers of others.
-//! 7. [`service`]: requests and responses; [`client`]: the other side.
+//! 7. [`service`]: requests and responses; [`client`]: the other side; [`request_header`]: their form on rmw_cyclonedds.
 //!
 //! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
 //! (<https://design.ros2.org/articles/topic_and_service_names.html>).
@@ -23,8 +23,9 @@
 //! the first twelve participants of a domain.
 //!
 //! Limitations of RustDDS: readers accept everything they are sent, so a blocking publisher waits until the subscriber's
-//! process has received a message, not until it is read. A subscriber queues 1,024 messages (64 MiB), then drops and
-//! counts the oldest. A killed subscriber is detected after its lease of 50 s. A publisher cannot leave out a single
+//! process has received a message, not until it is read. RustDDS keeps 256 messages of a topic until the subscriber's thread
+//! takes them; older ones are lost if that thread gets no time for as long. A subscriber queues 1,024 messages (64 MiB),
+//! then drops and counts the oldest. The user data of local endpoints, where ROS 2 has their type hashes, cannot be set. A killed subscriber is detected after its lease of 50 s. A publisher cannot leave out a single
 //! subscriber: one that acknowledges nothing holds the others back once 256 messages are unacknowledged, until its lease
 //! has ended.
 
@@ -36,6 +37,7 @@ mod graph;
 mod participant;
 mod publisher;
 mod qos;
+mod request_header;
 mod service;
 mod subscriber;
 mod writers;
@@ -45,8 +47,8 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use ros2_client::dds::rustdds::{self, DomainParticipant, Topic, TopicKind};
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportKind, TransportOptions,
+    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    TransportError, TransportKind, TransportOptions,
     middleware::{Middleware, error as middleware},
     patience::Patience,
 };
@@ -145,6 +147,21 @@ impl Middleware for DdsNode {
             Some(SeenTopic { link, type_name, hash, offered })
         };
         Ok(topics.into_iter().filter_map(seen).collect())
+    }
+
+    fn call(
+        &self,
+        service: &SeenService,
+        request: &[u8],
+        timeout: Duration,
+    ) -> Result<Option<Vec<u8>>, TransportError> {
+        let SeenService { link, type_name, .. } = service;
+        let asked = (link.topic.as_str(), type_name.as_str());
+        client::call(self, link, asked, request, client::Repeat::No, timeout)
+    }
+
+    fn services(&self, _link: &Link) -> Result<Vec<SeenService>, TransportError> {
+        Ok(client::services(self))
     }
 
     fn describe(

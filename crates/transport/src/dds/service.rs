@@ -1,7 +1,8 @@
 //! Answers the requests of a service.
 //!
 //! Requests arrive on the topic `rq<service>Request`; responses are published on `rr<service>Reply` with the sample
-//! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses).
+//! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses). Requests and responses of
+//! rmw_cyclonedds have their identity in the body: [`request_header`](super::request_header).
 
 use std::{io, sync::Arc};
 
@@ -17,6 +18,7 @@ use super::{
     event_loop::EventLoop,
     middleware,
     qos::{self, PublisherQos},
+    request_header::{self, RequestHeader},
     service_types,
 };
 use crate::{Handler, Link, Served, TransportError};
@@ -80,7 +82,7 @@ impl Worker {
             .create_simple_datareader_no_key(&requests, Some(qos::reliable_reader()))
             .map_err(failed)?;
         node.graph.add_writer(responses.guid(), link);
-        node.graph.add_reader(requests.guid());
+        node.graph.add_reader(requests.guid(), None);
         Ok(Self { link: link.clone(), requests, responses, handler, node: Arc::clone(node) })
     }
 
@@ -98,8 +100,13 @@ impl Worker {
 
     fn respond_to(&mut self, request: DeserializedCacheChange<Vec<u8>>) {
         let identity = identity(&request);
-        let response = (self.handler)(&request.into_value()).and_then(Body::of);
-        let Some(response) = response else { return };
+        let response = match request_header::is_cyclone(request.writer_guid) {
+            true => RequestHeader::split(&request.into_value()).and_then(|(header, request)| {
+                (self.handler)(&request).map(|response| header.before(&response))
+            }),
+            false => (self.handler)(&request.into_value()),
+        };
+        let Some(response) = response.and_then(Body::of) else { return };
         let options = WriteOptionsBuilder::new().related_sample_identity(identity).build();
         if let Err(error) = self.responses.write_with_options(response, options) {
             tracing::warn!("{}: {error}", self.link);

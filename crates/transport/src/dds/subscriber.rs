@@ -191,7 +191,9 @@ impl Receiver {
         }
         for &kind in &needed {
             if self.readers[kind as usize].is_none() {
-                let reader = open(&self.node, &self.shared.link, &self.topic, kind, registry)?;
+                let is_only = self.only.is_some();
+                let (node, link) = (&self.node, &self.shared.link);
+                let reader = open(node, link, &self.topic, kind, is_only, registry)?;
                 self.readers[kind as usize] = Some(reader);
             }
         }
@@ -252,6 +254,7 @@ fn open(
     link: &Link,
     topic: &Topic,
     kind: Kind,
+    is_only: bool,
     registry: &Registry,
 ) -> Result<Reader, TransportError> {
     let mut reader: Reader = node
@@ -261,7 +264,7 @@ fn open(
     registry
         .register(&mut reader, kind.token(), Interest::READABLE)
         .map_err(|error| middleware(link, "create the subscriber", &error))?;
-    node.graph.add_reader(reader.guid());
+    node.graph.add_reader(reader.guid(), is_only.then_some(link));
     Ok(reader)
 }
 

@@ -29,18 +29,27 @@ pub(super) fn describe(
         tokens.iter().filter_map(|token| keys::describing_service(domain_id, token)).collect();
     let mut answers = Vec::new();
     for service in services {
-        let gid = keys::gid(&service);
-        let attachment = Attachment { sequence: 1, source_time: clock::wall().0, gid };
-        let replies = session
-            .get(&service)
-            .payload(request.to_vec())
-            .attachment(attachment.to_bytes())
-            .target(QueryTarget::AllComplete)
-            .consolidation(ConsolidationMode::None)
-            .timeout(timeout)
-            .wait()?;
-        let replies = replies.iter().filter_map(|reply| reply.into_result().ok());
-        answers.extend(replies.map(|reply| reply.payload().to_bytes().into_owned()));
+        answers.extend(call(session, &service, request, timeout)?);
     }
     Ok(answers)
+}
+
+/// The responses of all services with this key.
+pub(super) fn call(
+    session: &Session,
+    key: &str,
+    request: &[u8],
+    timeout: Duration,
+) -> zenoh::Result<Vec<Vec<u8>>> {
+    let attachment = Attachment { sequence: 1, source_time: clock::wall().0, gid: keys::gid(key) };
+    let replies = session
+        .get(key)
+        .payload(request.to_vec())
+        .attachment(attachment.to_bytes())
+        .target(QueryTarget::AllComplete)
+        .consolidation(ConsolidationMode::None)
+        .timeout(timeout)
+        .wait()?;
+    let replies = replies.iter().filter_map(|reply| reply.into_result().ok());
+    Ok(replies.map(|reply| reply.payload().to_bytes().into_owned()).collect())
 }

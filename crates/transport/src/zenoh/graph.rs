@@ -7,8 +7,8 @@ use std::{
 
 use zenoh::{Session, Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
-use super::keys::{Endpoint, publishers, qos_in, topic_in, type_in};
-use crate::{SeenTopic, TransportKind, lock};
+use super::keys::{Endpoint, publishers, qos_in, services as all_services, topic_in, type_in};
+use crate::{SeenService, SeenTopic, TransportKind, lock};
 use eddy_messages::QosProfile;
 
 /// The endpoints on the other side of a topic with the same type.
@@ -75,6 +75,16 @@ pub(super) fn topics(session: &Session, domain_id: u16) -> zenoh::Result<Vec<See
         SeenTopic { offered, ..topic }
     };
     Ok(topics.into_iter().map(with_offered).collect())
+}
+
+/// The services of all nodes.
+pub(super) fn services(session: &Session, domain_id: u16) -> zenoh::Result<Vec<SeenService>> {
+    let seen = |token: &String| {
+        let (name, (type_name, hash)) = (topic_in(token)?, type_in(token)?);
+        let link = format!("{}:{name}", TransportKind::Zenoh).parse().ok()?;
+        Some(SeenService { link, type_name, hash: Some(hash.to_owned()) })
+    };
+    Ok(tokens(session, &all_services(domain_id))?.iter().filter_map(seen).collect())
 }
 
 /// The tokens that match a key expression.

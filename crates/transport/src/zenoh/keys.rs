@@ -140,6 +140,17 @@ pub(super) fn publishers(domain_id: u16) -> String {
     format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Publisher.code())
 }
 
+/// The tokens of all services of a domain.
+pub(super) fn services(domain_id: u16) -> String {
+    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Service.code())
+}
+
+/// The key of a service.
+pub(super) fn service(domain_id: u16, name: &str, type_name: &str, hash: &str) -> String {
+    let name = name.trim_start_matches('/');
+    format!("{domain_id}/{name}/{}/{hash}", dds_type(type_name))
+}
+
 /// The tokens of the publishers of a topic with this type.
 pub(super) fn publishers_of(domain_id: u16, topic: &str, type_name: &str, hash: &str) -> String {
     let (code, mangled) = (Side::Publisher.code(), topic.replace('/', EMPTY));
@@ -152,9 +163,8 @@ pub(super) fn describing_service(domain_id: u16, token: &str) -> Option<String> 
     let mut chunks = token.split('/').skip(7);
     let (namespace, node) = (chunks.next()?.replace(EMPTY, "/"), chunks.next()?);
     let name = format!("{}/{node}/{SERVICE_NAME}", namespace.trim_end_matches('/'));
-    let (type_name, hash) =
-        (dds_type(GET_TYPE_DESCRIPTION), service_hash(GET_TYPE_DESCRIPTION).ok()?);
-    Some(format!("{domain_id}/{}/{type_name}/{hash}", name.trim_start_matches('/')))
+    let hash = service_hash(GET_TYPE_DESCRIPTION).ok()?;
+    Some(service(domain_id, &name, GET_TYPE_DESCRIPTION, hash))
 }
 
 /// QoS of an endpoint: `reliability:durability:history,depth:deadline:lifespan:liveliness`, each empty for the

@@ -41,8 +41,8 @@ use std::{
 use zenoh::{Session, Wait as _, liveliness::LivelinessToken};
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenTopic, Served, Subscriber, TransportError,
-    TransportOptions,
+    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    TransportError, TransportOptions,
     middleware::{Middleware, error as middleware},
     patience::Patience,
 };
@@ -134,6 +134,28 @@ impl Middleware for ZenohNode {
     ) -> Result<Vec<Vec<u8>>, TransportError> {
         client::describe(&self.session, self.node.domain_id, topic, request, timeout)
             .map_err(|error| middleware(&topic.link, "ask for the definition of the type", &error))
+    }
+
+    fn call(
+        &self,
+        service: &SeenService,
+        request: &[u8],
+        timeout: Duration,
+    ) -> Result<Option<Vec<u8>>, TransportError> {
+        let SeenService { link, type_name, hash } = service;
+        let hash = match hash {
+            Some(hash) => hash,
+            None => service_hash(type_name)?,
+        };
+        let key = keys::service(self.node.domain_id, &link.topic, type_name, hash);
+        let responses = client::call(&self.session, &key, request, timeout);
+        let responses = responses.map_err(|error| middleware(link, "call the service", &error))?;
+        Ok(responses.into_iter().next())
+    }
+
+    fn services(&self, link: &Link) -> Result<Vec<SeenService>, TransportError> {
+        graph::services(&self.session, self.node.domain_id)
+            .map_err(|error| middleware(link, "list the services", &error))
     }
 
     fn service(
