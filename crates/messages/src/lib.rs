@@ -7,6 +7,7 @@
 //!    description parsed from it. [`type_descriptions`]: definitions from the nodes that use a type.
 //! 5. [`services`], [`playback`], [`lifecycle`]: requests and responses, also one struct each.
 //! 6. [`service_type`]: the `.srv` files and their type hashes.
+//!    [`dynamic`]: messages of any type.
 //! 7. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
 //! 8. `dds_type`: type names in DDS. [`qos`]: quality of service.
 //! 9. [`cloud`]: a frame as `PointCloud2`, for programs that do not know `ParticleFrame`.
@@ -19,6 +20,7 @@ pub mod cloud;
 mod convert;
 mod dds_type;
 mod definition;
+pub mod dynamic;
 mod library;
 pub mod lifecycle;
 mod messages;

@@ -1,31 +1,20 @@
 //! Messages as YAML, like `ros2 topic echo`.
 
-use eddy_messages::{
-    Clock, DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
-    RosString, cdr,
-};
+use eddy_messages::{TypeSupport, dynamic};
 
-/// A message as YAML with at most `limit` items of each list (0: all); of unknown types only the size.
-pub fn message_text(type_name: &str, bytes: &[u8], limit: usize) -> String {
-    let yaml = match type_name {
-        ParticleFrame::TYPE => yaml::<ParticleFrame>(bytes),
-        PredictionStatus::TYPE => yaml::<PredictionStatus>(bytes),
-        DiagnosticArray::TYPE => yaml::<DiagnosticArray>(bytes),
-        Clock::TYPE => yaml::<Clock>(bytes),
-        ParameterEvent::TYPE => yaml::<ParameterEvent>(bytes),
-        PointCloud2::TYPE => yaml::<PointCloud2>(bytes),
-        RosString::TYPE => yaml::<RosString>(bytes),
-        _ => return format!("# {} bytes of {type_name}\n", bytes.len()),
-    };
+/// A message as YAML with at most `limit` items of each list (0: all); of types without a definition only the size.
+pub fn message_text(support: &TypeSupport, bytes: &[u8], limit: usize) -> String {
+    let name = &support.name;
+    if support.schema.is_empty() {
+        return format!("# {} bytes of {name}\n", bytes.len());
+    }
+    let value = dynamic::decode(support, bytes).map_err(|error| error.to_string());
+    let yaml =
+        value.and_then(|value| serde_saphyr::to_string(&value).map_err(|error| error.to_string()));
     match yaml {
         Ok(yaml) => shorten(&yaml, limit),
-        Err(error) => format!("# not a {type_name}: {error}\n"),
+        Err(error) => format!("# not a {name}: {error}\n"),
     }
-}
-
-fn yaml<M: Message>(bytes: &[u8]) -> Result<String, String> {
-    let message = cdr::decode::<M>(bytes).map_err(|error| error.to_string())?;
-    serde_saphyr::to_string(&message).map_err(|error| error.to_string())
 }
 
 /// Keeps `limit` numbers or words of each list and adds their count; all if `limit` is 0.
@@ -57,6 +46,7 @@ fn shorten(yaml: &str, limit: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use eddy_messages::{Clock, Message as _, RosString, cdr, type_support};
 
     #[test]
     fn long_lists_are_cut_with_their_length() {
@@ -73,13 +63,16 @@ mod tests {
 
     #[test]
     fn messages_are_yaml_and_other_bytes_are_described() {
+        let of = |name| type_support(name).unwrap();
         let word = cdr::encode(&RosString { data: "eddy".into() });
-        assert_eq!(message_text(RosString::TYPE, &word, 0), "data: eddy\n");
-        assert_eq!(
-            message_text("acme_msgs/msg/Imu", &[0; 7], 0),
-            "# 7 bytes of acme_msgs/msg/Imu\n"
-        );
-        let invalid = message_text(Clock::TYPE, &[0], 0);
+        assert_eq!(message_text(of(RosString::TYPE), &word, 0), "data: eddy\n");
+        let mut black = vec![0; 20];
+        black[1] = 1;
+        let black = message_text(of("std_msgs/msg/ColorRGBA"), &black, 0);
+        assert_eq!(black, "r: 0.0\ng: 0.0\nb: 0.0\na: 0.0\n");
+        let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", "");
+        assert_eq!(message_text(&foreign, &[0; 7], 0), "# 7 bytes of acme_msgs/msg/Imu\n");
+        let invalid = message_text(of(Clock::TYPE), &[0], 0);
         assert!(invalid.starts_with("# not a rosgraph_msgs/msg/Clock: "), "{invalid}");
     }
 }
