@@ -5,11 +5,16 @@ use std::path::PathBuf;
 use super::{
     Interrupt, TerminalProgress, allocator,
     output::{Output, OutputKind},
+    real_time,
 };
-use eddy_lab::commands::{self, BenchArgs, BenchCommand, StudyArgs};
+use crate::cli::RealTimeBenchArgs;
+use eddy_lab::commands::{self, BenchCommand, StudyArgs};
 
 /// Runs one of the benchmarks.
-pub fn bench(args: BenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn bench(args: RealTimeBenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    // Before the first thread starts: threads inherit all of this.
+    real_time::apply(&args.real_time)?;
+    let args = args.bench;
     if matches!(args.command, BenchCommand::Training(_)) {
         allocator::keep_freed_memory();
     }

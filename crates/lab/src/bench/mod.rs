@@ -22,4 +22,4 @@ pub mod training;
 pub mod transport;
 pub mod view;
 
-pub use spread::Spread;
+pub use spread::{Spread, Tail};

@@ -9,7 +9,7 @@ use std::{
 
 use serde::Serialize;
 
-use super::{Spread, particles, transport::Stopping};
+use super::{Spread, Tail, particles, transport::Stopping};
 use eddy_frames::{Frame, Stamp, clock::Clock};
 use eddy_inference::{
     checkpoint::Checkpoint,
@@ -75,6 +75,8 @@ pub struct Timing {
     pub node: Spread,
     /// From the publication of a frame to the reception of its prediction.
     pub way: Spread,
+    /// The longest of these times.
+    pub way_tail: Tail,
     /// Published frames.
     pub frames: u64,
     /// Expected predictions: one per frame from the last warm-up frame on.
@@ -181,6 +183,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
         frames: plan.streams * each,
         expected,
         predictions: ways.len() as u64,
+        way_tail: Tail::of(ways.clone()),
         way: Spread::of(ways),
         dropped: queue.dropped(),
         received: node.counters().received,

@@ -46,9 +46,14 @@ pub fn run(
         ("reception to publication", timing.node),
         ("publication to prediction", timing.way),
     ];
-    let rows = rows.map(|(what, spread)| {
-        vec![what.to_owned(), format!("{:.3}", spread.p50), format!("{:.3}", spread.p99)]
+    let time = |milliseconds: f64| format!("{milliseconds:.3}");
+    let mut rows = rows.map(|(what, spread)| {
+        let empty = String::new();
+        vec![what.to_owned(), time(spread.p50), time(spread.p99), empty.clone(), empty]
     });
+    if let Some([.., p999, worst]) = rows.last_mut().map(Vec::as_mut_slice) {
+        (*p999, *worst) = (time(timing.way_tail.p999), time(timing.way_tail.worst));
+    }
     let note = format!(
         "{streams} streams of {particles} particles at {hertz} Hz for {seconds} s on shm, {} threads: node overhead \
          {:.0} % of the model's time; {} frames published, {} received, {} dropped by the node, {} of {} predictions \
@@ -61,7 +66,8 @@ pub fn run(
         timing.predictions,
         timing.expected,
     );
-    let table = table("Time per frame", ["", "p50 (ms)", "p99 (ms)"], rows);
+    let head = ["", "p50 (ms)", "p99 (ms)", "p99.9 (ms)", "worst (ms)"];
+    let table = table("Time per frame", head, rows);
     let (title, tables) = ("eddy bench node", vec![table]);
     let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
