@@ -2,6 +2,7 @@
 
 mod bag;
 mod examples;
+mod service;
 mod topic;
 mod values;
 
@@ -30,6 +31,10 @@ use eddy_transport::FoxgloveAddress;
 pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
+};
+pub use service::{
+    ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
+    ServiceListArgs,
 };
 pub use values::PredictionDevice;
 
@@ -90,8 +95,12 @@ pub enum Command {
     Bag(BagArgs),
     /// Inspect topics, without ROS.
     Topic(TopicArgs),
+    /// List and call services of nodes, without ROS.
+    Service(ServiceArgs),
+    /// Read and set parameters of nodes, without ROS.
+    Param(ParamArgs),
     /// Run benchmarks on this machine.
-    Bench(BenchArgs),
+    Bench(RealTimeBenchArgs),
     /// List the devices that networks can be trained on.
     Devices,
     /// Print a shell completion script.
@@ -186,6 +195,11 @@ impl Command {
             | Self::Replay(ReplayArgs { ros, .. }) => &ros.ros_args,
             _ => &[],
         }
+    }
+
+    /// Whether the log of this command is published on `/rosout`. A recorder would record its own.
+    pub fn has_log_topic(&self) -> bool {
+        matches!(self, Self::Node(_) | Self::Replay(_))
     }
 
     /// Default name of the node that this command runs.
@@ -496,10 +510,22 @@ pub struct NodeArgs {
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
     pub foxglove_origin: Vec<String>,
+    /// Start unconfigured and predict only while a ROS 2 lifecycle manager has the node active (zenoh and dds).
+    #[arg(long)]
+    pub lifecycle: bool,
     #[command(flatten)]
     pub real_time: RealTimeArgs,
     #[command(flatten)]
     pub ros: RosArgs,
+}
+
+/// `eddy bench`
+#[derive(Debug, Args)]
+pub struct RealTimeBenchArgs {
+    #[command(flatten)]
+    pub bench: BenchArgs,
+    #[command(flatten)]
+    pub real_time: RealTimeArgs,
 }
 
 /// How the operating system treats a process.

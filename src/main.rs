@@ -9,8 +9,10 @@ mod commands;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use eddy_node::ros::{RosArguments, RosNode};
-use tracing_subscriber::EnvFilter;
+use eddy_node::ros::{RosArguments, RosNode, Rosout};
+use tracing_subscriber::{
+    EnvFilter, Layer as _, layer::SubscriberExt as _, util::SubscriberInitExt as _,
+};
 
 use cli::{Cli, Command};
 use commands::Interrupt;
@@ -46,25 +48,34 @@ fn ros_node(command: &Command) -> RosNode {
     arguments.unwrap_or_else(usage).node(command.node_name())
 }
 
+/// What is published on `/rosout`: the log of eddy from level INFO on, as in ROS 2, unless arguments say otherwise.
+fn rosout_filter(ros: &RosNode) -> EnvFilter {
+    EnvFilter::new(ros.log_filter("off,eddy=info"))
+}
+
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let ros = ros_node(&cli.command);
     let filter = EnvFilter::try_new(ros.log_filter(&cli.log_level))?;
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(|| terminal::Log)
         .with_ansi(terminal::has_colors())
         // It would panic when the reader of standard error is gone.
-        .log_internal_errors(false)
-        .init();
+        .log_internal_errors(false);
+    let rosout =
+        (cli.command.has_log_topic() && ros.has_rosout()).then(|| Rosout::new(ros.logger()));
+    let published = rosout.clone().map(|rosout| rosout.with_filter(rosout_filter(&ros)));
+    tracing_subscriber::registry().with(lines.with_filter(filter)).with(published).init();
     let interrupt = Interrupt::install()?;
     let quiet = cli.quiet;
     match cli.command {
         Command::Demo(args) => commands::demo::run(args, quiet, &interrupt),
         Command::Simulate(args) => commands::simulate::run(args, quiet, &interrupt),
         Command::Record(args) => commands::record::run(args, &ros, quiet, &interrupt),
-        Command::Replay(args) => commands::replay::run(args, &ros, quiet, &interrupt),
+        Command::Replay(args) => {
+            commands::replay::run(args, &ros, rosout.as_ref(), quiet, &interrupt)
+        }
         Command::Train(args) => commands::train::run(args, quiet, &interrupt),
-        Command::Node(args) => commands::node::run(args, &ros, quiet, &interrupt),
+        Command::Node(args) => commands::node::run(args, &ros, rosout.as_ref(), quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
         Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
@@ -72,6 +83,8 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
+        Command::Service(args) => commands::service::run(args, &interrupt),
+        Command::Param(args) => commands::param::run(args, &interrupt),
         Command::Devices => commands::devices::run(),
         Command::Completions(args) => commands::completions::run(&args),
         Command::Man(args) => commands::completions::man(&args, quiet),

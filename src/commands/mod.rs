@@ -8,10 +8,12 @@ pub mod eval;
 pub mod lab;
 pub mod launch;
 pub mod node;
+pub mod param;
 pub mod predict;
 pub mod real_time;
 pub mod record;
 pub mod replay;
+pub mod service;
 pub mod simulate;
 pub mod topic;
 pub mod train;
@@ -27,14 +29,18 @@ pub(crate) use eddy_frames::counted;
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
-use std::{path::Path, thread, time::Duration};
+use std::{collections::BTreeSet, path::Path, thread, time::Duration};
 
 use anyhow::{Context as _, bail};
 use eddy_bag::{QosOverrides, read_qos_overrides};
 use eddy_frames::clock::Clock;
-use eddy_node::{ros::RosNode, viewer::LivePage};
+use eddy_messages::{Log, Message as _, type_support};
+use eddy_node::{
+    ros::{ROSOUT, ROSOUT_QOS, RosNode, Rosout, RosoutPublisher},
+    viewer::LivePage,
+};
 use eddy_settings::usage::Usage;
-use eddy_transport::{Link, Publisher};
+use eddy_transport::{Link, Publisher, Reliability, TransportKind, Transports};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::terminal;
@@ -60,6 +66,24 @@ pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
 pub(crate) fn qos_overrides(file: Option<&Path>) -> anyhow::Result<QosOverrides> {
     let overrides = file.map(read_qos_overrides).transpose();
     Ok(overrides.context("--qos-profile-overrides-path")?.unwrap_or_default())
+}
+
+/// Publishes the log of a node on `/rosout` of each transport that ROS uses.
+pub(crate) fn publish_log(
+    rosout: Option<&Rosout>,
+    transports: &Transports,
+    ros: &RosNode,
+    on: impl IntoIterator<Item = TransportKind>,
+) -> anyhow::Result<Option<RosoutPublisher>> {
+    let Some(rosout) = rosout else { return Ok(None) };
+    let on: BTreeSet<_> = on.into_iter().filter(|transport| transport.is_of_ros()).collect();
+    let open = |transport| -> anyhow::Result<_> {
+        let link = Link { transport, topic: ros.topic(ROSOUT) };
+        let support = type_support(Log::TYPE)?;
+        Ok(transports.offering_publisher_of(&link, support, Reliability::Drop, Some(ROSOUT_QOS))?)
+    };
+    let publishers = on.into_iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    Ok((!publishers.is_empty()).then(|| rosout.publish(publishers)).transpose()?)
 }
 
 /// How long to wait for subscribers.

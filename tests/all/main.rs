@@ -33,6 +33,7 @@ mod replay;
 mod ros;
 mod scenes;
 mod secure;
+mod services;
 mod shell;
 mod shm;
 mod stuck;

@@ -2,9 +2,12 @@
 
     cyclone_peer.py listen TOPIC COUNT [--timeout S]
     cyclone_peer.py publish TOPIC COUNT [--particles N] [--stream S] [--rate HZ] [--timeout S]
+    cyclone_peer.py services EDDY NODE [--timeout S]
 
 listen  receives COUNT frames and checks that the fields of each are consistent.
 publish sends COUNT frames of particles on circles, as soon as there is a subscriber.
+services calls NODE/reset of a running node of eddy, and answers `eddy service call`, both in the form of rmw_cyclonedds: the
+        identity of a request stands before its body (rmw_cyclonedds_cpp/src/serdata.hpp, cdds_request_header).
 The frame type is declared again here, for Cyclone. The domain is ROS_DOMAIN_ID. Both print one line
 of JSON at the end, and exit with 1 and a message if a check fails.
 """
@@ -13,6 +16,7 @@ import argparse
 import json
 import math
 import os
+import subprocess
 import sys
 import time
 from dataclasses import dataclass
@@ -27,7 +31,7 @@ from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import float32, int32, sequence, uint8, uint32, uint64
+from cyclonedds.idl.types import float32, int32, int64, sequence, uint8, uint32, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -62,6 +66,23 @@ class ParticleFrame(IdlStruct, typename="eddy_msgs::msg::dds_::ParticleFrame_"):
     position: sequence[float32]
     velocity: sequence[float32]
     material: sequence[uint8]
+
+
+@final
+@dataclass
+class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
+    guid: uint64
+    number: int64
+    structure_needs_at_least_one_member: uint8
+
+
+@final
+@dataclass
+class TriggerResponse(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_"):
+    guid: uint64
+    number: int64
+    success: bool
+    message: str
 
 
 QOS = Qos(Policy.Reliability.Reliable(duration(seconds=10)), Policy.History.KeepAll)
@@ -135,17 +156,76 @@ def publish(args):
     return {"frames": args.count, "stream": args.stream, "particles": args.particles}
 
 
+def service(participant, name):
+    """Topics of the requests and the responses of a service."""
+    qos = Qos(Policy.Reliability.Reliable(duration(seconds=10)), Policy.History.KeepAll,
+              Policy.DataRepresentation(use_cdrv0_representation=True))
+    requests = Topic(participant, f"rq{name}Request", TriggerRequest, qos)
+    return requests, Topic(participant, f"rr{name}Reply", TriggerResponse, qos), qos
+
+
+def services(args):
+    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", 0)))
+    deadline = time.monotonic() + args.timeout
+
+    def until(what, answer):
+        while not (found := answer()):
+            expect(time.monotonic() < deadline, f"{what}: not within {args.timeout} s")
+            time.sleep(0.01)
+        return found
+
+    requests, responses, qos = service(participant, f"{args.node}/reset")
+    writer, reader = DataWriter(participant, requests, qos), DataReader(participant, responses, qos)
+    until("the node", lambda: writer.get_matched_subscriptions() and reader.get_matched_publications())
+    # A service may know the client's reader a moment later than its writer.
+    answers = []
+    for number in range(1, 100):
+        writer.write(TriggerRequest(guid=0xEDD1, number=number, structure_needs_at_least_one_member=0))
+        time.sleep(0.1)
+        answers += reader.take(10)
+        if answers:
+            break
+    expect(answers, "the node does not answer")
+    answer = answers[0]
+    expect((answer.guid, answer.success) == (0xEDD1, True) and answer.number <= number, f"response: {answer}")
+    expect("streams reset" in answer.message, f"response: {answer}")
+
+    name = "/cyclone_trigger"
+    requests, responses, qos = service(participant, name)
+    reader, writer = DataReader(participant, requests, qos), DataWriter(participant, responses, qos)
+    call = subprocess.Popen([args.eddy, "service", "call", f"dds:{name}", "--timeout", str(args.timeout)],
+                            stdout=subprocess.PIPE, text=True)
+    answered = 0
+    while call.poll() is None:
+        expect(time.monotonic() < deadline, "eddy service call does not end")
+        for request in reader.take(10):
+            writer.write(TriggerResponse(request.guid, request.number, True, f"asked {request.number}"))
+            answered += 1
+        time.sleep(0.01)
+    said = call.stdout.read()
+    expect(call.returncode == 0 and said == "success: true\nmessage: asked 1\n", f"{call.returncode}: {said}")
+    return {"reset": answer.message, "answered": answered}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("role", choices=["listen", "publish"])
-    parser.add_argument("topic")
-    parser.add_argument("count", type=int)
-    parser.add_argument("--particles", type=int, default=2500)
-    parser.add_argument("--stream", type=int, default=1)
-    parser.add_argument("--rate", type=float, default=20)
-    parser.add_argument("--timeout", type=float, default=60)
+    roles = parser.add_subparsers(required=True)
+    for role in (listen, publish, services):
+        words = roles.add_parser(role.__name__)
+        words.set_defaults(role=role)
+        words.add_argument("--timeout", type=float, default=60)
+        if role is services:
+            words.add_argument("eddy")
+            words.add_argument("node")
+            continue
+        words.add_argument("topic")
+        words.add_argument("count", type=int)
+        if role is publish:
+            words.add_argument("--particles", type=int, default=2500)
+            words.add_argument("--stream", type=int, default=1)
+            words.add_argument("--rate", type=float, default=20)
     args = parser.parse_args()
-    print(json.dumps((listen if args.role == "listen" else publish)(args)))
+    print(json.dumps(args.role(args)))
 
 
 if __name__ == "__main__":

@@ -7,9 +7,11 @@
 //! 4. [`recorder`]: topics into a bag.
 //! 5. [`player`]: a bag onto topics.
 //! 6. [`topics`]: finding, printing and measuring topics.
-//! 7. [`viewer`]: the live page of any of them.
-//! 8. [`launch`]: several processes from one file.
+//! 7. [`clients`]: services and parameters of other nodes.
+//! 8. [`viewer`]: the live page of any of them.
+//! 9. [`launch`]: several processes from one file.
 
+pub mod clients;
 pub mod launch;
 pub mod player;
 pub mod recorder;

@@ -14,15 +14,21 @@ use std::{
 use anyhow::Context;
 use serde::{Deserialize, Deserializer, de::Error as _};
 
-use super::{Interrupt, announce_page, counted, keyboard::Keyboard, real_time, surrogate};
+use super::{
+    Interrupt, announce_page, counted, keyboard::Keyboard, publish_log, real_time, surrogate,
+};
 use crate::{cli::NodeArgs, terminal};
 use eddy_frames::FrameView;
-use eddy_messages::{DiagnosticArray, Message, ParticleFrame, PointCloud2, PredictionStatus};
+#[cfg(feature = "foxglove")]
+use eddy_messages::{DiagnosticArray, PointCloud2, PredictionStatus};
+use eddy_messages::{Message, ParticleFrame};
+#[cfg(feature = "foxglove")]
+use eddy_node::{CloudTopic, Outputs};
 use eddy_node::{
-    CloudTopic, Counters, InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeRequest,
-    NodeResponse, NodeSettings, Observer, Outputs, Prediction, SurrogateNode,
+    Counters, InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse,
+    NodeSettings, Observer, Prediction, SurrogateNode,
     diagnostics::Rates,
-    ros::RosNode,
+    ros::{RosNode, Rosout, TopicQos},
     viewer::{ControlPanel, LivePage, PageInfo},
 };
 use eddy_settings::{self as config, usage::Usage};
@@ -69,6 +75,7 @@ fn links<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Link>, D::Error> {
 pub fn run(
     args: NodeArgs,
     ros: &RosNode,
+    rosout: Option<&Rosout>,
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
@@ -86,13 +93,19 @@ pub fn run(
     let links = NodeLinks::new(args.input.or(file.input), outputs)
         .map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
     let renamed = links.renamed(ros);
-    renamed.check().map_err(Usage::new)?;
+    renamed.check(args.lifecycle).map_err(Usage::new)?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
+    let qos = TopicQos::of(ros.parameters())?;
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
     let surrogate = surrogate::load(checkpoint.as_deref(), args.threads, args.device)?;
-    let node = SurrogateNode::new(surrogate, settings)?;
-    let mut live = LiveNode::open(node, &links, ros, reliability, interrupt.shared())?;
+    let mut node = SurrogateNode::new(surrogate, settings)?;
+    if args.lifecycle {
+        node.manage();
+    }
+    let mut live = LiveNode::open(node, &links, ros, reliability, qos, interrupt.shared())?;
+    let on = renamed.all().map(|link| link.transport);
+    let _log = publish_log(rosout, live.transports(), ros, on)?;
     let input = &renamed.input;
     #[cfg(feature = "foxglove")]
     let foxglove = foxglove(args.foxglove, &args.foxglove_origin, &links, ros, &mut live.outputs)
@@ -118,6 +131,7 @@ pub fn run(
         let digest = &live.node().surrogate().digest()[..12];
         let names: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
         println!("predicting {input} -> {} with model {digest}", names.join(", "));
+        tracing::info!("predicting {input} -> {} with model {digest}", names.join(", "));
         for link in &renamed.outputs {
             if let Some(memory) = live.transports().shared_memory(link, ParticleFrame::TYPE)? {
                 println!("{link} uses {memory}, more for frames of more than 2,560 particles");
@@ -156,9 +170,11 @@ pub fn run(
     Ok(outcome?)
 }
 
-/// Sets the parameters of `--ros-args`, which take precedence. Unknown parameters for nodes of any name are ignored.
+/// Sets the parameters of `--ros-args`, which take precedence, except those for the QoS of topics. Unknown parameters for
+/// nodes of any name are ignored.
 fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<()> {
-    for given in ros.parameters() {
+    let is_setting = |name: &str| !TopicQos::is_parameter(name);
+    for given in ros.parameters().iter().filter(|given| is_setting(&given.parameter.name)) {
         match settings.set(&given.parameter) {
             Ok(()) => {}
             Err(InvalidSettings::Unknown { found }) if given.for_all => {

@@ -9,7 +9,8 @@ use anyhow::{Context as _, bail, ensure};
 use indicatif::HumanCount;
 
 use super::{
-    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, wait_for_subscribers,
+    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, publish_log,
+    wait_for_subscribers,
 };
 use crate::{cli::ReplayArgs, terminal};
 use eddy_bag::{BagMessage, BagReader};
@@ -20,7 +21,7 @@ use eddy_node::{
     player::{
         OutputOptions, PlaybackStatus, PlayerServices, TopicOutputs, parse_keys, playable_topics,
     },
-    ros::RosNode,
+    ros::{RosNode, Rosout},
     viewer::BagView,
 };
 use eddy_transport::{Link, Transports};
@@ -29,6 +30,7 @@ use eddy_transport::{Link, Transports};
 pub fn run(
     args: ReplayArgs,
     ros: &RosNode,
+    rosout: Option<&Rosout>,
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
@@ -58,6 +60,7 @@ pub fn run(
     )?;
     // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
+    let _log = publish_log(rosout, &transports, ros, [args.to])?;
     let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
     for topic in outputs.topics() {
         println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);

@@ -17,6 +17,8 @@ use eddy_node::{
 };
 use eddy_transport::{Reliability, Subscriber, TransportError, Transports};
 
+/// How long the publisher of a type may take to tell its definition.
+const DESCRIPTION_TIMEOUT: Duration = Duration::from_secs(2);
 /// Maximum number of messages waiting to be printed; the oldest are dropped.
 const QUEUE_MESSAGES: usize = 64;
 
@@ -28,9 +30,16 @@ pub(super) fn run(
     let Some(topic) = find(&args.link, transports, MAX_FIND_TIME, interrupt)? else {
         return Ok(());
     };
+    let known = topic.type_support();
     let mut subscriber = transports
-        .subscriber_of(&topic.link, &topic.type_support())
+        .subscriber_of(&topic.link, &known)
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
+    // A type that is not built in is asked for.
+    let described = match known.schema.is_empty() {
+        true => transports.described_type(&topic, DESCRIPTION_TIMEOUT)?,
+        false => None,
+    };
+    let support = described.unwrap_or(known);
     let queue = FrameQueue::new(QUEUE_MESSAGES, Reliability::Drop);
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {
@@ -43,7 +52,7 @@ pub(super) fn run(
                 break;
             }
             if let Some((_, payload)) = queue.pop(MAX_WAIT) {
-                let text = message_text(&topic.type_name, &payload.into_cdr(), args.truncate);
+                let text = message_text(&support, &payload.into_cdr(), args.truncate);
                 is_read = print(&format!("{text}---"));
                 left = left.map(|left| left - 1);
             }

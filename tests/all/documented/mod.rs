@@ -190,7 +190,7 @@ fn the_examples_of_every_help() {
         assert!(holds_others || !lines.is_empty(), "eddy {name} --help: no examples");
         for line in lines {
             assert!(line.contains(&format!("eddy {name}")), "eddy {name} --help: {line}");
-            if ["record", "topic"].contains(&words[0].as_str()) {
+            if ["record", "topic", "service", "param"].contains(&words[0].as_str()) {
                 let company = "eddy replay bags/sample --loop".to_owned();
                 world.together(&name, &[company, "eddy node".to_owned(), line]);
             } else {

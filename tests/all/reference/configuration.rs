@@ -146,7 +146,7 @@ fn training() -> String {
 }
 
 fn node() -> String {
-    let source = Source::of(&["src/commands/node.rs", "crates/transport/src/lib.rs"]);
+    let source = Source::of(&["src/commands/node/mod.rs", "crates/transport/src/lib.rs"]);
     let mut rows = rows(&source, &source.item("NodeFile").without("node"), "");
     let defaults = NodeSettings::default();
     rows.extend(PARAMETERS.iter().map(|spec| Row {

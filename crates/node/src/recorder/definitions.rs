@@ -53,10 +53,15 @@ impl TopicOpener {
         let requested = self.overrides.get(&topic.link.topic).copied();
         let subscriber =
             self.transports.requesting_subscriber_of(&topic.link, &known, requested)?;
-        let support = match known.schema.is_empty() {
+        let mut support = match known.schema.is_empty() {
             true => self.definitions.of(&topic, &self.transports),
             false => known,
         };
+        if support.name.contains("/srv/") {
+            // rosbags (0.11) takes `srv` in the name of a type for a folder, does not find the type under its hash, and
+            // refuses the whole bag. The hash follows from the definition.
+            support.hash.clear();
+        }
         Ok(OpenTopic { topic, support, subscriber })
     }
 }

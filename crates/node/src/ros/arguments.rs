@@ -9,11 +9,10 @@ use super::{
 };
 
 /// The supported arguments.
-const KNOWN: &str = "-r/--remap, -p/--param, --params-file or --log-level";
+const KNOWN: &str = "-r/--remap, -p/--param, --params-file, --log-level or --disable-rosout-logs";
 
-/// Arguments without effect: eddy always logs to standard error, never to /rosout, and its libraries log through it.
-const IGNORED: [&str; 3] =
-    ["--enable-stdout-logs", "--disable-rosout-logs", "--disable-external-lib-logs"];
+/// Arguments without effect: eddy always logs to standard error, and its libraries log through it.
+const IGNORED: [&str; 2] = ["--enable-stdout-logs", "--disable-external-lib-logs"];
 
 /// Log levels of ROS and their names here. Nothing is logged as `fatal`.
 const LEVELS: [(&str, &str); 5] =
@@ -26,6 +25,8 @@ pub struct RosArguments {
     pub(super) parameters: Vec<Given>,
     /// Levels of the logger of this name, or of all, in the order of the arguments.
     levels: Vec<(Option<String>, &'static str)>,
+    /// Whether the log is not published on `/rosout`.
+    pub(super) is_without_rosout: bool,
 }
 
 impl RosArguments {
@@ -51,6 +52,8 @@ impl RosArguments {
                     arguments.parameters.extend(parameters::read(file)?);
                 }
                 "--log-level" => arguments.levels.push(level(value("a level")?)?),
+                "--enable-rosout-logs" => arguments.is_without_rosout = false,
+                "--disable-rosout-logs" => arguments.is_without_rosout = true,
                 // May be repeated.
                 "--ros-args" => {}
                 word if IGNORED.contains(&word) => {}
@@ -111,7 +114,7 @@ mod tests {
     fn every_argument_has_a_long_and_a_short_name() {
         let short = parse("-r /a:=/b -p horizon:=3 --log-level debug").unwrap();
         let long =
-            parse("--remap /a:=/b --param horizon:=3 --log-level DEBUG --disable-rosout-logs");
+            parse("--remap /a:=/b --param horizon:=3 --log-level DEBUG --enable-rosout-logs");
         // Both are parsed to the same.
         assert_eq!(short, long.unwrap());
         assert_eq!(parse("").unwrap(), RosArguments::default());

@@ -5,17 +5,24 @@
 //! 2. `remap`: `from:=to` (<https://design.ros2.org/articles/static_remapping.html>).
 //! 3. `parameters`: `name:=value`, and parameter files.
 //! 4. [`arguments`](RosArguments): the arguments after `--ros-args`.
-//! 5. [`node`](RosNode): what applies to one node: its name, topics and parameters.
+//! 5. [`node`](RosNode): what applies to one node: its name, topics and parameters. [`qos`](TopicQos): QoS of single
+//!    topics.
+//! 6. [`rosout`](Rosout): the log as a topic.
 
 mod arguments;
 mod node;
 mod parameters;
+mod qos;
 mod remap;
-mod yaml;
+mod rosout;
+pub(crate) mod yaml;
 
 pub use arguments::RosArguments;
 pub use node::RosNode;
 pub use parameters::Given;
+pub(crate) use parameters::parse as parse_parameter;
+pub use qos::TopicQos;
+pub use rosout::{ROSOUT, ROSOUT_QOS, Rosout, RosoutPublisher};
 
 /// An invalid ROS argument.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -16,6 +16,7 @@ pub struct RosNode {
     renamed: Vec<Renamed>,
     parameters: Vec<Given>,
     directives: String,
+    has_rosout: bool,
 }
 
 /// A rule with absolute names.
@@ -38,7 +39,8 @@ impl RosNode {
         let name = first(name, Target::Node).unwrap_or(name.to_owned());
         let namespace = first(&name, Target::Namespace).unwrap_or("/".to_owned());
         let (renamed, parameters) = (Vec::new(), Vec::new());
-        let mut node = Self { name, namespace, renamed, parameters, directives: String::new() };
+        let (directives, has_rosout) = (String::new(), !arguments.is_without_rosout);
+        let mut node = Self { name, namespace, renamed, parameters, directives, has_rosout };
         let absolute = |rule: &Rule| match &rule.target {
             Target::Node | Target::Namespace => None,
             &Target::Name { ref from, topics, services } => {
@@ -118,6 +120,16 @@ impl RosNode {
         &self.parameters
     }
 
+    /// Whether its log is published on `/rosout`.
+    pub fn has_rosout(&self) -> bool {
+        self.has_rosout
+    }
+
+    /// The name of its logger, such as `robot1.eddy_node`.
+    pub fn logger(&self) -> String {
+        self.full_name().trim_start_matches('/').replace('/', ".")
+    }
+
     /// Adds the log levels of the arguments to a filter such as `warn,zenoh=error`.
     pub fn log_filter(&self, filter: &str) -> String {
         format!("{filter}{}", self.directives)
@@ -125,8 +137,7 @@ impl RosNode {
 
     /// Whether this is the ROS name of the node's logger.
     pub(super) fn is_logger(&self, name: &str) -> bool {
-        let full = self.full_name();
-        name == self.name || name == full.trim_start_matches('/').replace('/', ".")
+        name == self.name || name == self.logger()
     }
 
     /// Expands `a` with the namespace and `~/a` with the full name.

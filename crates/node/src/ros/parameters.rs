@@ -63,7 +63,7 @@ fn matches(pattern: &[String], name: &[String]) -> bool {
 }
 
 /// The parameter in `[node:]name:=value`.
-pub(super) fn parse(text: &str) -> Result<Given, InvalidArgument> {
+pub(crate) fn parse(text: &str) -> Result<Given, InvalidArgument> {
     let argument = format!("-p {text}");
     let invalid = |found: String, expected: &str| InvalidArgument::new(&argument, found, expected);
     let (left, value) = text

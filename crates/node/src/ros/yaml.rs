@@ -7,10 +7,10 @@ use serde::{
     de::{MapAccess, SeqAccess, Visitor},
 };
 
-use eddy_messages::services::ParameterValue;
+use eddy_messages::{dynamic::Value, services::ParameterValue};
 
 /// Parses YAML as rcl does: `010` is 8, `1_000` a string.
-pub(super) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
+pub(crate) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
     let options = serde_saphyr::options! {
         legacy_octal_numbers: true,
         underscored_numbers_as_strings: true,
@@ -21,7 +21,7 @@ pub(super) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
 
 /// A YAML value.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Yaml {
+pub(crate) enum Yaml {
     Nothing,
     Bool(bool),
     Integer(i64),
@@ -32,6 +32,31 @@ pub(super) enum Yaml {
 }
 
 impl Yaml {
+    /// As the value of a message; `None` if a value is missing. Nothing at all is a message without values.
+    pub(crate) fn into_dynamic(self) -> Option<Value> {
+        fn value(yaml: Yaml) -> Option<Value> {
+            Some(match yaml {
+                Yaml::Nothing => return None,
+                Yaml::Bool(value) => Value::Bool(value),
+                Yaml::Integer(value) => Value::Integer(value),
+                Yaml::Double(value) => Value::Double(value),
+                Yaml::Text(value) => Value::Text(value),
+                Yaml::List(items) => {
+                    Value::List(items.into_iter().map(value).collect::<Option<_>>()?)
+                }
+                Yaml::Map(entries) => {
+                    let entries =
+                        entries.into_iter().map(|(name, yaml)| Some((name, value(yaml)?)));
+                    Value::Map(entries.collect::<Option<_>>()?)
+                }
+            })
+        }
+        match self {
+            Self::Nothing => Some(Value::Map(Vec::new())),
+            other => value(other),
+        }
+    }
+
     /// As the value of a parameter; otherwise a description of what was found.
     pub(super) fn into_value(self) -> Result<ParameterValue, String> {
         match self {

@@ -1,11 +1,7 @@
-//! Input and outputs of a node: which links, and the topics that belong to each.
+//! Input and outputs of a node.
 
-use eddy_messages::{
-    DiagnosticArray, Message, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
-};
-use eddy_transport::{InvalidLink, Link, Reliability, TransportError, TransportKind, Transports};
+use eddy_transport::{InvalidLink, Link, TransportKind};
 
-use super::{CloudTopic, Outputs};
 use crate::ros::RosNode;
 
 /// Input and outputs of a node.
@@ -30,6 +26,11 @@ pub enum InvalidLinks {
     /// The node would predict from its own predictions.
     #[error("output: found {link}, which is the input, expected another topic")]
     Loop { link: Link },
+    /// Nobody could manage the node.
+    #[error(
+        "--lifecycle: found links on shm only, expected one on zenoh or dds, whose services manage the node"
+    )]
+    Unmanageable,
 }
 
 impl NodeLinks {
@@ -51,12 +52,15 @@ impl NodeLinks {
         Self { input: ros.link(&self.input), outputs: outputs.collect() }
     }
 
-    /// Checks renamed links.
+    /// Checks renamed links, of a managed node or one that is always active.
     ///
     /// # Errors
     /// [`InvalidLinks`].
-    pub fn check(&self) -> Result<(), InvalidLinks> {
+    pub fn check(&self, is_managed: bool) -> Result<(), InvalidLinks> {
         self.all().try_for_each(Link::leaves_the_process)?;
+        if is_managed && !self.all().any(|link| link.transport.is_of_ros()) {
+            return Err(InvalidLinks::Unmanageable);
+        }
         for (index, link) in self.outputs.iter().enumerate() {
             if self.outputs[..index].contains(link) {
                 return Err(InvalidLinks::Twice { link: link.clone() });
@@ -79,49 +83,9 @@ impl NodeLinks {
         links
     }
 
-    fn all(&self) -> impl Iterator<Item = &Link> {
+    /// The input, then the outputs.
+    pub fn all(&self) -> impl Iterator<Item = &Link> {
         [&self.input].into_iter().chain(&self.outputs)
-    }
-
-    /// Opens the outputs; topics of the whole node once per transport.
-    pub(super) fn open_outputs(
-        &self,
-        transports: &Transports,
-        ros: &RosNode,
-        reliability: Reliability,
-        clouds: bool,
-    ) -> Result<Vec<Outputs>, TransportError> {
-        let mut opened = Vec::new();
-        for (index, link) in self.outputs.iter().enumerate() {
-            let prediction =
-                transports.publisher(&ros.link(link), ParticleFrame::TYPE, reliability)?;
-            let status = ros.beside(link, "status");
-            let status = transports.publisher(&status, PredictionStatus::TYPE, reliability)?;
-            let mut outputs = Outputs::new(prediction, status);
-            let publish = |link: &Link, type_name| {
-                transports.publisher(link, type_name, Reliability::Drop).map(Some)
-            };
-            let cloud = |link: &Link| {
-                let publisher = publish(&ros.beside(link, "cloud"), PointCloud2::TYPE);
-                publisher.map(|publisher| publisher.map(CloudTopic::new))
-            };
-            if clouds {
-                outputs.prediction_cloud = cloud(link)?;
-            }
-            if self.outputs[..index].iter().all(|other| other.transport != link.transport) {
-                let shared = |topic: &str| ros.link(&link.with_topic(topic));
-                outputs.diagnostics = publish(&shared("/diagnostics"), DiagnosticArray::TYPE)?;
-                if matches!(link.transport, TransportKind::Zenoh | TransportKind::Dds) {
-                    let events = shared("/parameter_events");
-                    outputs.parameter_events = publish(&events, ParameterEvent::TYPE)?;
-                }
-                if clouds {
-                    outputs.input_cloud = cloud(&link.with_topic(&self.input.topic))?;
-                }
-            }
-            opened.push(outputs);
-        }
-        Ok(opened)
     }
 }
 
@@ -139,7 +103,7 @@ mod tests {
         let links = NodeLinks { input: link(input), outputs };
         let words = ["-r", "__ns:=/robot1"].map(str::to_owned);
         let ros = RosArguments::parse(&words).unwrap().node("eddy_node");
-        links.renamed(&ros).check().map_err(|error| error.to_string())
+        links.renamed(&ros).check(false).map_err(|error| error.to_string())
     }
 
     #[test]

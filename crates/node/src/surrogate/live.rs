@@ -2,14 +2,17 @@
 
 use std::sync::{Arc, atomic::AtomicBool};
 
-use eddy_messages::{Clock, Message, ParticleFrame};
+use eddy_messages::{Clock, Message, ParticleFrame, QosProfile, type_support};
 use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
 
 use super::{
     DriveError, FrameQueue, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime, SurrogateNode,
-    drive, node_services,
+    drive, lifecycle_services, node_services, publishers::Publishers,
 };
-use crate::{ros::RosNode, service::Service};
+use crate::{
+    ros::{RosNode, TopicQos},
+    service::Service,
+};
 
 /// Why the topics of a node cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -45,7 +48,8 @@ pub struct LiveNode {
 }
 
 impl LiveNode {
-    /// Opens input, outputs and services under the names of `ros`. The node ends once `stop` is raised.
+    /// Opens input, outputs and services under the names of `ros`; `reliability` is that of topics that `qos` does not name.
+    /// The node ends once `stop` is raised.
     ///
     /// # Errors
     /// [`OpenError`].
@@ -54,6 +58,7 @@ impl LiveNode {
         links: &NodeLinks,
         ros: &RosNode,
         reliability: Reliability,
+        mut qos: TopicQos,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, OpenError> {
         node.stop_with(Arc::clone(&stop));
@@ -61,14 +66,28 @@ impl LiveNode {
         let transports = Transports::stopped_by(Arc::clone(&stop), options);
         let renamed = links.renamed(ros);
         let input = renamed.input.clone();
-        let subscriber = transports
-            .subscriber(&input, ParticleFrame::TYPE)
+        let requested = qos.subscription(&input.topic, QosProfile::default());
+        let subscriber = type_support(ParticleFrame::TYPE)
+            .map_err(TransportError::from)
+            .and_then(|support| transports.requesting_subscriber_of(&input, support, requested))
             .map_err(|source| OpenError::Input { link: Box::new(input.clone()), source })?;
-        let outputs = links
-            .open_outputs(&transports, ros, reliability, node.settings().cloud)
+        let mut publishers = Publishers { transports: &transports, ros, qos, reliability };
+        let is_managed = node.lifecycle().is_some();
+        let outputs = publishers
+            .open(links, node.settings().cloud, is_managed)
             .map_err(OpenError::Outputs)?;
+        for topic in publishers.qos.unused() {
+            tracing::warn!("qos_overrides.{topic}: this node has no such topic on this side");
+        }
         let handle = Arc::default();
-        let services = serve(&transports, &renamed, ros, &handle).map_err(OpenError::Services)?;
+        let services = || {
+            let mut services = node_services(&ros.full_name(), &handle);
+            if is_managed {
+                services.extend(lifecycle_services(&ros.full_name(), &handle));
+            }
+            services
+        };
+        let services = serve(&transports, &renamed, ros, services).map_err(OpenError::Services)?;
         Ok(Self {
             _services: services,
             outputs,
@@ -114,16 +133,16 @@ fn context(transports: &Transports, input: Link, ros: &RosNode) -> NodeContext {
     NodeContext { name: ros.full_name(), input, time: RosTime::new(Box::new(open)) }
 }
 
-/// Offers the services of the node on every transport of its links that has services.
+/// Offers services on every transport of the node's links that has services.
 fn serve(
     transports: &Transports,
     links: &NodeLinks,
     ros: &RosNode,
-    handle: &Arc<NodeHandle>,
+    services: impl Fn() -> Vec<Service>,
 ) -> Result<Vec<Box<dyn Served>>, TransportError> {
     let mut served = Vec::new();
     for link in links.one_per_transport() {
-        for Service { name, type_name, handler } in node_services(&ros.full_name(), handle) {
+        for Service { name, type_name, handler } in services() {
             let link = link.with_topic(&ros.service(&name));
             served.extend(transports.serve(&link, type_name, handler)?);
         }

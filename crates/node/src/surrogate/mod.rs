@@ -13,7 +13,7 @@
 //!    services.
 //! 9. [`time`]: system time or `/clock`.
 //! 10. [`driver`]: the loop that receives, predicts and publishes.
-//! 11. [`links`]: input, outputs and the topics that belong to them. [`live`]: a node with all of them open.
+//! 11. [`links`]: input and outputs. [`publishers`]: the topics that belong to them. [`live`]: a node with all of them open.
 
 mod cloud;
 mod counters;
@@ -28,6 +28,7 @@ mod observer;
 #[cfg(feature = "clap")]
 mod options;
 mod parameter;
+mod publishers;
 mod queue;
 mod services;
 mod settings;
