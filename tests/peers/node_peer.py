@@ -243,8 +243,6 @@ def check_commands(peer):
 
 
 def check_service_events(peer):
-    # Events of the calls before.
-    peer.spin(1)
     bag = peer.folder / "events"
     recorder = peer.start("record", "--from", "dds", "--regex", "_service_event$", "--output", str(bag))
     topic = "/switch/_service_event"
@@ -264,6 +262,9 @@ def check_service_events(peer):
         events = [reader.typestore.deserialize_cdr(data, name) for _, _, data in reader.messages()]
     requests = [event.request[0].data for event in events if len(event.request)]
     responses = [event.response[0].message for event in events if len(event.response)]
+    # System default is transient local with depth 1 on Fast DDS: the last event before the recording is received, too.
+    expect(len(responses) <= 4, f"responses: {responses}")
+    responses = responses[-3:]
     expect(requests == [True, False, True], f"requests: {requests}")
     expect(responses == ["data: True", "data: False", "data: True"], f"responses: {responses}")
     return len(events)
