@@ -269,10 +269,9 @@ fn kept_messages_are_found_and_returned_as_in_zenoh_ext() {
 #[test]
 fn a_service_of_a_type_without_a_hash_is_rejected() {
     let transports = Transports::new(options());
-    let served =
-        transports.serve(&link("zenoh"), "std_srvs/srv/SetBool", Box::new(|_: &[u8]| None));
+    let served = transports.serve(&link("zenoh"), "acme/srv/Fill", Box::new(|_: &[u8]| None));
     let message = served.err().unwrap().to_string();
-    assert!(message.starts_with("service type: found std_srvs/srv/SetBool"), "{message}");
+    assert!(message.starts_with("service type: found acme/srv/Fill"), "{message}");
 }
 
 #[test]
