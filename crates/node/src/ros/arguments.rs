@@ -118,6 +118,8 @@ mod tests {
         // Both are parsed to the same.
         assert_eq!(short, long.unwrap());
         assert_eq!(parse("").unwrap(), RosArguments::default());
+        let has_rosout = |text: &str| parse(text).unwrap().node("a").has_rosout();
+        assert!(has_rosout("") && !has_rosout("--disable-rosout-logs"));
     }
 
     #[test]

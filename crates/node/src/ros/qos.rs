@@ -19,6 +19,9 @@ const FORM: &str = "qos_overrides.TOPIC.publisher.POLICY or qos_overrides.TOPIC.
 /// The policies.
 const POLICIES: &str = "reliability, durability, history or depth";
 
+/// Depth of ROS 2's default profile.
+const DEPTH: usize = 10;
+
 /// Side of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Side {
@@ -143,12 +146,7 @@ impl Policies {
     fn over(self, default: QosProfile) -> QosProfile {
         let depth = self.depth.unwrap_or(match default.history {
             HistoryPolicy::KeepLast(depth) => depth,
-            HistoryPolicy::KeepAll | HistoryPolicy::Unknown => {
-                let HistoryPolicy::KeepLast(depth) = HistoryPolicy::default() else {
-                    return default;
-                };
-                depth
-            }
+            HistoryPolicy::KeepAll | HistoryPolicy::Unknown => DEPTH,
         });
         let history = match self.keep_all {
             Some(true) => HistoryPolicy::KeepAll,
