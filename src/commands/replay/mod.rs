@@ -60,8 +60,8 @@ pub fn run(
     )?;
     // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
-    let _log = publish_log(rosout, &transports, ros, [args.to])?;
     let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
+    let _log = publish_log(rosout, &transports, ros, [args.to])?;
     for topic in outputs.topics() {
         println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);
     }
