@@ -21,7 +21,7 @@ use crate::{
     frame::Frame,
 };
 
-/// A bag opened for reading: a directory with metadata.yaml, or an MCAP file.
+/// A bag opened for reading: `path` is a directory with metadata.yaml, or an MCAP file.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Bag {
     inner: BagReader,
@@ -282,6 +282,8 @@ impl Message {
 }
 
 /// Writes a bag. Use it in a `with` statement, or call `close`.
+///
+/// `path` is the directory of the bag, which must not exist. `compression` is none, lz4 or zstd.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct BagWriter {
     /// None after `close`.
@@ -302,7 +304,6 @@ impl BagWriter {
 
 #[pymethods]
 impl BagWriter {
-    /// Creates the bag directory, which must not exist. `compression` is none, lz4 or zstd.
     #[new]
     #[pyo3(signature = (path, *, compression="zstd"))]
     fn new(path: PathBuf, compression: &str) -> PyResult<Self> {

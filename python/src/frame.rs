@@ -11,6 +11,10 @@ use crate::arrays::{Argument, view, view_pairs, wrong};
 /// All particles at one instant. `N` is the number of particles; lengths are in domain lengths, times in seconds.
 ///
 /// The arrays of a frame are read-only views without a copy.
+///
+/// `position`, `velocity`: float32 [N, 2]. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
+/// material of all particles. These arrays are copied. `stream`: id of the simulated trajectory. `sequence`: number of the
+/// frame in it. `time`: simulation time (s). `dt`: time between two frames (s). `lower`, `upper`: corners of the domain.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Frame {
     pub(crate) inner: Arc<eddy_frames::Frame>,
@@ -27,8 +31,6 @@ impl From<eddy_frames::Frame> for Frame {
 
 #[pymethods]
 impl Frame {
-    /// position, velocity: float32 [N, 2]. material: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
-    /// material of all particles. The arrays are copied.
     #[new]
     #[pyo3(signature = (position, velocity, material, *, stream=0, sequence=0, time=0.0, dt=0.016, lower=[0.0, 0.0], upper=[1.0, 1.0]))]
     #[expect(clippy::too_many_arguments, reason = "one argument for each field of a frame")]

@@ -41,6 +41,11 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 /// (`shm`) or DDS, for ROS 2 and for programs of eddy. It runs on a thread of its own.
 ///
 /// Use it in a `with` statement, or call `start` and `stop`. A node that was stopped can be started again.
+///
+/// `input` and `output` are links, such as `zenoh:/particles`, or for `output` a list of them; topics may be relative to
+/// the `namespace` of the node, which ROS knows by its `name`. `surrogate` is a loaded one, or the directory of a
+/// checkpoint, by default the particle model of the package. `settings` has the parameters of the node, such as
+/// `{"horizon": 5}`. With `reliability="block"` the node waits for subscribers, with `drop` it never does.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Node {
     surrogate: eddy_inference::engine::Surrogate,
@@ -123,10 +128,6 @@ enum Outputs {
 
 #[pymethods]
 impl Node {
-    /// Links are a transport and a topic, such as `zenoh:/particles`; topics may be relative to the namespace of the node.
-    /// `surrogate` is a loaded one, or the directory of a checkpoint; by default the particle model of the package. `settings`
-    /// has the parameters of the node, such as `{"horizon": 5}`. With `reliability="block"` the node waits for subscribers,
-    /// with `drop` it never does.
     #[new]
     #[pyo3(signature = (input="zenoh:particles", output=Outputs::One("zenoh:prediction".to_owned()), surrogate=None, *, settings=None, reliability="drop", name="eddy_node", namespace="/"), text_signature = "(input='zenoh:particles', output='zenoh:prediction', surrogate=None, *, settings=None, reliability='drop', name='eddy_node', namespace='/')")]
     #[expect(clippy::too_many_arguments, reason = "the options of a node")]
@@ -231,9 +232,12 @@ impl Node {
         let clock = Clock::start();
         loop {
             py.check_signals()?;
-            if !self.running(py) {
-                self.stop(py)?;
-                return Ok(true);
+            let ended = detached(py, &self.running, |running| match running {
+                Some(live) if !live.is_finished() => None,
+                _ => Some(running.take().map_or(Ok(()), Running::end)),
+            });
+            if let Some(outcome) = ended {
+                return outcome.map(|()| true);
             }
             let left = timeout.map(|timeout| timeout.saturating_sub(clock.now()));
             if left.is_some_and(|left| left.is_zero()) {

@@ -11,6 +11,9 @@ use crate::{
 };
 
 /// Initial conditions and settings of a simulation: bodies, emitters, drains, materials, timing.
+///
+/// `settings` has the keys of a scene file, for example
+/// `Scene({"bodies": [{"material": "jelly", "shape": "disc", ...}]})`.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Scene {
     pub(crate) inner: eddy_mpm::Scene,
@@ -25,8 +28,6 @@ impl Scene {
 
 #[pymethods]
 impl Scene {
-    /// A scene with the keys of a scene file, for example
-    /// `Scene({"bodies": [{"material": "jelly", "shape": "disc", ...}]})`.
     #[new]
     fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
         Self::checked(values::parse("settings", settings)?)

@@ -15,6 +15,10 @@ use crate::{
 };
 
 /// A running simulation (MLS-MPM). It is an iterator of frames.
+///
+/// Settings that are None are those of `scene`: `stiffness` is Young's modulus E, `law` is `water` or `taichi`, `viscosity`
+/// is in domain lengths^2 per s, `substeps` are per frame, `duration` is in s. The number of `threads` does not change the
+/// result.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Solver {
     simulation: Mutex<Simulation>,
@@ -22,8 +26,6 @@ pub(crate) struct Solver {
 
 #[pymethods]
 impl Solver {
-    /// Sets up a scene. Settings that are None are the scene's: stiffness is Young's modulus E, law `water` or `taichi`,
-    /// viscosity in domain lengths^2 per s, substeps per frame, duration in s. The number of threads does not change the result.
     #[new]
     #[pyo3(signature = (scene, *, stiffness=None, law=None, viscosity=None, substeps=None, duration=None, threads=1))]
     #[expect(clippy::too_many_arguments, reason = "the settings that override a scene's")]

@@ -24,6 +24,9 @@ use crate::{
 /// A trained network, ready to predict.
 ///
 /// One set of threads predicts for all its streams: calls from several Python threads wait for each other.
+///
+/// `checkpoint` is the directory of a checkpoint, by default the particle model that is part of the package. `threads` is
+/// the number of threads of a prediction, by default one per core; it does not change the result.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Surrogate {
     pub(crate) inner: engine::Surrogate,
@@ -48,8 +51,6 @@ struct Job<'a> {
 
 #[pymethods]
 impl Surrogate {
-    /// Loads the checkpoint in a directory, by default the particle model that is part of the package. `threads` is the number
-    /// of threads of a prediction, by default one per core; it does not change the result.
     #[new]
     #[pyo3(signature = (checkpoint=None, *, threads=None))]
     fn new(py: Python<'_>, checkpoint: Option<PathBuf>, threads: Option<usize>) -> PyResult<Self> {

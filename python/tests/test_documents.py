@@ -1,5 +1,6 @@
 """The example of the README and the notebook do what they say, and everything public is documented."""
 
+import inspect
 import re
 from pathlib import Path
 
@@ -51,6 +52,19 @@ def test_everything_public_has_a_docstring(name: str, item: object) -> None:
     text = item.__doc__
     assert text, name
     assert re.match(r"[`A-Z]", text) and text.rstrip()[-1] in ".:)", f"{name}: {text}"
+
+
+@pytest.mark.parametrize("item", [item for _, item in members() if isinstance(item, type)])
+def test_every_argument_of_a_constructor_is_described(item: type) -> None:
+    """In the docstring of the class: the constructors of the extension module have none."""
+    text = f"{item.__doc__} {item.__init__.__doc__}"
+    try:
+        arguments = inspect.signature(item).parameters.values()
+    except ValueError:
+        return  # made by eddy only
+    named = [argument.name for argument in arguments if argument.kind is not argument.VAR_POSITIONAL]
+    if not issubclass(item, Exception):
+        assert [name for name in named if not re.search(rf"\b{name}\b", text)] == []
 
 
 def test_the_page_names_everything_public() -> None:
