@@ -6,7 +6,7 @@
 #   python/build.sh --portable --target aarch64-unknown-linux-gnu
 #
 # The wheel is in python/dist. Needs Rust and Python 3.10 or later; installs the build tools outside the checkout. The same
-# sources give the same bytes.
+# program gives the same bytes.
 set -euo pipefail
 python=$(cd "$(dirname "$0")" && pwd)
 root=$(dirname "$python")
