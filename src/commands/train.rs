@@ -222,7 +222,7 @@ fn summarize(
     let horizon = config.validation.horizon;
     let streams = |part: &[Trajectory]| counted(part.len() as u64, "stream");
     println!(
-        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation, {}; selected the epoch",
+        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation ({})",
         best.first_skill,
         best.last_skill,
         streams(&dataset.validation),
@@ -230,7 +230,7 @@ fn summarize(
     let tested = if *interrupted { None } else { test_skill(checkpoint, dataset, horizon)? };
     if let Some((first, last)) = tested.as_ref().and_then(|skill| skill.first().zip(skill.last())) {
         println!(
-            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test, {}; as `eddy eval` reports it",
+            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test ({}), as in `eddy eval`",
             streams(&dataset.test),
         );
     }

@@ -19,7 +19,7 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     let trained = talking_eddy().args(train).output().unwrap();
     assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
     let trained = String::from_utf8(trained.stdout).unwrap();
-    let tested = trained.lines().find(|line| line.contains("test part (1 stream)"));
+    let tested = trained.lines().find(|line| line.contains(": test (1 stream)"));
     let tested = tested.unwrap_or_else(|| panic!("no test part: {trained}"));
     let losses = training_losses(&fs::read_to_string(path("model/metrics.csv")).unwrap());
     assert_eq!(losses.len(), 3);

@@ -48,8 +48,8 @@ fn validation_streams_shorter_than_a_rollout_are_refused_before_the_first_epoch(
     let mut config = small(Architecture::Particle, Core::MinGru);
     config.validation.horizon = 38;
     let message = run(&config, &dataset(), folder.path()).unwrap_err().to_string();
-    let expected =
-        "the longest has 40 frames, expected at least 41: 3 to observe and 38 to predict";
+    let expected = "the longest has 40 frames, expected at least 41: 3 to observe and 38 to predict; \
+         choose a shorter horizon or longer scenes";
     assert_eq!(message, format!("validation: streams: {expected}"));
     assert!(files(folder.path()).is_empty());
 }

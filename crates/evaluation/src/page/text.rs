@@ -1,34 +1,27 @@
 //! Tables as text, for a terminal.
 
 use comfy_table::{
-    CellAlignment, ColumnConstraint, ContentArrangement, ContentLineStyle, LineStyle,
-    Table as Printed, TableStyle, Width, presets,
+    CellAlignment, ColumnConstraint, ContentArrangement, Table as Printed, TableStyle, Width,
+    presets,
 };
 
 use super::Table;
-
-/// A frame and a line below the titles; columns are two characters apart.
-const FRAME: TableStyle = TableStyle::new()
-    .top_border(LineStyle::none().left('┌').fill('─').right('┐'))
-    .header_lines(ContentLineStyle::none().left('│').right('│'))
-    .header_separator(LineStyle::none().left('╞').fill('═').right('╡'))
-    .content_lines(ContentLineStyle::none().left('│').right('│'))
-    .bottom_border(LineStyle::none().left('└').fill('─').right('┘'));
 
 impl Table {
     /// The table in a frame below its caption, in lines of at most `columns` characters. Columns that do not fit follow
     /// below, with the names of the rows again; long names are wrapped.
     pub fn framed(&self, columns: usize) -> String {
-        let table = self.text(FRAME, columns);
+        let table = self.text(presets::UTF8_BORDERS_ONLY, 0, columns);
         format!("{}\n{table}", wrapped(self.caption(), columns))
     }
 
     /// The same without frame and caption.
     pub fn plain(&self, columns: usize) -> String {
-        self.text(presets::NOTHING, columns)
+        self.text(presets::NOTHING, 1, columns)
     }
 
-    fn text(&self, style: TableStyle, columns: usize) -> String {
+    /// `padding` at the left of all columns but the first makes them two characters apart in this style.
+    fn text(&self, style: TableStyle, padding: u16, columns: usize) -> String {
         let rows: Vec<Vec<&str>> = self.rows().collect();
         let titles: Vec<&str> = self.header().iter().map(String::as_str).collect();
         let part = |from: usize, to: usize| {
@@ -47,6 +40,7 @@ impl Table {
                     rows.iter().filter_map(|row| row.get(number)).any(|cell| is_word(cell));
                 let right = CellAlignment::Right;
                 column.set_cell_alignment(if is_text { CellAlignment::Left } else { right });
+                column.set_padding((padding, 1));
             }
             if let Some(names) = part.column_mut(0) {
                 let most = u16::try_from(columns / 2).unwrap_or(u16::MAX).max(1);
