@@ -157,7 +157,7 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
         "keys: space pauses or resumes, right arrow or n plays the next message,\n"
     );
     assert_eq!(
-        player.line("up and"),
+        player.line("      up and"),
         "      up and down change the rate, left arrow or b skips back 5 s, f forward 5 s\n"
     );
     assert_eq!(words.receive(Duration::from_millis(200)).unwrap(), None);
