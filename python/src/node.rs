@@ -14,8 +14,9 @@ use eddy_frames::{FrameView, clock::Clock};
 use eddy_messages::services::{Parameter, ParameterKind, ParameterValue};
 use eddy_node::{
     Counters, DriveError, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse, NodeSettings,
-    Observer, PARAMETERS, Prediction, RequestError, SurrogateNode, diagnostics::Rates,
-    ros::RosNode,
+    Observer, PARAMETERS, Prediction, RequestError, SurrogateNode,
+    diagnostics::Rates,
+    ros::{RosNode, TopicQos},
 };
 use eddy_transport::{Link, Reliability};
 use pyo3::{
@@ -157,7 +158,7 @@ impl Node {
             return Err(wrong("output", "no links", "at least 1"));
         }
         let links = NodeLinks { input: link(input)?, outputs };
-        links.renamed(&ros).check().map_err(invalid)?;
+        links.renamed(&ros).check(false).map_err(invalid)?;
         let mut node_settings = NodeSettings::default();
         for parameter in settings.map(parameters).transpose()?.unwrap_or_default() {
             node_settings.set(&parameter).map_err(invalid)?;
@@ -192,9 +193,9 @@ impl Node {
             let stop = Arc::new(AtomicBool::new(false));
             let node = SurrogateNode::new(self.surrogate.clone(), lock(&self.settings).clone());
             let node = node.map_err(invalid)?;
-            let mut live =
-                LiveNode::open(node, &self.links, &self.ros, self.reliability, Arc::clone(&stop))
-                    .map_err(|error| raise::<NodeError>(chain(&error)))?;
+            let (qos, ends) = (TopicQos::default(), Arc::clone(&stop));
+            let live = LiveNode::open(node, &self.links, &self.ros, self.reliability, qos, ends);
+            let mut live = live.map_err(|error| raise::<NodeError>(chain(&error)))?;
             *lock(&self.seen) = Seen::default();
             if let Some(first) = live.outputs.first_mut() {
                 first.observers.push(Box::new(Reports(Arc::clone(&self.seen))));

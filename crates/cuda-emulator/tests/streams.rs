@@ -1,4 +1,5 @@
 //! Streams predicted on a device beside those that the engine predicts on the processor.
+#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
 
 #[path = "../../inference/src/engine/test_streams.rs"]
 #[expect(dead_code, reason = "the engine's own tests use more of it")]
