@@ -12,7 +12,7 @@ use eddy_learning::{
     model::{Architecture, GpuOptions, kernel_cache},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
-        test_skill, train,
+        skill_text, test_skill, train,
     },
 };
 use eddy_settings::{Overrides, ensure_usage, usage::Usage};
@@ -222,15 +222,17 @@ fn summarize(
     let horizon = config.validation.horizon;
     let streams = |part: &[Trajectory]| counted(part.len() as u64, "stream");
     println!(
-        "skill {:+.2} at frame 1, {:+.2} at frame {horizon}: validation ({})",
-        best.first_skill,
-        best.last_skill,
+        "skill {} at frame 1, {} at frame {horizon}: validation ({})",
+        skill_text(best.first_skill),
+        skill_text(best.last_skill),
         streams(&dataset.validation),
     );
     let tested = if *interrupted { None } else { test_skill(checkpoint, dataset, horizon)? };
     if let Some((first, last)) = tested.as_ref().and_then(|skill| skill.first().zip(skill.last())) {
         println!(
-            "skill {first:+.2} at frame 1, {last:+.2} at frame {horizon}: test ({}), as in `eddy eval`",
+            "skill {} at frame 1, {} at frame {horizon}: test ({}), as in `eddy eval`",
+            skill_text(*first),
+            skill_text(*last),
             streams(&dataset.test),
         );
     }

@@ -33,6 +33,17 @@ pub enum ExportFormat {
 }
 
 impl ExportFormat {
+    /// Checks that this build writes the format.
+    ///
+    /// # Errors
+    /// [`ExchangeError::NoHdf5`].
+    pub fn check(self) -> Result<(), ExchangeError> {
+        match self {
+            Self::Hdf5 | Self::Vtkhdf if cfg!(not(feature = "hdf5")) => Err(ExchangeError::NoHdf5),
+            _ => Ok(()),
+        }
+    }
+
     /// Default name of an output with `streams` streams: `stem` with a suffix or an extension.
     pub fn output_name(self, stem: &str, streams: usize) -> String {
         match self {

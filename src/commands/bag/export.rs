@@ -22,6 +22,7 @@ use eddy_settings::ensure_usage;
 pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     // Required by the command line.
     let format = args.format.context("--format: expected a format")?;
+    format.check()?;
     let compares = matches!(format, ExportFormat::Vtu | ExportFormat::Vtkhdf);
     ensure_usage!(
         compares || args.truth.is_none(),

@@ -51,7 +51,7 @@ pub use config::{
     UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
-pub use monitor::{Epoch, METRICS_FILE};
+pub use monitor::{Epoch, METRICS_FILE, skill_text};
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::test_skill;
 

@@ -47,6 +47,12 @@ pub struct Epoch {
     pub best: bool,
 }
 
+/// A skill with a sign and two decimals; what rounds to zero is `+0.00`.
+pub fn skill_text(skill: f64) -> String {
+    // The sum makes a negative zero positive.
+    format!("{:+.2}", (100.0 * skill).round() / 100.0 + 0.0)
+}
+
 impl Epoch {
     /// Enters the epoch in the summary of its checkpoint.
     pub(super) fn summarize(&self, summary: &mut TrainingSummary) {
@@ -179,10 +185,10 @@ impl<'a> Monitor<'a> {
         self.events.write(|events| events.scalars(clock::wall(), epoch.samples, &scalars))?;
         self.epoch_start = (self.elapsed(), epoch.samples);
         let Epoch { epoch: number, unroll, training_loss, validation_loss, .. } = epoch;
-        let Epoch { first_skill, last_skill, best, .. } = epoch;
-        let star = if *best { "  best" } else { "" };
+        let [first, last] = [epoch.first_skill, epoch.last_skill].map(skill_text);
+        let star = if epoch.best { "  best" } else { "" };
         self.progress.message(&format!(
-            "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first_skill:+.2} {last_skill:+.2}{star}"
+            "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first} {last}{star}"
         ));
         Ok(())
     }
@@ -190,5 +196,18 @@ impl<'a> Monitor<'a> {
     /// Ends the report.
     pub(super) fn finish(&self) {
         self.progress.finish();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_skill_is_never_minus_zero() {
+        assert_eq!(
+            [-0.004, 0.004, -0.006, 0.5].map(skill_text),
+            ["+0.00", "+0.00", "-0.01", "+0.50"]
+        );
     }
 }
