@@ -112,9 +112,10 @@ def sequences(bag, store):
 
 def count(eddy, active):
     """Number of predictions in a bag that is being written."""
-    printed = subprocess.run([eddy, "--quiet", "bag", "info", str(active)], capture_output=True, text=True).stdout
-    found = re.search(rf"^ *{TOPIC}/prediction +\S+ +(\d+)", printed, re.MULTILINE)
-    return int(found[1]) if found else 0
+    command = [eddy, "--quiet", "bag", "info", "--json", str(active)]
+    printed = subprocess.run(command, capture_output=True, text=True).stdout
+    topics = json.loads(printed)["topics"] if printed else []
+    return sum(topic["messages"] for topic in topics if topic["topic"] == f"{TOPIC}/prediction")
 
 
 def run(eddy, bag, hosts, folder):
