@@ -26,7 +26,7 @@ use super::{
 use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
     error::{CudaError, Result},
-    kernels::{AXES, Constants, Kernel, MATERIALS, scaling},
+    kernels::{AXES, Constants, Kernel, scaling},
 };
 
 /// Streams of a step.
@@ -488,68 +488,82 @@ impl Accelerator for Streams {
 
     fn start(&self, material: &[u8]) -> std::result::Result<Box<dyn DeviceState>, ModelError> {
         let memory = self.attempt(|inference| inference.memory(material))?;
-        Ok(Box::new(State { owner: self.clone(), memory: Some(memory) }))
+        Ok(Box::new(State { owner: self.clone(), memory: Ok(memory) }))
     }
 
     fn step(&self, steps: &mut [DeviceStep<'_>]) -> std::result::Result<(), ModelError> {
-        self.attempt(|inference| {
-            for batch in steps.chunks_mut(MOST_STREAMS) {
-                let mut rows = Vec::with_capacity(batch.len());
-                for DeviceStep { state, frame, next } in batch {
-                    let Some(memory) = memory_of(&**state) else {
-                        let reason = "the state of a stream could not be copied".to_owned();
-                        return Err(CudaError::Call { call: "cuMemAlloc", reason });
-                    };
-                    rows.push((memory, *frame, &mut **next));
-                }
-                inference.step(&mut rows)?;
+        for batch in steps.chunks_mut(MOST_STREAMS) {
+            let mut rows = Vec::with_capacity(batch.len());
+            for DeviceStep { state, frame, next } in batch {
+                let memory = memory_of(&**state);
+                let memory = memory.map_err(|reason| ModelError::Device(reason.to_owned()))?;
+                rows.push((memory, *frame, &mut **next));
             }
-            Ok(())
-        })
+            self.attempt(|inference| inference.step(&mut rows))?;
+        }
+        Ok(())
     }
 }
 
-/// The state of a stream on a device; without memory where a copy of it failed.
+/// The state of a stream on a device, or why it could not be copied.
 struct State {
     owner: Streams,
-    memory: Option<Memory>,
+    memory: std::result::Result<Memory, String>,
 }
 
-fn memory_of(state: &dyn DeviceState) -> Option<&Memory> {
+impl Drop for State {
+    /// Gives the memory back between steps: a step may be about to be recorded.
+    fn drop(&mut self) {
+        let memory = std::mem::replace(&mut self.memory, Err(String::new()));
+        let _alone = self.owner.shared();
+        drop(memory);
+    }
+}
+
+fn memory_of(state: &dyn DeviceState) -> std::result::Result<&Memory, &str> {
     let state: &dyn Any = state;
-    state.downcast_ref::<State>()?.memory.as_ref()
+    let state = state.downcast_ref::<State>();
+    let memory = state.map(|state| state.memory.as_ref().map_err(String::as_str));
+    memory.unwrap_or(Err("the state of another device"))
+}
+
+impl State {
+    /// A copy of a state's memory.
+    fn copy_of(&self, other: &dyn DeviceState) -> std::result::Result<Memory, String> {
+        let memory = memory_of(other)?;
+        self.owner.attempt(|_| memory.duplicate()).map_err(|reason| reason.to_string())
+    }
 }
 
 impl DeviceState for State {
     fn duplicate(&self) -> Box<dyn DeviceState> {
-        let copy =
-            self.memory.as_ref().and_then(|memory| self.owner.attempt(|_| memory.duplicate()).ok());
-        Box::new(Self { owner: self.owner.clone(), memory: copy })
+        Box::new(Self { owner: self.owner.clone(), memory: self.copy_of(self) })
     }
 
     fn copy_from(&mut self, other: &dyn DeviceState) {
-        let (Some(to), Some(from)) = (&self.memory, memory_of(other)) else {
-            self.memory = None;
-            return;
+        let copied = match (&self.memory, memory_of(other)) {
+            (Ok(to), Ok(from)) => self.owner.attempt(|_| to.copy_from(from)),
+            _ => {
+                let copy = self.copy_of(other);
+                self.memory = copy;
+                return;
+            }
         };
-        if self.owner.attempt(|_| to.copy_from(from)).is_err() {
-            self.memory = None;
+        if let Err(reason) = copied {
+            self.memory = Err(reason.to_string());
         }
     }
 
     fn forget(&mut self) {
-        if let Some(memory) = &self.memory
-            && self.owner.attempt(|_| memory.clear()).is_err()
+        if let Ok(memory) = &self.memory
+            && let Err(reason) = self.owner.attempt(|_| memory.clear())
         {
-            self.memory = None;
+            self.memory = Err(reason.to_string());
         }
     }
 
     fn numbers(&self) -> Vec<f32> {
-        let memory = self.memory.as_ref();
+        let memory = self.memory.as_ref().ok();
         memory.and_then(|memory| self.owner.attempt(|_| memory.states()).ok()).unwrap_or_default()
     }
 }
-
-/// Materials of particles, at most [`MATERIALS`] kinds.
-const _: () = assert!(MATERIALS == eddy_frames::Material::COUNT);

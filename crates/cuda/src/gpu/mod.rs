@@ -141,7 +141,7 @@ impl Device for Gpu {
                     device: self.number,
                     needed: (bytes as u64).div_ceil(1 << 20),
                     free: self.free_memory()? >> 20,
-                    remedy: "use a smaller windows.batch, or fewer scenes",
+                    remedy: "use a smaller windows.batch or fewer scenes for training, fewer streams for a node",
                 });
             }
             memory => memory.context("cuMemAlloc")?,
@@ -202,6 +202,7 @@ impl Device for Gpu {
     }
 
     fn clear(&self, queue: Queue, buffer: &Buffer) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         let (at, bytes) = (buffer.address().0, buffer.bytes());
         // SAFETY: the buffer has that many bytes.
         unsafe { result::memset_d8_async(at, 0, bytes, self.stream(queue).cu_stream()) }
@@ -215,6 +216,7 @@ impl Device for Gpu {
         shape: Shape,
         arguments: &[Argument],
     ) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         if shape.shared > SHARED_LIMIT {
             self.allow_shared(kernel, shape.shared)?;
         }

@@ -267,6 +267,10 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         device: DeviceKind::Flex,
     };
     let weights = random_weights(&description);
+    let checkpoint = |state: &RunState| {
+        let tensors = state.tensors(&description);
+        Checkpoint { description: description.clone(), tensors }
+    };
     let run = |open: &dyn Fn() -> Learner| {
         let mut state = RunState::new(&config, &description, DeviceKind::Flex);
         state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
@@ -276,11 +280,12 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         for rates in [&[1e-3, 2e-3][..], &[3e-3]] {
             let mut learner = open();
             learner.begin(&task, &state).unwrap();
+            // Its weights are those before the steps, and change with them.
+            learner.surrogate(&checkpoint(&state)).unwrap();
             let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
-            let tensors = state.tensors(&description);
-            let checkpoint = Checkpoint { description: description.clone(), tensors };
+            let checkpoint = checkpoint(&state);
             let found = learner.surrogate(&checkpoint).unwrap();
             let expected = Surrogate::load(&checkpoint, None).unwrap();
             let first = streams[0].cut(0..1).unwrap().frame(0);

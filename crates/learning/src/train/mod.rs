@@ -195,21 +195,28 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         scale,
         monitor,
         learner,
-        saved: Duration::ZERO,
+        saved: None,
         has_unsaved_best: false,
+        has_unsaved_epoch: false,
     };
     if trainer.state.unroll > 0 {
         trainer.begin_stage()?;
     }
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
-        match trainer.epoch() {
-            Ok(Some(means)) => trainer.validate_and_save(&means)?,
-            Ok(None) => interrupted = true,
-            Err(error) => {
-                trainer.save_best()?;
-                return Err(error);
+        let outcome = match trainer.epoch() {
+            Ok(Some(means)) => trainer.validate_and_save(&means),
+            Ok(None) => {
+                interrupted = true;
+                Ok(())
             }
+            Err(error) => Err(error),
+        };
+        if let Err(error) = outcome {
+            if let Err(second) = trainer.save_best() {
+                tracing::warn!("the best checkpoint is not saved: {second}");
+            }
+            return Err(error);
         }
     }
     trainer.finish(interrupted)
@@ -230,9 +237,11 @@ struct Trainer<'a> {
     monitor: Monitor<'a>,
     learner: Learner,
     /// When the run was saved last, since its start.
-    saved: Duration,
+    saved: Option<Duration>,
     /// Whether the best checkpoint is yet to be saved.
     has_unsaved_best: bool,
+    /// Whether the last epoch is yet to be saved.
+    has_unsaved_epoch: bool,
 }
 
 /// Training loss and learning rate of an epoch.
@@ -248,7 +257,8 @@ impl Trainer<'_> {
         let (config, epoch) = (self.config, self.state.epoch() + 1);
         let (mut losses, mut learning_rate, mut number) = (0.0, 0.0, 1);
         while number <= config.batches() {
-            if self.run.progress.cancelled() {
+            // Epochs that are not yet saved take less time than saving: the one at hand is finished, and saved.
+            if self.run.progress.cancelled() && !self.has_unsaved_epoch {
                 return Ok(None);
             }
             let progress = |number| schedule::progress(config, epoch, number);
@@ -348,21 +358,32 @@ impl Trainer<'_> {
         state.epochs.push(epoch);
         state.since_best = if best { 0 } else { state.since_best + 1 };
         let elapsed = monitor.elapsed();
-        let is_due = !learner.is_fast() || elapsed >= self.saved + SAVE_INTERVAL;
-        let saves = is_due || state.is_over(config);
+        let saves = !learner.is_fast()
+            || self.saved.is_none_or(|saved| elapsed >= saved + SAVE_INTERVAL)
+            || run.progress.cancelled()
+            || state.is_over(config);
         if saves {
             let seconds = state.seconds + elapsed.as_secs_f64();
+            // The record names the best epoch: an earlier one must be there before it; this one is in it.
+            if !best
+                && self.has_unsaved_best
+                && let Some(earlier) = &state.best
+            {
+                earlier.save(run.output)?;
+                self.has_unsaved_best = false;
+            }
             resume::save(run, config, state, &checkpoint, seconds)?;
         }
         if best {
             state.best = Some(checkpoint);
             self.has_unsaved_best = true;
         }
+        self.has_unsaved_epoch = !saves;
         (run.on_epoch)(&epoch);
         monitor.epoch(&epoch)?;
         if saves {
             self.save_best()?;
-            self.saved = self.monitor.elapsed();
+            self.saved = Some(self.monitor.elapsed());
         }
         Ok(())
     }

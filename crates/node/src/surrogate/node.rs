@@ -27,7 +27,7 @@ pub type Arrival = (Duration, Payload);
 /// arrival time of the frame that caused it. Rejections are already counted.
 pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejection>) + 'a;
 
-/// Maximum number of streams stepped in parallel; further threads do not help.
+/// Maximum number of streams stepped at once: as many as a GPU takes; a processor has one a thread.
 const MAX_BATCH: usize = 64;
 
 /// Largest number of frames that a free run makes up for.
