@@ -9,7 +9,7 @@ mod problem;
 use std::sync::Arc;
 
 use eddy_cuda::{
-    frame::{Inference, Streams},
+    frame::{Inference, Settings, Streams},
     gpu::{Gpu, Precision},
     kernels::Constants,
 };
@@ -18,7 +18,7 @@ use eddy_inference::{
     checkpoint::{Checkpoint, Core},
     engine::{StepRequest, Surrogate},
 };
-use problem::{Noise, PAPER, Problem, Result, settings};
+use problem::{Noise, PAPER, Problem, Result};
 
 fn main() -> Result<()> {
     match std::env::args().nth(1).as_deref() {
@@ -30,7 +30,8 @@ fn main() -> Result<()> {
 
 /// The paper's network on a GPU and on the processor.
 fn surrogates(core: Core) -> Result<[Surrogate; 2]> {
-    let Problem { description, weights, .. } = Problem::new(core, PAPER, true, settings(1, 2));
+    let Problem { description, weights, .. } =
+        Problem::new(core, PAPER, true, Settings::plain(1, 2));
     let checkpoint = Checkpoint { description, tensors: weights };
     let Checkpoint { description, tensors } = &checkpoint;
     let cache = std::env::temp_dir().join("kernels");

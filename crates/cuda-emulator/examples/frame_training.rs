@@ -15,7 +15,7 @@ use eddy_cuda::{
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Core, Sizes};
-use problem::{PAPER, Problem, Result, settings, worst};
+use problem::{PAPER, Problem, Result, worst};
 
 fn main() -> Result<()> {
     for gpu in list()? {
@@ -41,7 +41,7 @@ fn check() -> Result<()> {
             clip: 0.05,
             epsilon: 1e-4,
             average: true,
-            ..settings(3, 3)
+            ..Settings::plain(3, 3)
         };
         let problem = Problem::new(core, sizes, true, settings);
         let constants = problem.constants()?;
@@ -102,7 +102,7 @@ fn median(
 
 fn time() -> Result<()> {
     for (name, settings, cores) in [
-        ("T 2, MSE of all frames", settings(256, 2), &Core::ALL[..]),
+        ("T 2, MSE of all frames", Settings::plain(256, 2), &Core::ALL[..]),
         (
             "T 2, eddy's defaults: last frame, density loss, dropout, clip",
             Settings {
@@ -110,7 +110,7 @@ fn time() -> Result<()> {
                 density_weight: 1e-3,
                 dropout: 0.1,
                 clip: 1.0,
-                ..settings(256, 2)
+                ..Settings::plain(256, 2)
             },
             &[Core::MinGru],
         ),
@@ -148,7 +148,7 @@ fn core() -> Result<()> {
     let sizes = || Sizes { particles: Some(8), ..PAPER };
     for core in [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm] {
         for frames in [16, 64] {
-            let mut problem = Problem::new(core, sizes(), true, settings(256, frames));
+            let mut problem = Problem::new(core, sizes(), true, Settings::plain(256, frames));
             problem.frames = 2 * frames;
             let gpu = Arc::new(Gpu::new(0, &problem.constants()?, Precision::Tf32, None)?);
             let mut training = problem.training(gpu.clone())?;
@@ -160,7 +160,7 @@ fn core() -> Result<()> {
 }
 
 fn once() -> Result<()> {
-    let problem = Problem::new(Core::MinGru, PAPER, true, settings(256, 2));
+    let problem = Problem::new(Core::MinGru, PAPER, true, Settings::plain(256, 2));
     let gpu = Arc::new(Gpu::new(0, &problem.constants()?, Precision::Tf32, None)?);
     let mut training = problem.training(gpu)?;
     training.start(&problem.batches(1))?;

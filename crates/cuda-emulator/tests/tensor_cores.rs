@@ -6,9 +6,10 @@ mod problem;
 
 use std::sync::Arc;
 
+use eddy_cuda::frame::Settings;
 use eddy_cuda_emulator::Emulator;
 use eddy_inference::checkpoint::{Activation, Core, Sizes};
-use problem::{Problem, settings, worst};
+use problem::{Problem, worst};
 
 #[test]
 fn factors_in_tf32_give_the_gradients_of_exact_ones_but_for_rounding() {
@@ -16,7 +17,7 @@ fn factors_in_tf32_give_the_gradients_of_exact_ones_but_for_rounding() {
     let sizes = Sizes { encoder: 260, hidden: 10, layers: 1, particles: Some(75) };
     let cases = Activation::ALL.map(|activation| (activation, true));
     for (activation, one_hot) in cases.into_iter().chain([(Activation::Elu, false)]) {
-        let mut problem = Problem::new(Core::MinGru, sizes.clone(), one_hot, settings(2, 2));
+        let mut problem = Problem::new(Core::MinGru, sizes.clone(), one_hot, Settings::plain(2, 2));
         problem.description.frame.activation = activation;
         let emulator = || Emulator::new(&problem.constants().unwrap()).unwrap();
         let step = |emulator: Emulator| {

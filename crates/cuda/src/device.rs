@@ -287,25 +287,32 @@ pub trait Device: Send + Sync {
     /// As above.
     unsafe fn multiply(&self, queue: Queue, product: &Product) -> Result<()>;
 
-    /// Lets one queue go on only after what is in the other one now.
+    /// Lets one queue go on only after what is in the other one now. By default, work is done when its call returns, and
+    /// there is nothing to wait for.
     ///
     /// # Errors
     /// As above.
-    fn wait(&self, queue: Queue, for_queue: Queue) -> Result<()>;
+    fn wait(&self, _queue: Queue, _for_queue: Queue) -> Result<()> {
+        Ok(())
+    }
 
-    /// Records what `work` puts into the queues, without running it; `None` where a device cannot, and `work` is to be
-    /// called each time.
+    /// Records what `work` puts into the queues, without running it; `None`, the default, where a device cannot, and
+    /// `work` is to be called each time.
     ///
     /// # Errors
     /// As above, and those of `work`.
     fn record(
         &self,
-        work: &mut dyn FnMut() -> Result<()>,
-    ) -> Result<Option<Box<dyn Recording + Send>>>;
+        _work: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<Box<dyn Recording + Send>>> {
+        Ok(None)
+    }
 
-    /// Waits for all work.
+    /// Waits for all work; by default, it is done.
     ///
     /// # Errors
     /// As above.
-    fn finish(&self) -> Result<()>;
+    fn finish(&self) -> Result<()> {
+        Ok(())
+    }
 }

@@ -112,24 +112,6 @@ impl Problem {
     }
 }
 
-/// Settings of a step without anything beside the mean squared error of all frames.
-pub fn settings(batch: usize, warm_up: usize) -> Settings {
-    Settings {
-        batch,
-        warm_up,
-        unroll: 1,
-        relative: false,
-        observed_weight: 1.0,
-        density_weight: 0.0,
-        density_nodes: 32,
-        dropout: 0.0,
-        noise: [0.0, 0.0],
-        clip: f32::INFINITY,
-        epsilon: 1e-8,
-        average: false,
-    }
-}
-
 /// The largest relative error of a tensor.
 pub fn worst(found: &BTreeMap<String, Weights>, expected: &BTreeMap<String, Weights>) -> f64 {
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();

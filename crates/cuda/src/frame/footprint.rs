@@ -2,16 +2,19 @@
 
 #![expect(unsafe_code, reason = "memory that is counted only")]
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering},
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
-use eddy_inference::checkpoint::{Description, initial_weights};
+use eddy_inference::checkpoint::Description;
 
-use super::{Inference, Settings, StoreWriter, Training};
+use super::{Inference, Settings, Store, StoreWriter, Training};
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Recording, Shape},
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
     error::{CudaError, Result},
     kernels::{Constants, Kernel},
 };
@@ -19,20 +22,25 @@ use crate::{
 /// Memory that the libraries take for themselves, with the workspaces of products (bytes).
 const LIBRARIES: u64 = 256 << 20;
 
-/// Memory of a device for steps of these settings, the network for validation, and streams of so many frames in all
-/// (bytes).
+/// Memory of a device for steps of the largest of several stages, the network for validation, and streams of so many frames
+/// in all (bytes).
 ///
 /// # Errors
 /// [`CudaError::Unsupported`].
-pub fn bytes(description: &Description, settings: &Settings, frames: usize) -> Result<u64> {
+pub fn bytes(description: &Description, stages: &[Settings], frames: usize) -> Result<u64> {
     let counter = Arc::new(Counter::default());
     let particles = Constants::of(description)?.particles;
     let mut store = StoreWriter::new(&*counter, particles, frames)?;
     store.stream(&vec![0; particles]);
     let store = Arc::new(store.finish()?);
-    Training::new(counter.clone(), store, description, settings)?;
-    Inference::new(counter.clone(), description, &initial_weights(description, 0))?;
-    Ok(counter.taken.load(Ordering::Relaxed) + LIBRARIES)
+    Inference::new(counter.clone(), description, &BTreeMap::new())?;
+    let common = counter.taken.swap(0, Ordering::Relaxed);
+    let mut largest = 0;
+    for settings in stages {
+        Training::new(counter.clone(), store.clone(), description, settings)?;
+        largest = largest.max(counter.taken.swap(0, Ordering::Relaxed));
+    }
+    Ok(common + largest + LIBRARIES)
 }
 
 /// Checks that a device has the memory for the largest of several stages.
@@ -46,24 +54,20 @@ pub fn check(
     stages: &[Settings],
     frames: usize,
 ) -> Result<()> {
-    let free = device.free_memory()?;
-    for settings in stages {
-        let needed = bytes(description, settings, frames)?;
-        if needed > free {
-            let particles = Constants::of(description)?.particles;
-            let streams = super::Store::bytes(frames, particles);
-            return Err(CudaError::Memory {
-                device: number,
-                needed: needed >> 20,
-                free: free >> 20,
-                remedy: match streams > needed / 2 {
-                    true => "use fewer or shorter scenes",
-                    false => "use a smaller windows.batch, or fewer frames of unroll",
-                },
-            });
-        }
+    let (free, needed) = (device.free_memory()?, bytes(description, stages, frames)?);
+    if needed <= free {
+        return Ok(());
     }
-    Ok(())
+    let streams = Store::bytes(frames, Constants::of(description)?.particles);
+    Err(CudaError::Memory {
+        device: number,
+        needed: needed >> 20,
+        free: free >> 20,
+        remedy: match streams > needed / 2 {
+            true => "use fewer or shorter scenes",
+            false => "use a smaller windows.batch, or fewer frames of unroll",
+        },
+    })
 }
 
 /// A device that counts what is allocated, and does nothing else.
@@ -116,21 +120,6 @@ impl Device for Counter {
     unsafe fn multiply(&self, _: Queue, _: &Product) -> Result<()> {
         Ok(())
     }
-
-    fn wait(&self, _: Queue, _: Queue) -> Result<()> {
-        Ok(())
-    }
-
-    fn record(
-        &self,
-        _: &mut dyn FnMut() -> Result<()>,
-    ) -> Result<Option<Box<dyn Recording + Send>>> {
-        Ok(None)
-    }
-
-    fn finish(&self) -> Result<()> {
-        Ok(())
-    }
 }
 
 #[cfg(test)]
@@ -139,32 +128,19 @@ mod tests {
     use eddy_inference::checkpoint::{Architecture, Core, Sizes};
 
     fn settings(batch: usize) -> Settings {
-        Settings {
-            batch,
-            warm_up: 2,
-            unroll: 1,
-            relative: false,
-            observed_weight: 0.0,
-            density_weight: 0.0,
-            density_nodes: 32,
-            dropout: 0.0,
-            noise: [0.0, 0.0],
-            clip: f32::INFINITY,
-            epsilon: 1e-8,
-            average: false,
-        }
+        Settings { observed_weight: 0.0, ..Settings::plain(batch, 2) }
     }
 
     #[test]
     fn the_memory_of_the_papers_training_is_known_and_too_much_of_it_is_refused() {
         let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(2500) };
         let description = Description::untrained(Architecture::Frame, Core::MinGru, sizes);
-        let needed = bytes(&description, &settings(256), 1000).unwrap();
+        let needed = bytes(&description, &[settings(256)], 1000).unwrap();
         // 14.4 million weights with gradients, two moments and a copy for validation; trajectories and states of a batch,
         // 16 bytes a particle.
         let least = 5 * 4 * 14_397_304 + 16 * 2500 * (1000 + 2 * 256);
         assert!((least..2 * least + (512 << 20)).contains(&needed), "{needed}, at least {least}");
-        let more = bytes(&description, &settings(512), 1000).unwrap();
+        let more = bytes(&description, &[settings(512)], 1000).unwrap();
         assert!(more > needed + 16 * 2500 * 512, "{more} after {needed}");
 
         let device = Counter { free: needed, ..Counter::default() };

@@ -61,6 +61,26 @@ pub struct Settings {
     pub average: bool,
 }
 
+impl Settings {
+    /// The mean squared error of all frames, and nothing beside it, for windows of `warm_up` observed frames and the next.
+    pub fn plain(batch: usize, warm_up: usize) -> Self {
+        Self {
+            batch,
+            warm_up,
+            unroll: 1,
+            relative: false,
+            observed_weight: 1.0,
+            density_weight: 0.0,
+            density_nodes: 32,
+            dropout: 0.0,
+            noise: [0.0, 0.0],
+            clip: f32::INFINITY,
+            epsilon: 1e-8,
+            average: false,
+        }
+    }
+}
+
 /// One step, as the host prepares it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
@@ -447,6 +467,18 @@ fn first_decoded(settings: &Settings) -> usize {
     if settings.observed_weight > 0.0 { 0 } else { settings.warm_up - 1 }
 }
 
+/// The frames of a segment that the decoder runs on.
+struct Decoded {
+    /// The first of them.
+    from: usize,
+    /// Their windows.
+    rows: usize,
+    /// Where they start in the memory of the mixer's outputs, the gradient by these, and the decoder's outputs.
+    mixed: Address,
+    d_mixed: Address,
+    output: Address,
+}
+
 /// The step itself.
 impl Training {
     fn frames(&self) -> usize {
@@ -663,13 +695,8 @@ impl Training {
             signal = self.core_forward(number, signal, first, frames)?;
         }
 
-        // The decoder sees frames from `decoded` on only.
-        let decoded = first_decoded(&self.settings);
-        let from = first.max(decoded);
-        let rows = (first + frames - from) * batch;
+        let Decoded { from, rows, mixed, output, .. } = self.decoded(first, frames);
         let signal = signal.plus((from - first) * batch * wide);
-        let mixed = self.at(&self.mixed, from - decoded, wide);
-        let output = self.at(&self.output, from - decoded, self.constants.output_columns());
         self.forward_product(&self.layout.mixer, signal, mixed, rows)?;
         self.launch(Kernel::ActivationForward, self.units(rows), &[mixed.into()])?;
         self.forward_product(&self.layout.decoder, mixed, output, rows)?;
@@ -689,6 +716,19 @@ impl Training {
                 from.into(),
             ],
         )
+    }
+
+    /// What the decoder sees of frames `first..first + frames`.
+    fn decoded(&self, first: usize, frames: usize) -> Decoded {
+        let decoded = first_decoded(&self.settings);
+        let (from, wide) = (first.max(decoded), self.constants.hidden_columns());
+        Decoded {
+            from,
+            rows: (first + frames - from) * self.settings.batch,
+            mixed: self.at(&self.mixed, from - decoded, wide),
+            d_mixed: self.at(&self.d_mixed, from - decoded, wide),
+            output: self.at(&self.output, from - decoded, self.constants.output_columns()),
+        }
     }
 
     /// A layer of the core; gives where its outputs for these frames are.
@@ -855,12 +895,8 @@ impl Training {
         let batch = self.settings.batch;
         let wide = self.constants.hidden_columns();
         let decoded = first_decoded(&self.settings);
-        let from = first.max(decoded);
-        let rows = (first + frames - from) * batch;
+        let Decoded { from, rows, mixed, d_mixed, output } = self.decoded(first, frames);
         let last = first == 0;
-        let output = self.at(&self.output, from - decoded, self.constants.output_columns());
-        let [mixed, d_mixed] =
-            [&self.mixed, &self.d_mixed].map(|buffer| self.at(buffer, from - decoded, wide));
         let density =
             self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
         self.launch(
