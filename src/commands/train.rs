@@ -6,13 +6,14 @@ use anyhow::{Context as _, bail};
 use eddy_evaluation::{
     dataset::{Dataset, Trajectory, available_memory},
     page::Table,
+    skill_text,
 };
 use eddy_frames::clock::Clock;
 use eddy_learning::{
     model::{Architecture, GpuOptions, kernel_cache},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
-        skill_text, test_skill, train,
+        test_skill, train,
     },
 };
 use eddy_settings::{Overrides, ensure_usage, usage::Usage};

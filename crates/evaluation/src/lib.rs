@@ -61,7 +61,7 @@ pub use report::{
 pub use restart::{Restart, Restarted};
 pub use rollout::Rollout;
 pub use scene::{Accumulator, SceneResult, evaluate_scene};
-pub use skill::{Interval, Skills, position_skill};
+pub use skill::{Interval, Skills, position_skill, skill_text};
 pub use snapshot::{Snapshot, snapshot};
 pub use steps::{StepResults, StepSums};
 pub use window::starts;

@@ -10,6 +10,12 @@ use super::{
 use crate::dataset::{Bounds, State};
 use eddy_inference::engine::Ballistic;
 
+/// A skill with a sign and two decimals; what rounds to zero is `+0.00`.
+pub fn skill_text(skill: f64) -> String {
+    // The sum makes a negative zero positive.
+    format!("{:+.2}", (100.0 * skill).round() / 100.0 + 0.0)
+}
+
 /// Squared position errors of the scenes of one kind.
 struct KindErrors {
     kind: Kind,
@@ -211,6 +217,14 @@ mod tests {
         let expected = 2.0 * 1.96 * 0.0289 / 2.0;
         assert!((0.5 * (lower + upper) - 0.5).abs() < 0.01, "{lower}..{upper}");
         assert!(((upper - lower) / expected - 1.0).abs() < 0.15, "{lower}..{upper}");
+    }
+
+    #[test]
+    fn a_skill_is_never_minus_zero() {
+        assert_eq!(
+            [-0.004, 0.004, -0.006, 0.5].map(skill_text),
+            ["+0.00", "+0.00", "-0.01", "+0.50"]
+        );
     }
 
     #[test]

@@ -80,7 +80,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
 pub const NOT_HERE: &[(&str, &str)] = &[
     ("cargo test --release", "it runs this test"),
     ("cargo install --locked --path .", "already built"),
-    ("cargo build --release -p eddy-cuda-emulator --examples", "compiles dependencies anew"),
+    ("cargo build --release -p eddy-cuda-emulator --examples", "recompiles dependencies"),
     (
         "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference",
         "needs an NVIDIA GPU and PyTorch",

@@ -4,7 +4,7 @@ use super::{
     Report,
     page::{at, milliseconds},
 };
-use crate::page::Table;
+use crate::{page::Table, skill_text};
 
 impl Report {
     /// The skill of all predictors, their blow-ups and the remarks, in lines of at most `columns` characters.
@@ -59,13 +59,11 @@ impl Report {
     }
 }
 
-/// A skill with two decimals, without a minus before zero. Where a baseline is exact, as the ballistic one in free fall,
-/// others are worse by millions.
+/// A skill for a table. Where a baseline is exact, as the ballistic one in free fall, others are worse by millions.
 fn rounded(skill: f64) -> String {
     match skill {
         _ if skill.is_nan() => "-".to_owned(),
         _ if skill < -99.0 => "< -99".to_owned(),
-        _ if skill.abs() < 0.005 => "+0.00".to_owned(),
-        _ => format!("{skill:+.2}"),
+        _ => skill_text(skill),
     }
 }

@@ -51,7 +51,7 @@ pub use config::{
     UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
-pub use monitor::{Epoch, METRICS_FILE, skill_text};
+pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::test_skill;
 
@@ -363,24 +363,20 @@ impl Trainer<'_> {
             || run.progress.cancelled()
             || state.is_over(config);
         if saves {
-            let seconds = state.seconds + elapsed.as_secs_f64();
             // The record names the best epoch: an earlier one must be there before it; this one is in it.
-            if !best
-                && self.has_unsaved_best
-                && let Some(earlier) = &state.best
-            {
-                earlier.save(run.output)?;
-                self.has_unsaved_best = false;
+            if !best {
+                self.save_best()?;
             }
-            resume::save(run, config, state, &checkpoint, seconds)?;
+            let seconds = self.state.seconds + elapsed.as_secs_f64();
+            resume::save(self.run, self.config, &self.state, &checkpoint, seconds)?;
         }
         if best {
-            state.best = Some(checkpoint);
+            self.state.best = Some(checkpoint);
             self.has_unsaved_best = true;
         }
         self.has_unsaved_epoch = !saves;
-        (run.on_epoch)(&epoch);
-        monitor.epoch(&epoch)?;
+        (self.run.on_epoch)(&epoch);
+        self.monitor.epoch(&epoch)?;
         if saves {
             self.save_best()?;
             self.saved = Some(self.monitor.elapsed());
@@ -401,7 +397,6 @@ impl Trainer<'_> {
 
     /// Enters the number of epochs in the best checkpoint.
     fn finish(mut self, interrupted: bool) -> Result<Outcome, TrainError> {
-        self.save_best()?;
         self.monitor.finish();
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();

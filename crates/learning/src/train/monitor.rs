@@ -10,6 +10,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{TrainConfig, TrainError, events::EventFile, state::RunState};
+use eddy_evaluation::skill_text;
 use eddy_frames::{
     clock::{self, Clock},
     progress::Progress,
@@ -45,12 +46,6 @@ pub struct Epoch {
     pub learning_rate: f64,
     /// Whether its weights are the best so far.
     pub best: bool,
-}
-
-/// A skill with a sign and two decimals; what rounds to zero is `+0.00`.
-pub fn skill_text(skill: f64) -> String {
-    // The sum makes a negative zero positive.
-    format!("{:+.2}", (100.0 * skill).round() / 100.0 + 0.0)
 }
 
 impl Epoch {
@@ -196,18 +191,5 @@ impl<'a> Monitor<'a> {
     /// Ends the report.
     pub(super) fn finish(&self) {
         self.progress.finish();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_skill_is_never_minus_zero() {
-        assert_eq!(
-            [-0.004, 0.004, -0.006, 0.5].map(skill_text),
-            ["+0.00", "+0.00", "-0.01", "+0.50"]
-        );
     }
 }
