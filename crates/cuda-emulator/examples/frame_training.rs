@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use eddy_cuda::{
     device::Device,
-    frame::{GROUP, Settings, Training},
+    frame::{GROUP, Place, Settings, Training},
     gpu::{Gpu, Precision, list},
 };
 use eddy_cuda_emulator::Emulator;
@@ -43,9 +43,10 @@ fn check() -> Result<()> {
             average: true,
             ..Settings::plain(3, 3)
         };
-        let problem = Problem::new(core, sizes, true, settings);
+        let mut problem = Problem::new(core, sizes, true, settings);
         let constants = problem.constants()?;
-        let run = |device: Arc<dyn Device>| -> Result<_> {
+        let mut run = |device: Arc<dyn Device>, place: Place| -> Result<_> {
+            problem.place = place;
             let mut training = problem.training(device)?;
             let batches = problem.batches(4);
             training.start(&batches[..1])?;
@@ -54,11 +55,12 @@ fn check() -> Result<()> {
             outcomes.extend(training.outcomes(3)?);
             Ok((outcomes, gradients, training.weights()?))
         };
-        let expected = run(Arc::new(Emulator::new(&constants)?))?;
+        let expected = run(Arc::new(Emulator::new(&constants)?), Place::Device)?;
         for precision in [Precision::Fp32, Precision::Tf32] {
             let gpu = || Gpu::new(0, &constants, precision, None);
-            let found = run(Arc::new(gpu()?))?;
-            let again = run(Arc::new(gpu()?))?;
+            let found = run(Arc::new(gpu()?), Place::Device)?;
+            let again = run(Arc::new(gpu()?), Place::Device)?;
+            let fetched = run(Arc::new(gpu()?), Place::Host)?;
             let (gradient, weights) = (worst(&found.1, &expected.1), worst(&found.2, &expected.2));
             println!(
                 "{} {}: relative errors: gradient {gradient:.1e}, weights after 4 steps {weights:.1e}",
@@ -71,6 +73,9 @@ fn check() -> Result<()> {
             }
             if found != again {
                 return Err("two runs with the same settings differ".into());
+            }
+            if found != fetched {
+                return Err("windows fetched from the host give other bits".into());
             }
         }
     }
@@ -101,8 +106,14 @@ fn median(
 }
 
 fn time() -> Result<()> {
-    for (name, settings, cores) in [
-        ("T 2, MSE of all frames", Settings::plain(256, 2), &Core::ALL[..]),
+    for (name, settings, cores, place) in [
+        ("T 2, MSE of all frames", Settings::plain(256, 2), &Core::ALL[..], Place::Device),
+        (
+            "T 2, MSE of all frames, windows fetched from the host",
+            Settings::plain(256, 2),
+            &[Core::MinGru],
+            Place::Host,
+        ),
         (
             "T 2, eddy's defaults: last frame, density loss, dropout, clip",
             Settings {
@@ -113,12 +124,14 @@ fn time() -> Result<()> {
                 ..Settings::plain(256, 2)
             },
             &[Core::MinGru],
+            Place::Device,
         ),
     ] {
         for &core in cores {
             for one_hot in [false, true] {
                 for precision in [Precision::Tf32, Precision::Fp32] {
-                    let problem = Problem::new(core, PAPER, one_hot, settings.clone());
+                    let mut problem = Problem::new(core, PAPER, one_hot, settings.clone());
+                    problem.place = place;
                     let clock = Clock::start();
                     let gpu = Arc::new(Gpu::new(
                         0,

@@ -1,4 +1,4 @@
-//! What the networks need of a device: memory, kernels, products, two queues, recorded steps. A GPU has it,
+//! What the networks need of a device: memory, kernels, products, queues, recorded steps. A GPU has it,
 //! and in tests the emulator.
 
 #![expect(unsafe_code, reason = "launches cannot be checked by the compiler")]
@@ -105,13 +105,15 @@ impl HostBuffer {
     }
 }
 
-/// Which of the two queues work is put into. Work in one queue runs in order.
+/// Which queue work is put into. Work in one queue runs in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Queue {
     /// The one that results are read from.
     Main,
     /// Runs beside it.
     Side,
+    /// Runs beside both: kernels that fetch data out of the memory of the host.
+    Fetch,
 }
 
 /// A value passed to a kernel: a number, an address, or a struct of C of at most 32 bytes.

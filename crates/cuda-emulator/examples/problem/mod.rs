@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, error::Error, sync::Arc};
 
 use eddy_cuda::{
     device::Device,
-    frame::{Batch, Settings, Store, StoreWriter, Training, Window},
+    frame::{Batch, Place, Settings, Store, StoreWriter, Training, Window},
     kernels::Constants,
 };
 use eddy_inference::checkpoint::{
@@ -33,6 +33,7 @@ pub struct Problem {
     pub weights: BTreeMap<String, Weights>,
     pub settings: Settings,
     pub frames: usize,
+    pub place: Place,
     streams: usize,
 }
 
@@ -47,13 +48,14 @@ impl Problem {
         for weight in weights.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
             *weight = 0.03 * noise.next();
         }
-        Self { description, weights, settings, frames: 40, streams: 8 }
+        Self { description, weights, settings, frames: 40, place: Place::Device, streams: 8 }
     }
 
     fn store(&self, device: &dyn Device) -> Result<Store> {
         let particles = self.description.sizes.particles.unwrap_or_default();
         let mut noise = Noise(3);
-        let mut store = StoreWriter::new(device, particles, self.frames * self.streams)?;
+        let mut store =
+            StoreWriter::new(device, particles, self.frames * self.streams, self.place)?;
         for stream in 0..self.streams {
             let material: Vec<u8> =
                 (0..particles).map(|p| ((p * 4 / particles + stream) % 4) as u8).collect();

@@ -1,15 +1,33 @@
-//! Trajectories on a device, and which windows of them a step takes.
+//! Trajectories for a device, and which windows of them a step takes.
+
+#![expect(unsafe_code, reason = "memory that the device reads")]
 
 use crate::{
-    device::{Buffer, Device},
+    device::{Buffer, Device, HostBuffer},
     error::Result,
     kernels::MATERIALS,
 };
 
-/// Trajectories in the memory of a device.
+/// Where trajectories lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// In the memory of the device.
+    Device,
+    /// In the memory of the host, from where the device fetches the windows of each step during the step before: for
+    /// trajectories that the device has no room for.
+    Host,
+}
+
+/// Bodies where they lie.
+pub(super) enum Bodies {
+    Device(Buffer),
+    Host(HostBuffer),
+}
+
+/// Trajectories that a device reads.
 pub struct Store {
-    /// Bodies, frame after frame, stream after stream.
-    pub(super) bodies: Buffer,
+    /// Frame after frame, stream after stream.
+    pub(super) bodies: Bodies,
     /// `[streams, N]`.
     pub(super) material: Buffer,
     /// Particles in the order of their materials, `[streams, N]`.
@@ -36,24 +54,14 @@ impl Store {
         })
     }
 
+    /// The first body of a window.
+    pub(super) fn first(&self, window: &Window) -> u64 {
+        self.first[window.stream] + (window.start * self.particles) as u64
+    }
+
     /// Memory that so many frames take (bytes).
     pub fn bytes(frames: usize, particles: usize) -> u64 {
         frames as u64 * particles as u64 * 16
-    }
-
-    /// A window as the kernels have it.
-    pub(super) fn window(&self, window: &Window) -> [u32; 14] {
-        let first = self.first[window.stream] + (window.start * self.particles) as u64;
-        let mut words = [0; 14];
-        words[0] = first as u32;
-        words[1] = (first >> 32) as u32;
-        words[2] = window.stream as u32;
-        words[3] = u32::from(window.mirrored);
-        if let Some(seed) = window.noise {
-            words[4] = 1;
-            words[6..].copy_from_slice(&key(seed));
-        }
-        words
     }
 }
 
@@ -66,11 +74,11 @@ pub(super) fn by_material(material: &[u8]) -> [Vec<u32>; 2] {
     [order, (0..=MATERIALS).map(before).collect()]
 }
 
-/// Copies streams of N particles to a device, frame by frame.
+/// Copies streams of N particles to where a device reads them, frame by frame.
 pub struct StoreWriter<'a> {
     device: &'a dyn Device,
     particles: usize,
-    bodies: Buffer,
+    bodies: Bodies,
     materials: Vec<u8>,
     order: Vec<u32>,
     segments: Vec<u32>,
@@ -84,11 +92,20 @@ impl<'a> StoreWriter<'a> {
     ///
     /// # Errors
     /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
-    pub fn new(device: &'a dyn Device, particles: usize, frames: usize) -> Result<Self> {
+    pub fn new(
+        device: &'a dyn Device,
+        particles: usize,
+        frames: usize,
+        place: Place,
+    ) -> Result<Self> {
+        let bytes = Store::bytes(frames, particles) as usize;
         Ok(Self {
             device,
             particles,
-            bodies: device.allocate(Store::bytes(frames, particles) as usize)?,
+            bodies: match place {
+                Place::Device => Bodies::Device(device.allocate(bytes)?),
+                Place::Host => Bodies::Host(device.allocate_host(bytes)?),
+            },
             materials: Vec::new(),
             order: Vec::new(),
             segments: Vec::new(),
@@ -119,9 +136,19 @@ impl<'a> StoreWriter<'a> {
     /// When there are not N bodies, or more frames than there is memory for.
     pub fn frame(&mut self, bodies: &[[f32; 4]]) -> Result<()> {
         assert_eq!(bodies.len(), self.particles, "bodies of a frame");
-        let at = 16 * self.written as usize;
+        let first = self.written as usize;
         self.written += bodies.len() as u64;
-        self.device.write(&self.bodies, at, bytemuck::cast_slice(bodies))
+        match &mut self.bodies {
+            Bodies::Device(buffer) => {
+                self.device.write(buffer, 16 * first, bytemuck::cast_slice(bodies))
+            }
+            Bodies::Host(buffer) => {
+                // SAFETY: the device does not know this memory before `finish`.
+                let all = unsafe { buffer.slice::<[f32; 4]>() };
+                all[first..first + bodies.len()].copy_from_slice(bodies);
+                Ok(())
+            }
+        }
     }
 
     /// The store.
@@ -157,6 +184,22 @@ pub struct Window {
     pub mirrored: bool,
     /// Seed of ChaCha8 (32 bytes) for the noise on the last observed frame; none without noise.
     pub noise: Option<[u8; 32]>,
+}
+
+impl Window {
+    /// As the kernels have it, where its bodies begin with number `first`.
+    pub(super) fn words(&self, first: u64) -> [u32; 14] {
+        let mut words = [0; 14];
+        words[0] = first as u32;
+        words[1] = (first >> 32) as u32;
+        words[2] = self.stream as u32;
+        words[3] = u32::from(self.mirrored);
+        if let Some(seed) = self.noise {
+            words[4] = 1;
+            words[6..].copy_from_slice(&key(seed));
+        }
+        words
+    }
 }
 
 /// A seed as words.

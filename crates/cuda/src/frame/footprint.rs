@@ -12,7 +12,7 @@ use std::{
 
 use eddy_inference::checkpoint::Description;
 
-use super::{Inference, Settings, Store, StoreWriter, Training};
+use super::{Inference, Place, Settings, Store, StoreWriter, Training};
 use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
     error::{CudaError, Result},
@@ -23,14 +23,19 @@ use crate::{
 const LIBRARIES: u64 = 256 << 20;
 
 /// Memory of a device for steps of the largest of several stages, the network for validation, and streams of so many frames
-/// in all (bytes).
+/// in all that lie in this place (bytes).
 ///
 /// # Errors
 /// [`CudaError::Unsupported`].
-pub fn bytes(description: &Description, stages: &[Settings], frames: usize) -> Result<u64> {
+pub fn bytes(
+    description: &Description,
+    stages: &[Settings],
+    frames: usize,
+    place: Place,
+) -> Result<u64> {
     let counter = Arc::new(Counter::default());
     let particles = Constants::of(description)?.particles;
-    let mut store = StoreWriter::new(&*counter, particles, frames)?;
+    let mut store = StoreWriter::new(&*counter, particles, frames, place)?;
     store.stream(&vec![0; particles]);
     let store = Arc::new(store.finish()?);
     Inference::new(counter.clone(), description, &BTreeMap::new())?;
@@ -43,31 +48,36 @@ pub fn bytes(description: &Description, stages: &[Settings], frames: usize) -> R
     Ok(common + largest + LIBRARIES)
 }
 
-/// Checks that a device has the memory for the largest of several stages.
+/// Where streams of so many frames in all are to lie, for the largest of several stages: on the device if they fit there, or in
+/// the memory of the host, of which so much is free (bytes).
 ///
 /// # Errors
 /// [`CudaError::Memory`], [`CudaError::Unsupported`].
-pub fn check(
+pub fn place(
     device: &dyn Device,
     number: usize,
     description: &Description,
     stages: &[Settings],
     frames: usize,
-) -> Result<()> {
-    let (free, needed) = (device.free_memory()?, bytes(description, stages, frames)?);
-    if needed <= free {
-        return Ok(());
+    host_free: u64,
+) -> Result<Place> {
+    let free = device.free_memory()?;
+    let needed = |place| bytes(description, stages, frames, place);
+    let refused = |needed: u64, remedy| {
+        Err(CudaError::Memory { device: number, needed: needed >> 20, free: free >> 20, remedy })
+    };
+    let all = needed(Place::Device)?;
+    if all <= free {
+        return Ok(Place::Device);
     }
-    let streams = Store::bytes(frames, Constants::of(description)?.particles);
-    Err(CudaError::Memory {
-        device: number,
-        needed: needed >> 20,
-        free: free >> 20,
-        remedy: match streams > needed / 2 {
-            true => "use fewer or shorter scenes",
-            false => "use a smaller windows.batch, or fewer frames of unroll",
-        },
-    })
+    let steps = needed(Place::Host)?;
+    if steps > free {
+        return refused(steps, "use a smaller windows.batch, or fewer frames of unroll");
+    }
+    if Store::bytes(frames, Constants::of(description)?.particles) > host_free {
+        return refused(all, "use fewer or shorter scenes");
+    }
+    Ok(Place::Host)
 }
 
 /// A device that counts what is allocated, and does nothing else.
@@ -84,6 +94,7 @@ impl Device for Counter {
         Ok(unsafe { Buffer::new(Address::NULL, bytes, ()) })
     }
 
+    /// Nothing of the device.
     fn allocate_host(&self, _: usize) -> Result<HostBuffer> {
         // SAFETY: an empty buffer is nowhere.
         Ok(unsafe { HostBuffer::new(Address::NULL, 0, ()) })
@@ -132,27 +143,32 @@ mod tests {
     }
 
     #[test]
-    fn the_memory_of_the_papers_training_is_known_and_too_much_of_it_is_refused() {
+    fn the_memory_of_the_papers_training_is_known_and_streams_that_do_not_fit_stay_on_the_host() {
         let sizes = Sizes { encoder: 256, hidden: 1250, layers: 2, particles: Some(2500) };
         let description = Description::untrained(Architecture::Frame, Core::MinGru, sizes);
-        let needed = bytes(&description, &[settings(256)], 1000).unwrap();
+        let bytes = |batch| bytes(&description, &[settings(batch)], 1000, Place::Device).unwrap();
+        let needed = bytes(256);
         // 14.4 million weights with gradients, two moments and a copy for validation; trajectories and states of a batch,
         // 16 bytes a particle.
         let least = 5 * 4 * 14_397_304 + 16 * 2500 * (1000 + 2 * 256);
         assert!((least..2 * least + (512 << 20)).contains(&needed), "{needed}, at least {least}");
-        let more = bytes(&description, &[settings(512)], 1000).unwrap();
+        let more = bytes(512);
         assert!(more > needed + 16 * 2500 * 512, "{more} after {needed}");
 
-        let device = Counter { free: needed, ..Counter::default() };
-        let check = |batch, frames| {
-            check(&device, 1, &description, &[settings(256), settings(batch)], frames)
+        let free = needed + (64 << 20);
+        let device = Counter { free, ..Counter::default() };
+        let place = |batch, frames| {
+            let stages = [settings(256), settings(batch)];
+            place(&device, 1, &description, &stages, frames, 5 << 30)
         };
-        check(256, 1000).unwrap();
+        assert_eq!(place(256, 1000).unwrap(), Place::Device);
+        // 4.7 GiB of 5 that the host has free, and 7.
+        assert_eq!(place(256, 125_000).unwrap(), Place::Host);
         for (batch, frames, remedy) in
-            [(512, 1000, "a smaller windows.batch"), (256, 100_000, "fewer or shorter scenes")]
+            [(1024, 1000, "a smaller windows.batch"), (256, 190_000, "fewer or shorter scenes")]
         {
-            let message = check(batch, frames).unwrap_err().to_string();
-            let free = format!("{} MiB free", needed >> 20);
+            let message = place(batch, frames).unwrap_err().to_string();
+            let free = format!("{} MiB free", free >> 20);
             for part in ["GPU 1: ", free.as_str(), remedy] {
                 assert!(message.contains(part), "`{part}` is not in: {message}");
             }

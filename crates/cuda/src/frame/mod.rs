@@ -1,7 +1,7 @@
 //! The frame model on a device.
 //!
 //! 1. `layout`: where its tensors are.
-//! 2. `data`: trajectories on the device, windows of them.
+//! 2. `data`: trajectories on the device or in the memory of the host, windows of them.
 //! 3. `training`: training steps.
 //! 4. `inference`: streams, frame by frame.
 //! 5. [`footprint`]: the memory that a training needs.
@@ -12,7 +12,7 @@ mod inference;
 mod layout;
 mod training;
 
-pub use data::{Store, StoreWriter, Window};
+pub use data::{Place, Store, StoreWriter, Window};
 pub use inference::{Inference, MOST_STREAMS, Streams};
 pub use layout::{Layout, Matrix};
 pub use training::{Batch, GROUP, Outcome, Settings, Training};

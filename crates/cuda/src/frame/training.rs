@@ -12,7 +12,7 @@ use eddy_inference::checkpoint::{Core, Description, Weights};
 use std::collections::BTreeMap;
 
 use super::{
-    data::{Store, Window, key},
+    data::{Bodies, Store, Window, key},
     layout::{Layout, Matrix},
 };
 use crate::{
@@ -129,10 +129,20 @@ struct LayerMemory {
     carried_cell: Option<Buffer>,
 }
 
+/// Windows that are fetched out of the memory of the host.
+struct Staging {
+    /// `sources` of the kernel.
+    sources: Buffer,
+    /// Windows of two steps, in turn, `[2, B, W + K, N]`.
+    bodies: Buffer,
+}
+
 /// Training of a frame model on a device.
 pub struct Training {
     device: Arc<dyn Device>,
     store: Arc<Store>,
+    /// Where the store is in the memory of the host.
+    staging: Option<Staging>,
     settings: Settings,
     constants: Constants,
     core: Core,
@@ -243,7 +253,15 @@ impl Training {
             let width = description.domain.upper[axis] - description.domain.lower[axis];
             (settings.density_nodes as f32 - 1.0) / width
         };
+        let staging = match &store.bodies {
+            Bodies::Device(_) => None,
+            Bodies::Host(_) => Some(Staging {
+                sources: device.allocate(8 * (1 + GROUP * batch))?,
+                bodies: numbers(2 * batch * (warm_up + unroll) * particles * BODY)?,
+            }),
+        };
         let training = Self {
+            staging,
             weights: numbers(layout.size)?,
             gradients: numbers(layout.size)?,
             first: numbers(layout.size)?,
@@ -395,9 +413,10 @@ impl Training {
     pub fn start(&mut self, batches: &[Batch]) -> Result<()> {
         assert!(batches.len() <= GROUP, "{} steps, at most {GROUP}", batches.len());
         let (mut windows, mut schedule) = (Vec::new(), Vec::new());
-        for batch in batches {
+        let mut sources = vec![batches.len() as u64];
+        let frames = self.settings.warm_up + self.settings.unroll;
+        for (step, batch) in batches.iter().enumerate() {
             assert_eq!(batch.windows.len(), self.settings.batch, "windows of a batch");
-            let frames = self.settings.warm_up + self.settings.unroll;
             assert!(
                 batch.windows.iter().all(|window| self.store.contains(window, frames)),
                 "windows within their streams"
@@ -408,7 +427,13 @@ impl Training {
                 .relative
                 .then_some(self.settings.unroll * self.settings.batch * MATERIALS);
             assert_eq!(weights, expected, "weights of a batch");
-            windows.extend(batch.windows.iter().flat_map(|window| self.store.window(window)));
+            for (number, window) in batch.windows.iter().enumerate() {
+                let first = self.store.first(window);
+                let place = step % 2 * self.settings.batch + number;
+                let staged = (place * frames * self.constants.particles) as u64;
+                windows.extend(window.words(self.staging.as_ref().map_or(first, |_| staged)));
+                sources.push(first);
+            }
             schedule.extend([batch.rate, batch.correction, batch.kept].map(f32::to_bits));
             schedule.push(0);
             schedule.extend(key(batch.dropout));
@@ -424,6 +449,10 @@ impl Training {
                 .copied()
                 .collect();
             self.device.write(&self.error_weights, 0, bytemuck::cast_slice(&all))?;
+        }
+        if let Some(staging) = &self.staging {
+            self.device.write(&staging.sources, 0, bytemuck::cast_slice(&sources))?;
+            self.fetch(Queue::Main, 0)?;
         }
         for _ in batches {
             match &self.recording {
@@ -604,14 +633,50 @@ impl Training {
         Shape::new(self.constants.particles.div_ceil(256), rows, 256)
     }
 
+    /// Where the bodies of the step's windows lie in the memory of the device.
+    fn bodies(&self) -> Address {
+        match (&self.store.bodies, &self.staging) {
+            (Bodies::Device(buffer), _) | (_, Some(Staging { bodies: buffer, .. })) => {
+                buffer.address()
+            }
+            (Bodies::Host(_), None) => Address::NULL,
+        }
+    }
+
+    /// Fetches the windows of the step `ahead` steps from now, if they lie in the memory of the host.
+    fn fetch(&self, queue: Queue, ahead: usize) -> Result<()> {
+        let (Bodies::Host(host), Some(staging)) = (&self.store.bodies, &self.staging) else {
+            return Ok(());
+        };
+        let frames = self.settings.warm_up + self.settings.unroll;
+        // Few threads: they wait for the bus most of the time, beside those of the step.
+        self.launch_in(
+            queue,
+            Kernel::Fetch,
+            Shape::new(1, self.settings.batch, 256),
+            &[
+                host.address().into(),
+                staging.sources.address().into(),
+                self.progress.address().into(),
+                staging.bodies.address().into(),
+                ahead.into(),
+                (frames * self.constants.particles).into(),
+            ],
+        )
+    }
+
     /// Puts a whole step into the queues.
     fn step(&self) -> Result<()> {
         let Settings { batch, warm_up, .. } = self.settings;
+        if self.staging.is_some() {
+            self.device.wait(Queue::Fetch, Queue::Main)?;
+            self.fetch(Queue::Fetch, 1)?;
+        }
         self.launch(
             Kernel::Observe,
             self.particles(warm_up * batch),
             &[
-                self.store.bodies.address().into(),
+                self.bodies().into(),
                 self.windows.address().into(),
                 self.progress.address().into(),
                 self.states.address().into(),
@@ -644,6 +709,9 @@ impl Training {
         }
         segments.iter().rev().try_for_each(|&(first, frames)| self.backward(first, frames))?;
         self.device.wait(Queue::Main, Queue::Side)?;
+        if self.staging.is_some() {
+            self.device.wait(Queue::Main, Queue::Fetch)?;
+        }
         self.launch(
             Kernel::Finish,
             Shape::new(1, 1, 256),
@@ -706,7 +774,7 @@ impl Training {
             &[
                 self.states.address().into(),
                 self.output.address().into(),
-                self.store.bodies.address().into(),
+                self.bodies().into(),
                 self.windows.address().into(),
                 self.progress.address().into(),
                 self.store.material.address().into(),
@@ -861,7 +929,7 @@ impl Training {
                 &[
                     self.states.address().into(),
                     self.output.address().into(),
-                    self.store.bodies.address().into(),
+                    self.bodies().into(),
                     self.windows.address().into(),
                     self.progress.address().into(),
                     self.densities.address().into(),
@@ -905,7 +973,7 @@ impl Training {
             &[
                 self.states.address().into(),
                 self.output.address().into(),
-                self.store.bodies.address().into(),
+                self.bodies().into(),
                 self.windows.address().into(),
                 self.progress.address().into(),
                 self.store.material.address().into(),

@@ -1,4 +1,4 @@
-//! An NVIDIA GPU through the driver: a context, two streams, kernels, products, graphs.
+//! An NVIDIA GPU through the driver: a context, streams, kernels, products, graphs.
 //!
 //! 1. `library`: which of the libraries that are loaded at run time are there.
 //! 2. `compile`: the kernels' text to machine code, kept on disk.
@@ -54,7 +54,7 @@ pub struct Gpu {
     number: usize,
     precision: Precision,
     context: Arc<CudaContext>,
-    streams: [Arc<CudaStream>; 2],
+    streams: [Arc<CudaStream>; 3],
     kernels: HashMap<Kernel, CudaFunction>,
     products: Products,
 }
@@ -72,11 +72,11 @@ impl Gpu {
     ) -> Result<Self> {
         check(device)?;
         let context = CudaContext::new(device).context("cuCtxCreate")?;
-        // SAFETY: memory is used in the two streams of this struct only, which wait for each other by hand;
+        // SAFETY: memory is used in the streams of this struct only, which wait for each other by hand;
         // tracking would record events into graphs.
         unsafe { context.disable_event_tracking() };
         let stream = || context.new_stream().context("cuStreamCreate");
-        let streams = [stream()?, stream()?];
+        let streams = [stream()?, stream()?, stream()?];
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
         let definitions = constants.definitions();
@@ -102,6 +102,7 @@ impl Gpu {
         &self.streams[match queue {
             Queue::Main => 0,
             Queue::Side => 1,
+            Queue::Fetch => 2,
         }]
     }
 
@@ -244,6 +245,7 @@ impl Device for Gpu {
         let workspace = match queue {
             Queue::Main => 0,
             Queue::Side => 1,
+            Queue::Fetch => unreachable!("a queue for kernels that fetch data"),
         };
         // SAFETY: the caller's promise.
         unsafe { self.products.multiply(self.stream(queue), workspace, product) }

@@ -41,6 +41,8 @@ macro_rules! kernels {
 }
 
 kernels! {
+    /// Windows of a later step out of the memory of the host.
+    Fetch = "fetch",
     /// Observed frames out of the trajectories.
     Observe = "observe",
     /// Noise on the last of them.

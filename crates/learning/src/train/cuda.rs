@@ -18,8 +18,8 @@ use crate::model::{GpuOptions, Precision};
 use eddy_cuda::{
     device::Device,
     frame::{
-        Batch, GROUP, Inference, Outcome, Settings, Store, StoreWriter, Streams, Training, Window,
-        footprint,
+        Batch, GROUP, Inference, Outcome, Place, Settings, Store, StoreWriter, Streams, Training,
+        Window, footprint,
     },
     gpu::{self, Gpu},
     kernels::{Constants, MATERIALS},
@@ -52,11 +52,15 @@ pub(super) fn settings(config: &TrainConfig, unroll: usize) -> Settings {
     }
 }
 
-/// All frames of all streams, in the memory of the device.
-pub(super) fn store(device: &dyn Device, streams: &[Trajectory]) -> Result<Store, TrainError> {
+/// All frames of all streams, where the device reads them.
+pub(super) fn store(
+    device: &dyn Device,
+    streams: &[Trajectory],
+    place: Place,
+) -> Result<Store, TrainError> {
     let particles = streams.first().map_or(0, |stream| stream.material.len());
     let frames = streams.iter().map(|stream| stream.frames).sum();
-    let mut store = StoreWriter::new(device, particles, frames)?;
+    let mut store = StoreWriter::new(device, particles, frames, place)?;
     for stream in streams {
         let material: Vec<u8> = stream.material.iter().map(|&material| material as u8).collect();
         store.stream(&material);
@@ -143,10 +147,12 @@ pub(super) struct Learner {
 pub(super) const BATCHES: usize = GROUP;
 
 impl Learner {
-    /// Opens a GPU and copies the training streams to it.
+    /// Opens a GPU and copies the training streams to it. If it has no room for them, they go to the memory of the host, of
+    /// which so much is free (bytes).
     pub(super) fn new(
         number: usize,
         options: GpuOptions,
+        host_free: u64,
         config: &TrainConfig,
         description: &Description,
         streams: &[Trajectory],
@@ -160,13 +166,22 @@ impl Learner {
         let stages: Vec<_> =
             config.unroll.iter().map(|stage| settings(config, stage.frames)).collect();
         let frames = streams.iter().map(|stream| stream.frames).sum();
-        footprint::check(&gpu, number, description, &stages, frames)?;
-        Self::on(Arc::new(gpu), streams)
+        let place = footprint::place(&gpu, number, description, &stages, frames, host_free)?;
+        if place == Place::Host {
+            tracing::info!(
+                "the trajectories do not fit into the memory of GPU {number}: each step's windows are fetched from the memory of the host"
+            );
+        }
+        Self::on(Arc::new(gpu), streams, place)
     }
 
     /// Of any device.
-    pub(super) fn on(device: Arc<dyn Device>, streams: &[Trajectory]) -> Result<Self, TrainError> {
-        let store = Arc::new(store(&*device, streams)?);
+    pub(super) fn on(
+        device: Arc<dyn Device>,
+        streams: &[Trajectory],
+        place: Place,
+    ) -> Result<Self, TrainError> {
+        let store = Arc::new(store(&*device, streams, place)?);
         Ok(Self { device, store, training: None, streams: None })
     }
 

@@ -14,7 +14,11 @@ use super::{
     window::{Sampler, Window},
 };
 use crate::model::{DeviceKind, network::Network};
-use eddy_cuda::{device::Device, frame::Training, kernels::Constants};
+use eddy_cuda::{
+    device::Device,
+    frame::{Place, Training},
+    kernels::Constants,
+};
 use eddy_cuda_emulator::Emulator;
 use eddy_evaluation::dataset::{State, Stream, Trajectory};
 use eddy_frames::{Domain, Material, Stamp};
@@ -146,7 +150,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
 
     let device: Arc<dyn Device> =
         Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
-    let store = Arc::new(cuda::store(&*device, &streams).unwrap());
+    let store = Arc::new(cuda::store(&*device, &streams, Place::Device).unwrap());
     let settings = cuda::settings(config, unroll);
     let mut training = Training::new(device, store, &description, &settings).unwrap();
     training.set_weights(&weights).unwrap();
@@ -302,7 +306,7 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (expected, expected_losses) = run(&|| Learner::Burn);
     let (found, found_losses) = run(&|| {
         let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
-        Learner::Cuda(Box::new(cuda::Learner::on(device, &streams).unwrap()))
+        Learner::Cuda(Box::new(cuda::Learner::on(device, &streams, Place::Host).unwrap()))
     });
 
     assert_eq!(found_losses.len(), 3);

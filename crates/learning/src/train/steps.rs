@@ -51,7 +51,8 @@ impl Learner {
             #[cfg(feature = "cuda")]
             DeviceKind::Cuda(number) => {
                 let (number, streams) = (number.into(), &dataset.train);
-                let learner = cuda::Learner::new(number, run.gpu, config, description, streams)?;
+                let (gpu, free) = (run.gpu, run.machine.memory);
+                let learner = cuda::Learner::new(number, gpu, free, config, description, streams)?;
                 Ok(Self::Cuda(Box::new(learner)))
             }
             _ => {
