@@ -15,7 +15,7 @@ use eddy_cuda::{
 };
 use eddy_frames::{Domain, Frame, Material, Stamp, clock::Clock};
 use eddy_inference::{
-    checkpoint::{Checkpoint, Core},
+    checkpoint::{Checkpoint, Core, Pooling},
     engine::{StepRequest, Surrogate},
 };
 use problem::{Noise, PAPER, Problem, Result};
@@ -29,9 +29,9 @@ fn main() -> Result<()> {
 }
 
 /// The paper's network on a GPU and on the processor.
-fn surrogates(core: Core) -> Result<[Surrogate; 2]> {
+fn surrogates(core: Core, pooling: Pooling) -> Result<[Surrogate; 2]> {
     let Problem { description, weights, .. } =
-        Problem::new(core, PAPER, true, Settings::plain(1, 2));
+        Problem::new(core, PAPER, true, Settings::plain(1, 2)).with_pooling(pooling);
     let checkpoint = Checkpoint { description, tensors: weights };
     let Checkpoint { description, tensors } = &checkpoint;
     let cache = std::env::temp_dir().join("kernels");
@@ -78,8 +78,9 @@ fn step(
 }
 
 fn check() -> Result<()> {
-    for core in Core::ALL {
-        let [gpu, cpu] = surrogates(core)?;
+    let maxima = [(Core::MinGru, Pooling::MeanMax), (Core::Lstm, Pooling::Max)];
+    for (core, pooling) in Core::ALL.map(|core| (core, Pooling::Mean)).into_iter().chain(maxima) {
+        let [gpu, cpu] = surrogates(core, pooling)?;
         let streams: Vec<_> = (0..64).map(|stream| frames(stream, 4)).collect();
         let run = |surrogate: &Surrogate, streams: &[Vec<Frame>]| -> Result<Vec<Frame>> {
             let mut stepper = surrogate.stepper();
@@ -106,7 +107,10 @@ fn check() -> Result<()> {
                 expected.velocity.as_flattened().iter().zip(processor.velocity.as_flattened());
             apart = pairs.map(|(a, b)| (a - b).abs()).fold(apart, f32::max);
         }
-        println!("{}: velocities at most {apart:.1e} from the processor's", core.name());
+        println!(
+            "{} {pooling:?}: velocities at most {apart:.1e} from the processor's",
+            core.name()
+        );
         if apart > 1e-5 {
             return Err("more than 1e-5".into());
         }
@@ -116,8 +120,9 @@ fn check() -> Result<()> {
 
 fn time() -> Result<()> {
     const FRAMES: usize = 2000;
-    for core in Core::ALL {
-        let [gpu, _] = surrogates(core)?;
+    let maxima = [(Core::MinGru, Pooling::Max)];
+    for (core, pooling) in Core::ALL.map(|core| (core, Pooling::Mean)).into_iter().chain(maxima) {
+        let [gpu, _] = surrogates(core, pooling)?;
         for count in [1, 8, 64] {
             let frames: Vec<_> = (0..count).flat_map(|stream| frames(stream, 1)).collect();
             let mut hidden: Vec<_> = frames
@@ -136,7 +141,7 @@ fn time() -> Result<()> {
             }
             times.sort_by(f64::total_cmp);
             println!(
-                "{}: {count} streams: {:.1} us a frame of all, 99th percentile {:.1}",
+                "{} {pooling:?}: {count} streams: {:.1} us a frame of all, 99th percentile {:.1}",
                 core.name(),
                 times[FRAMES / 2],
                 times[FRAMES * 99 / 100]

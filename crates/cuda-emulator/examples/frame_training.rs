@@ -14,7 +14,7 @@ use eddy_cuda::{
 };
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::clock::Clock;
-use eddy_inference::checkpoint::{Core, Sizes};
+use eddy_inference::checkpoint::{Core, Pooling, Sizes};
 use problem::{PAPER, Problem, Result, worst};
 
 fn main() -> Result<()> {
@@ -31,7 +31,8 @@ fn main() -> Result<()> {
 }
 
 fn check() -> Result<()> {
-    for core in Core::ALL {
+    let maxima = [(Core::MinGru, Pooling::MeanMax), (Core::Lstm, Pooling::Max)];
+    for (core, pooling) in Core::ALL.map(|core| (core, Pooling::Mean)).into_iter().chain(maxima) {
         let sizes = Sizes { encoder: 260, hidden: 44, layers: 2, particles: Some(301) };
         let settings = Settings {
             unroll: 3,
@@ -43,7 +44,7 @@ fn check() -> Result<()> {
             average: true,
             ..Settings::plain(3, 3)
         };
-        let mut problem = Problem::new(core, sizes, true, settings);
+        let mut problem = Problem::new(core, sizes, true, settings).with_pooling(pooling);
         let constants = problem.constants()?;
         let mut run = |device: Arc<dyn Device>, place: Place| -> Result<_> {
             problem.place = place;
@@ -63,7 +64,7 @@ fn check() -> Result<()> {
             let fetched = run(Arc::new(gpu()?), Place::Host)?;
             let (gradient, weights) = (worst(&found.1, &expected.1), worst(&found.2, &expected.2));
             println!(
-                "{} {}: relative errors: gradient {gradient:.1e}, weights after 4 steps {weights:.1e}",
+                "{} {pooling:?} {}: relative errors: gradient {gradient:.1e}, weights after 4 steps {weights:.1e}",
                 core.name(),
                 precision.name(),
             );
@@ -106,13 +107,27 @@ fn median(
 }
 
 fn time() -> Result<()> {
-    for (name, settings, cores, place) in [
-        ("T 2, MSE of all frames", Settings::plain(256, 2), &Core::ALL[..], Place::Device),
+    for (name, settings, cores, place, pooling) in [
+        (
+            "T 2, MSE of all frames",
+            Settings::plain(256, 2),
+            &Core::ALL[..],
+            Place::Device,
+            Pooling::Mean,
+        ),
+        (
+            "T 2, MSE of all frames, pooled by the maximum",
+            Settings::plain(256, 2),
+            &[Core::MinGru],
+            Place::Device,
+            Pooling::Max,
+        ),
         (
             "T 2, MSE of all frames, windows fetched from the host",
             Settings::plain(256, 2),
             &[Core::MinGru],
             Place::Host,
+            Pooling::Mean,
         ),
         (
             "T 2, eddy's defaults: last frame, density loss, dropout, clip",
@@ -125,12 +140,14 @@ fn time() -> Result<()> {
             },
             &[Core::MinGru],
             Place::Device,
+            Pooling::Mean,
         ),
     ] {
         for &core in cores {
             for one_hot in [false, true] {
                 for precision in [Precision::Tf32, Precision::Fp32] {
-                    let mut problem = Problem::new(core, PAPER, one_hot, settings.clone());
+                    let mut problem =
+                        Problem::new(core, PAPER, one_hot, settings.clone()).with_pooling(pooling);
                     problem.place = place;
                     let clock = Clock::start();
                     let gpu = Arc::new(Gpu::new(

@@ -18,7 +18,7 @@ use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, GridOptions,
-        MaterialInput, Normalization, Sizes, initial_weights,
+        MaterialInput, Normalization, Pooling, Sizes, initial_weights,
     },
     engine::{StepRequest, Surrogate},
 };
@@ -35,15 +35,17 @@ fn descriptions() -> impl Strategy<Value = Description> {
         select(&Activation::ALL[..]),
         select(&[MaterialInput::OneHot, MaterialInput::Scalar][..]),
         select(&[FeatureScaling::MinMax, FeatureScaling::ZScore][..]),
+        select(&[Pooling::Mean, Pooling::Max, Pooling::MeanMax][..]),
         any::<[bool; 2]>(),
     );
     (choices, sizes).prop_map(|(choices, (encoder, hidden, layers, particles))| {
-        let (core, activation, material, scaling, [log, normalize_gates]) = choices;
+        let (core, activation, material, scaling, pooling, [log, normalize_gates]) = choices;
         let sizes = Sizes { encoder, hidden, layers, particles: Some(particles) };
         let mut description = description(Architecture::Frame, core, sizes);
         description.frame.activation = activation;
         description.frame.material = material;
         description.frame.scaling = scaling;
+        description.frame.pooling = pooling;
         description.form = if log { Form::Log } else { Form::Plain };
         description.normalize_gates = normalize_gates;
         description

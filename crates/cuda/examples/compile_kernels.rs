@@ -7,7 +7,7 @@ use eddy_cuda::{
     gpu::{Target, compile},
     kernels::{Constants, SOURCE},
 };
-use eddy_inference::checkpoint::{Activation, Form};
+use eddy_inference::checkpoint::{Activation, Form, Pooling};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -21,11 +21,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         encoder: 256,
         hidden: 1250,
         activation: Activation::Elu,
+        pooling: Pooling::Mean,
         form: Form::Plain,
         normalized: true,
     };
     let log = Constants { form: Form::Log, normalized: false, one_hot: false, ..paper.clone() };
-    let variants = [("paper", paper.clone()), ("log", log)].into_iter().chain(
+    let maximum = Constants { pooling: Pooling::MeanMax, ..paper.clone() };
+    let variants = [("paper", paper.clone()), ("log", log), ("maximum", maximum)];
+    let variants = variants.into_iter().chain(
         Activation::ALL.map(|kind| (kind.name(), Constants { activation: kind, ..paper.clone() })),
     );
     for (name, constants) in variants {

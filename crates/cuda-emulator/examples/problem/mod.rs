@@ -8,7 +8,7 @@ use eddy_cuda::{
     kernels::Constants,
 };
 use eddy_inference::checkpoint::{
-    Architecture, Core, Description, MaterialInput, Sizes, Weights, initial_weights,
+    Architecture, Core, Description, MaterialInput, Pooling, Sizes, Weights, initial_weights,
 };
 
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -43,12 +43,26 @@ impl Problem {
         if !one_hot {
             description.frame.material = MaterialInput::Scalar;
         }
+        let weights = Self::weights(&description);
+        Self { description, weights, settings, frames: 40, place: Place::Device, streams: 8 }
+    }
+
+    /// The same with another pooling of the particles.
+    #[must_use]
+    pub fn with_pooling(mut self, pooling: Pooling) -> Self {
+        self.description.frame.pooling = pooling;
+        self.weights = Self::weights(&self.description);
+        self
+    }
+
+    /// Initial weights, those of the decoder at random: its zeros would leave the other layers without gradients.
+    fn weights(description: &Description) -> BTreeMap<String, Weights> {
         let mut noise = Noise(7);
-        let mut weights = initial_weights(&description, 1);
+        let mut weights = initial_weights(description, 1);
         for weight in weights.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
             *weight = 0.03 * noise.next();
         }
-        Self { description, weights, settings, frames: 40, place: Place::Device, streams: 8 }
+        weights
     }
 
     fn store(&self, device: &dyn Device) -> Result<Store> {

@@ -22,6 +22,7 @@ use eddy_threads::{DisjointSlice, Task, ThreadPool};
 use super::{
     Training,
     layout::{Layout, Matrix},
+    maximum::Points,
 };
 use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
@@ -39,6 +40,10 @@ const TILE: usize = 64;
 const PART: usize = 64;
 /// Rows that `product_of_rows` takes at once.
 const ROWS: usize = 8;
+/// Streams whose particles' outputs are in memory at the same time, for a pooling by the maximum.
+const GROUP: usize = 8;
+/// Numbers in 256 bytes: products of memory that is aligned alike are computed alike.
+const ALIGNMENT: usize = 64;
 /// Numbers of a body.
 const BODY: usize = 2 * AXES;
 
@@ -69,6 +74,10 @@ pub struct Inference {
     before: Buffer,
     sums: Buffer,
     pooled: Buffer,
+    /// Of the core, `[B, IP]`.
+    input: Buffer,
+    /// For a pooling by the maximum.
+    points: Option<Points>,
     signal: Buffer,
     /// Parts of a product, and of one with the states.
     parts: [Buffer; 2],
@@ -198,6 +207,11 @@ impl Inference {
             before: numbers(layout.core.len() * MOST_STREAMS * wide)?,
             sums: numbers(MOST_STREAMS * particles.div_ceil(TILE) * constants.encoder)?,
             pooled: numbers(MOST_STREAMS * constants.pooled_columns())?,
+            input: numbers(MOST_STREAMS * constants.input_columns())?,
+            points: constants
+                .maximum()
+                .then(|| Points::new(&*device, &constants, GROUP, ALIGNMENT))
+                .transpose()?,
             signal: numbers(MOST_STREAMS * wide)?,
             parts: [numbers(parts)?, numbers(if recurrent { parts } else { 0 })?],
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<[u64; 3]>())?,
@@ -321,8 +335,15 @@ impl Inference {
         Ok(count)
     }
 
-    /// A linear layer.
-    fn linear(&self, matrix: &Matrix, left: Address, active: bool, rows: usize) -> Result<()> {
+    /// A linear layer; rows of its outputs are `stride` numbers apart.
+    fn linear(
+        &self,
+        matrix: &Matrix,
+        [left, outputs]: [Address; 2],
+        stride: usize,
+        active: bool,
+        rows: usize,
+    ) -> Result<()> {
         let [parts, _] = &self.parts;
         let count = self.product(matrix, left, parts, rows)?;
         self.launch(
@@ -330,35 +351,17 @@ impl Inference {
             self.units(rows),
             &[
                 parts.address().into(),
-                self.signal.address().into(),
+                outputs.into(),
                 count.into(),
                 usize::from(active).into(),
+                stride.into(),
             ],
         )
     }
 
-    /// Blocks over the hidden units of rows.
-    fn units(&self, rows: usize) -> Shape {
-        Shape::new(self.constants.hidden_columns().div_ceil(128), rows, 128)
-    }
-
-    /// Puts a step of so many rows into the queue.
-    fn launch_all(&self, rows: usize) -> Result<()> {
+    /// The means of the particles, through the second Linear.
+    fn means(&self, rows: usize) -> Result<()> {
         let Constants { encoder, particles, .. } = self.constants;
-        let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
-        let signal = self.signal.address();
-        self.launch(
-            Kernel::LoadStreams,
-            Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
-            &[
-                self.host_rows.address().into(),
-                self.host_frames.address().into(),
-                self.rows.address().into(),
-                self.frames.address().into(),
-                self.before.address().into(),
-                layers.into(),
-            ],
-        )?;
         let chunks = particles.div_ceil(TILE);
         self.launch(
             Kernel::EncodeStreams,
@@ -376,9 +379,79 @@ impl Inference {
             Shape::new(rows, 1, 256),
             &[self.sums.address().into(), self.pooled.address().into(), chunks.into()],
         )?;
-        self.linear(&self.layout.pooled, self.pooled.address(), false, rows)?;
+        let ends = [self.pooled.address(), self.input.address()];
+        self.linear(&self.layout.pooled, ends, self.constants.input_columns(), false, rows)
+    }
+
+    /// The maxima over the particles of the second Linear's outputs, for groups of streams.
+    fn maxima(&self, points: &Points, rows: usize) -> Result<()> {
+        let particles = self.constants.particles;
+        for first in (0..rows).step_by(GROUP) {
+            let rows = GROUP.min(rows - first);
+            self.launch(
+                Kernel::EncodePointsOfStreams,
+                points.shape(particles, rows),
+                &[
+                    self.frames.address().plus(first * particles * BODY).into(),
+                    self.rows.address().plus_bytes(first * size_of::<[u64; 3]>()).into(),
+                    self.weight(&self.layout.points).into(),
+                    self.scaling.address().into(),
+                    points.inputs.address().into(),
+                    (points.strides[0] as u64).into(),
+                ],
+            )?;
+            // A product for each stream: its bits do not depend on their number.
+            for row in 0..rows {
+                let product = points.product(&self.layout.pooled, row, particles, &self.weights);
+                // SAFETY: buffers are those that `new` has made for these sizes.
+                unsafe { self.device.multiply(Queue::Main, &product) }?;
+            }
+            let columns = self.constants.input_columns();
+            let input = self.input.address().plus(first * columns);
+            self.launch(
+                Kernel::Largest,
+                Points::largest(&self.constants, rows),
+                &[
+                    points.outputs.address().into(),
+                    (points.strides[1] as u64).into(),
+                    input.into(),
+                    Address::NULL.into(),
+                ],
+            )?;
+        }
+        Ok(())
+    }
+
+    /// Blocks over the hidden units of rows.
+    fn units(&self, rows: usize) -> Shape {
+        Shape::new(self.constants.hidden_columns().div_ceil(128), rows, 128)
+    }
+
+    /// Puts a step of so many rows into the queue.
+    fn launch_all(&self, rows: usize) -> Result<()> {
+        let particles = self.constants.particles;
+        let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
+        let signal = self.signal.address();
+        self.launch(
+            Kernel::LoadStreams,
+            Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
+            &[
+                self.host_rows.address().into(),
+                self.host_frames.address().into(),
+                self.rows.address().into(),
+                self.frames.address().into(),
+                self.before.address().into(),
+                layers.into(),
+            ],
+        )?;
+        if self.constants.mean() {
+            self.means(rows)?;
+        }
+        if let Some(points) = &self.points {
+            self.maxima(points, rows)?;
+        }
         (0..layers).try_for_each(|layer| self.core_layer(layer, rows))?;
-        self.linear(&self.layout.mixer, signal, true, rows)?;
+        self.linear(&self.layout.mixer, [signal, signal], wide, true, rows)?;
         let [parts, _] = &self.parts;
         let count = self.product(&self.layout.decoder, signal, parts, rows)?;
         self.launch(
@@ -397,12 +470,14 @@ impl Inference {
     fn core_layer(&self, layer: usize, rows: usize) -> Result<()> {
         let (matrix, recurrent) = &self.layout.core[layer];
         let signal = self.signal.address();
+        let input = if layer == 0 { self.input.address() } else { signal };
+        let wide = self.constants.hidden_columns();
         if self.core == Core::Mlp {
-            return self.linear(matrix, signal, true, rows);
+            return self.linear(matrix, [input, signal], wide, true, rows);
         }
         let [parts, recurrent_parts] = &self.parts;
-        let states = self.before.address().plus(layer * rows * self.constants.hidden_columns());
-        let count = self.product(matrix, signal, parts, rows)?;
+        let states = self.before.address().plus(layer * rows * wide);
+        let count = self.product(matrix, input, parts, rows)?;
         if let Some(recurrent) = recurrent {
             self.product(recurrent, states, recurrent_parts, rows)?;
         }

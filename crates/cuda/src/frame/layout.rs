@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | `encoder.0` | inputs + bias | E rounded up |
 //! | `encoder.1` | E + bias, rounded up | H + padding; makes the ones of the core's input |
-//! | core | H + bias, rounded up | gates side by side, each padded |
+//! | core | H + bias, rounded up; in the first layer 2 H + bias where mean and maximum are pooled | gates side by side, each padded |
 //! | `mixer` | H + bias, rounded up | H + padding |
 //! | `decoder` | H + bias, rounded up | 2 N, rounded up |
 
@@ -116,14 +116,18 @@ impl Layout {
                     outputs: hidden,
                 })
                 .collect();
+            let (inputs, rows) = match layer {
+                0 => (constants.core_inputs(), constants.input_columns()),
+                _ => (hidden, wide),
+            };
             match core {
                 Core::Gru | Core::Lstm => {
                     let [input, recurrent] =
                         [0, 1].map(|number: usize| vec![parts[number].clone()]);
-                    (matrix(input, hidden, wide, wide), Some(matrix(recurrent, hidden, wide, wide)))
+                    (matrix(input, inputs, rows, wide), Some(matrix(recurrent, hidden, wide, wide)))
                 }
                 Core::Mlp | Core::MinGru | Core::MinLstm => {
-                    (matrix(parts, hidden, wide, wide), None)
+                    (matrix(parts, inputs, rows, wide), None)
                 }
             }
         });
@@ -244,7 +248,7 @@ mod tests {
 
     use super::*;
     use eddy_inference::checkpoint::{
-        Architecture, MaterialInput, Sizes, initial_weights, layout::linear_layers,
+        Architecture, MaterialInput, Pooling, Sizes, initial_weights, layout::linear_layers,
     };
 
     proptest! {
@@ -257,12 +261,14 @@ mod tests {
             hidden in 1..20usize,
             particles in 1..10usize,
             scalar: bool,
+            pooling in prop::sample::select(vec![Pooling::Mean, Pooling::Max, Pooling::MeanMax]),
         ) {
             let sizes = Sizes { encoder, hidden, layers, particles: Some(particles) };
             let mut description = Description::untrained(Architecture::Frame, core, sizes);
             if scalar {
                 description.frame.material = MaterialInput::Scalar;
             }
+            description.frame.pooling = pooling;
             let constants = Constants::of(&description).unwrap();
             let layout = Layout::new(&description, &constants);
             let weights = initial_weights(&description, 7);

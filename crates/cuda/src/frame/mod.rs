@@ -4,12 +4,14 @@
 //! 2. `data`: trajectories on the device or in the memory of the host, windows of them.
 //! 3. `training`: training steps.
 //! 4. `inference`: streams, frame by frame.
-//! 5. [`footprint`]: the memory that a training needs.
+//! 5. `maximum`: the pooling by the maximum.
+//! 6. [`footprint`]: the memory that a training needs.
 
 mod data;
 pub mod footprint;
 mod inference;
 mod layout;
+mod maximum;
 mod training;
 
 pub use data::{Place, Store, StoreWriter, Window};

@@ -6,6 +6,8 @@
 
 #![expect(unsafe_code, reason = "launches and products on memory of the device")]
 
+mod maximum;
+
 use std::{cell::Cell, sync::Arc};
 
 use eddy_inference::checkpoint::{Core, Description, Weights};
@@ -20,6 +22,7 @@ use crate::{
     error::{CudaError, Result},
     kernels::{AXES, Constants, Kernel, MATERIALS, gates, scaling},
 };
+use maximum::Maximum;
 
 /// Steps whose tables fit on the device at once.
 pub const GROUP: usize = 64;
@@ -171,6 +174,7 @@ pub struct Training {
     states: Buffer,
     sums: Buffer,
     pooled: Buffer,
+    maximum: Option<Maximum>,
     input: Buffer,
     layers: Vec<LayerMemory>,
     mixed: Buffer,
@@ -276,9 +280,17 @@ impl Training {
             )?,
             scaling: numbers(2 * BODY)?,
             states: numbers(rows * particles * BODY)?,
-            sums: numbers(rows * chunks * SUMS * constants.encoder)?,
+            sums: numbers(if constants.mean() {
+                rows * chunks * SUMS * constants.encoder
+            } else {
+                0
+            })?,
             pooled: numbers(rows * constants.pooled_columns())?,
-            input: numbers(rows * wide)?,
+            maximum: constants
+                .maximum()
+                .then(|| Maximum::new(&*device, &constants, settings, rows))
+                .transpose()?,
+            input: numbers(rows * constants.input_columns())?,
             layers,
             mixed: numbers(decoded_rows * wide)?,
             output: numbers(decoded_rows * constants.output_columns())?,
@@ -288,7 +300,7 @@ impl Training {
             scales: numbers(2 * batch)?,
             carried: numbers(batch * particles * BODY)?,
             d_mixed: numbers(decoded_rows * wide)?,
-            d_input: numbers(rows * wide)?,
+            d_input: numbers(rows * constants.input_columns())?,
             d_pooled: numbers(rows * constants.pooled_columns())?,
             tensor_squares: numbers(layout.tensors * CHUNKS)?,
             tensor_scales: numbers(layout.tensors)?,
@@ -724,11 +736,10 @@ impl Training {
         )
     }
 
-    /// Frames `first..first + frames` through the network.
-    fn forward(&self, first: usize, frames: usize) -> Result<()> {
+    /// The means of frames `first..first + frames` over their particles, through the second Linear.
+    fn means(&self, first: usize, frames: usize) -> Result<()> {
         let (batch, rows) = (self.settings.batch, frames * self.settings.batch);
         let Constants { encoder, particles, .. } = self.constants;
-        let wide = self.constants.hidden_columns();
         let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
         let states: Argument = self.at(&self.states, first, particles * BODY).into();
@@ -757,8 +768,27 @@ impl Training {
             Shape::new(rows, 1, 256),
             &[sums.into(), pooled.into(), self.chunks.into()],
         )?;
-        let mut signal = self.at(&self.input, first, wide);
-        self.forward_product(&self.layout.pooled, pooled, signal, rows)?;
+        let (matrix, columns) = (&self.layout.pooled, self.constants.input_columns());
+        self.product(
+            Queue::Main,
+            [pooled, self.weight(matrix), self.at(&self.input, first, columns)],
+            [false, false],
+            [matrix.rows, matrix.columns, columns],
+            [rows, matrix.rows, matrix.columns],
+            false,
+        )
+    }
+
+    /// Frames `first..first + frames` through the network.
+    fn forward(&self, first: usize, frames: usize) -> Result<()> {
+        let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
+        if self.constants.mean() {
+            self.means(first, frames)?;
+        }
+        if let Some(maximum) = &self.maximum {
+            self.maxima(maximum, first, frames)?;
+        }
+        let mut signal = self.at(&self.input, first, self.constants.input_columns());
         for number in 0..self.layers.len() {
             signal = self.core_forward(number, signal, first, frames)?;
         }
@@ -1013,20 +1043,55 @@ impl Training {
             self.core_backward(number, first, frames)?;
         }
 
-        let rows = frames * batch;
-        let d_input = self.at(&self.d_input, first, wide);
-        let d_pooled = self.at(&self.d_pooled, first, self.constants.pooled_columns());
-        self.launch(
-            Kernel::ClearPadding,
-            Shape::new(rows.div_ceil(128), 1, 128),
-            &[d_input.into(), rows.into()],
-        )?;
-        let all = self.frames() * batch;
-        self.learn(last, &self.layout.pooled, self.pooled.address(), self.d_input.address(), all)?;
-        self.backward_product(&self.layout.pooled, d_input, d_pooled, rows, false)?;
-        self.change(last, &self.layout.pooled)?;
+        self.encoder_backward(first, frames)
+    }
+
+    /// The gradients of both Linears before the core, and those by the particles of frames that were predicted.
+    fn encoder_backward(&self, first: usize, frames: usize) -> Result<()> {
+        let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
+        let (rows, all, last) = (frames * batch, self.frames() * batch, first == 0);
+        // The gradient by the second Linear's outputs for the means; that of a pooling by the mean alone is there already.
+        let mean = match &self.maximum {
+            None => {
+                let d_input = self.at(&self.d_input, first, wide);
+                self.launch(
+                    Kernel::ClearPadding,
+                    Shape::new(rows.div_ceil(128), 1, 128),
+                    &[d_input.into(), rows.into()],
+                )?;
+                Some(&self.d_input)
+            }
+            Some(Maximum { d_mean: Some(d_mean), .. }) => {
+                self.mean_part(d_mean, first * batch, rows)?;
+                Some(d_mean)
+            }
+            Some(_) => None,
+        };
         if last {
+            self.device.wait(Queue::Side, Queue::Main)?;
+            if let Some(mean) = mean {
+                let pooled = self.pooled.address();
+                self.weight_product(&self.layout.pooled, pooled, mean.address(), all)?;
+            }
+            if let Some(maximum) = &self.maximum {
+                self.learn_maxima(maximum, all)?;
+            }
+            self.measure(&self.layout.pooled)?;
+        }
+        if let Some(mean) = mean {
+            let d_pooled = self.at(&self.d_pooled, first, self.constants.pooled_columns());
+            let slopes = self.at(mean, first, wide);
+            self.backward_product(&self.layout.pooled, slopes, d_pooled, rows, false)?;
+        }
+        if last {
+            self.change(last, &self.layout.pooled)?;
             return self.learn_points(all);
+        }
+        if let Some(maximum) = &self.maximum {
+            self.maxima_by_points(maximum, first)?;
+        }
+        if mean.is_none() {
+            return Ok(());
         }
         self.launch(
             Kernel::EncoderPointsGradient,
@@ -1038,7 +1103,7 @@ impl Training {
                 self.progress.address().into(),
                 self.weight(&self.layout.points).into(),
                 self.scaling.address().into(),
-                d_pooled.into(),
+                self.at(&self.d_pooled, first, self.constants.pooled_columns()).into(),
                 self.carried.address().into(),
             ],
         )
@@ -1133,11 +1198,14 @@ impl Training {
         }
         let (last, all) = (first == 0, self.frames() * batch);
         let (input, d_input) = match number {
-            0 => (self.input.address(), &self.d_input),
-            _ => (self.outputs(number - 1), &self.layers[number - 1].gradient),
+            0 => (self.input.address(), self.at(&self.d_input, first, matrix.rows)),
+            _ => {
+                let gradient = &self.layers[number - 1].gradient;
+                (self.outputs(number - 1), self.at(gradient, first, wide))
+            }
         };
         self.learn(last, matrix, input, all_slopes, all)?;
-        self.backward_product(matrix, slopes, self.at(d_input, first, wide), rows, false)?;
+        self.backward_product(matrix, slopes, d_input, rows, false)?;
         self.change(last, matrix)?;
         if let Some(recurrent) = recurrent {
             let slopes =
@@ -1170,18 +1238,23 @@ impl Training {
         self.device.wait(Queue::Side, Queue::Main)?;
         let matrix = &self.layout.points;
         let Constants { encoder, .. } = self.constants;
-        self.launch_in(
-            Queue::Side,
-            Kernel::EncoderGradient,
-            Shape { grid: [encoder.div_ceil(32), matrix.rows, 1], block: [32, 32], shared: 0 },
-            &[
-                self.d_pooled.address().into(),
-                self.sums.address().into(),
-                self.gradients.address().plus(matrix.first).into(),
-                rows.into(),
-                self.chunks.into(),
-            ],
-        )?;
+        if self.constants.mean() {
+            self.launch_in(
+                Queue::Side,
+                Kernel::EncoderGradient,
+                Shape { grid: [encoder.div_ceil(32), matrix.rows, 1], block: [32, 32], shared: 0 },
+                &[
+                    self.d_pooled.address().into(),
+                    self.sums.address().into(),
+                    self.gradients.address().plus(matrix.first).into(),
+                    rows.into(),
+                    self.chunks.into(),
+                ],
+            )?;
+        }
+        if let Some(maximum) = &self.maximum {
+            self.sum_maxima(maximum)?;
+        }
         self.measure(matrix)?;
         self.change(true, matrix)
     }

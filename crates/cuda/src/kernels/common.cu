@@ -9,6 +9,8 @@
 //   E, EL      width of the pointwise encoder, and the same rounded up to 4 (columns of its matrix)
 //   EP         E and the ones, rounded up to 8
 //   H, HP      width of the hidden state; with the ones, rounded up to 8
+//   MEAN, MAXIMUM  1: the particles are pooled by their mean, by the maximum of the second Linear's outputs
+//   IP         width of the core's input with the ones, H for each of the two, rounded up to 8
 //   OP         DIM * N, rounded up to 8 (columns of the decoder)
 //   ACTIVATION 0 sigmoid, 1 tanh, 2 ReLU, 3 ELU
 //   LOG_FORM, NORMALIZED  forms of the minimal recurrences

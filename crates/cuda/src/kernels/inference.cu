@@ -132,10 +132,12 @@ __device__ __forceinline__ float product_sum(const float* parts, int count, int 
   const size_t at = (size_t)b * HP + j;
 
 // A linear layer, or one with the activation after it.
-extern "C" __global__ void linear_streams(const float* __restrict__ parts, float* __restrict__ signal, int count, int active) {
-  STREAM_UNIT
+// Rows of the signal are `stride` apart.
+extern "C" __global__ void linear_streams(const float* __restrict__ parts, float* __restrict__ signal, int count, int active, int stride) {
+  const int j = blockIdx.x * blockDim.x + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
+  if (j >= HP) return;
   const float y = product_sum(parts, count, batch, b, HP, j);
-  signal[at] = padded(j, active ? activate(y) : y);
+  signal[(size_t)b * stride + j] = padded(j, active ? activate(y) : y);
 }
 // Layer `layer` of a core. `states` are [B, HP], those before the frame; the new ones go to the streams.
 extern "C" __global__ void mingru_streams(const float* __restrict__ parts, const float* __restrict__ states, const Row* __restrict__ rows,

@@ -15,6 +15,7 @@ pub const SOURCE: &str = concat!(
     include_str!("loss.cu"),
     include_str!("adam.cu"),
     include_str!("inference.cu"),
+    include_str!("maximum.cu"),
 );
 
 /// Materials that the kernels know, `Material::COUNT` of eddy-frames.
@@ -119,6 +120,22 @@ kernels! {
     LstmStreams = "lstm_streams",
     /// Predicted frames, to the memory of the host.
     PredictStreams = "predict_streams",
+    /// Activations of the first Linear, for a pooling by the maximum.
+    EncodePoints = "encode_points",
+    /// The same of streams.
+    EncodePointsOfStreams = "encode_points_of_streams",
+    /// The largest outputs of the second Linear over the particles.
+    Largest = "largest",
+    /// Gradient of the means beside the maxima.
+    MeanPart = "mean_part",
+    /// Gradients of both Linears through the maxima.
+    MaximumGradient = "maximum_gradient",
+    /// Their sums over the units of the second one.
+    MaximumSum = "maximum_sum",
+    /// Gradients by the particles that have the maxima.
+    MaximumSlopes = "maximum_slopes",
+    /// Their sums for each particle.
+    MaximumPointsGradient = "maximum_points_gradient",
 }
 
 /// Rounds up to a multiple.
@@ -139,6 +156,8 @@ pub struct Constants {
     pub hidden: usize,
     /// Of the encoder, the MLP core and the mixer.
     pub activation: Activation,
+    /// How the particles are pooled.
+    pub pooling: Pooling,
     /// Form of the minimal recurrences.
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum.
@@ -149,27 +168,19 @@ impl Constants {
     /// Of a described frame model.
     ///
     /// # Errors
-    /// [`CudaError::Unsupported`] for the particle model and for a pooling by the maximum.
+    /// [`CudaError::Unsupported`] for the particle model.
     pub fn of(description: &Description) -> Result<Self> {
-        let unsupported = |setting: &str, expected| CudaError::Unsupported {
-            setting: setting.to_owned(),
-            expected,
-        };
         let Some(particles) = description.sizes.particles else {
-            return Err(unsupported("architecture particle", "architecture frame"));
+            let setting = "architecture particle".to_owned();
+            return Err(CudaError::Unsupported { setting, expected: "architecture frame" });
         };
-        if description.frame.pooling != Pooling::Mean {
-            return Err(unsupported(
-                "a pooling by the maximum",
-                "network.frame.pooling = \"mean\"",
-            ));
-        }
         Ok(Self {
             particles,
             one_hot: description.frame.material == MaterialInput::OneHot,
             encoder: description.sizes.encoder,
             hidden: description.sizes.hidden,
             activation: description.frame.activation,
+            pooling: description.frame.pooling,
             form: description.form,
             normalized: description.normalize_gates,
         })
@@ -195,6 +206,26 @@ impl Constants {
         round_up(self.hidden + 1, 8)
     }
 
+    /// Whether particles are pooled by their mean.
+    pub fn mean(&self) -> bool {
+        self.pooling != Pooling::Max
+    }
+
+    /// Whether particles are pooled by their maximum.
+    pub fn maximum(&self) -> bool {
+        self.pooling != Pooling::Mean
+    }
+
+    /// Inputs of the core without the ones.
+    pub fn core_inputs(&self) -> usize {
+        self.hidden * (usize::from(self.mean()) + usize::from(self.maximum()))
+    }
+
+    /// Those with the ones, rounded up.
+    pub fn input_columns(&self) -> usize {
+        round_up(self.core_inputs() + 1, 8)
+    }
+
     /// Columns of the decoder.
     pub fn output_columns(&self) -> usize {
         round_up(AXES * self.particles, 8)
@@ -213,6 +244,9 @@ impl Constants {
             ("EP", self.pooled_columns()),
             ("H", self.hidden),
             ("HP", self.hidden_columns()),
+            ("MEAN", self.mean().into()),
+            ("MAXIMUM", self.maximum().into()),
+            ("IP", self.input_columns()),
             ("OP", self.output_columns()),
             ("ACTIVATION", activation.unwrap_or_default()),
             ("LOG_FORM", usize::from(self.form == Form::Log)),

@@ -3,9 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use eddy_inference::checkpoint::{
-    Architecture, Core, Form, FrameOptions, GridOptions, Pooling, Sizes,
-};
+use eddy_inference::checkpoint::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes};
 
 /// Largest width in a checkpoint.
 const LARGEST_WIDTH: usize = 1 << 16;
@@ -288,7 +286,7 @@ impl TrainConfig {
 
     /// Whether the network can be trained on an NVIDIA GPU.
     pub fn runs_on_gpus(&self) -> bool {
-        self.architecture == Architecture::Frame && self.network.frame.pooling == Pooling::Mean
+        self.architecture == Architecture::Frame
     }
 
     /// Sizes of the layers for streams of `particles` particles.

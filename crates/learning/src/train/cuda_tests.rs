@@ -25,7 +25,7 @@ use eddy_frames::{Domain, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
-        MaterialInput, Weights, layout::linear_layers,
+        MaterialInput, Pooling, Weights, layout::linear_layers,
     },
     engine::{Ballistic, Surrogate},
 };
@@ -230,6 +230,17 @@ fn every_activation_takes_the_steps_of_the_cpu() {
         let mut config = config(Core::Mlp);
         config.network.frame.activation = activation;
         config.network.frame.material = MaterialInput::Scalar;
+        compare(&config, FeatureScaling::MinMax);
+    }
+}
+
+#[test]
+fn every_pooling_takes_the_steps_of_the_cpu() {
+    for (pooling, core) in
+        [(Pooling::Max, Core::MinGru), (Pooling::MeanMax, Core::Gru), (Pooling::MeanMax, Core::Mlp)]
+    {
+        let mut config = config(core);
+        config.network.frame.pooling = pooling;
         compare(&config, FeatureScaling::MinMax);
     }
 }

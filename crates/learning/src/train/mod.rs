@@ -396,7 +396,7 @@ impl Trainer<'_> {
     }
 
     /// Enters the number of epochs in the best checkpoint.
-    fn finish(mut self, interrupted: bool) -> Result<Outcome, TrainError> {
+    fn finish(self, interrupted: bool) -> Result<Outcome, TrainError> {
         self.monitor.finish();
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();
