@@ -1266,7 +1266,8 @@ impl Training {
         self.launch_in(
             Queue::Side,
             Kernel::SquaresOfGradient,
-            Shape::new(CHUNKS, tensors, 256),
+            // A block has 256 times 4 numbers or more.
+            Shape::new(matrix.size().div_ceil(1024).min(CHUNKS), tensors, 256),
             &[
                 self.gradients.address().plus(matrix.first).into(),
                 squares.into(),

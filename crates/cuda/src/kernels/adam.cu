@@ -2,13 +2,13 @@
 // layer holds `parts` weight tensors side by side, `width` columns each, rows 0..bias, and their biases in row `bias`;
 // tensor 2 * part is a weight, 2 * part + 1 its bias. Padding is 0 in weights and gradients.
 
-// Sums of squares of the gradients: [tensors, CHUNKS]. grid (CHUNKS, tensors), block 256
+// Sums of squares of the gradients: [tensors, CHUNKS], zero where there is no block. grid (at most CHUNKS, tensors), block 256
 #define CHUNKS 256
 extern "C" __global__ void __launch_bounds__(256) squares_of_gradient(const float* __restrict__ g, float* __restrict__ squares, int columns, int bias, int width) {
   const int part = blockIdx.y / 2, first = blockIdx.y % 2 ? bias : 0, rows = blockIdx.y % 2 ? 1 : bias, wide = width / 4;
   const u32 n = (u32)rows * wide;
   float sum = 0.0f;
-  for (u32 i = blockIdx.x * 256 + threadIdx.x; i < n; i += CHUNKS * 256) {
+  for (u32 i = blockIdx.x * 256 + threadIdx.x; i < n; i += gridDim.x * 256) {
     const float4 v = *(const float4*)(g + (size_t)(first + i / wide) * columns + part * width + 4 * (i % wide));
     sum += v.x * v.x + v.y * v.y + v.z * v.z + v.w * v.w;
   }

@@ -146,6 +146,15 @@ impl Golden {
         }
     }
 
+    /// Turns weights after steps into their changes.
+    fn subtract_weights(&self, weights: &mut BTreeMap<String, Weights>) {
+        for (name, change) in weights {
+            for (after, before) in change.values.iter_mut().zip(&self.weights[name].values) {
+                *after -= before;
+            }
+        }
+    }
+
     /// Compares values with those of the golden tensor `name`: max|a - b| <= `tolerance` max|b|.
     fn compare(&self, name: &str, found: &[f32], tolerance: f64, device: DeviceKind) {
         let expected = &self.tensors[name];
@@ -187,15 +196,20 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
     (0..count).map(window).collect()
 }
 
-/// Calls `check` with every golden network on every device.
-fn for_all(check: impl Fn(&Golden, DeviceKind)) {
+/// Every golden network.
+fn networks() -> Vec<Golden> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/torch");
     let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let files: Vec<_> = files
         .filter(|file| file.extension().is_some_and(|extension| extension == "safetensors"))
         .collect();
     assert_eq!(files.len(), 27, "the rows of generate.py");
-    for golden in files.iter().map(|file| Golden::read(file)) {
+    files.iter().map(|file| Golden::read(file)).collect()
+}
+
+/// Calls `check` with every golden network on every device of burn.
+fn for_all(check: impl Fn(&Golden, DeviceKind)) {
+    for golden in networks() {
         for device in [DeviceKind::Flex, DeviceKind::Ndarray] {
             check(&golden, device);
         }
@@ -241,6 +255,80 @@ fn losses_and_gradients_equal_those_of_pytorch() {
     });
 }
 
+/// Loss, gradients and ten steps of Adam by the kernels for GPUs, in the emulator.
+#[cfg(feature = "cuda")]
+#[test]
+fn kernels_for_gpus_take_the_steps_of_pytorch() {
+    use std::sync::Arc;
+
+    use super::{adam::Correction, cuda, window::Draw};
+    use eddy_cuda::{
+        frame::{Place, Training},
+        kernels::Constants,
+    };
+    use eddy_cuda_emulator::Emulator;
+    use eddy_evaluation::dataset::{Stream, Trajectory};
+    use eddy_frames::Stamp;
+
+    let frame_models =
+        networks().into_iter().filter(|golden| golden.description.sizes.particles.is_some());
+    for golden in frame_models {
+        let Golden { description, config, windows, .. } = &golden;
+        let streams = windows.iter().map(|window| {
+            Trajectory::from(Stream {
+                id: window.stream,
+                source: golden.name.clone().into(),
+                dt: description.dt,
+                domain: description.domain,
+                material: window.material.clone(),
+                first_sequence: 0,
+                first_stamp: Stamp::default(),
+                states: window.states.clone(),
+            })
+        });
+        let streams: Vec<_> = streams.collect();
+        let mut config = config.clone();
+        config.windows.batch = windows.len();
+        config.network.dropout = 0.0;
+        let unroll = windows[0].states.len() - config.windows.warm_up;
+        let emulator = Emulator::new(&Constants::of(description).unwrap()).unwrap();
+        let store = cuda::store(&emulator, &streams, Place::Device).unwrap();
+        let settings = cuda::settings(&config, unroll);
+        let mut training =
+            Training::new(Arc::new(emulator), Arc::new(store), description, &settings).unwrap();
+        training.set_weights(&golden.weights).unwrap();
+        let scale = LossScale {
+            loss: &config.loss,
+            normalization: &description.normalization,
+            ballistic: Ballistic::new(description),
+            common: Vec::new(),
+        };
+        let particles = description.sizes.particles.unwrap();
+        let weights = cuda::common_weights(&scale, unroll, particles).unwrap();
+        training.set_error_weights(weights).unwrap();
+        let draws: Vec<_> = (0..windows.len())
+            .map(|stream| Draw { stream, start: 0, mirrored: false, noise: None })
+            .collect();
+        let batch = |step: u32| {
+            let correction = Correction::new(step, LEARNING_RATE, &config.optimizer);
+            cuda::batch(&draws, &correction, None, None)
+        };
+        let kind = DeviceKind::Cuda(0);
+
+        training.start(&[batch(1)]).unwrap();
+        let found = f64::from(training.outcomes(1).unwrap()[0].loss);
+        let difference = (found - golden.loss).abs();
+        assert!(difference <= TOLERANCE * golden.loss, "{}: {found} {}", golden.name, golden.loss);
+        golden.compare_layers("gradient", &training.gradients().unwrap(), TOLERANCE, kind);
+
+        let batches: Vec<_> = (2..=STEPS).map(batch).collect();
+        training.start(&batches).unwrap();
+        let mut changes = training.weights().unwrap();
+        golden.subtract_weights(&mut changes);
+        golden.compare_layers("change", &changes, TOLERANCE_AFTER_ADAM, kind);
+    }
+}
+
 #[test]
 fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
     for_all(|golden, kind| {
@@ -256,11 +344,7 @@ fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
             });
         }
         let mut changes = network.layers().tensors(&golden.description);
-        for (name, change) in &mut changes {
-            for (after, before) in change.values.iter_mut().zip(&golden.weights[name].values) {
-                *after -= before;
-            }
-        }
+        golden.subtract_weights(&mut changes);
         golden.compare_layers("change", &changes, TOLERANCE_AFTER_ADAM, kind);
     });
 }
