@@ -117,8 +117,14 @@ pub(super) fn weights(
     draws: &[Draw],
     unroll: usize,
 ) -> Result<Vec<[f32; 4]>, TrainError> {
-    let windows = draws.iter().map(|&draw| sampler.cut(draw)).collect::<Result<Vec<_>, _>>()?;
-    let weights: Vec<_> = windows.iter().map(|window| scale.relative(window, unroll)).collect();
+    let of_window = |draw: &Draw| {
+        let own = match scale.needs_windows() {
+            true => Some(scale.trivial(&sampler.cut(*draw)?, unroll)),
+            false => None,
+        };
+        Ok(scale.relative(sampler.material(draw), own.as_ref(), unroll))
+    };
+    let weights = draws.iter().map(of_window).collect::<Result<Vec<_>, TrainError>>()?;
     let of = |frame: usize, window: usize, material: usize| {
         let [position, velocity] = weights[window][frame].map(|part| part[material]);
         [position, position, velocity, velocity]

@@ -42,7 +42,8 @@ impl LossScale<'_> {
                 [[x, y], [vx, vy]].map(|pair| pair.repeat(unroll * particles))
             }
             LossKind::Relative => {
-                let frames = self.relative(window, unroll);
+                let own = self.needs_windows().then(|| self.trivial(window, unroll));
+                let frames = self.relative(&window.material, own.as_ref(), unroll);
                 [0, 1].map(|part| {
                     let kinds = |frame: &[[f32; Material::COUNT]; 2]| {
                         let weight = frame[part];
@@ -65,15 +66,22 @@ impl LossScale<'_> {
         })
     }
 
-    /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material.
+    /// Whether the divisor depends on the window, not on many windows alone.
+    pub(super) fn needs_windows(&self) -> bool {
+        self.loss.common_share < 1.0
+    }
+
+    /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material, of a window of
+    /// particles of these materials; `own` are the trivial errors in it, needed only if the divisor depends on them.
     pub(super) fn relative(
         &self,
-        window: &Window,
+        material: &[Material],
+        own: Option<&TrivialErrors>,
         unroll: usize,
     ) -> Vec<[[f32; Material::COUNT]; 2]> {
         let sums = self.shares();
-        let own = self.trivial(window, unroll);
-        let counts = counts(&window.material);
+        let own = own.unwrap_or(&self.common);
+        let counts = counts(material);
         let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
         let share = f64::from(self.loss.common_share);
         let frame = |(own, common): (&[Pair; Material::COUNT], &[Pair; Material::COUNT])| {
@@ -102,7 +110,7 @@ impl LossScale<'_> {
     }
 
     /// Errors of the best trivial predictor over the last `unroll` frames of a window.
-    fn trivial(&self, window: &Window, unroll: usize) -> TrivialErrors {
+    pub(super) fn trivial(&self, window: &Window, unroll: usize) -> TrivialErrors {
         let mut sums = TrivialSums::new(unroll);
         sums.add(window, &self.ballistic);
         sums.best()

@@ -138,6 +138,11 @@ impl<'a> Sampler<'a> {
         Draw { stream, start, mirrored, noise }
     }
 
+    /// Materials of a window's particles.
+    pub(super) fn material(&self, draw: &Draw) -> &[Material] {
+        &self.streams[draw.stream].material
+    }
+
     pub(super) fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
         let Draw { stream, start, mirrored, noise } = draw;
         let stream = &self.streams[stream];
