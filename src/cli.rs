@@ -467,6 +467,10 @@ pub struct TrainArgs {
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
     #[arg(long, value_enum, default_value_t = Precision::Tf32)]
     pub precision: Precision,
+    /// NVIDIA GPUs that train together, from that of --device on, each on its part of every batch: windows.batch must be a
+    /// multiple. Needs libnccl.
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub gpus: NonZeroUsize,
 }
 
 /// `eddy node`

@@ -52,7 +52,7 @@ pub(crate) fn train_network<'py>(
         let machine = Machine::with_free_disk(available_memory(), &output);
         let run = Run {
             device,
-            gpu: GpuOptions { precision, kernel_cache: None },
+            gpu: GpuOptions { precision, ..GpuOptions::default() },
             output: &output,
             resume,
             machine: machine.map_err(|error| text(&error))?,

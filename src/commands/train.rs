@@ -10,7 +10,7 @@ use eddy_evaluation::{
 };
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::{Architecture, GpuOptions, kernel_cache},
+    model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
@@ -49,6 +49,12 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     let device = args.device.resolve(config.runs_on_gpus());
     device.check()?;
+    ensure_usage!(
+        args.gpus.get() == 1 || matches!(device, DeviceKind::Cuda(_)),
+        "--gpus: found {} with --device {}, expected --device cuda",
+        args.gpus,
+        device.name()
+    );
     let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;
     if !quiet {
@@ -62,7 +68,11 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     for (config, output) in &runs {
         let run = Run {
             device,
-            gpu: GpuOptions { precision: args.precision, kernel_cache: kernel_cache.as_deref() },
+            gpu: GpuOptions {
+                count: args.gpus,
+                precision: args.precision,
+                kernel_cache: kernel_cache.as_deref(),
+            },
             output,
             resume: args.resume,
             machine: Machine::with_free_disk(memory, output)?,

@@ -1,13 +1,15 @@
 //! The frame model's training on a GPU: beside the emulator, twice the same bits, and its time.
 //!
 //! `frame_training check` compares small networks of every core with the emulator; `frame_training time` times steps
-//! of the paper's network; `frame_training core` those of its core over many frames; `frame_training once` takes one step, for a profiler.
+//! of the paper's network; `frame_training core` those of its core over many frames; `frame_training group`
+//! compares two GPUs with one that has both parts of the batch; `frame_training once` takes one step, for a profiler.
 
 mod problem;
 
 use std::sync::Arc;
 
 use eddy_cuda::{
+    CudaError,
     device::Device,
     frame::{GROUP, Place, Settings, Training},
     gpu::{Gpu, Precision, list},
@@ -15,7 +17,7 @@ use eddy_cuda::{
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Core, Pooling, Sizes};
-use problem::{PAPER, Problem, Result, worst};
+use problem::{PAPER, Problem, Result, together, train_together, worst};
 
 fn main() -> Result<()> {
     for gpu in list()? {
@@ -25,8 +27,9 @@ fn main() -> Result<()> {
         Some("check") => check(),
         Some("time") => time(),
         Some("core") => core(),
+        Some("group") => group(),
         Some("once") => once(),
-        _ => Err("expected check, time, core or once".into()),
+        _ => Err("expected check, time, core, group or once".into()),
     }
 }
 
@@ -187,6 +190,60 @@ fn core() -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Two GPUs, each with 256 windows of a batch of 512, beside one GPU with all of them.
+fn group() -> Result<()> {
+    let settings = Settings {
+        observed_weight: 0.0,
+        density_weight: 1e-3,
+        dropout: 0.1,
+        clip: 1.0,
+        ..Settings::plain(512, 2)
+    };
+    let problem = Problem::new(Core::MinGru, PAPER, true, settings);
+    let constants = problem.constants()?;
+    for precision in [Precision::Fp32, Precision::Tf32] {
+        let batches = problem.batches(20);
+        let one = || Ok::<_, CudaError>(vec![Gpu::new(0, &constants, precision, None)?]);
+        let two = || Gpu::group(0..2, &constants, precision, None);
+        let expected = train_together(&problem, one()?, &batches)?;
+        let found = train_together(&problem, two()?, &batches)?;
+        if found[0] != found[1] || found != train_together(&problem, two()?, &batches)? {
+            return Err("two GPUs, or two runs of them, have different weights".into());
+        }
+        let moved = worst(&expected[0].1, &problem.weights);
+        let apart = worst(&found[0].1, &expected[0].1);
+        println!(
+            "{}: weights after 20 steps: those of two GPUs {apart:.1e} from those of one, which moved by {moved:.1e}",
+            precision.name()
+        );
+        let [alone, both] = [time_together(&problem, one()?)?, time_together(&problem, two()?)?];
+        println!(
+            "{}: 512 windows: {alone:.4} ms/step on one GPU, {both:.4} on two: {:.2} times the windows a second",
+            precision.name(),
+            alone / both
+        );
+    }
+    Ok(())
+}
+
+/// Median milliseconds of a step of all devices, by the clock of the host.
+fn time_together(problem: &Problem, gpus: Vec<Gpu>) -> Result<f64> {
+    let times = together(problem, gpus, &problem.batches(GROUP), |mut training, batches| {
+        training.start(&batches[..4])?;
+        training.outcomes(4)?;
+        let mut times = Vec::new();
+        for _ in 0..9 {
+            let clock = Clock::start();
+            training.start(&batches)?;
+            training.outcomes(GROUP)?;
+            times.push(1e3 * clock.now().as_secs_f64() / GROUP as f64);
+        }
+        times.sort_by(f64::total_cmp);
+        Ok(times[4])
+    })?;
+    Ok(times.into_iter().fold(0.0, f64::max))
 }
 
 fn once() -> Result<()> {

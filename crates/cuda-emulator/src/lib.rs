@@ -8,14 +8,14 @@ use std::{
     ffi::c_void,
     fs,
     process::Command,
-    sync::{Arc, Mutex, OnceLock},
+    sync::{Arc, Barrier, Mutex, OnceLock},
 };
 
 use libloading::Library;
 
 use eddy_cuda::{
     CudaError, Result,
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Shape},
     kernels::{Constants, Kernel, SOURCE},
 };
 
@@ -28,6 +28,20 @@ pub struct Emulator {
     library: Arc<Mutex<Library>>,
     /// Whether the encoder multiplies as tensor cores do. Other products are exact.
     tf32: bool,
+    peers: Option<Peers>,
+}
+
+/// Membership in a group of devices, each driven by a thread of its own.
+struct Peers {
+    rank: Rank,
+    group: Arc<Group>,
+}
+
+/// What the devices of a group share.
+struct Group {
+    /// The numbers of each device that are to be averaged.
+    numbers: Mutex<Vec<Vec<f32>>>,
+    barrier: Barrier,
 }
 
 /// Compiled libraries by their text.
@@ -48,15 +62,29 @@ impl Emulator {
             .lock()
             .unwrap_or_else(|broken| broken.into_inner());
         if let Some(library) = known.get(&source) {
-            return Ok(Self { library: library.clone(), tf32: false });
+            return Ok(Self { library: library.clone(), tf32: false, peers: None });
         }
         let library = Arc::new(Mutex::new(compile(&source)?));
         known.insert(source, library.clone());
-        Ok(Self { library, tf32: false })
+        Ok(Self { library, tf32: false, peers: None })
     }
 }
 
 impl Emulator {
+    /// So many devices that train together.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn group(constants: &Constants, count: usize) -> Result<Vec<Self>> {
+        let numbers = Mutex::new(vec![Vec::new(); count]);
+        let group = Arc::new(Group { numbers, barrier: Barrier::new(count) });
+        let member = |number| {
+            let peers = Peers { rank: Rank { number, count }, group: group.clone() };
+            Ok(Self { peers: Some(peers), ..Self::new(constants)? })
+        };
+        (0..count).map(member).collect()
+    }
+
     /// The same, with an encoder whose factors are rounded to TF32.
     #[must_use]
     pub fn with_tf32(self) -> Self {
@@ -192,6 +220,25 @@ impl Device for Emulator {
                 .map_err(|reason| CudaError::Call { call: "dlsym", reason: reason.to_string() })?;
             launch(number, grid.as_ptr(), block.as_ptr(), pointers.as_mut_ptr());
         }
+        Ok(())
+    }
+
+    fn rank(&self) -> Rank {
+        self.peers.as_ref().map_or(Rank::ALONE, |peers| peers.rank)
+    }
+
+    unsafe fn average(&self, _: Queue, at: Address, numbers: usize) -> Result<()> {
+        let Some(Peers { rank, group }) = &self.peers else { return Ok(()) };
+        // SAFETY: the caller's promise.
+        let here = unsafe { std::slice::from_raw_parts_mut(pointer(at).cast::<f32>(), numbers) };
+        let all = || group.numbers.lock().unwrap_or_else(|broken| broken.into_inner());
+        all()[rank.number] = here.to_vec();
+        group.barrier.wait();
+        for (number, here) in here.iter_mut().enumerate() {
+            *here = all().iter().map(|of| of[number]).sum::<f32>() / rank.count as f32;
+        }
+        // Nobody brings new numbers before all have read these.
+        group.barrier.wait();
         Ok(())
     }
 

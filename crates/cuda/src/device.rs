@@ -116,6 +116,20 @@ pub enum Queue {
     Fetch,
 }
 
+/// A device's place among those that train together, each on its part of every batch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rank {
+    /// Its number, from 0.
+    pub number: usize,
+    /// How many there are.
+    pub count: usize,
+}
+
+impl Rank {
+    /// The only one.
+    pub const ALONE: Self = Self { number: 0, count: 1 };
+}
+
 /// A value passed to a kernel: a number, an address, or a struct of C of at most 32 bytes.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(8))]
@@ -288,6 +302,26 @@ pub trait Device: Send + Sync {
     /// # Errors
     /// As above.
     unsafe fn multiply(&self, queue: Queue, product: &Product) -> Result<()>;
+
+    /// Its place among the devices that train together; by default it is alone.
+    fn rank(&self) -> Rank {
+        Rank::ALONE
+    }
+
+    /// Replaces numbers by their means over the devices that train together, which all call this in the same order, and get the
+    /// same bits.
+    ///
+    /// # Safety
+    /// The memory must have as many.
+    ///
+    /// # Errors
+    /// As above.
+    unsafe fn average(&self, _queue: Queue, _at: Address, _numbers: usize) -> Result<()> {
+        Ok(())
+    }
+
+    /// Ends its waiting for other devices, now and later, since one of them has failed.
+    fn leave_group(&self) {}
 
     /// Lets one queue go on only after what is in the other one now. By default, work is done when its call returns, and
     /// there is nothing to wait for.

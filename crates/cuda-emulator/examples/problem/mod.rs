@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, error::Error, sync::Arc};
 
 use eddy_cuda::{
     device::Device,
-    frame::{Batch, Place, Settings, Store, StoreWriter, Training, Window},
+    frame::{Batch, Outcome, Place, Settings, Store, StoreWriter, Training, Window},
     kernels::Constants,
 };
 use eddy_inference::checkpoint::{
@@ -28,6 +28,7 @@ impl Noise {
 }
 
 /// A network of these widths, its weights, and streams of particles that move at random.
+#[derive(Clone)]
 pub struct Problem {
     pub description: Description,
     pub weights: BTreeMap<String, Weights>,
@@ -126,6 +127,49 @@ impl Problem {
             })
             .collect()
     }
+}
+
+/// Calls `work` for each of several devices that train together, in a thread of its own, with a training and its part of the
+/// batches.
+pub fn together<D: Device + 'static, T: Send>(
+    problem: &Problem,
+    devices: Vec<D>,
+    batches: &[Batch],
+    work: impl Fn(Training, Vec<Batch>) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    let part = problem.settings.batch / devices.len();
+    let settings = Settings { batch: part, ..problem.settings.clone() };
+    let problem = &Problem { settings, ..problem.clone() };
+    let run = |number: usize, device: D| -> Result<T> {
+        let of_device = |batch: &Batch| {
+            let windows = batch.windows[number * part..(number + 1) * part].to_vec();
+            Batch { windows, ..batch.clone() }
+        };
+        work(problem.training(Arc::new(device))?, batches.iter().map(of_device).collect())
+    };
+    std::thread::scope(|scope| {
+        let run = &run;
+        let start = |(number, device)| {
+            scope.spawn(move || run(number, device).map_err(|reason| reason.to_string()))
+        };
+        let threads: Vec<_> = devices.into_iter().enumerate().map(start).collect();
+        threads
+            .into_iter()
+            .map(|thread| Ok(thread.join().map_err(|_| "a device's thread has panicked")??))
+            .collect()
+    })
+}
+
+/// Steps of several devices; gives outcomes and weights of each.
+pub fn train_together<D: Device + 'static>(
+    problem: &Problem,
+    devices: Vec<D>,
+    batches: &[Batch],
+) -> Result<Vec<(Vec<Outcome>, BTreeMap<String, Weights>)>> {
+    together(problem, devices, batches, |mut training, batches| {
+        training.start(&batches)?;
+        Ok((training.outcomes(batches.len())?, training.weights()?))
+    })
 }
 
 /// The largest relative error of a tensor.

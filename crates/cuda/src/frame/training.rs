@@ -30,6 +30,8 @@ pub const GROUP: usize = 64;
 const BODY: usize = 2 * AXES;
 /// Sums of the encoder for each of its units, `SUMS` of the kernels.
 const SUMS: usize = BODY + MATERIALS + 1;
+/// Blocks that fetch windows: enough to keep the bus busy, few, since they wait beside those of the step.
+const FETCHING: usize = 32;
 /// Parts of a sum of squares.
 const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
@@ -38,7 +40,7 @@ const MOST_NODES: usize = 110;
 /// What a training step is made of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// B, windows of a batch.
+    /// B, windows of a batch, of those on this device where several train together.
     pub batch: usize,
     /// W, observed frames of a window.
     pub warm_up: usize,
@@ -168,6 +170,8 @@ pub struct Training {
     schedule: Buffer,
     progress: Buffer,
     outcomes: Buffer,
+    /// Losses to be averaged over the devices.
+    losses: Buffer,
     error_weights: Buffer,
     scaling: Buffer,
 
@@ -275,6 +279,7 @@ impl Training {
             schedule: numbers(GROUP * 12)?,
             progress: numbers(1)?,
             outcomes: numbers(GROUP * 4)?,
+            losses: numbers(GROUP)?,
             error_weights: numbers(
                 if settings.relative { GROUP } else { 1 } * unroll * batch * MATERIALS * BODY,
             )?,
@@ -486,7 +491,21 @@ impl Training {
         Ok(())
     }
 
-    /// What came of the steps started last.
+    /// Means over the devices that train together, which all call this with as many numbers, at most [`GROUP`].
+    ///
+    /// # Errors
+    /// [`CudaError::Call`].
+    pub fn average_over_devices(&self, numbers: &mut [f32]) -> Result<()> {
+        if self.device.rank().count == 1 {
+            return Ok(());
+        }
+        self.device.write(&self.losses, 0, bytemuck::cast_slice(numbers))?;
+        // SAFETY: `write` has checked the length.
+        unsafe { self.device.average(Queue::Main, self.losses.address(), numbers.len()) }?;
+        self.device.read(&self.losses, 0, bytemuck::cast_slice_mut(numbers))
+    }
+
+    /// What came of the steps started last, for the whole batch.
     ///
     /// # Errors
     /// [`CudaError::Call`].
@@ -494,12 +513,14 @@ impl Training {
         assert!(steps <= GROUP, "{steps} steps, at most {GROUP}");
         let mut words = vec![[0u32; 4]; steps];
         self.device.read(&self.outcomes, 0, bytemuck::cast_slice_mut(&mut words))?;
-        let outcome = |&[loss, norm, not_finite, _]: &[u32; 4]| Outcome {
-            loss: f32::from_bits(loss),
+        let mut losses: Vec<_> = words.iter().map(|&[loss, ..]| f32::from_bits(loss)).collect();
+        self.average_over_devices(&mut losses)?;
+        let outcome = |(&[_, norm, not_finite, _], loss): (&[u32; 4], f32)| Outcome {
+            loss,
             gradient_norm: f32::from_bits(norm),
             not_finite: not_finite != 0,
         };
-        Ok(words.iter().map(outcome).collect())
+        Ok(words.iter().zip(losses).map(outcome).collect())
     }
 }
 
@@ -661,11 +682,10 @@ impl Training {
             return Ok(());
         };
         let frames = self.settings.warm_up + self.settings.unroll;
-        // Few threads: they wait for the bus most of the time, beside those of the step.
         self.launch_in(
             queue,
             Kernel::Fetch,
-            Shape::new(1, self.settings.batch, 256),
+            Shape::new(self.settings.batch.min(FETCHING), 1, 256),
             &[
                 host.address().into(),
                 staging.sources.address().into(),
@@ -673,6 +693,7 @@ impl Training {
                 staging.bodies.address().into(),
                 ahead.into(),
                 (frames * self.constants.particles).into(),
+                self.settings.batch.into(),
             ],
         )
     }
@@ -910,26 +931,34 @@ impl Training {
         frames: usize,
         ones: f32,
     ) -> Result<()> {
-        let (rows, hidden) = (frames * self.settings.batch, self.constants.hidden);
-        // Words are drawn in the order of the forward pass: the warm-up's frames layer by layer, then frame by frame.
+        let (batch, hidden, rank) =
+            (self.settings.batch, self.constants.hidden, self.device.rank());
+        // Words are drawn in the order of the forward pass: the warm-up's frames layer by layer, then frame by frame; in a
+        // frame for the whole batch, of which this device has the windows from `rank.number * batch` on.
         let before = first * self.layers.len() + layer * frames;
-        let word = (before * self.settings.batch * hidden) as u64;
-        // Blocks of 16 words need not begin with the numbers.
-        let blocks = (rows * hidden).div_ceil(16) + 1;
-        self.launch(
-            Kernel::Dropout,
-            Shape::new(blocks.div_ceil(128), 1, 128),
-            &[
-                from.into(),
-                to.into(),
-                self.schedule.address().into(),
-                self.progress.address().into(),
-                word.into(),
-                rows.into(),
-                self.settings.dropout.into(),
-                ones.into(),
-            ],
-        )
+        let together = if rank.count == 1 { frames } else { 1 };
+        for frame in (0..frames).step_by(together) {
+            let window = (before + frame) * batch * rank.count + rank.number * batch;
+            let rows = together * batch;
+            // Blocks of 16 words need not begin with the numbers.
+            let blocks = (rows * hidden).div_ceil(16) + 1;
+            let skipped = frame * batch * self.constants.hidden_columns();
+            self.launch(
+                Kernel::Dropout,
+                Shape::new(blocks.div_ceil(128), 1, 128),
+                &[
+                    from.plus(skipped).into(),
+                    to.plus(skipped).into(),
+                    self.schedule.address().into(),
+                    self.progress.address().into(),
+                    ((window * hidden) as u64).into(),
+                    rows.into(),
+                    self.settings.dropout.into(),
+                    ones.into(),
+                ],
+            )?;
+        }
+        Ok(())
     }
 
     /// Density maps and the loss, once all frames are predicted.
@@ -1259,8 +1288,11 @@ impl Training {
         self.change(true, matrix)
     }
 
-    /// The norms of a matrix's gradient, and what shortens it.
+    /// The gradient by a matrix averaged over the devices, its norms, and what shortens it.
     fn measure(&self, matrix: &Matrix) -> Result<()> {
+        let gradient = self.gradients.address().plus(matrix.first);
+        // SAFETY: the matrix lies within the gradients.
+        unsafe { self.device.average(Queue::Side, gradient, matrix.size()) }?;
         let tensors = matrix.tensors();
         let squares = self.tensor_squares.address().plus(matrix.tensor * CHUNKS);
         self.launch_in(
@@ -1269,7 +1301,7 @@ impl Training {
             // A block has 256 times 4 numbers or more.
             Shape::new(matrix.size().div_ceil(1024).min(CHUNKS), tensors, 256),
             &[
-                self.gradients.address().plus(matrix.first).into(),
+                gradient.into(),
                 squares.into(),
                 matrix.columns.into(),
                 matrix.bias.into(),
@@ -1322,10 +1354,12 @@ impl Training {
 }
 
 impl Drop for Training {
-    /// Waits for all work, before memory that it uses is given back.
+    /// Waits for all work, before memory that it uses is given back, and before the device leaves its group, which recorded
+    /// steps know.
     fn drop(&mut self) {
         if let Err(reason) = self.device.finish() {
             tracing::debug!("a GPU was lost: {reason}");
         }
+        self.recording = None;
     }
 }

@@ -3,15 +3,18 @@
 //! 1. `library`: which of the libraries that are loaded at run time are there.
 //! 2. `compile`: the kernels' text to machine code, kept on disk.
 //! 3. `products`: products by cuBLASLt.
+//! 4. `peers`: several GPUs that train together, by NCCL.
 
 #![expect(unsafe_code, reason = "calls of the driver and its libraries")]
 
 mod compile;
 mod library;
+mod peers;
 mod products;
 
 pub use compile::{Target, compile};
 pub use library::{GpuDescription, check, list};
+pub use peers::GroupId;
 
 use std::{collections::HashMap, path::Path, sync::Arc};
 
@@ -23,10 +26,13 @@ use cudarc::{
 };
 
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Recording, Shape},
+    device::{
+        Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Recording, Shape,
+    },
     error::{Context as _, CudaError, Result},
     kernels::{Constants, Kernel, SOURCE},
 };
+use peers::Peers;
 use products::Products;
 
 /// How products are computed.
@@ -53,6 +59,8 @@ impl Precision {
 pub struct Gpu {
     number: usize,
     precision: Precision,
+    /// Dropped before the streams that it works in.
+    peers: Option<Peers>,
     context: Arc<CudaContext>,
     streams: [Arc<CudaStream>; 3],
     kernels: HashMap<Kernel, CudaFunction>,
@@ -95,7 +103,43 @@ impl Gpu {
             kernels.insert(kernel, function);
         }
         let products = Products::new(&streams[0], precision)?;
-        Ok(Self { number: device, precision, context, streams, kernels, products })
+        Ok(Self { number: device, precision, peers: None, context, streams, kernels, products })
+    }
+
+    /// GPUs of these numbers as a group that trains together.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; without NCCL, [`CudaError::MissingLibrary`].
+    pub fn group(
+        numbers: std::ops::Range<usize>,
+        constants: &Constants,
+        precision: Precision,
+        cache: Option<&Path>,
+    ) -> Result<Vec<Self>> {
+        let (id, count) = (GroupId::new()?, numbers.len());
+        let gpus = numbers.map(|number| Self::new(number, constants, precision, cache));
+        let gpus = gpus.collect::<Result<Vec<_>>>()?;
+        // Each waits for the others.
+        std::thread::scope(|scope| {
+            let join = |(number, mut gpu): (usize, Self)| {
+                scope.spawn(move || gpu.join(id, Rank { number, count }).map(|()| gpu))
+            };
+            let threads: Vec<_> = gpus.into_iter().enumerate().map(join).collect();
+            let joined = |thread: std::thread::ScopedJoinHandle<'_, Result<Self>>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            threads.into_iter().map(joined).collect()
+        })
+    }
+
+    /// Joins a group of GPUs that train together; returns when all have joined.
+    ///
+    /// # Errors
+    /// [`CudaError::MissingLibrary`], [`CudaError::Call`].
+    pub fn join(&mut self, id: GroupId, rank: Rank) -> Result<()> {
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        self.peers = Some(Peers::join(id, rank)?);
+        Ok(())
     }
 
     fn stream(&self, queue: Queue) -> &Arc<CudaStream> {
@@ -249,6 +293,23 @@ impl Device for Gpu {
         };
         // SAFETY: the caller's promise.
         unsafe { self.products.multiply(self.stream(queue), workspace, product) }
+    }
+
+    fn rank(&self) -> Rank {
+        self.peers.as_ref().map_or(Rank::ALONE, |peers| peers.rank)
+    }
+
+    fn leave_group(&self) {
+        if let Some(peers) = &self.peers {
+            peers.abort();
+        }
+    }
+
+    unsafe fn average(&self, queue: Queue, at: Address, numbers: usize) -> Result<()> {
+        let Some(peers) = &self.peers else { return Ok(()) };
+        self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        // SAFETY: the caller's promise.
+        unsafe { peers.average(at, numbers, self.stream(queue).cu_stream().cast()) }
     }
 
     fn wait(&self, queue: Queue, for_queue: Queue) -> Result<()> {

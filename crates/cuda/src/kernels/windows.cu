@@ -10,15 +10,17 @@ __device__ __forceinline__ Body mirror(Body body, const Window& window, float si
 
 // The windows of the step `ahead` steps from now, out of trajectories in the memory of the host: window b goes to place
 // (step % 2) * B + b of `staged`, while the windows of the step before lie at the other places. `sources` are the number of
-// steps whose windows are known, and for each of their windows its first body. grid (blocks, B), block 256
+// steps whose windows are known, and for each of their windows its first body. grid at most B, block 256
 extern "C" __global__ void __launch_bounds__(256) fetch(const Body* __restrict__ host, const u64* __restrict__ sources,
-    const Progress* __restrict__ progress, Body* __restrict__ staged, int ahead, int bodies) {
+    const Progress* __restrict__ progress, Body* __restrict__ staged, int ahead, int bodies, int batch) {
   const u64 step = (u64)progress->step + ahead;
-  const int b = blockIdx.y, batch = gridDim.y;
   if (step >= sources[0]) return;
-  const Body* from = host + sources[1 + step * batch + b];
-  Body* to = staged + ((step & 1) * batch + b) * bodies;
-  for (int i = blockIdx.x * 256 + threadIdx.x; i < bodies; i += gridDim.x * 256) to[i] = from[i];
+  for (int b = blockIdx.x; b < batch; b += gridDim.x) {
+    const Body* from = host + sources[1 + step * batch + b];
+    Body* to = staged + ((step & 1) * batch + b) * bodies;
+#pragma unroll 4
+    for (int i = threadIdx.x; i < bodies; i += 256) to[i] = from[i];
+  }
 }
 
 // The observed frames. grid (ceil(N / 256), warm_up * batch), block 256

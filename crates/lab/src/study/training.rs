@@ -80,7 +80,11 @@ impl Task {
         let cache = kernel_cache();
         let run = Run {
             device: work.device,
-            gpu: GpuOptions { precision: work.precision, kernel_cache: cache.as_deref() },
+            gpu: GpuOptions {
+                precision: work.precision,
+                kernel_cache: cache.as_deref(),
+                ..GpuOptions::default()
+            },
             output,
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,

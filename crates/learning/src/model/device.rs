@@ -1,6 +1,7 @@
 //! The compute devices.
 
 use std::{
+    num::NonZeroUsize,
     panic,
     path::{Path, PathBuf},
 };
@@ -214,13 +215,22 @@ impl Precision {
     }
 }
 
-/// How a GPU is used.
-#[derive(Clone, Copy, Debug, Default)]
+/// How GPUs are used.
+#[derive(Clone, Copy, Debug)]
 pub struct GpuOptions<'a> {
-    /// How it multiplies.
+    /// How many GPUs train together, each on its part of every batch.
+    pub count: NonZeroUsize,
+    /// How they multiply.
     pub precision: Precision,
     /// Folder that compiled kernels are kept in, none to compile them each time.
     pub kernel_cache: Option<&'a Path>,
+}
+
+impl Default for GpuOptions<'_> {
+    /// One GPU, in TF32, without a folder.
+    fn default() -> Self {
+        Self { count: NonZeroUsize::MIN, precision: Precision::default(), kernel_cache: None }
+    }
 }
 
 /// The folder that eddy's commands keep compiled kernels in: in the user's cache folder, if there is one.

@@ -34,10 +34,10 @@ use eddy_inference::{
 /// Materials as the kernels count them.
 const _: () = assert!(Material::COUNT == MATERIALS);
 
-/// What a step is made of in the stage with so many free frames.
-pub(super) fn settings(config: &TrainConfig, unroll: usize) -> Settings {
+/// What a step is made of in the stage with so many free frames, on one of `devices` devices.
+pub(super) fn settings(config: &TrainConfig, unroll: usize, devices: usize) -> Settings {
     Settings {
-        batch: config.windows.batch,
+        batch: config.windows.batch / devices,
         warm_up: config.windows.warm_up,
         unroll,
         relative: config.loss.kind == LossKind::Relative,
@@ -139,22 +139,28 @@ pub(super) fn weights(
         .collect())
 }
 
-/// A network that learns on a GPU. Between epochs the run's state on the CPU is brought up to date.
+/// A network that learns on GPUs, each with its part of every batch. Between epochs the run's state on the CPU is brought up
+/// to date.
 pub(super) struct Learner {
+    replicas: Vec<Replica>,
+    /// The network for validation, on the first GPU.
+    streams: Option<Streams>,
+}
+
+/// A GPU with the network: all have the same weights.
+struct Replica {
     device: Arc<dyn Device>,
     store: Arc<Store>,
     /// Steps of the stage at hand.
     training: Option<Training>,
-    /// The network for validation.
-    streams: Option<Streams>,
 }
 
 /// Batches that are prepared and run at once.
 pub(super) const BATCHES: usize = GROUP;
 
 impl Learner {
-    /// Opens a GPU and copies the training streams to it. If it has no room for them, they go to the memory of the host, of
-    /// which so much is free (bytes).
+    /// Opens GPUs, from `number` on, and copies the training streams to each. If one has no room for them, they go to the
+    /// memory of the host, of which so much is free (bytes).
     pub(super) fn new(
         number: usize,
         options: GpuOptions,
@@ -168,39 +174,161 @@ impl Learner {
             Precision::Tf32 => gpu::Precision::Tf32,
             Precision::Fp32 => gpu::Precision::Fp32,
         };
-        let gpu = Gpu::new(number, &constants, precision, options.kernel_cache)?;
-        let stages: Vec<_> =
-            config.unroll.iter().map(|stage| settings(config, stage.frames)).collect();
-        let frames = streams.iter().map(|stream| stream.frames).sum();
-        let place = footprint::place(&gpu, number, description, &stages, frames, host_free)?;
-        if place == Place::Host {
-            tracing::info!(
-                "the trajectories do not fit into the memory of GPU {number}: each step's windows are fetched from the memory of the host"
-            );
+        let (count, cache) = (options.count.get(), options.kernel_cache);
+        let batch = config.windows.batch;
+        if !batch.is_multiple_of(count) {
+            return Err(TrainError::Setting {
+                field: "windows.batch",
+                found: format!("{batch} for {count} GPUs"),
+                expected: "a multiple of the number of GPUs",
+            });
         }
-        Self::on(Arc::new(gpu), streams, place)
+        let gpus = match count {
+            1 => vec![Gpu::new(number, &constants, precision, cache)?],
+            _ => Gpu::group(number..number + count, &constants, precision, cache)?,
+        };
+        let stages: Vec<_> =
+            config.unroll.iter().map(|stage| settings(config, stage.frames, count)).collect();
+        let frames = streams.iter().map(|stream| stream.frames).sum();
+        let mut places = Vec::new();
+        for (place, gpu) in gpus.iter().enumerate() {
+            let number = number + place;
+            let free = host_free / count as u64;
+            let place = footprint::place(gpu, number, description, &stages, frames, free)?;
+            if place == Place::Host {
+                tracing::info!(
+                    "the trajectories do not fit into the memory of GPU {number}: each step's windows are fetched from the memory of the host"
+                );
+            }
+            places.push(place);
+        }
+        let devices = gpus.into_iter().map(|gpu| Arc::new(gpu) as Arc<dyn Device>);
+        Self::on(devices.zip(places), streams)
     }
 
-    /// Of any device.
+    /// Of any devices, with the place of their trajectories.
     pub(super) fn on(
-        device: Arc<dyn Device>,
+        devices: impl IntoIterator<Item = (Arc<dyn Device>, Place)>,
         streams: &[Trajectory],
-        place: Place,
     ) -> Result<Self, TrainError> {
-        let store = Arc::new(store(&*device, streams, place)?);
-        Ok(Self { device, store, training: None, streams: None })
+        let replica = |(device, place): (Arc<dyn Device>, Place)| {
+            let store = Arc::new(store(&*device, streams, place)?);
+            Ok(Replica { device, store, training: None })
+        };
+        let replicas = devices.into_iter().map(replica).collect::<Result<_, TrainError>>()?;
+        Ok(Self { replicas, streams: None })
     }
 
-    /// Takes the run's weights and moments onto the device, for steps of its stage.
+    /// Takes the run's weights and moments onto the devices, for steps of its stage.
     pub(super) fn begin(
         &mut self,
         task: &GradientTask,
         state: &RunState,
     ) -> Result<(), TrainError> {
+        let count = self.replicas.len();
+        self.replicas.iter_mut().try_for_each(|replica| replica.begin(task, state, count))
+    }
+
+    /// One step for each learning rate, at most [`BATCHES`].
+    ///
+    /// # Errors
+    /// [`TrainError::Cuda`].
+    pub(super) fn steps(
+        &mut self,
+        task: &GradientTask,
+        sampler: &Sampler,
+        rates: &[f64],
+        state: &mut RunState,
+    ) -> Result<Vec<Step>, TrainError> {
+        let GradientTask { config, scale, .. } = task;
+        let part = config.windows.batch / self.replicas.len();
+        let mut batches = vec![Vec::new(); self.replicas.len()];
+        let mut drawn = Vec::new();
+        for &rate in rates {
+            let draws = sampler.choose_many(config.windows.batch, &mut state.order);
+            let masks = state.dropout.fork();
+            state.adam.steps += 1;
+            let correction = Correction::new(state.adam.steps, rate, &config.optimizer);
+            for (draws, batches) in draws.chunks(part).zip(&mut batches) {
+                let relative = config.loss.kind == LossKind::Relative;
+                let own =
+                    relative.then(|| weights(scale, sampler, draws, state.unroll)).transpose()?;
+                batches.push(batch(draws, &correction, masks.random(), own));
+            }
+            drawn.push(draws);
+        }
+        // A thread for each GPU: they wait for each other within a step, and so would for one that has failed.
+        let devices: Vec<_> = self.replicas.iter().map(|replica| replica.device.clone()).collect();
+        let outcomes = std::thread::scope(|scope| {
+            let devices = &devices;
+            let mut threads = Vec::new();
+            for (replica, batches) in self.replicas.iter_mut().zip(batches) {
+                threads.push(scope.spawn(move || {
+                    let outcomes = replica.run(&batches);
+                    if outcomes.is_err() {
+                        devices.iter().for_each(|device| device.leave_group());
+                    }
+                    outcomes
+                }));
+            }
+            let outcomes: Vec<_> = threads
+                .into_iter()
+                .map(|thread| {
+                    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+                })
+                .collect();
+            outcomes.into_iter().collect::<Result<Vec<_>, TrainError>>()
+        })?;
+        // All have the same outcomes: those of the whole batch.
+        let outcomes = outcomes.into_iter().next().unwrap_or_default().into_iter().zip(drawn);
+        Ok(outcomes.map(|(outcome, draws)| step(outcome, &draws, sampler)).collect())
+    }
+
+    /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
+    pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
+        let Checkpoint { description, tensors } = checkpoint;
+        let Some(first) = self.replicas.first() else { unreachable!("a learner has a device") };
+        let streams = match &self.streams {
+            Some(streams) => streams,
+            None => {
+                let inference = Inference::new(first.device.clone(), description, tensors)?;
+                self.streams.insert(Streams::new(inference))
+            }
+        };
+        if let Some(training) = &first.training {
+            streams.copy_weights(training)?;
+        }
+        Ok(Surrogate::on_device(checkpoint, Arc::new(streams.clone()))?)
+    }
+
+    /// Brings the run's weights and moments up to date.
+    pub(super) fn sync(&self, state: &mut RunState) -> Result<(), TrainError> {
+        let training = self.replicas.first().and_then(|replica| replica.training.as_ref());
+        let Some(training) = training else { return Ok(()) };
+        let [weights, first, second, average] = training.state()?;
+        state
+            .network
+            .layers_mut()
+            .exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
+        let moments = first.into_iter().zip(second).zip(average);
+        state.adam.moments =
+            moments.map(|((first, second), average)| Moments { first, second, average }).collect();
+        Ok(())
+    }
+}
+
+impl Replica {
+    /// Takes the run's weights and moments, for steps of its stage on one of `count` devices.
+    fn begin(
+        &mut self,
+        task: &GradientTask,
+        state: &RunState,
+        count: usize,
+    ) -> Result<(), TrainError> {
         let GradientTask { config, description, scale, .. } = task;
         // Free the memory of the previous stage first.
         self.training = None;
-        let settings = settings(config, state.unroll);
+        let settings = settings(config, state.unroll, count);
         let training =
             Training::new(self.device.clone(), self.store.clone(), description, &settings)?;
         training.set_weights(&state.network.layers().tensors(description))?;
@@ -216,64 +344,10 @@ impl Learner {
         Ok(())
     }
 
-    /// One step for each learning rate, at most [`BATCHES`].
-    ///
-    /// # Errors
-    /// [`TrainError::Cuda`].
-    pub(super) fn steps(
-        &mut self,
-        task: &GradientTask,
-        sampler: &Sampler,
-        rates: &[f64],
-        state: &mut RunState,
-    ) -> Result<Vec<Step>, TrainError> {
-        let GradientTask { config, scale, .. } = task;
+    fn run(&mut self, batches: &[Batch]) -> Result<Vec<Outcome>, TrainError> {
         let training = self.training.as_mut().expect("a stage begins before its steps");
-        let (mut batches, mut drawn) = (Vec::new(), Vec::new());
-        for &rate in rates {
-            let draws = sampler.choose_many(config.windows.batch, &mut state.order);
-            let masks = state.dropout.fork();
-            state.adam.steps += 1;
-            let correction = Correction::new(state.adam.steps, rate, &config.optimizer);
-            let relative = config.loss.kind == LossKind::Relative;
-            let own =
-                relative.then(|| weights(scale, sampler, &draws, state.unroll)).transpose()?;
-            batches.push(batch(&draws, &correction, masks.random(), own));
-            drawn.push(draws);
-        }
-        training.start(&batches)?;
-        let outcomes = training.outcomes(batches.len())?.into_iter().zip(drawn);
-        Ok(outcomes.map(|(outcome, draws)| step(outcome, &draws, sampler)).collect())
-    }
-
-    /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
-    pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
-        let Checkpoint { description, tensors } = checkpoint;
-        let streams = match &self.streams {
-            Some(streams) => streams,
-            None => {
-                let inference = Inference::new(self.device.clone(), description, tensors)?;
-                self.streams.insert(Streams::new(inference))
-            }
-        };
-        if let Some(training) = &self.training {
-            streams.copy_weights(training)?;
-        }
-        Ok(Surrogate::on_device(checkpoint, Arc::new(streams.clone()))?)
-    }
-
-    /// Brings the run's weights and moments up to date.
-    pub(super) fn sync(&self, state: &mut RunState) -> Result<(), TrainError> {
-        let Some(training) = &self.training else { return Ok(()) };
-        let [weights, first, second, average] = training.state()?;
-        state
-            .network
-            .layers_mut()
-            .exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
-        let moments = first.into_iter().zip(second).zip(average);
-        state.adam.moments =
-            moments.map(|((first, second), average)| Moments { first, second, average }).collect();
-        Ok(())
+        training.start(batches)?;
+        Ok(training.outcomes(batches.len())?)
     }
 }
 

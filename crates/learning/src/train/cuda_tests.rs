@@ -151,7 +151,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     let device: Arc<dyn Device> =
         Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
     let store = Arc::new(cuda::store(&*device, &streams, Place::Device).unwrap());
-    let settings = cuda::settings(config, unroll);
+    let settings = cuda::settings(config, unroll, 1);
     let mut training = Training::new(device, store, &description, &settings).unwrap();
     training.set_weights(&weights).unwrap();
     if let Some(weights) = cuda::common_weights(&scale, unroll, PARTICLES) {
@@ -317,7 +317,9 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (expected, expected_losses) = run(&|| Learner::Burn);
     let (found, found_losses) = run(&|| {
         let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
-        Learner::Cuda(Box::new(cuda::Learner::on(device, &streams, Place::Host).unwrap()))
+        Learner::Cuda(Box::new(
+            cuda::Learner::on([(device as Arc<dyn Device>, Place::Host)], &streams).unwrap(),
+        ))
     });
 
     assert_eq!(found_losses.len(), 3);

@@ -293,7 +293,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
         let unroll = windows[0].states.len() - config.windows.warm_up;
         let emulator = Emulator::new(&Constants::of(description).unwrap()).unwrap();
         let store = cuda::store(&emulator, &streams, Place::Device).unwrap();
-        let settings = cuda::settings(&config, unroll);
+        let settings = cuda::settings(&config, unroll, 1);
         let mut training =
             Training::new(Arc::new(emulator), Arc::new(store), description, &settings).unwrap();
         training.set_weights(&golden.weights).unwrap();

@@ -98,13 +98,17 @@ pub struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// The device as it is recorded: of an NVIDIA GPU with the precision, since results depend on it.
+    /// The device as it is recorded: of NVIDIA GPUs with the precision and their number, since results depend on both.
     fn device_name(&self) -> String {
         let name = self.device.name();
         if self.device == self.device.through_burn() {
             name.to_owned()
         } else {
-            format!("{name} {}", self.gpu.precision.name())
+            let precision = self.gpu.precision.name();
+            match self.gpu.count.get() {
+                1 => format!("{name} {precision}"),
+                count => format!("{name} {precision} x{count}"),
+            }
         }
     }
 
