@@ -14,7 +14,7 @@ use std::{
 use eddy_frames::{Frame, FrameView, Particles};
 use eddy_inference::{
     checkpoint::{Core, Description, Weights},
-    engine::{Accelerator, DeviceState, DeviceStep, ModelError},
+    engine::{Accelerator, DeviceState, DeviceStep, ModelError, StreamStart},
 };
 
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -561,8 +561,11 @@ impl Accelerator for Streams {
         MOST_STREAMS
     }
 
-    fn start(&self, material: &[u8]) -> std::result::Result<Box<dyn DeviceState>, ModelError> {
-        let memory = self.attempt(|inference| inference.memory(material))?;
+    fn start(
+        &self,
+        stream: &StreamStart<'_>,
+    ) -> std::result::Result<Box<dyn DeviceState>, ModelError> {
+        let memory = self.attempt(|inference| inference.memory(stream.material))?;
         Ok(Box::new(State { owner: self.clone(), memory: Ok(memory) }))
     }
 

@@ -3,7 +3,8 @@
 use std::{any::Any, fmt};
 
 use super::ModelError;
-use eddy_frames::{Frame, FrameView};
+use crate::kernels::rest_shape::RestShape;
+use eddy_frames::{Domain, Frame, FrameView};
 
 /// A device that predicts streams with one network. The hidden states stay on it.
 ///
@@ -12,17 +13,27 @@ pub trait Accelerator: Send + Sync {
     /// Number of streams from which on stepping more at once gains nothing.
     fn streams(&self) -> usize;
 
-    /// The state of a stream of particles of these materials (by number, `[N]`), before its first frame.
+    /// The state of a stream before its first frame.
     ///
     /// # Errors
     /// [`ModelError::Device`].
-    fn start(&self, material: &[u8]) -> Result<Box<dyn DeviceState>, ModelError>;
+    fn start(&self, stream: &StreamStart<'_>) -> Result<Box<dyn DeviceState>, ModelError>;
 
     /// Observes a frame of each stream and writes positions and velocities of the predicted next frame.
     ///
     /// # Errors
     /// [`ModelError::Device`]: the device has failed, now or before; then nothing is predicted any more.
     fn step(&self, steps: &mut [DeviceStep<'_>]) -> Result<(), ModelError>;
+}
+
+/// What a stream starts with ([`Accelerator::start`]).
+pub struct StreamStart<'a> {
+    /// The materials of its particles, by number, `[N]`.
+    pub material: &'a [u8],
+    /// The domain of its first frame.
+    pub domain: Domain,
+    /// Particle model: the rest shape of jelly and rope, in the order of the particles. Empty in the frame model.
+    pub rest: &'a RestShape,
 }
 
 /// One stream of [`Accelerator::step`].

@@ -75,12 +75,17 @@ impl HiddenState {
         }
     }
 
-    /// The state of a frame model's stream on a device.
-    pub(super) fn on_device(material: Vec<u8>, device: Box<dyn DeviceState>) -> Self {
+    /// The state of a stream on a device; `order` and `rest` are those that the rules need.
+    pub(super) fn on_device(
+        material: Vec<u8>,
+        order: Vec<u32>,
+        rest: RestShape,
+        device: Box<dyn DeviceState>,
+    ) -> Self {
         Self {
-            order: Arc::default(),
+            order: Arc::new(order),
             material,
-            rest: Arc::default(),
+            rest: Arc::new(rest),
             hidden: Vec::new(),
             cell: Vec::new(),
             expected_velocity: Vec::new(),

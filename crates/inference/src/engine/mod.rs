@@ -12,6 +12,7 @@
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes.
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
+//!    `device_rules` applies them to the predictions of an [`Accelerator`].
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
 //!    or the [`Accelerator`].
@@ -26,6 +27,7 @@
 mod accelerator;
 mod ballistic;
 mod core;
+mod device_rules;
 mod encoder;
 mod error;
 mod frame_model;
@@ -47,7 +49,7 @@ mod warning;
 #[cfg(test)]
 mod tests;
 
-pub use accelerator::{Accelerator, DeviceState, DeviceStep};
+pub use accelerator::{Accelerator, DeviceState, DeviceStep, StreamStart};
 pub use ballistic::Ballistic;
 pub use error::ModelError;
 pub use hidden_state::HiddenState;

@@ -20,7 +20,7 @@ use eddy_inference::{
     checkpoint::{Architecture, Checkpoint, Core, Description, Sizes, initial_weights},
     engine::{
         Accelerator, DeviceState, DeviceStep, HiddenState, ModelError, StepRequest, Stepper,
-        Surrogate,
+        StreamStart, Surrogate,
     },
 };
 use eddy_messages::{Message, ParticleFrame, PredictionStatus};
@@ -72,8 +72,9 @@ impl Accelerator for Engine {
         8
     }
 
-    fn start(&self, material: &[u8]) -> Result<Box<dyn DeviceState>, ModelError> {
-        let material: Vec<_> = material.iter().map(|&kind| Material::ALL[kind as usize]).collect();
+    fn start(&self, stream: &StreamStart<'_>) -> Result<Box<dyn DeviceState>, ModelError> {
+        let kinds = stream.material.iter();
+        let material: Vec<_> = kinds.map(|&kind| Material::ALL[kind as usize]).collect();
         let first = Frame {
             stream: 0,
             sequence: 0,
