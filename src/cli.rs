@@ -497,7 +497,7 @@ pub struct NodeArgs {
     /// Number of threads for prediction [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
     pub device: PredictionDevice,
     /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
@@ -570,7 +570,7 @@ pub struct PredictArgs {
     /// Number of threads for prediction [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
     pub device: PredictionDevice,
 }
@@ -622,7 +622,7 @@ pub struct EvalArgs {
     /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second; frame models only on a GPU.
+    /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
     pub device: PredictionDevice,
 }

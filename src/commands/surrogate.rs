@@ -36,19 +36,34 @@ pub(super) fn on_device(
 
 #[cfg(feature = "cuda")]
 fn on_gpu(checkpoint: &Checkpoint, number: usize) -> Result<Surrogate, ModelError> {
+    use std::sync::Arc;
+
     use eddy_cuda::{
-        CudaError,
-        frame::{Inference, Streams},
+        CudaError, frame,
         gpu::{Gpu, Precision},
-        kernels::Constants,
+        kernels::{self, Program},
+        particle,
     };
+    use eddy_inference::{checkpoint::Architecture, engine::Accelerator};
     let Checkpoint { description, tensors } = checkpoint;
-    let streams = || -> Result<Streams, CudaError> {
-        let constants = Constants::of(description)?;
+    let gpu = |program: &dyn Program| {
         let cache = eddy_learning::model::kernel_cache();
-        let gpu = Gpu::new(number, &constants, Precision::Fp32, cache.as_deref())?;
-        Ok(Streams::new(Inference::new(std::sync::Arc::new(gpu), description, tensors)?))
+        Gpu::new(number, program, Precision::Fp32, cache.as_deref()).map(Arc::new)
+    };
+    let streams = || -> Result<Arc<dyn Accelerator>, CudaError> {
+        Ok(match description.architecture {
+            Architecture::Frame => {
+                let gpu = gpu(&kernels::Constants::of(description)?)?;
+                let inference = frame::Inference::new(gpu, description, tensors)?;
+                Arc::new(frame::Streams::new(inference))
+            }
+            Architecture::Particle => {
+                let gpu = gpu(&particle::Constants::of(description)?)?;
+                let inference = particle::Inference::new(gpu, description, tensors)?;
+                Arc::new(particle::Streams::new(inference))
+            }
+        })
     };
     let streams = streams().map_err(|reason| ModelError::Device(reason.to_string()))?;
-    Surrogate::on_device(checkpoint, std::sync::Arc::new(streams))
+    Surrogate::on_device(checkpoint, streams)
 }

@@ -31,6 +31,12 @@ static long long dynamic_shared[32768];
 using std::max;
 using std::min;
 struct alignas(16) float4 { float x, y, z, w; };
+struct alignas(8) float2 { float x, y; };
+static unsigned atomicAdd(unsigned* to, unsigned by) {
+  const unsigned before = *to;
+  *to += by;
+  return before;
+}
 static unsigned long long atomicAdd(unsigned long long* to, unsigned long long by) {
   const unsigned long long before = *to;
   *to += by;

@@ -16,7 +16,7 @@ use libloading::Library;
 use eddy_cuda::{
     CudaError, Result,
     device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Shape},
-    kernels::{Constants, Kernel, SOURCE},
+    kernels::{Kernel, Program},
 };
 
 /// What every kernel of the library is called by.
@@ -51,12 +51,12 @@ type Libraries = HashMap<String, Arc<Mutex<Library>>>;
 static LIBRARIES: OnceLock<Mutex<Libraries>> = OnceLock::new();
 
 impl Emulator {
-    /// Compiles the kernels for these constants.
+    /// Compiles the kernels of a program.
     ///
     /// # Errors
     /// [`CudaError::Compile`] with what g++ says, or that there is none.
-    pub fn new(constants: &Constants) -> Result<Self> {
-        let source = text(constants);
+    pub fn new(program: &dyn Program) -> Result<Self> {
+        let source = text(program);
         let mut known = LIBRARIES
             .get_or_init(Mutex::default)
             .lock()
@@ -75,12 +75,12 @@ impl Emulator {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn group(constants: &Constants, count: usize) -> Result<Vec<Self>> {
+    pub fn group(program: &dyn Program, count: usize) -> Result<Vec<Self>> {
         let numbers = Mutex::new(vec![Vec::new(); count]);
         let group = Arc::new(Group { numbers, barrier: Barrier::new(count) });
         let member = |number| {
             let peers = Peers { rank: Rank { number, count }, group: group.clone() };
-            Ok(Self { peers: Some(peers), ..Self::new(constants)? })
+            Ok(Self { peers: Some(peers), ..Self::new(program)? })
         };
         (0..count).map(member).collect()
     }
@@ -93,14 +93,17 @@ impl Emulator {
 }
 
 /// Constants, emulator, kernels, and one function that calls any of them by number.
-fn text(constants: &Constants) -> String {
+fn text(program: &dyn Program) -> String {
     let mut text = String::from(include_str!("emulator.cpp"));
-    for (name, value) in constants.definitions() {
+    for (name, value) in program.definitions() {
         text += &format!("#define {name} {value}\n");
     }
-    text += SOURCE;
+    text += program.source();
     text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(unsigned kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
-    for (number, kernel) in Kernel::ALL.iter().enumerate() {
+    let kernels = program.kernels();
+    for (number, kernel) in
+        Kernel::ALL.iter().enumerate().filter(|(_, kernel)| kernels.contains(kernel))
+    {
         text += &format!("  if (kernel == {number}) call({}, grid, block, a);\n", kernel.name());
     }
     text + "}\n"

@@ -1,13 +1,16 @@
 //! Compiles the kernels of every core's network for some compute capabilities, without a GPU:
-//! `compile_kernels FOLDER 80 90` writes `NAME.ptx` and `NAME.cubin`.
+//! `compile_kernels FOLDER 80 90` writes `NAME.CAPABILITY.ptx`, `NAME.CAPABILITY.cubin`.
 
 use std::{error::Error, fs, path::PathBuf};
 
 use eddy_cuda::{
     gpu::{Target, compile},
-    kernels::{Constants, SOURCE},
+    kernels::{Constants, Program},
+    particle,
 };
-use eddy_inference::checkpoint::{Activation, Form, Pooling};
+use eddy_inference::checkpoint::{
+    Activation, Architecture, Core, Description, Form, Pooling, Sizes,
+};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -31,12 +34,24 @@ fn main() -> Result<(), Box<dyn Error>> {
     let variants = variants.into_iter().chain(
         Activation::ALL.map(|kind| (kind.name(), Constants { activation: kind, ..paper.clone() })),
     );
-    for (name, constants) in variants {
+    let frame = variants
+        .map(|(name, constants)| (name.to_owned(), Box::new(constants) as Box<dyn Program>));
+    // The shipped network's widths, and those of a wide one.
+    let particle = Core::ALL.into_iter().flat_map(|core| [(core, 16, 24), (core, 64, 128)]);
+    let particle = particle.map(|(core, encoder, hidden)| {
+        let sizes = Sizes { encoder, hidden, layers: 1, particles: None };
+        let description = Description::untrained(Architecture::Particle, core, sizes);
+        let constants = particle::Constants::of(&description)?;
+        let name = format!("particle-{}-{hidden}", core.name());
+        Ok((name, Box::new(constants) as Box<dyn Program>))
+    });
+    let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
+    for (name, program) in frame.chain(particle) {
         for &capability in &capabilities {
             for (target, extension) in
                 [(Target::Ptx(capability), "ptx"), (Target::Machine(capability), "cubin")]
             {
-                let image = compile(SOURCE, &constants.definitions(), target)?;
+                let image = compile(program.source(), &program.definitions(), target)?;
                 let file = folder.join(format!("{name}.{capability}.{extension}"));
                 println!("{}: {} bytes", file.display(), image.len());
                 fs::write(file, image)?;

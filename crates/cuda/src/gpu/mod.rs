@@ -30,7 +30,7 @@ use crate::{
         Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Recording, Shape,
     },
     error::{Context as _, CudaError, Result},
-    kernels::{Constants, Kernel, SOURCE},
+    kernels::{Kernel, Program},
 };
 use peers::Peers;
 use products::Products;
@@ -55,7 +55,7 @@ impl Precision {
     }
 }
 
-/// A GPU, ready to compute with the kernels of some constants.
+/// A GPU, ready to compute with the kernels of a program.
 pub struct Gpu {
     number: usize,
     precision: Precision,
@@ -74,7 +74,7 @@ impl Gpu {
     /// [`CudaError`]: no driver, a library missing, no such GPU, a call that failed.
     pub fn new(
         device: usize,
-        constants: &Constants,
+        program: &dyn Program,
         precision: Precision,
         cache: Option<&Path>,
     ) -> Result<Self> {
@@ -87,18 +87,18 @@ impl Gpu {
         let streams = [stream()?, stream()?, stream()?];
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
-        let definitions = constants.definitions();
+        let (source, definitions) = (program.source(), program.definitions());
         let load = |image| context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData");
-        let module = match load(compile::cached(SOURCE, &definitions, target, cache)?) {
+        let module = match load(compile::cached(source, &definitions, target, cache)?) {
             Ok(module) => module,
             // A damaged file, or one of another compiler of the same version.
             Err(_) if cache.is_some() => {
-                load(compile::compiled_anew(SOURCE, &definitions, target, cache)?)?
+                load(compile::compiled_anew(source, &definitions, target, cache)?)?
             }
             Err(error) => return Err(error),
         };
         let mut kernels = HashMap::new();
-        for &kernel in Kernel::ALL {
+        for kernel in program.kernels() {
             let function = module.load_function(kernel.name()).context("cuModuleGetFunction")?;
             kernels.insert(kernel, function);
         }
@@ -112,12 +112,12 @@ impl Gpu {
     /// As [`Self::new`]; without NCCL, [`CudaError::MissingLibrary`].
     pub fn group(
         numbers: std::ops::Range<usize>,
-        constants: &Constants,
+        program: &dyn Program,
         precision: Precision,
         cache: Option<&Path>,
     ) -> Result<Vec<Self>> {
         let (id, count) = (GroupId::new()?, numbers.len());
-        let gpus = numbers.map(|number| Self::new(number, constants, precision, cache));
+        let gpus = numbers.map(|number| Self::new(number, program, precision, cache));
         let gpus = gpus.collect::<Result<Vec<_>>>()?;
         // Each waits for the others.
         std::thread::scope(|scope| {

@@ -18,6 +18,28 @@ pub const SOURCE: &str = concat!(
     include_str!("maximum.cu"),
 );
 
+/// The kernels of the particle model, as one text.
+pub const PARTICLE_SOURCE: &str = concat!(
+    include_str!("common.cu"),
+    include_str!("particle_nodes.cu"),
+    include_str!("particle_layers.cu"),
+);
+
+/// A text of kernels and the constants it is compiled for.
+pub trait Program {
+    /// The text.
+    fn source(&self) -> &'static str;
+
+    /// Names and values for the compiler.
+    fn definitions(&self) -> Vec<(&'static str, usize)>;
+
+    /// The kernels in the text.
+    fn kernels(&self) -> Vec<Kernel> {
+        let defined = |kernel: &Kernel| self.source().contains(&format!(" {}(", kernel.name()));
+        Kernel::ALL.iter().copied().filter(defined).collect()
+    }
+}
+
 /// Materials that the kernels know, `Material::COUNT` of eddy-frames.
 pub const MATERIALS: usize = 4;
 /// Axes of space.
@@ -136,6 +158,24 @@ kernels! {
     MaximumSlopes = "maximum_slopes",
     /// Their sums for each particle.
     MaximumPointsGradient = "maximum_points_gradient",
+    /// Particle model: frames from the memory of the host, and the particles of each cell.
+    ParticleLoad = "particle_load",
+    /// Slots of cells, numbers of nodes.
+    ParticleScan = "particle_scan",
+    /// Particles by cells.
+    ParticleScatter = "particle_scatter",
+    /// The same, in the order of their number.
+    ParticleRank = "particle_rank",
+    /// Features and encoder.
+    ParticleEncode = "particle_encode",
+    /// Sums of particles on nodes.
+    ParticleToNodes = "particle_to_nodes",
+    /// A layer on nodes.
+    ParticleGridLayer = "particle_grid_layer",
+    /// Gather from nodes, core, decoder.
+    ParticleDecode = "particle_decode",
+    /// Predictions, to the memory of the host.
+    ParticleStore = "particle_store",
 }
 
 /// Rounds up to a multiple.
@@ -230,9 +270,14 @@ impl Constants {
     pub fn output_columns(&self) -> usize {
         round_up(AXES * self.particles, 8)
     }
+}
 
-    /// Names and values for the compiler.
-    pub fn definitions(&self) -> Vec<(&'static str, usize)> {
+impl Program for Constants {
+    fn source(&self) -> &'static str {
+        SOURCE
+    }
+
+    fn definitions(&self) -> Vec<(&'static str, usize)> {
         let activation = Activation::ALL.iter().position(|&kind| kind == self.activation);
         vec![
             ("DIM", AXES),

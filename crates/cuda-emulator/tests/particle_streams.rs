@@ -1,0 +1,243 @@
+//! Streams of particle models predicted on a device beside those that the engine predicts on the processor.
+#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
+
+#[path = "../../inference/src/engine/test_streams.rs"]
+#[expect(dead_code, reason = "the engine's own tests use more of it")]
+mod streams;
+
+use std::{path::Path, sync::Arc};
+
+use proptest::{prelude::*, sample::select};
+
+use eddy_cuda::particle::{Constants, Inference, Streams};
+use eddy_cuda_emulator::Emulator;
+use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_inference::{
+    checkpoint::{
+        Architecture, Checkpoint, Core, Description, Form, GridOptions, Normalization, Rules,
+        Sizes, initial_weights,
+    },
+    engine::{StepRequest, Surrogate},
+};
+use streams::{checkpoint, description, frames, largest_difference, predict, threads};
+
+/// Largest difference of predictions (domain lengths; domain lengths per second).
+const TOLERANCE: f32 = 1e-5;
+
+/// Descriptions of all kinds of particle models; compiling the kernels for one takes seconds.
+fn descriptions() -> impl Strategy<Value = Description> {
+    let widths = (1usize..40, 1usize..40, 1usize..3, 1usize..40, 1usize..40, 1usize..40);
+    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>());
+    (choices, widths).prop_map(|((core, [log, normalize_gates, rules]), widths)| {
+        let (encoder, hidden, layers, c0, c1, c2) = widths;
+        let sizes = Sizes { encoder, hidden, layers, particles: None };
+        let mut description = description(Architecture::Particle, core, sizes);
+        let grid = description.grid.as_mut().unwrap();
+        grid.channels = [c0, c1, c2];
+        description.form = if log { Form::Log } else { Form::Plain };
+        description.normalize_gates = normalize_gates;
+        if !rules {
+            description.rules = Rules::default();
+        }
+        description
+    })
+}
+
+/// The network in the emulator.
+fn emulated(checkpoint: &Checkpoint) -> Surrogate {
+    let Checkpoint { description, tensors } = checkpoint;
+    let device = Emulator::new(&Constants::of(description).unwrap()).unwrap();
+    let inference = Inference::new(Arc::new(device), description, tensors).unwrap();
+    Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference))).unwrap()
+}
+
+/// The largest difference of two predictions.
+fn apart(found: &Frame, expected: &Frame) -> f32 {
+    let position = largest_difference(&found.position, &expected.position);
+    position.max(largest_difference(&found.velocity, &expected.velocity))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn a_device_predicts_what_the_processor_does(
+        description in descriptions(),
+        particles in 1usize..300,
+        seed in any::<u64>(),
+    ) {
+        let checkpoint = checkpoint(description, seed);
+        let frames = frames(4, particles, seed);
+        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let found = predict(&emulated(&checkpoint), &frames);
+        for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let apart = apart(found, expected);
+            prop_assert!(apart <= TOLERANCE, "frame {number}: {apart} apart");
+            prop_assert_eq!(
+                (found.sequence, found.stamp, &found.material),
+                (expected.sequence, expected.stamp, &expected.material)
+            );
+        }
+    }
+}
+
+/// A checkpoint with narrow layers.
+fn small(core: Core) -> Checkpoint {
+    let sizes = Sizes { encoder: 10, hidden: 13, layers: 2, particles: None };
+    checkpoint(description(Architecture::Particle, core, sizes), 3)
+}
+
+/// Positions that a grid may find hard.
+fn positions() -> impl Strategy<Value = Vec<[f32; 2]>> {
+    let cell = 1.0f32 / 32.0;
+    let count = 1usize..200;
+    let free =
+        count.clone().prop_flat_map(|n| prop::collection::vec([-0.1f32..1.08, -0.1f32..1.08], n));
+    let place = || prop::array::uniform2(-0.1f32..1.08);
+    let heap = (count.clone(), place()).prop_map(|(n, place)| vec![place; n]);
+    // On the edges and centres of cells.
+    let corners = count.prop_flat_map(move |n| {
+        let half = (0u8..65).prop_map(move |half| f32::from(half) * 0.5 * cell);
+        prop::collection::vec(prop::array::uniform2(half), n)
+    });
+    prop_oneof![free, heap, corners]
+}
+
+/// A stream with these positions in every frame.
+fn standing(position: Vec<[f32; 2]>, domain: Domain) -> Vec<Frame> {
+    let mut frames = frames(2, position.len(), position.len() as u64);
+    for frame in &mut frames {
+        frame.position.clone_from(&position);
+        frame.domain = domain;
+    }
+    frames
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn particles_in_one_place_at_cell_edges_or_outside_the_domain_are_predicted_alike(
+        position in positions(),
+        corner in prop::array::uniform2(-0.3f32..0.0),
+        size in prop::array::uniform2(1.3f32..2.5),
+    ) {
+        let checkpoint = small(Core::MinGru);
+        let domain = Domain { lower: corner, upper: [corner[0] + size[0], corner[1] + size[1]] };
+        let frames = standing(position, domain);
+        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let found = predict(&emulated(&checkpoint), &frames);
+        for (found, expected) in found.iter().zip(&expected) {
+            let apart = apart(found, expected);
+            prop_assert!(apart <= TOLERANCE, "{apart} apart");
+        }
+    }
+}
+
+#[test]
+fn a_stream_has_the_same_bits_alone_and_beside_others_of_other_sizes() {
+    for core in Core::ALL {
+        let surrogate = emulated(&small(core));
+        let streams: Vec<_> = (0..11u64)
+            .map(|seed| {
+                let mut frames = frames(3, [1, 70, 257, 130][seed as usize % 4], seed);
+                for frame in &mut frames {
+                    frame.domain.upper[0] += seed as f32 % 3.0;
+                }
+                frames
+            })
+            .collect();
+        let alone: Vec<_> = streams.iter().map(|frames| predict(&surrogate, frames)).collect();
+        let again: Vec<_> = streams.iter().map(|frames| predict(&surrogate, frames)).collect();
+        assert!(alone == again, "{}: other bits in a second run", core.name());
+
+        let mut stepper = surrogate.stepper();
+        let mut hidden: Vec<_> =
+            streams.iter().map(|frames| surrogate.start(&frames[0]).unwrap()).collect();
+        let mut predicted: Vec<Frame> = streams.iter().map(|frames| frames[0].clone()).collect();
+        for number in 0..3 {
+            let pairs = hidden.iter_mut().zip(&mut predicted).zip(&streams);
+            let mut requests: Vec<_> = pairs
+                .map(|((hidden, next), frames)| StepRequest {
+                    hidden,
+                    frame: (&frames[number]).into(),
+                    next,
+                })
+                .collect();
+            stepper.step_all(&mut requests);
+            let expected: Vec<_> = alone.iter().map(|frames| frames[number].clone()).collect();
+            assert!(predicted == expected, "{}: frame {number}", core.name());
+        }
+        stepper.check().unwrap();
+    }
+}
+
+#[test]
+fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
+    for core in [Core::MinGru, Core::Lstm, Core::Mlp] {
+        let surrogate = emulated(&small(core));
+        let frames = frames(4, 70, 5);
+        let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
+        let first = stepper.step(&mut hidden, &frames[0]);
+        let mut ahead = hidden.clone();
+        assert_eq!(ahead, hidden);
+        let second = stepper.step(&mut ahead, &frames[1]);
+        assert_ne!(ahead, hidden, "the copy has moved on");
+        assert_eq!(stepper.step(&mut hidden, &frames[1]), second);
+
+        stepper.step(&mut hidden, &frames[2]);
+        assert_ne!(ahead, hidden);
+        ahead.clone_from(&hidden);
+        assert_eq!(stepper.step(&mut ahead, &frames[3]), stepper.step(&mut hidden, &frames[3]));
+
+        hidden.forget();
+        assert_eq!(stepper.step(&mut hidden, &frames[0]), first);
+    }
+}
+
+/// Blocks of all materials that fall and collide, observed for a few frames; then the network observes its own predictions.
+fn blocks() -> Frame {
+    let mut frame = frames(1, 0, 0).remove(0);
+    for (number, material) in Material::ALL.into_iter().enumerate() {
+        for k in 0..150 {
+            let [x, y] = [(k % 15) as f32, (k / 15) as f32].map(|x| x / 128.0);
+            frame.position.push([0.1 + 0.2 * number as f32 + x, 0.05 + 0.07 * number as f32 + y]);
+            frame.velocity.push([0.3 - 0.2 * number as f32, -1.0]);
+            frame.material.push(material);
+        }
+    }
+    frame
+}
+
+#[test]
+fn the_shipped_network_with_its_rules_predicts_alike_for_ten_frames() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../checkpoints/particle-mingru");
+    let checkpoint = Checkpoint::load(&folder).unwrap();
+    let (device, processor) =
+        (emulated(&checkpoint), Surrogate::load(&checkpoint, threads(1)).unwrap());
+    let mut frame = blocks();
+    let (mut stepper, mut hidden) = (device.stepper(), device.start(&frame).unwrap());
+    let mut expected = (processor.stepper(), processor.start(&frame).unwrap());
+    for number in 0..10 {
+        let found = stepper.step(&mut hidden, &frame);
+        frame = expected.0.step(&mut expected.1, &frame);
+        let apart = apart(&found, &frame);
+        // The states have drifted apart since the first frame.
+        let most = (number + 1) as f32 * TOLERANCE;
+        assert!(apart <= most, "frame {number}: {apart} apart");
+    }
+    stepper.check().unwrap();
+}
+
+#[test]
+fn networks_that_do_not_fit_are_named() {
+    let sizes = Sizes { encoder: 16, hidden: 5000, layers: 1, particles: None };
+    let wide = Description::untrained(Architecture::Particle, Core::Gru, sizes);
+    let message = Constants::of(&wide).unwrap_err().to_string();
+    assert!(message.contains("network.hidden 5000"), "{message}");
+    let sizes = Sizes { encoder: 16, hidden: 16, layers: 1, particles: None };
+    let mut wide = Description::untrained(Architecture::Particle, Core::Gru, sizes);
+    wide.grid = Some(GridOptions { channels: [8, 4000, 8], ..wide.grid.unwrap() });
+    let message = Constants::of(&wide).unwrap_err().to_string();
+    assert!(message.contains("[8, 4000, 8]"), "{message}");
+}

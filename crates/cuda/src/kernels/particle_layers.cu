@@ -1,0 +1,508 @@
+// The particle model's layers (`engine/particle_blocks.rs` and `engine/grid.rs` of eddy-inference). Matrices are
+// [in4, gates, out4], the biases [gates, out4] behind them; padding is zero. In shared memory rows are padded so that
+// threads of neighbouring rows use different banks.
+#define F4 ROUND4(F)
+#define E4 ROUND4(E)
+#define C04 ROUND4(C0)
+#define H4 ROUND4(H)
+#define INPUT4 ROUND4(C0 + NODE_FEATURES)
+// An odd multiple of 4, at least w.
+#define ODD4(w) ((w) / 4 % 2 ? (w) : (w) + 4)
+#define CONCAT (F4 + C04)
+#define WIDEST(a, b) ((a) > (b) ? (a) : (b))
+#define THREADS 128
+// Rows that a thread multiplies.
+#define ROWS 4
+
+template <int UNITS> __device__ __forceinline__ void load_units(const float* from, float* to) {
+  if constexpr (UNITS == 4) {
+    const float4 four = *(const float4*)from;
+    to[0] = four.x; to[1] = four.y; to[2] = four.z; to[3] = four.w;
+  } else {
+    const float2 two = *(const float2*)from;
+    to[0] = two.x; to[1] = two.y;
+  }
+}
+// sums[slot of gate][row][unit] += x w for ROWS rows of x, `step` apart, over `inner` numbers. The gate SPLIT goes to the slot
+// behind the last gate.
+template <int GATES, int SLOTS, int UNITS, int SPLIT>
+__device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], const float* x, int step, const float* __restrict__ w,
+    int columns, int gate_columns, int inner) {
+#pragma unroll 1
+  for (int k = 0; k < inner; k += 4) {
+    float row[ROWS][4];
+#pragma unroll
+    for (int r = 0; r < ROWS; r++) load_units<4>(x + r * step + k, row[r]);
+#pragma unroll
+    for (int i = 0; i < 4; i++)
+#pragma unroll
+      for (int gate = 0; gate < GATES; gate++) {
+        const int slot = gate == SPLIT ? GATES : gate;
+        float weight[UNITS];
+        load_units<UNITS>(w + (size_t)(k + i) * columns + gate * gate_columns, weight);
+#pragma unroll
+        for (int r = 0; r < ROWS; r++)
+#pragma unroll
+          for (int u = 0; u < UNITS; u++) sums[slot][r][u] = fmaf(row[r][i], weight[u], sums[slot][r][u]);
+      }
+  }
+}
+// A linear layer on the rows of a tile in shared memory, with ReLU if `rectified`.
+__device__ __forceinline__ void tile_linear(const float* x, int x_stride, float* y, int y_stride, const float* __restrict__ w, int inner,
+    int outputs, bool rectified) {
+  for (int item = threadIdx.x; item < TILE / ROWS * (outputs / 4); item += THREADS) {
+    const int row = item % (TILE / ROWS), column = item / (TILE / ROWS) * 4;
+    float sums[1][ROWS][4];
+#pragma unroll
+    for (int r = 0; r < ROWS; r++) load_units<4>(w + (size_t)inner * outputs + column, sums[0][r]);
+    add_products<1, 1, 4, -1>(sums, x + row * x_stride, TILE / ROWS * x_stride, w + column, outputs, 0, inner);
+#pragma unroll
+    for (int r = 0; r < ROWS; r++)
+#pragma unroll
+      for (int u = 0; u < 4; u++) {
+        const float sum = sums[0][r][u];
+        y[(row + r * (TILE / ROWS)) * y_stride + column + u] = rectified && sum < 0.0f ? 0.0f : sum;
+      }
+  }
+}
+
+// The ballistic step of a particle on an axis (`Ballistic::step`); `free` is its velocity without walls.
+struct Fall { float x, v, free; };
+__device__ __forceinline__ Fall ballistic(const Stream& s, const Body& body, int axis) {
+  const float free = body.v[axis] + s.fall[axis], mean = multiply_rounded(0.5f, body.v[axis] + free);
+  const float to = body.x[axis] + multiply_rounded(mean, s.dt);
+  const float raised = to > s.wall_lower[axis] ? to : s.wall_lower[axis];
+  const float clamped = raised < s.wall_upper[axis] ? raised : s.wall_upper[axis];
+  return {clamped, clamped == to ? free : 0.0f, free};
+}
+
+__device__ __forceinline__ float exponential(float x) { return exp2_approximate(LOG2E * x); }
+
+// Scales of wall proximity, `engine/scales.rs`; of strain and bend, `kernels/rest_shape.rs` of eddy-inference.
+#define CONTACT_SCALE 0.03f
+#define BODY_SCALE 0.2f
+#define STRAIN_SCALE 10.0f
+#define BEND_SCALE 60.0f
+#define SHAPE_LIMIT 4.0f
+#define SHAPE_FEATURES 5
+
+// Strain and bend of a particle (`RestShape::shape_of`).
+__device__ __forceinline__ void rest_shape(const Stream& s, u32 p, const Body& body, float* shape) {
+  for (int i = 0; i < SHAPE_FEATURES; i++) shape[i] = 0.0f;
+  if (!s.first) return;
+  const u32 begin = s.first[p], end = s.first[p + 1];
+  if (begin == end) return;
+  float f[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, bend[2] = {0.0f, 0.0f};
+#pragma unroll 4
+  for (u32 i = begin; i < end; i++) {
+    const Link link = s.links[i];
+    const Body other = s.bodies[link.particle];
+#pragma unroll
+    for (int a = 0; a < 2; a++) {
+      const float apart = other.x[a] - body.x[a];
+      f[a][0] = fmaf(apart, link.coefficient[0], f[a][0]);
+      f[a][1] = fmaf(apart, link.coefficient[1], f[a][1]);
+      bend[a] = fmaf(apart, link.share, bend[a]);
+    }
+  }
+  shape[0] = STRAIN_SCALE * (f[0][0] * f[0][0] + f[0][1] * f[0][1] - 1.0f);
+  shape[1] = STRAIN_SCALE * (f[1][0] * f[1][0] + f[1][1] * f[1][1] - 1.0f);
+  shape[2] = STRAIN_SCALE * (f[0][0] * f[1][0] + f[0][1] * f[1][1]);
+  shape[3] = BEND_SCALE * bend[0];
+  shape[4] = BEND_SCALE * bend[1];
+  for (int i = 0; i < SHAPE_FEATURES; i++) {
+    const float raised = shape[i] < -SHAPE_LIMIT ? -SHAPE_LIMIT : shape[i];
+    shape[i] = raised > SHAPE_LIMIT ? SHAPE_LIMIT : raised;
+  }
+}
+
+// Features and encoder. grid (ceil(n / TILE), B), block THREADS, shared memory: TILE rows of features, of the hidden layer, and
+// of outputs
+extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stream* __restrict__ streams, const float* __restrict__ first,
+    const float* __restrict__ second) {
+  DYNAMIC_SHARED(float, shared);
+  float *x = shared, *hidden = x + TILE * ODD4(F4), *encoded = hidden + TILE * ODD4(E4);
+  const Stream& s = streams[blockIdx.y];
+  const u32 n = s.particles;
+  for (u32 begin = blockIdx.x * TILE; begin < n; begin += gridDim.x * TILE) {
+    const int count = (int)min((u32)TILE, n - begin);
+    for (int row = threadIdx.x; row < TILE; row += THREADS) {
+      float* own = x + row * ODD4(F4);
+      for (int k = 0; k < F4; k++) own[k] = 0.0f;
+      if (row >= count) continue;
+      const u32 p = s.order[begin + row];
+      const Body body = s.bodies[p];
+#pragma unroll
+      for (int a = 0; a < 2; a++) {
+        const float before = s.begun ? s.expected[2 * p + a] : body.v[a];
+        const Fall fall = ballistic(s, body, a);
+        s.expected[2 * p + a] = fall.v;
+        own[a] = body.v[a] / s.unit;
+        own[2 + a] = (body.v[a] - before) / s.unit;
+        own[4 + a] = (fall.v - fall.free) / s.unit;
+        const float sides[2] = {body.x[a] - s.wall_lower[a], s.wall_upper[a] - body.x[a]};
+#pragma unroll
+        for (int side = 0; side < 2; side++) {
+          const float distance = sides[side] > 0.0f ? sides[side] : 0.0f;
+          own[6 + 2 * side + a] = exponential(distance * (-1.0f / CONTACT_SCALE));
+          own[10 + 2 * side + a] = exponential(distance * (-1.0f / BODY_SCALE));
+        }
+      }
+      rest_shape(s, p, body, own + 14);
+      own[14 + SHAPE_FEATURES + s.material[p]] = 1.0f;
+    }
+    __syncthreads();
+    for (int i = threadIdx.x; i < count * (F4 / 4); i += THREADS)
+      ((float4*)s.features)[(size_t)begin * (F4 / 4) + i] = *(const float4*)(x + i / (F4 / 4) * ODD4(F4) + i % (F4 / 4) * 4);
+    tile_linear(x, ODD4(F4), hidden, ODD4(E4), first, F4, E4, true);
+    __syncthreads();
+    tile_linear(hidden, ODD4(E4), encoded, ODD4(C04), second, E4, C04, false);
+    __syncthreads();
+    for (int i = threadIdx.x; i < count * (C04 / 4); i += THREADS)
+      ((float4*)s.encoded)[(size_t)begin * (C04 / 4) + i] = *(const float4*)(encoded + i / (C04 / 4) * ODD4(C04) + i % (C04 / 4) * 4);
+  }
+}
+
+// Sums over the particles around each node, in the order of their slots: means, mass, proximity to walls. A block has a node,
+// each of its three warps the cells of one row of nodes. grid (.., B), block 96
+#define MIN_MASS 1e-3f
+#define FULL_MASS 16.0f
+extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream* __restrict__ streams) {
+  __shared__ float sums[3][32];
+  const Stream& s = streams[blockIdx.y];
+  const u32 total = s.totals[0], across = s.across;
+  const int lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
+  for (u32 node = blockIdx.x; node < total; node += gridDim.x) {
+    const u32 entry = s.lists[0][node];
+    const int column = (int)(entry % across), row = (int)(entry / across);
+    const float at[2] = {(float)(column - ORIGIN), (float)(row - ORIGIN)};
+    // Cells (column - 2 .. column, row - warp) are neighbours in the map, and so are their slots.
+    const u32 last = entry - warp * across, begin = s.starts[last - 2], end = s.starts[last + 1];
+    float mass = 0.0f;
+    float* to = s.fields[0] + (size_t)node * INPUT4;
+    for (int first = 0; first < C0 + 1; first += 32) {
+      const int channel = first + lane;
+      float sum = 0.0f;
+#pragma unroll 4
+      for (u32 slot = begin; slot < end; slot++) {
+        const float weight = spline(s.places[2 * slot] - at[0]) * spline(s.places[2 * slot + 1] - at[1]);
+        const float value = channel < C0 ? s.encoded[(size_t)slot * C04 + channel] : 1.0f;
+        sum = fmaf(weight, value, sum);
+        if (first == 0) mass += weight;
+      }
+      sums[warp][lane] = sum;
+      __syncthreads();
+      if (first == 0) {
+        __shared__ float masses[3];
+        if (lane == 0) masses[warp] = mass;
+        __syncthreads();
+        mass = masses[0] + masses[1] + masses[2];
+      }
+      if (warp == 0 && channel < C0) to[channel] = (sums[0][lane] + sums[1][lane] + sums[2][lane]) * (1.0f / (mass + MIN_MASS));
+      __syncthreads();
+    }
+    if (threadIdx.x < INPUT4 - C0) {
+      const int k = threadIdx.x;
+      float value = k == 0 ? mass / FULL_MASS : 0.0f;
+      if (k > 0 && k < NODE_FEATURES) {
+        const int a = (k - 1) & 1;
+        const float place = s.lower[a] + multiply_rounded(at[a], s.width);
+        const float distance = k < 3 ? place - s.wall_lower[a] : s.wall_upper[a] - place;
+        value = exponential(-fmaxf(distance, 0.0f) / s.width);
+      }
+      to[C0 + k] = value;
+    }
+  }
+}
+
+// A layer on the nodes of a level, from one field to another: the 3 x 3 around a node (9 places), its children (4 places), or,
+// from parents to children, its own row (1 place) with a matrix for each child and a field that is added. `inner` and `outputs`
+// are the padded widths of the fields; `parts` threads share each sum.
+// grid (.., B), block 256, shared memory: NODES rows of the gathered numbers; the parts of the sums
+struct Layer { int places, level, from, to, skip, inner, outputs, rectified; };
+extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stream* __restrict__ streams, const float* __restrict__ w, Layer layer,
+    int parts) {
+  DYNAMIC_SHARED(float, x);
+  const Stream& s = streams[blockIdx.y];
+  const int level = layer.level, quarter = NODES / ROWS;
+  const u32 total = s.totals[level], across = s.across >> level;
+  const int inner = layer.places * layer.inner, stride = ODD4(inner), four = layer.inner / 4;
+  const int children = layer.places == 1 ? 4 : 1, columns = children * layer.outputs, items = quarter * (columns / 4);
+  const float* from = s.fields[layer.from];
+  for (u32 begin = blockIdx.x * NODES; begin < total; begin += gridDim.x * NODES) {
+    const int count = (int)min((u32)NODES, total - begin);
+    for (int i = threadIdx.x; i < NODES * layer.places * four; i += 256) {
+      const int row = i / (layer.places * four), place = i / four % layer.places, k = i % four;
+      u32 node = MISSING;
+      if (row < count) {
+        const u32 entry = s.lists[level][begin + row];
+        if (layer.places == 9) {
+          node = s.maps[level][entry + (place / 3 - 1) * (int)across + place % 3 - 1];
+        } else if (layer.places == 4) {
+          const u32 finer = 2 * across, corner = 2 * (entry / across) * finer + 2 * (entry % across);
+          node = s.maps[level - 1][corner + (place >> 1) * finer + (place & 1)];
+        } else {
+          node = begin + row;
+        }
+      }
+      *(float4*)(x + row * stride + (place * four + k) * 4) =
+          node == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : ((const float4*)from)[(size_t)node * four + k];
+    }
+    __syncthreads();
+    for (int item = threadIdx.x; item < items * parts || parts > 1; item += 256) {
+      const int part = item / items, own = item % items, row = own % quarter, column = own / quarter * 4;
+      float sums[1][ROWS][4];
+      if (part < parts) {
+        // The numbers in quadruples, shared out as evenly as they can be.
+        const int first = inner / 4 * part / parts * 4, end = inner / 4 * (part + 1) / parts * 4;
+#pragma unroll
+        for (int r = 0; r < ROWS; r++)
+#pragma unroll
+          for (int u = 0; u < 4; u++) sums[0][r][u] = part ? 0.0f : w[(size_t)inner * columns + column + u];
+        add_products<1, 1, 4, -1>(sums, x + row * stride + first, quarter * stride, w + (size_t)first * columns + column, columns, 0, end - first);
+      }
+      if (parts > 1) {
+        // Shared out, every thread has one item at most.
+        __syncthreads();
+        if (part > 0 && part < parts)
+#pragma unroll
+          for (int r = 0; r < ROWS; r++) *(float4*)(x + ((part - 1) * items + own) * 4 * ROWS + 4 * r) = float4{sums[0][r][0], sums[0][r][1], sums[0][r][2], sums[0][r][3]};
+        __syncthreads();
+        if (part == 0)
+          for (int other = 0; other < parts - 1; other++)
+#pragma unroll
+            for (int r = 0; r < ROWS; r++)
+#pragma unroll
+              for (int u = 0; u < 4; u++) sums[0][r][u] += x[(other * items + own) * 4 * ROWS + 4 * r + u];
+      }
+      if (part == 0) {
+#pragma unroll
+        for (int r = 0; r < ROWS; r++) {
+          const int node = row + r * quarter;
+          if (node >= count) continue;
+          u32 target = begin + node;
+          int at = column;
+          if (layer.places == 1) {
+            const int child = column / layer.outputs;
+            const u32 entry = s.lists[level][begin + node], finer = 2 * across, corner = 2 * (entry / across) * finer + 2 * (entry % across);
+            target = s.maps[level - 1][corner + (child >> 1) * finer + (child & 1)];
+            at = column % layer.outputs;
+            if (target == MISSING) continue;
+          }
+          const size_t place = (size_t)target * layer.outputs + at;
+#pragma unroll
+          for (int u = 0; u < 4; u++) {
+            float sum = sums[0][r][u];
+            if (layer.places == 1) sum += s.fields[layer.skip][place + u];
+            s.fields[layer.to][place + u] = layer.rectified && sum < 0.0f ? 0.0f : sum;
+          }
+        }
+      }
+      if (parts > 1) break;
+    }
+    __syncthreads();
+  }
+}
+
+// Candidates of the log form are made positive (Feng et al. 2024, appendix B).
+__device__ __forceinline__ float positive_candidate(float c) {
+#if LOG_FORM
+  return c > 0.0f ? c + 0.5f : sigmoid(c);
+#else
+  return c;
+#endif
+}
+#if CORE == 0
+#define GATES 1
+#elif CORE == 1
+#define GATES 2
+#elif CORE == 4
+#define GATES 4
+#else
+#define GATES 3
+#endif
+// GRU keeps the products of n with the state apart.
+#define GATE_SUMS (CORE == 3 ? 4 : GATES)
+#define UNITS (GATE_SUMS > 2 ? 2 : 4)
+#define CORE_COLUMNS (GATES * H4)
+#define CORE_MATRIX ((H4 + 1) * CORE_COLUMNS)
+#define MIN_GATE_SUM 1e-12f
+// The new state of a unit from its sums, its last output and its cell.
+__device__ __forceinline__ float unit_state(const float* sums, float last, float* cell) {
+#if CORE == 0
+  return activate(sums[0]);
+#elif CORE == 1
+  const float z = sigmoid(sums[0]);
+  return fmaf(1.0f - z, last, z * positive_candidate(sums[1]));
+#elif CORE == 2
+  const float f = sigmoid(sums[0]), i = sigmoid(sums[1]), c = positive_candidate(sums[2]);
+#if NORMALIZED
+  const float u = divide(i, f + i + MIN_GATE_SUM);
+  return fmaf(1.0f - u, last, u * c);
+#else
+  return fmaf(f, last, i * c);
+#endif
+#elif CORE == 3
+  const float r = sigmoid(sums[0]), z = sigmoid(sums[1]), n = hyperbolic_tangent(fmaf(r, sums[3], sums[2]));
+  return fmaf(z, last - n, n);
+#else
+  *cell = fmaf(sigmoid(sums[0]), hyperbolic_tangent(sums[2]), sigmoid(sums[1]) * *cell);
+  return sigmoid(sums[3]) * hyperbolic_tangent(*cell);
+#endif
+}
+
+// Gather from the nodes, context, core, decoder, and the predicted motion. `w` has the matrices of context, core (input, then
+// recurrent), mixer and decoder one behind the other.
+// grid (ceil(n / TILE), B), block THREADS, shared memory: two lists of TILE rows; of a recurrent core also the states;
+// each particle's weights and nodes
+#define DECODE_WIDE ODD4(WIDEST(CONCAT, H4))
+#define DECODE_NARROW ODD4(H4)
+extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stream* __restrict__ streams, const float* __restrict__ w) {
+  DYNAMIC_SHARED(float, shared);
+  float *wide = shared, *narrow = wide + TILE * DECODE_WIDE, *states = narrow + TILE * DECODE_NARROW;
+  float (*weights)[6] = (float (*)[6])(states + (CORE ? TILE * DECODE_NARROW : 0));
+  u32 (*nodes)[3] = (u32 (*)[3])(weights + TILE);
+  const Stream& s = streams[blockIdx.y];
+  const u32 n = s.particles;
+  for (u32 begin = blockIdx.x * TILE; begin < n; begin += gridDim.x * TILE) {
+    const int count = (int)min((u32)TILE, n - begin);
+    for (int row = threadIdx.x; row < count; row += THREADS) {
+      const u32 slot = begin + row, cell = s.cells[s.order[slot]];
+#pragma unroll
+      for (int a = 0; a < 2; a++) {
+        const float place = s.places[2 * slot + a], first = stencil(place);
+#pragma unroll
+        for (int i = 0; i < 3; i++) weights[row][3 * a + i] = spline(place - (first + i));
+      }
+#pragma unroll
+      for (int j = 0; j < 3; j++) nodes[row][j] = s.maps[0][cell + j * s.across];
+    }
+    __syncthreads();
+    for (int i = threadIdx.x; i < TILE * (CONCAT / 4); i += THREADS) {
+      const int row = i / (CONCAT / 4), k = i % (CONCAT / 4);
+      float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
+      if (row < count && k < F4 / 4) {
+        sum = ((const float4*)s.features)[(size_t)(begin + row) * (F4 / 4) + k];
+      } else if (row < count) {
+#pragma unroll
+        for (int j = 0; j < 3; j++)
+#pragma unroll
+          for (int c = 0; c < 3; c++) {
+            const float4 value = ((const float4*)s.fields[2])[(size_t)(nodes[row][j] + c) * (C04 / 4) + k - F4 / 4];
+            const float weight = weights[row][c] * weights[row][3 + j];
+            sum.x = fmaf(weight, value.x, sum.x);
+            sum.y = fmaf(weight, value.y, sum.y);
+            sum.z = fmaf(weight, value.z, sum.z);
+            sum.w = fmaf(weight, value.w, sum.w);
+          }
+      }
+      *(float4*)(wide + row * DECODE_WIDE + 4 * k) = sum;
+    }
+    __syncthreads();
+    const float* matrix = w;
+    tile_linear(wide, DECODE_WIDE, narrow, DECODE_NARROW, matrix, CONCAT, H4, true);
+    matrix += (CONCAT + 1) * H4;
+    float *x = narrow, *y = wide;
+    int x_stride = DECODE_NARROW, y_stride = DECODE_WIDE;
+    for (int layer = 0; layer < LAYERS; layer++) {
+#if CORE != 0
+      float* remembered = s.hidden + (size_t)layer * n * H4;
+      for (int i = threadIdx.x; i < TILE * (H4 / 4); i += THREADS) {
+        const int row = i / (H4 / 4), k = i % (H4 / 4);
+        *(float4*)(states + row * DECODE_NARROW + 4 * k) =
+            row < count ? ((const float4*)remembered)[(size_t)s.order[begin + row] * (H4 / 4) + k] : float4{0.0f, 0.0f, 0.0f, 0.0f};
+      }
+#endif
+      __syncthreads();
+      for (int item = threadIdx.x; item < TILE / ROWS * (H4 / UNITS); item += THREADS) {
+        const int row = item % (TILE / ROWS), unit = item / (TILE / ROWS) * UNITS;
+        float sums[GATE_SUMS][ROWS][UNITS];
+#pragma unroll
+        for (int gate = 0; gate < GATES; gate++)
+#pragma unroll
+          for (int r = 0; r < ROWS; r++) load_units<UNITS>(matrix + H4 * CORE_COLUMNS + gate * H4 + unit, sums[gate][r]);
+        add_products<GATES, GATE_SUMS, UNITS, -1>(sums, x + row * x_stride, TILE / ROWS * x_stride, matrix + unit, CORE_COLUMNS, H4, H4);
+#if CORE >= 3
+        const float* recurrent = matrix + CORE_MATRIX;
+#pragma unroll
+        for (int gate = 0; gate < GATES; gate++) {
+          float bias[UNITS];
+          load_units<UNITS>(recurrent + H4 * CORE_COLUMNS + gate * H4 + unit, bias);
+#pragma unroll
+          for (int r = 0; r < ROWS; r++)
+#pragma unroll
+            for (int u = 0; u < UNITS; u++) {
+              if (CORE == 3 && gate == 2) sums[GATE_SUMS - 1][r][u] = bias[u];
+              else sums[gate][r][u] += bias[u];
+            }
+        }
+        add_products<GATES, GATE_SUMS, UNITS, CORE == 3 ? 2 : -1>(sums, states + row * DECODE_NARROW, TILE / ROWS * DECODE_NARROW,
+            recurrent + unit, CORE_COLUMNS, H4, H4);
+#endif
+#pragma unroll
+        for (int r = 0; r < ROWS; r++) {
+          const int place = row + r * (TILE / ROWS);
+#pragma unroll
+          for (int u = 0; u < UNITS; u++) {
+            float gates[GATE_SUMS], last = 0.0f, cell = 0.0f;
+#pragma unroll
+            for (int gate = 0; gate < GATE_SUMS; gate++) gates[gate] = sums[gate][r][u];
+#if CORE != 0
+            last = states[place * DECODE_NARROW + unit + u];
+#endif
+#if CORE == 4
+            float* own = s.hidden + ((size_t)(LAYERS + layer) * n + (place < count ? s.order[begin + place] : 0)) * H4 + unit + u;
+            if (place < count) cell = *own;
+#endif
+            y[place * y_stride + unit + u] = unit_state(gates, last, &cell);
+#if CORE == 4
+            if (place < count) *own = cell;
+#endif
+          }
+        }
+      }
+      __syncthreads();
+#if CORE != 0
+      for (int i = threadIdx.x; i < count * (H4 / 4); i += THREADS) {
+        const int row = i / (H4 / 4), k = i % (H4 / 4);
+        ((float4*)remembered)[(size_t)s.order[begin + row] * (H4 / 4) + k] = *(const float4*)(y + row * y_stride + 4 * k);
+      }
+#endif
+      matrix += (CORE >= 3 ? 2 : 1) * CORE_MATRIX;
+      float* swap = x;
+      x = y;
+      y = swap;
+      const int stride = x_stride;
+      x_stride = y_stride;
+      y_stride = stride;
+    }
+    __syncthreads();
+    tile_linear(x, x_stride, y, y_stride, matrix, H4, H4, true);
+    matrix += (H4 + 1) * H4;
+    __syncthreads();
+    tile_linear(y, y_stride, x, x_stride, matrix, H4, 4, false);
+    __syncthreads();
+    for (int row = threadIdx.x; row < count; row += THREADS) {
+      const u32 p = s.order[begin + row];
+      const Body body = s.bodies[p];
+      Body next;
+#pragma unroll
+      for (int a = 0; a < 2; a++) {
+        const Fall fall = ballistic(s, body, a);
+        const float v = fmaf(x[row * x_stride + a], s.unit, fall.v), place = fmaf(x[row * x_stride + 2 + a] * s.unit, s.dt, fall.x);
+        // Comparisons: NaN stays NaN.
+        const float faster = v < s.slowest[a] ? s.slowest[a] : v, farther = place < s.wall_lower[a] ? s.wall_lower[a] : place;
+        next.v[a] = faster > s.fastest[a] ? s.fastest[a] : faster;
+        next.x[a] = farther > s.wall_upper[a] ? s.wall_upper[a] : farther;
+      }
+      s.next[p] = next;
+    }
+    __syncthreads();
+  }
+}
+
+// Predictions to the memory of the host. grid (ceil(n / 256), B), block 256
+extern "C" __global__ void __launch_bounds__(256) particle_store(const Stream* __restrict__ streams) {
+  const Stream& s = streams[blockIdx.y];
+  for (u32 p = first_thread(); p < s.particles; p += all_threads()) s.predicted[p] = s.next[p];
+}

@@ -1,0 +1,183 @@
+// The particle model's sparse grid (`kernels/nodes` of eddy-inference), for B streams of any sizes side by side: a block's y
+// is its stream. Everything of a stream is computed from its own frame in an order of its own, so that its bits do not
+// depend on the other streams. Sums of floating-point numbers have a fixed order; only integers are counted atomically.
+//
+// Constants beside those of common.cu (W4 is W rounded up to 4; lists of numbers are padded so):
+//   F, E, C0   input features, width of the encoder, channels of the finest level of the grid
+//   LAYERS     layers of the core
+//   CORE       0 MLP, 1 minGRU, 2 minLSTM, 3 GRU, 4 LSTM
+//   TILE       particles of a block
+//   NODES      nodes of a block
+#define ROUND4(n) (((n) + 3) / 4 * 4)
+#define LEVELS 3
+#define MISSING 0xffffffffu
+#define NODE_FEATURES 5 // mass, and proximity to four walls
+#define ORIGIN 8        // index of node 0 in the maps of level 0
+
+#ifdef EMULATED
+#define multiply_rounded(a, b) ((a) * (b))
+#else
+// Not joined with an addition: cells and walls must be those that the processor finds.
+#define multiply_rounded(a, b) __fmul_rn(a, b)
+#endif
+
+// A neighbour at rest (`Link` of eddy-inference).
+struct __align__(16) Link {
+  u32 particle;
+  float coefficient[2];
+  float share;
+};
+
+// A stream in a step; n is its number of particles. Lists by cells and nodes have an entry for every cell of the domain's map
+// at that level, lists by nodes are as long as there can be nodes.
+struct Stream {
+  // What is remembered.
+  float* hidden;                 // [LAYERS, n, H4]; of LSTM also the cells, after all outputs
+  float* expected;               // [n, 2] velocities that the ballistic step expects
+  const u32* first;              // [n + 1] first link of each particle; none where no particle has a rest shape
+  const Link* links;
+  const unsigned char* material; // [n]
+  // Memory of the host.
+  const Body* observed;
+  Body* predicted;
+  // Zero between two steps.
+  u32* counts;                   // particles of each cell
+  u32* marks[LEVELS];            // whether there is a node
+  // Scratch memory.
+  u32* starts;                   // [cells + 1] first slot of each cell
+  u32* maps[LEVELS];             // number of each node
+  u32* lists[LEVELS];            // entry of each node
+  u32* totals;                   // [LEVELS] nodes
+  Body* bodies;                  // [n]
+  u32* cells;                    // [n]
+  u32* arrivals;                 // [n] place among the particles of the cell, in any order
+  u32* unsorted;                 // [n] particles by cells, in any order within a cell
+  u32* order;                    // [n] particle of each slot: by cells, then by number
+  float* places;                 // [n, 2] position of the particle in a slot (cells)
+  float* features;               // [n, F4]
+  float* encoded;                // [n, C04]
+  float* fields[7];              // as in `engine/grid.rs` of eddy-inference
+  Body* next;                    // [n]
+  // The frame.
+  u32 particles;
+  u32 begun;
+  u32 across, down;              // of the map of level 0
+  float lower[2], extent[2];     // the domain's lower corner, its size (cells)
+  float width;                   // of a cell
+  float wall_lower[2], wall_upper[2], fall[2], dt;
+  float unit;                    // of velocities
+  float slowest[2], fastest[2];
+  u32 unused;
+};
+
+__device__ __forceinline__ u32 first_thread() { return blockIdx.x * blockDim.x + threadIdx.x; }
+__device__ __forceinline__ u32 all_threads() { return gridDim.x * blockDim.x; }
+
+// Position in the domain (cells); outside of it that of the nearest edge, NaN becomes the lower corner.
+__device__ __forceinline__ float cell_place(const Stream& s, const Body& body, int axis) {
+  return fminf(fmaxf((body.x[axis] - s.lower[axis]) / s.width, 0.0f), s.extent[axis]);
+}
+// The first node of the stencil on an axis, from there on.
+__device__ __forceinline__ float stencil(float place) { return floorf(place - 0.5f); }
+// The weight of a node at this distance (cells): the quadratic spline.
+__device__ __forceinline__ float spline(float distance) {
+  const float d = fabsf(distance);
+  return d < 0.5f ? 0.75f - d * d : 0.5f * (1.5f - d) * (1.5f - d);
+}
+
+// Frames from the memory of the host; the particles of each cell; marks for the nodes they touch.
+// grid (ceil(n / 256), B), block 256
+extern "C" __global__ void __launch_bounds__(256) particle_load(const Stream* __restrict__ host_streams, Stream* __restrict__ streams) {
+  const Stream& s = host_streams[blockIdx.y];
+  if (blockIdx.x == 0)
+    for (u32 i = threadIdx.x; i < sizeof(Stream) / 4; i += 256) ((u32*)(streams + blockIdx.y))[i] = ((const u32*)(host_streams + blockIdx.y))[i];
+  const u32 n = s.particles, across = s.across;
+  for (u32 p = first_thread(); p < n; p += all_threads()) {
+    const Body body = s.observed[p];
+    s.bodies[p] = body;
+    u32 at[2];
+#pragma unroll
+    for (int a = 0; a < 2; a++) at[a] = (u32)((int)stencil(cell_place(s, body, a)) + ORIGIN);
+    const u32 cell = at[1] * across + at[0], arrival = atomicAdd(s.counts + cell, 1u);
+    s.cells[p] = cell;
+    s.arrivals[p] = arrival;
+    if (arrival) continue;
+#pragma unroll
+    for (int level = 0; level < LEVELS; level++) {
+      const u32 wide = across >> level;
+      for (u32 j = at[1] >> level; j <= (at[1] + 2) >> level; j++)
+        for (u32 i = at[0] >> level; i <= (at[0] + 2) >> level; i++) s.marks[level][j * wide + i] = 1u;
+    }
+  }
+}
+
+// Running sums: x = 0 the slots of cells, x = 1 + level the numbers of nodes. Clears counts and marks.
+// grid (1 + LEVELS, B), block SCAN_THREADS
+#define SCAN_THREADS 512
+#define SCAN_EACH 16
+extern "C" __global__ void __launch_bounds__(SCAN_THREADS) particle_scan(const Stream* __restrict__ streams) {
+  __shared__ u32 sums[2][SCAN_THREADS];
+  const Stream& s = streams[blockIdx.y];
+  const int level = (int)blockIdx.x - 1;
+  const u32 size = level < 0 ? s.across * s.down : (s.across >> level) * (s.down >> level);
+  u32* from = level < 0 ? s.counts : s.marks[level];
+  u32 before = 0;
+  for (u32 chunk = 0; chunk < size; chunk += SCAN_THREADS * SCAN_EACH) {
+    const u32 own = chunk + threadIdx.x * SCAN_EACH;
+    u32 values[SCAN_EACH], sum = 0;
+#pragma unroll
+    for (int i = 0; i < SCAN_EACH; i++) {
+      values[i] = own + i < size ? from[own + i] : 0u;
+      sum += values[i];
+    }
+    int side = 0;
+    sums[0][threadIdx.x] = sum;
+    __syncthreads();
+    for (u32 m = 1; m < SCAN_THREADS; m *= 2) {
+      sums[side ^ 1][threadIdx.x] = sums[side][threadIdx.x] + (threadIdx.x >= m ? sums[side][threadIdx.x - m] : 0u);
+      side ^= 1;
+      __syncthreads();
+    }
+    u32 running = before + sums[side][threadIdx.x] - sum;
+    before += sums[side][SCAN_THREADS - 1];
+#pragma unroll
+    for (int i = 0; i < SCAN_EACH; i++) {
+      const u32 at = own + i;
+      if (at >= size) break;
+      if (level < 0) {
+        s.starts[at] = running;
+      } else {
+        s.maps[level][at] = values[i] ? running : MISSING;
+        if (values[i]) s.lists[level][running] = at;
+      }
+      if (values[i]) from[at] = 0u;
+      running += values[i];
+    }
+    __syncthreads();
+  }
+  if (threadIdx.x == 0) {
+    if (level < 0) s.starts[size] = before;
+    else s.totals[level] = before;
+  }
+}
+
+// Particles by cells, in the order of their arrival. grid (ceil(n / 256), B), block 256
+extern "C" __global__ void __launch_bounds__(256) particle_scatter(const Stream* __restrict__ streams) {
+  const Stream& s = streams[blockIdx.y];
+  for (u32 p = first_thread(); p < s.particles; p += all_threads()) s.unsorted[s.starts[s.cells[p]] + s.arrivals[p]] = p;
+}
+// The same by their number: each counts those of its cell with a smaller one. Cells have some 16 particles; with all in one
+// place the time is quadratic, but the threads of a warp read the same numbers. grid and block as above
+extern "C" __global__ void __launch_bounds__(256) particle_rank(const Stream* __restrict__ streams) {
+  const Stream& s = streams[blockIdx.y];
+  for (u32 from = first_thread(); from < s.particles; from += all_threads()) {
+    const u32 p = s.unsorted[from], cell = s.cells[p], begin = s.starts[cell], end = s.starts[cell + 1];
+    u32 slot = begin;
+#pragma unroll 4
+    for (u32 other = begin; other < end; other++) slot += s.unsorted[other] < p ? 1u : 0u;
+    s.order[slot] = p;
+    const Body body = s.bodies[p];
+#pragma unroll
+    for (int a = 0; a < 2; a++) s.places[2 * slot + a] = cell_place(s, body, a);
+  }
+}

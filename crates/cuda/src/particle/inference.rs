@@ -1,0 +1,353 @@
+//! Streams of particle models predicted on a device: a frame of up to [`MOST_STREAMS`] streams of any sizes at once, their
+//! states stay on the device.
+//!
+//! Frames and predictions lie in memory of the host that the device reads and writes itself, and so does a table of the
+//! streams with the places of all their lists: a step is one graph without copies and without arguments that change. There is
+//! a graph for each number of streams and size of the largest one, rounded up to a power of two.
+//!
+//! | stage | a block has | reads | writes |
+//! |---|---|---|---|
+//! | load | 256 particles | frames in the memory of the host | particles, counts of cells, marks of nodes |
+//! | scan | a map | counts, marks | first slots of cells, numbers of nodes |
+//! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
+//! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
+//! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
+//! | 11 layers | a few nodes | a list | another list |
+//! | decode | a tile of slots | list 2, features, states | states, predictions |
+//! | store | 256 particles | predictions | memory of the host |
+
+#![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::Arc,
+};
+
+use eddy_frames::{Domain, Frame, FrameView, Particles};
+use eddy_inference::{
+    checkpoint::{Description, Weights},
+    engine::{Ballistic, StreamStart, scales},
+};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
+
+use super::{
+    layout::{Constants, Layout, NODE_THREADS},
+    stream::{LEVELS, Memory, Row, Scales, Size},
+};
+use crate::{
+    device::{Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
+    error::Result,
+    kernels::Kernel,
+};
+
+/// Streams of a step.
+pub const MOST_STREAMS: usize = 64;
+/// Scratch memory that several streams of a step take together at most (bytes); a single one takes what it needs.
+const SCRATCH: usize = 4 << 30;
+/// Graphs that are kept.
+const GRAPHS: usize = 64;
+/// Blocks of a stage, at most about so many for all streams; each goes on with further tiles.
+const BLOCKS: usize = 16384;
+/// Threads of a block of the encoder and the decoder, `THREADS` of the kernels.
+const TILE_THREADS: usize = 128;
+/// Threads of a block of the running sums, `SCAN_THREADS` of the kernels.
+const SCAN_THREADS: usize = 512;
+
+/// Particles of an item of a copy between a frame and the memory of the device.
+const COPY: usize = 1 << 14;
+/// Items from which on several threads copy.
+const WORTH_THREADS: usize = 4;
+/// Threads that copy.
+const COPY_THREADS: usize = 8;
+
+/// x, y, vx, vy of a particle.
+type Body = [f32; 4];
+
+/// What the launches of a step depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Extent {
+    streams: usize,
+    /// Particles of the largest stream, rounded up.
+    particles: usize,
+    /// Nodes of the largest stream by level, rounded up.
+    nodes: [usize; LEVELS],
+}
+
+/// A particle model that predicts streams on a device.
+pub struct Inference {
+    device: Arc<dyn Device>,
+    constants: Constants,
+    layout: Layout,
+    scales: Scales,
+    ballistic: Ballistic,
+    /// The domain in training.
+    domain: Domain,
+    weights: Buffer,
+    /// The table of the streams of a step.
+    host_rows: HostBuffer,
+    rows: Buffer,
+    /// Memory that is zero between two steps, and scratch memory.
+    zeros: Buffer,
+    scratch: Buffer,
+    /// Frames and predictions.
+    host: [HostBuffer; 2],
+    /// Bodies that there is room for in them.
+    bodies: usize,
+    /// Copies frames to and from the memory of the host.
+    threads: ThreadPool,
+    /// None before the second step of an extent.
+    graphs: HashMap<Extent, Option<Box<dyn Recording + Send>>>,
+}
+
+/// A part of a frame: number of the stream, first particle, and its place in the memory of the host.
+struct Part {
+    step: usize,
+    first: usize,
+    count: usize,
+    at: usize,
+}
+
+impl Inference {
+    /// The network of a checkpoint on a device that has its kernels.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`], [`CudaError::Memory`], [`CudaError::Call`].
+    pub fn new(
+        device: Arc<dyn Device>,
+        description: &Description,
+        tensors: &BTreeMap<String, Weights>,
+    ) -> Result<Self> {
+        let constants = Constants::of(description)?;
+        let (layout, weights) = Layout::new(description, &constants, tensors);
+        let width = description.grid.map_or(1.0, |grid| grid.cell_width);
+        let (slowest, fastest) = scales::velocity_limits(&description.normalization);
+        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(COPY_THREADS);
+        let inference = Self {
+            scales: Scales {
+                width,
+                unit: scales::velocity_unit(&description.normalization),
+                speeds: [slowest, fastest],
+            },
+            ballistic: Ballistic::new(description),
+            domain: description.domain,
+            weights: device.allocate(4 * layout.size)?,
+            host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
+            rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
+            zeros: device.allocate(0)?,
+            scratch: device.allocate(0)?,
+            host: [device.allocate_host(0)?, device.allocate_host(0)?],
+            bodies: 0,
+            threads: ThreadPool::new("copies", threads, 1),
+            graphs: HashMap::new(),
+            constants,
+            layout,
+            device,
+        };
+        inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))?;
+        Ok(inference)
+    }
+
+    /// The state of a stream, and the memory that its steps need.
+    pub(super) fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
+        let size = Size::new(stream.material.len(), &stream.domain, self.scales.width);
+        self.make_room(&[size])?;
+        Memory::new(Arc::clone(&self.device), &self.constants, stream)
+    }
+
+    fn size(&self, memory: &Memory, domain: &Domain) -> Size {
+        Size::new(memory.particles(), domain, self.scales.width)
+    }
+
+    /// How many of the streams that come first are best stepped together: their scratch memory is not too large.
+    pub(super) fn batch<'a>(
+        &self,
+        streams: impl IntoIterator<Item = (&'a Memory, &'a Domain)>,
+    ) -> usize {
+        let mut bytes = 0usize;
+        let fits = |(memory, domain): (&Memory, &Domain)| {
+            let size = self.size(memory, domain);
+            let own = size.zeros().saturating_add(size.scratch(&self.constants));
+            bytes = bytes.saturating_add(own.saturating_mul(4));
+            bytes <= SCRATCH
+        };
+        streams.into_iter().take(MOST_STREAMS).map(fits).take_while(|&fits| fits).count().max(1)
+    }
+
+    /// Makes room for a step of such streams.
+    fn make_room(&mut self, sizes: &[Size]) -> Result<()> {
+        let zeros: usize = sizes.iter().map(Size::zeros).sum();
+        let scratch: usize = sizes.iter().map(|size| size.scratch(&self.constants)).sum();
+        let bodies: usize = sizes.iter().map(|size| size.particles).sum();
+        for (buffer, numbers) in [(&mut self.zeros, zeros), (&mut self.scratch, scratch)] {
+            if buffer.bytes() < 4 * numbers {
+                // Nothing runs, and what is there is not needed any more.
+                *buffer = self.device.allocate(0)?;
+                *buffer = self.device.allocate(4 * numbers)?;
+            }
+        }
+        if self.bodies < bodies {
+            self.bodies = 0;
+            for buffer in &mut self.host {
+                *buffer = self.device.allocate_host(size_of::<Body>() * bodies)?;
+            }
+            self.bodies = bodies;
+        }
+        Ok(())
+    }
+
+    /// One frame of each stream, at most [`MOST_STREAMS`].
+    pub(super) fn step(
+        &mut self,
+        steps: &mut [(&Memory, FrameView<'_>, &mut Frame)],
+    ) -> Result<()> {
+        assert!(steps.len() <= MOST_STREAMS, "{} streams, at most {MOST_STREAMS}", steps.len());
+        let sizes: Vec<_> =
+            steps.iter().map(|(memory, frame, _)| self.size(memory, &frame.domain)).collect();
+        self.make_room(&sizes)?;
+        let mut parts = Vec::new();
+        let mut at = 0;
+        for (step, size) in sizes.iter().enumerate() {
+            for first in (0..size.particles).step_by(COPY) {
+                let count = COPY.min(size.particles - first);
+                parts.push(Part { step, first, count, at: at + first });
+            }
+            at += size.particles;
+        }
+        self.write_rows(steps);
+        let alone = parts.len() < WORTH_THREADS;
+        {
+            // SAFETY: the last step has finished, and nothing else uses this memory.
+            let bodies = DisjointSlice::new(unsafe { self.host[0].slice::<Body>() });
+            let (steps, parts) = (&*steps, &parts);
+            self.threads.run([parts.len()], alone, &|Task { item, .. }| {
+                let Part { step, first, count, at } = parts[item];
+                // SAFETY: each item runs once.
+                read_frame(&steps[step].1, first, unsafe { bodies.part(at..at + count) });
+            });
+        }
+        self.run(&sizes)?;
+        for (memory, ..) in &*steps {
+            memory.begin();
+        }
+        // SAFETY: as above.
+        let next = &*unsafe { self.host[1].slice::<Body>() };
+        let [mut positions, mut velocities] = [Vec::new(), Vec::new()];
+        for (.., frame) in steps {
+            positions.push(DisjointSlice::new(&mut frame.position));
+            velocities.push(DisjointSlice::new(&mut frame.velocity));
+        }
+        self.threads.run([parts.len()], alone, &|Task { item, .. }| {
+            let Part { step, first, count, at } = parts[item];
+            let own = first..first + count;
+            // SAFETY: each item runs once.
+            let (position, velocity) =
+                unsafe { (positions[step].part(own.clone()), velocities[step].part(own)) };
+            for ((x, v), &[a, b, c, d]) in position.iter_mut().zip(velocity).zip(&next[at..]) {
+                (*x, *v) = ([a, b], [c, d]);
+            }
+        });
+        Ok(())
+    }
+
+    /// Writes the table of the streams.
+    fn write_rows(&mut self, steps: &[(&Memory, FrameView<'_>, &mut Frame)]) {
+        let (mut zeros, mut scratch) = (self.zeros.address(), self.scratch.address());
+        let mut host = [self.host[0].address(), self.host[1].address()];
+        // SAFETY: the last step has finished, and nothing else uses this memory.
+        let table = unsafe { self.host_rows.slice::<Row>() };
+        for (row, (memory, frame, _)) in table.iter_mut().zip(steps) {
+            let ballistic = self.ballistic.for_domain(&self.domain, &frame.domain);
+            let places = [&mut zeros, &mut scratch];
+            *row =
+                memory.row(&self.constants, &self.scales, &frame.domain, &ballistic, host, places);
+            host = host.map(|at| at.plus_bytes(memory.particles() * size_of::<Body>()));
+        }
+    }
+
+    /// A step of such streams, from the memory of the host to the memory of the host.
+    fn run(&mut self, sizes: &[Size]) -> Result<()> {
+        let most = |count: &dyn Fn(&Size) -> usize| {
+            sizes.iter().map(count).max().unwrap_or_default().next_power_of_two()
+        };
+        let extent = Extent {
+            streams: sizes.len(),
+            particles: most(&|size| size.particles),
+            nodes: std::array::from_fn(|level| most(&|size| size.nodes(level))),
+        };
+        match self.graphs.get(&extent) {
+            None => {
+                if self.graphs.len() >= GRAPHS {
+                    self.graphs.clear();
+                }
+                self.launch_all(extent)?;
+                self.graphs.insert(extent, None);
+            }
+            Some(Some(graph)) => graph.repeat()?,
+            Some(None) => {
+                let graph = self.device.record(&mut || self.launch_all(extent))?;
+                match &graph {
+                    Some(graph) => graph.repeat()?,
+                    None => self.launch_all(extent)?,
+                }
+                self.graphs.insert(extent, graph);
+            }
+        }
+        self.device.finish()
+    }
+
+    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
+        // SAFETY: every call of this file passes the kernel's parameters in type and order, and a table of streams with the
+        // memory that `Size` has found for them.
+        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    }
+
+    /// Puts a step into the queue.
+    fn launch_all(&self, extent: Extent) -> Result<()> {
+        let Extent { streams, particles, nodes } = extent;
+        let Constants { tile, nodes: node_tile, .. } = self.constants;
+        let blocks =
+            |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / streams).max(64)).max(1);
+        let rows: Argument = self.rows.address().into();
+        let weights = |first: usize| -> Argument { self.weights.address().plus(first).into() };
+        let by_particle = Shape::new(blocks(particles, 256), streams, 256);
+        let by_tile =
+            |shared| Shape { shared, ..Shape::new(blocks(particles, tile), streams, TILE_THREADS) };
+        self.launch(Kernel::ParticleLoad, by_particle, &[self.host_rows.address().into(), rows])?;
+        let scan = Shape::new(1 + LEVELS, streams, SCAN_THREADS);
+        self.launch(Kernel::ParticleScan, scan, &[rows])?;
+        self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
+        self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
+        let [first, second] = self.layout.encoder.map(weights);
+        let encode = by_tile(self.constants.encode_bytes());
+        self.launch(Kernel::ParticleEncode, encode, &[rows, first, second])?;
+        let by_node = Shape::new(blocks(nodes[0], 1), streams, 96);
+        self.launch(Kernel::ParticleToNodes, by_node, &[rows])?;
+        for layer in &self.layout.grid {
+            let shape = Shape {
+                shared: layer.shared,
+                ..Shape::new(blocks(nodes[layer.level], node_tile), streams, NODE_THREADS)
+            };
+            let numbers = Argument::from_bytes(bytemuck::cast_slice(&layer.numbers));
+            let arguments = [rows, weights(layer.first), numbers, layer.parts.into()];
+            self.launch(Kernel::ParticleGridLayer, shape, &arguments)?;
+        }
+        let decode = by_tile(self.constants.decode_bytes());
+        self.launch(Kernel::ParticleDecode, decode, &[rows, weights(self.layout.context)])?;
+        self.launch(Kernel::ParticleStore, by_particle, &[rows])
+    }
+}
+
+/// Positions and velocities side by side, from particle `first` on.
+fn read_frame(frame: &FrameView<'_>, first: usize, bodies: &mut [Body]) {
+    if let Particles::Lists { position, velocity, .. } = frame.particles {
+        let pairs = position[first..].iter().zip(&velocity[first..]);
+        for (body, (&[x, y], &[vx, vy])) in bodies.iter_mut().zip(pairs) {
+            *body = [x, y, vx, vy];
+        }
+        return;
+    }
+    for (particle, body) in (first..).zip(bodies) {
+        let ([x, y], [vx, vy]) = frame.particles.motion(particle);
+        *body = [x, y, vx, vy];
+    }
+}

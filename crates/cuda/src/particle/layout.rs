@@ -1,0 +1,389 @@
+//! What the particle model's kernels are compiled for, and where its tensors are in the memory of a device: one matrix a layer,
+//! `[in, gates, out]` with widths rounded up to 4, its bias behind it.
+//!
+//! | layer | rows | columns |
+//! |---|---|---|
+//! | `encoder.0`, `encoder.1` | F, E | E, C0 |
+//! | `grid.*` | rows of the gathered nodes one behind the other | channels; of `up` for each child |
+//! | `context` | F, C0 | H |
+//! | core: from the input, then, of GRU and LSTM, from the last output | H | gates side by side |
+//! | `mixer` | H | H |
+//! | `decoder` | H | 4 |
+
+use std::collections::BTreeMap;
+
+use eddy_inference::checkpoint::{
+    Activation, Core, Description, Form, Weights,
+    layout::{self, NODE_FEATURES, PARTICLE_FEATURES},
+};
+
+use crate::{
+    error::{CudaError, Result},
+    kernels::{AXES, MATERIALS, PARTICLE_SOURCE, Program, gates, round_up},
+};
+
+/// Threads of a block that computes layers on nodes.
+pub(super) const NODE_THREADS: usize = 256;
+/// Rows that a thread multiplies, `ROWS` of the kernels.
+const ROWS: usize = 4;
+/// Most threads that share a sum.
+const MOST_PARTS: usize = 8;
+/// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
+/// capability 8.0 on (bytes).
+const SHARED: [usize; 2] = [72 << 10, 150 << 10];
+
+/// Lists of features at nodes, as in the engine; the level of each.
+pub(super) const FIELD_LEVELS: [usize; 7] = [0, 0, 0, 1, 1, 2, 2];
+
+/// What a layer on nodes reads: the 3 x 3 around a node, its children, or its parent and a list that is added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stencil {
+    Neighbours,
+    Children,
+    Parent(usize),
+}
+
+/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
+const GRID_LAYERS: [(Stencil, usize, usize); 11] = [
+    (Stencil::Neighbours, 0, 1),
+    (Stencil::Neighbours, 1, 2),
+    (Stencil::Children, 2, 3),
+    (Stencil::Neighbours, 3, 4),
+    (Stencil::Children, 4, 5),
+    (Stencil::Neighbours, 5, 6),
+    (Stencil::Neighbours, 6, 5),
+    (Stencil::Parent(4), 5, 3),
+    (Stencil::Neighbours, 3, 4),
+    (Stencil::Parent(2), 4, 1),
+    (Stencil::Neighbours, 1, 2),
+];
+
+/// What the kernels are compiled for: the widths and choices of a particle model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Constants {
+    /// E.
+    pub encoder: usize,
+    /// H.
+    pub hidden: usize,
+    /// Layers of the core.
+    pub layers: usize,
+    /// C0, C1, C2.
+    pub channels: [usize; 3],
+    /// The recurrent core.
+    pub core: Core,
+    /// Of the MLP core.
+    pub activation: Activation,
+    /// Form of the minimal recurrences.
+    pub form: Form,
+    /// Whether minLSTM's gates are divided by their sum.
+    pub normalized: bool,
+    /// Particles of a block.
+    pub tile: usize,
+    /// Nodes of a block.
+    pub nodes: usize,
+}
+
+/// W rounded up to 4.
+fn four(width: usize) -> usize {
+    round_up(width, 4)
+}
+
+/// Length of a row in shared memory: an odd multiple of 4, so that neighbouring rows are in different banks.
+fn odd(width: usize) -> usize {
+    if (width / 4).is_multiple_of(2) { width + 4 } else { width }
+}
+
+/// The largest number of rows for which a block's shared memory is small, else the smallest if it fits at all.
+fn fitting(rows: &[usize], bytes: impl Fn(usize) -> usize) -> Option<usize> {
+    let small = rows.iter().copied().find(|&rows| bytes(rows) <= SHARED[0]);
+    small.or(rows.last().copied().filter(|&rows| bytes(rows) <= SHARED[1]))
+}
+
+impl Constants {
+    /// Of a described particle model.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`] for the frame model and for layers that are too wide.
+    pub fn of(description: &Description) -> Result<Self> {
+        let unsupported = |setting: String, expected| CudaError::Unsupported { setting, expected };
+        let Some(grid) = description.grid else {
+            return Err(unsupported("architecture frame".to_owned(), "architecture particle"));
+        };
+        let sizes = &description.sizes;
+        let mut constants = Self {
+            encoder: sizes.encoder,
+            hidden: sizes.hidden,
+            layers: sizes.layers,
+            channels: grid.channels,
+            core: description.core,
+            activation: description.frame.activation,
+            form: description.form,
+            normalized: description.normalize_gates,
+            tile: ROWS,
+            nodes: ROWS,
+        };
+        let bytes = |tile| {
+            let sized = Self { tile, ..constants.clone() };
+            sized.encode_bytes().max(sized.decode_bytes())
+        };
+        let Some(tile) = fitting(&[64, 32, 16, 8, ROWS], bytes) else {
+            let setting =
+                format!("network.encoder {} with network.hidden {}", sizes.encoder, sizes.hidden);
+            return Err(unsupported(setting, "at most about 1500 for each on a GPU"));
+        };
+        let widest = constants.field_widths().into_iter().max().unwrap_or_default();
+        let Some(nodes) = fitting(&[16, 8, ROWS], |nodes| 4 * nodes * odd(9 * widest)) else {
+            let setting = format!("surroundings.channels {:?}", grid.channels);
+            return Err(unsupported(setting, "at most 1000 each on a GPU"));
+        };
+        (constants.tile, constants.nodes) = (tile, nodes);
+        Ok(constants)
+    }
+
+    /// Shared memory of a block of the encoder (bytes).
+    pub(super) fn encode_bytes(&self) -> usize {
+        let widths = [PARTICLE_FEATURES, self.encoder, self.channels[0]];
+        4 * self.tile * widths.map(|width| odd(four(width))).iter().sum::<usize>()
+    }
+
+    /// Shared memory of a block of the decoder (bytes).
+    pub(super) fn decode_bytes(&self) -> usize {
+        let hidden = self.hidden_columns();
+        let wide = odd(self.context_rows().max(hidden));
+        let lists = if self.core == Core::Mlp { 1 } else { 2 };
+        4 * self.tile * (wide + lists * odd(hidden) + 9)
+    }
+
+    /// H rounded up.
+    pub(super) fn hidden_columns(&self) -> usize {
+        four(self.hidden)
+    }
+
+    /// F rounded up: the numbers of a particle's features.
+    pub(super) fn feature_columns(&self) -> usize {
+        four(PARTICLE_FEATURES)
+    }
+
+    /// C0 rounded up: the encoder's outputs.
+    pub(super) fn encoded_columns(&self) -> usize {
+        four(self.channels[0])
+    }
+
+    /// Rows of the matrix of `context`.
+    fn context_rows(&self) -> usize {
+        self.feature_columns() + self.encoded_columns()
+    }
+
+    /// Whether the core remembers outputs, and how many lists of numbers per layer.
+    pub(super) fn states(&self) -> usize {
+        match self.core {
+            Core::Mlp => 0,
+            Core::Lstm => 2 * self.layers,
+            Core::MinGru | Core::MinLstm | Core::Gru => self.layers,
+        }
+    }
+
+    /// Padded widths of the lists of features at nodes.
+    pub(super) fn field_widths(&self) -> [usize; 7] {
+        let [c0, c1, c2] = self.channels;
+        [c0 + NODE_FEATURES, c0, c0, c1, c1, c2, c2].map(four)
+    }
+}
+
+impl Program for Constants {
+    fn source(&self) -> &'static str {
+        PARTICLE_SOURCE
+    }
+
+    fn definitions(&self) -> Vec<(&'static str, usize)> {
+        let position = |found: Option<usize>| found.unwrap_or_default();
+        let core = match self.core {
+            Core::Mlp => 0,
+            Core::MinGru => 1,
+            Core::MinLstm => 2,
+            Core::Gru => 3,
+            Core::Lstm => 4,
+        };
+        vec![
+            ("DIM", AXES),
+            ("MATERIALS", MATERIALS),
+            ("F", PARTICLE_FEATURES),
+            ("E", self.encoder),
+            ("C0", self.channels[0]),
+            ("H", self.hidden),
+            ("LAYERS", self.layers),
+            ("CORE", core),
+            (
+                "ACTIVATION",
+                position(Activation::ALL.iter().position(|&kind| kind == self.activation)),
+            ),
+            ("LOG_FORM", usize::from(self.form == Form::Log)),
+            ("NORMALIZED", usize::from(self.normalized)),
+            ("TILE", self.tile),
+            ("NODES", self.nodes),
+        ]
+    }
+}
+
+/// A layer on the nodes: `struct Layer` of the kernels and what its launch needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GridLayer {
+    /// Gathered rows, level of the blocks' nodes, lists read, written and added, padded widths of rows read and written,
+    /// whether ReLU follows.
+    pub(super) numbers: [i32; 8],
+    /// First number of its matrix.
+    pub(super) first: usize,
+    /// Threads that share a sum.
+    pub(super) parts: usize,
+    /// Shared memory of a block (bytes).
+    pub(super) shared: usize,
+    /// Level of the blocks' nodes.
+    pub(super) level: usize,
+}
+
+/// Where the matrices are.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// First numbers of `encoder.0`, `encoder.1`, and of `context` with all that follow it.
+    pub(super) encoder: [usize; 2],
+    pub(super) grid: Vec<GridLayer>,
+    pub(super) context: usize,
+    /// Numbers in all of them.
+    pub(super) size: usize,
+}
+
+/// A matrix that is written.
+struct Matrix<'a> {
+    weight: &'a Weights,
+    bias: &'a Weights,
+    /// Padded rows.
+    rows: usize,
+    /// The padded row of an input.
+    row: &'a dyn Fn(usize) -> usize,
+    /// Outputs side by side of so many groups, with a bias each.
+    groups: usize,
+}
+
+impl Matrix<'_> {
+    /// Appends it to `all`.
+    fn append(&self, all: &mut Vec<f32>) {
+        let Self { weight, bias, rows, row, groups } = *self;
+        let [outputs, inputs] = [weight.shape[0] / groups, weight.shape[1]];
+        let columns = four(outputs);
+        let begin = all.len();
+        all.resize(begin + (rows + 1) * groups * columns, 0.0);
+        for (output, values) in weight.values.chunks_exact(inputs).enumerate() {
+            let column = output / outputs * columns + output % outputs;
+            for (input, value) in values.iter().enumerate() {
+                all[begin + row(input) * groups * columns + column] = *value;
+            }
+            // The children of a node share the bias.
+            let own = bias.values[output % bias.values.len()];
+            all[begin + rows * groups * columns + column] = own;
+        }
+    }
+}
+
+impl Layout {
+    /// The places, and all matrices one behind the other, from the tensors of a checkpoint.
+    pub fn new(
+        description: &Description,
+        constants: &Constants,
+        tensors: &BTreeMap<String, Weights>,
+    ) -> (Self, Vec<f32>) {
+        let mut all = Vec::new();
+        let named = |[weight, bias]: [String; 2]| (&tensors[&weight], &tensors[&bias]);
+        let add = |all: &mut Vec<f32>,
+                   (weight, bias): (&Weights, &Weights),
+                   rows: usize,
+                   row: &dyn Fn(usize) -> usize,
+                   groups: usize| {
+            let first = all.len();
+            Matrix { weight, bias, rows, row, groups }.append(all);
+            first
+        };
+        let plain = |input: usize| input;
+        let Constants { encoder, hidden, .. } = *constants;
+        let features = constants.feature_columns();
+        let encoder = [
+            add(&mut all, named(layout::names("encoder.0")), features, &plain, 1),
+            add(&mut all, named(layout::names("encoder.1")), four(encoder), &plain, 1),
+        ];
+        let widths = constants.field_widths();
+        let grid =
+            description.grid.iter().flat_map(layout::grid_layers).zip(GRID_LAYERS).enumerate();
+        let grid = grid
+            .map(|(number, ((name, inputs, ..), (stencil, from, to)))| {
+                let (places, children, level, skip) = match stencil {
+                    Stencil::Neighbours => (9, 1, FIELD_LEVELS[to], 0),
+                    Stencil::Children => (4, 1, FIELD_LEVELS[to], 0),
+                    Stencil::Parent(skip) => (1, 4, FIELD_LEVELS[from], skip),
+                };
+                let rows = places * widths[from];
+                let group = inputs / places;
+                let row = |input: usize| input / group * widths[from] + input % group;
+                let first = add(&mut all, named(layout::names(name)), rows, &row, children);
+                let columns = children * widths[to];
+                let items = constants.nodes / ROWS * columns / 4;
+                let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
+                let gathered = constants.nodes * odd(rows);
+                let sums = (parts - 1) * constants.nodes * columns;
+                let rectified = i32::from(number + 1 < GRID_LAYERS.len());
+                GridLayer {
+                    numbers: [places, level, from, to, skip, widths[from], widths[to]]
+                        .map(|number| number as i32)
+                        .into_iter()
+                        .chain([rectified])
+                        .collect::<Vec<_>>()
+                        .try_into()
+                        .unwrap_or_default(),
+                    first,
+                    parts,
+                    shared: 4 * gathered.max(sums),
+                    level,
+                }
+            })
+            .collect();
+        // The gathered numbers begin behind the padded features.
+        let row = |input: usize| {
+            if input < PARTICLE_FEATURES { input } else { input - PARTICLE_FEATURES + features }
+        };
+        let context =
+            add(&mut all, named(layout::names("context")), constants.context_rows(), &row, 1);
+        let rows = four(hidden);
+        for layer in 0..constants.layers {
+            let core = constants.core;
+            let parts = layout::core_parts(core)
+                .iter()
+                .map(|&(part, gates)| (named(layout::core_names(core, layer, part)), gates));
+            match core {
+                Core::Gru | Core::Lstm => {
+                    for (tensors, gates) in parts {
+                        add(&mut all, tensors, rows, &plain, gates);
+                    }
+                }
+                Core::Mlp | Core::MinGru | Core::MinLstm => {
+                    // Gates with tensors of their own lie side by side.
+                    let joined = |pick: fn((&Weights, &Weights)) -> Weights| {
+                        let mut values = Vec::new();
+                        let mut shape = Vec::new();
+                        for (tensors, _) in parts.clone() {
+                            let own = pick(tensors);
+                            values.extend(own.values);
+                            shape = own.shape;
+                        }
+                        shape[0] *= gates(core);
+                        Weights { shape, values }
+                    };
+                    let weight = joined(|(weight, _)| weight.clone());
+                    let bias = joined(|(_, bias)| bias.clone());
+                    add(&mut all, (&weight, &bias), rows, &plain, gates(core));
+                }
+            }
+        }
+        add(&mut all, named(layout::names("mixer")), rows, &plain, 1);
+        add(&mut all, named(layout::names("decoder")), rows, &plain, 1);
+        let size = all.len();
+        (Self { encoder, grid, context, size }, all)
+    }
+}
