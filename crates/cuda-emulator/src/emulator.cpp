@@ -37,6 +37,16 @@ static unsigned atomicAdd(unsigned* to, unsigned by) {
   *to += by;
   return before;
 }
+static unsigned atomicMin(unsigned* to, unsigned with) {
+  const unsigned before = *to;
+  *to = min(before, with);
+  return before;
+}
+template <class T> static T atomicMax(T* to, T with) {
+  const T before = *to;
+  *to = max(before, with);
+  return before;
+}
 static unsigned long long atomicAdd(unsigned long long* to, unsigned long long by) {
   const unsigned long long before = *to;
   *to += by;

@@ -209,24 +209,54 @@ fn blocks() -> Frame {
     frame
 }
 
-#[test]
-fn the_shipped_network_with_its_rules_predicts_alike_for_ten_frames() {
+/// Predicts ten frames of `frame` with the shipped network, each from the processor's prediction of the last.
+fn ten_frames(mut frame: Frame) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../checkpoints/particle-mingru");
     let checkpoint = Checkpoint::load(&folder).unwrap();
-    let (device, processor) =
-        (emulated(&checkpoint), Surrogate::load(&checkpoint, threads(1)).unwrap());
-    let mut frame = blocks();
-    let (mut stepper, mut hidden) = (device.stepper(), device.start(&frame).unwrap());
-    let mut expected = (processor.stepper(), processor.start(&frame).unwrap());
+    let surrogates = [emulated(&checkpoint), Surrogate::load(&checkpoint, threads(1)).unwrap()];
+    let mut steppers = surrogates.each_ref().map(Surrogate::stepper);
+    let mut hidden = surrogates.each_ref().map(|surrogate| surrogate.start(&frame).unwrap());
     for number in 0..10 {
-        let found = stepper.step(&mut hidden, &frame);
-        frame = expected.0.step(&mut expected.1, &frame);
+        let found = steppers[0].step(&mut hidden[0], &frame);
+        frame = steppers[1].step(&mut hidden[1], &frame);
         let apart = apart(&found, &frame);
         // The states have drifted apart since the first frame.
         let most = (number + 1) as f32 * TOLERANCE;
         assert!(apart <= most, "frame {number}: {apart} apart");
     }
-    stepper.check().unwrap();
+    steppers[0].check().unwrap();
+}
+
+#[test]
+fn the_shipped_network_with_its_rules_predicts_alike_for_ten_frames() {
+    ten_frames(blocks());
+}
+
+#[test]
+fn bodies_at_rest_in_flight_and_liquid_that_is_too_dense_are_corrected_alike() {
+    let mut frame = blocks();
+    for (number, (x, v)) in frame.position.iter_mut().zip(&mut frame.velocity).enumerate() {
+        match number / 150 {
+            // Liquid at 1.8 times its density.
+            0 => *x = [0.3 + 0.75 * (x[0] - 0.1), 0.1 + 0.75 * (x[1] - 0.05)],
+            // On the floor, at rest.
+            1 => (*x, *v) = ([x[0], x[1] - 0.09], [0.0; 2]),
+            // Spinning.
+            2 => *v = [8.0 * (0.22 - x[1]), 8.0 * (x[0] - 0.53)],
+            _ => {}
+        }
+    }
+    ten_frames(frame);
+}
+
+#[test]
+fn the_pressure_of_a_domain_too_large_for_shared_memory_is_the_same() {
+    let mut frame = blocks();
+    frame.domain.upper = [2.0, 2.0];
+    for x in &mut frame.position[..150] {
+        *x = [1.2 + 0.6 * (x[0] - 0.1), 0.1 + 0.6 * (x[1] - 0.05)];
+    }
+    ten_frames(frame);
 }
 
 #[test]

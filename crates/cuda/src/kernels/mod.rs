@@ -23,6 +23,7 @@ pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
+    include_str!("particle_rules.cu"),
 );
 
 /// A text of kernels and the constants it is compiled for.
@@ -160,6 +161,8 @@ kernels! {
     MaximumPointsGradient = "maximum_points_gradient",
     /// Particle model: frames from the memory of the host, and the particles of each cell.
     ParticleLoad = "particle_load",
+    /// Sums of parts of maps.
+    ParticleChunks = "particle_chunks",
     /// Slots of cells, numbers of nodes.
     ParticleScan = "particle_scan",
     /// Particles by cells.
@@ -174,6 +177,30 @@ kernels! {
     ParticleGridLayer = "particle_grid_layer",
     /// Gather from nodes, core, decoder.
     ParticleDecode = "particle_decode",
+    /// Area rule: the fill of nodes.
+    ParticleAreaFill = "particle_area_fill",
+    /// The pressure, within shared memory.
+    ParticleAreaSolve = "particle_area_solve",
+    /// The excess of nodes.
+    ParticleAreaMark = "particle_area_mark",
+    /// Half a sweep of the pressure.
+    ParticleAreaSweep = "particle_area_sweep",
+    /// Liquid moves.
+    ParticleAreaShift = "particle_area_shift",
+    /// Shape rule: limited deformations.
+    ParticleShapeLimit = "particle_shape_limit",
+    /// A sweep of the positions.
+    ParticleShapeRelax = "particle_shape_relax",
+    /// Bodies: nodes that are connected.
+    ParticleBodiesJoin = "particle_bodies_join",
+    /// Places for their sums.
+    ParticleBodiesNumber = "particle_bodies_number",
+    /// Sums over their particles.
+    ParticleBodiesSum = "particle_bodies_sum",
+    /// Flight rule.
+    ParticleBodiesFlight = "particle_bodies_flight",
+    /// Rest rule.
+    ParticleBodiesRest = "particle_bodies_rest",
     /// Predictions, to the memory of the host.
     ParticleStore = "particle_store",
 }

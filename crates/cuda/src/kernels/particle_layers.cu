@@ -28,7 +28,7 @@ template <int UNITS> __device__ __forceinline__ void load_units(const float* fro
 template <int GATES, int SLOTS, int UNITS, int SPLIT>
 __device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], const float* x, int step, const float* __restrict__ w,
     int columns, int gate_columns, int inner) {
-#pragma unroll 1
+#pragma unroll 2
   for (int k = 0; k < inner; k += 4) {
     float row[ROWS][4];
 #pragma unroll
@@ -176,19 +176,24 @@ extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream*
     const u32 entry = s.lists[0][node];
     const int column = (int)(entry % across), row = (int)(entry / across);
     const float at[2] = {(float)(column - ORIGIN), (float)(row - ORIGIN)};
-    // Cells (column - 2 .. column, row - warp) are neighbours in the map, and so are their slots.
-    const u32 last = entry - warp * across, begin = s.starts[last - 2], end = s.starts[last + 1];
+    // This is the node (i, warp) of the stencil of the cell (column - i, row - warp).
+    const u32 last = entry - warp * across;
     float mass = 0.0f;
+    if (threadIdx.x == 0 && s.parents) s.parents[node] = node;
     float* to = s.fields[0] + (size_t)node * INPUT4;
     for (int first = 0; first < C0 + 1; first += 32) {
       const int channel = first + lane;
       float sum = 0.0f;
-#pragma unroll 4
-      for (u32 slot = begin; slot < end; slot++) {
-        const float weight = spline(s.places[2 * slot] - at[0]) * spline(s.places[2 * slot + 1] - at[1]);
-        const float value = channel < C0 ? s.encoded[(size_t)slot * C04 + channel] : 1.0f;
-        sum = fmaf(weight, value, sum);
-        if (first == 0) mass += weight;
+      for (int i = 2; i >= 0; i--) {
+        const u32 end = s.starts[last - i + 1];
+#pragma unroll 8
+        for (u32 slot = s.starts[last - i]; slot < end; slot++) {
+          const float* weights = s.weights + 6 * (size_t)slot;
+          const float weight = weights[i] * weights[3 + warp];
+          const float value = channel < C0 ? s.encoded[(size_t)slot * C04 + channel] : 1.0f;
+          sum = fmaf(weight, value, sum);
+          if (first == 0) mass += weight;
+        }
       }
       sums[warp][lane] = sum;
       __syncthreads();
@@ -369,11 +374,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
     for (int row = threadIdx.x; row < count; row += THREADS) {
       const u32 slot = begin + row, cell = s.cells[s.order[slot]];
 #pragma unroll
-      for (int a = 0; a < 2; a++) {
-        const float place = s.places[2 * slot + a], first = stencil(place);
-#pragma unroll
-        for (int i = 0; i < 3; i++) weights[row][3 * a + i] = spline(place - (first + i));
-      }
+      for (int i = 0; i < 6; i++) weights[row][i] = s.weights[6 * (size_t)slot + i];
 #pragma unroll
       for (int j = 0; j < 3; j++) nodes[row][j] = s.maps[0][cell + j * s.across];
     }

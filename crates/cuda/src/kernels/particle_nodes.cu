@@ -28,6 +28,14 @@ struct __align__(16) Link {
   float share;
 };
 
+// A neighbour at rest: its weight among the particle's neighbours, and its position relative to the particle (domain lengths).
+struct __align__(16) Neighbour {
+  u32 particle;
+  float share;
+  float offset[2];
+};
+struct BodySums;
+
 // A stream in a step; n is its number of particles. Lists by cells and nodes have an entry for every cell of the domain's map
 // at that level, lists by nodes are as long as there can be nodes.
 struct Stream {
@@ -36,6 +44,7 @@ struct Stream {
   float* expected;               // [n, 2] velocities that the ballistic step expects
   const u32* first;              // [n + 1] first link of each particle; none where no particle has a rest shape
   const Link* links;
+  const Neighbour* neighbours;   // as many as links
   const unsigned char* material; // [n]
   // Memory of the host.
   const Body* observed;
@@ -43,21 +52,32 @@ struct Stream {
   // Zero between two steps.
   u32* counts;                   // particles of each cell
   u32* marks[LEVELS];            // whether there is a node
+  u64* fill;                     // [area nodes, 2] area of all particles and of liquid
   // Scratch memory.
   u32* starts;                   // [cells + 1] first slot of each cell
   u32* maps[LEVELS];             // number of each node
   u32* lists[LEVELS];            // entry of each node
-  u32* totals;                   // [LEVELS] nodes
+  u32* totals;                   // [LEVELS + 1] nodes, bodies
+  u32* chunks;                   // [1 + LEVELS, chunks] sums of the maps' parts
   Body* bodies;                  // [n]
   u32* cells;                    // [n]
   u32* arrivals;                 // [n] place among the particles of the cell, in any order
   u32* unsorted;                 // [n] particles by cells, in any order within a cell
   u32* order;                    // [n] particle of each slot: by cells, then by number
-  float* places;                 // [n, 2] position of the particle in a slot (cells)
+  float* weights;                // [n, 6] weights of the particle in a slot on three columns and three rows of nodes
   float* features;               // [n, F4]
   float* encoded;                // [n, C04]
   float* fields[7];              // as in `engine/grid.rs` of eddy-inference
   Body* next;                    // [n]
+  // Scratch memory of the rules; nowhere where a rule is off.
+  float* excess;                 // [area nodes, 2] with 1 / neighbours
+  float* pressure;               // [area nodes]
+  float* shapes[2];              // [n, 2] positions, before and after a sweep in turn
+  float* limited;                // [n, 4]
+  float* offsets;                // [n, 2]
+  u32* parents;                  // [nodes] a node of the same body, in the end the smallest
+  u32* numbers;                  // [nodes] of the body with this smallest node
+  BodySums* sums;                // [bodies]
   // The frame.
   u32 particles;
   u32 begun;
@@ -67,6 +87,9 @@ struct Stream {
   float wall_lower[2], wall_upper[2], fall[2], dt;
   float unit;                    // of velocities
   float slowest[2], fastest[2];
+  u32 area_extent[2];            // nodes of the area's grid
+  int area_inside[2][2];         // first node between the walls and end, on each axis
+  float area_walls[2][2];        // lower and upper wall on each axis (nodes)
   u32 unused;
 };
 
@@ -79,10 +102,11 @@ __device__ __forceinline__ float cell_place(const Stream& s, const Body& body, i
 }
 // The first node of the stencil on an axis, from there on.
 __device__ __forceinline__ float stencil(float place) { return floorf(place - 0.5f); }
-// The weight of a node at this distance (cells): the quadratic spline.
-__device__ __forceinline__ float spline(float distance) {
-  const float d = fabsf(distance);
-  return d < 0.5f ? 0.75f - d * d : 0.5f * (1.5f - d) * (1.5f - d);
+// Weights of three nodes by the quadratic spline, at a distance of 0.5 to 1.5 from the first (cells).
+__device__ __forceinline__ void spline_weights(float x, float* weights) {
+  weights[0] = 0.5f * (1.5f - x) * (1.5f - x);
+  weights[1] = 0.75f - (x - 1.0f) * (x - 1.0f);
+  weights[2] = 0.5f * (x - 0.5f) * (x - 0.5f);
 }
 
 // Frames from the memory of the host; the particles of each cell; marks for the nodes they touch.
@@ -111,19 +135,49 @@ extern "C" __global__ void __launch_bounds__(256) particle_load(const Stream* __
   }
 }
 
-// Running sums: x = 0 the slots of cells, x = 1 + level the numbers of nodes. Clears counts and marks.
-// grid (1 + LEVELS, B), block SCAN_THREADS
+// Running sums over maps: y = 0 the slots of cells, y = 1 + level the numbers of nodes. A block has a chunk of the map, and
+// adds up the sums of those before. grid (chunks, 1 + LEVELS, B), block SCAN_THREADS
 #define SCAN_THREADS 512
 #define SCAN_EACH 16
+#define CHUNK (SCAN_THREADS * SCAN_EACH)
+#define SCANNED                                                                                                          \
+  const Stream& s = streams[blockIdx.z];                                                                                 \
+  const int level = (int)blockIdx.y - 1;                                                                                 \
+  const u32 size = level < 0 ? s.across * s.down : (s.across >> level) * (s.down >> level), chunks = (size + CHUNK - 1) / CHUNK; \
+  u32* from = level < 0 ? s.counts : s.marks[level];                                                                     \
+  u32* parts = s.chunks + blockIdx.y * ((s.across * s.down + CHUNK - 1) / CHUNK);
+// Sum over a block.
+__device__ __forceinline__ u32 scan_total(u32 v, u32* sums) {
+  sums[threadIdx.x] = v;
+  __syncthreads();
+  for (u32 m = SCAN_THREADS / 2; m; m /= 2) {
+    if (threadIdx.x < m) sums[threadIdx.x] += sums[threadIdx.x + m];
+    __syncthreads();
+  }
+  const u32 total = sums[0];
+  __syncthreads();
+  return total;
+}
+// The sums of chunks, where there are several.
+extern "C" __global__ void __launch_bounds__(SCAN_THREADS) particle_chunks(const Stream* __restrict__ streams) {
+  __shared__ u32 sums[SCAN_THREADS];
+  SCANNED
+  for (u32 chunk = blockIdx.x; chunk < chunks; chunk += gridDim.x) {
+    u32 sum = 0;
+    for (u32 at = chunk * CHUNK + threadIdx.x; at < min(size, (chunk + 1) * CHUNK); at += SCAN_THREADS) sum += from[at];
+    sum = scan_total(sum, sums);
+    if (threadIdx.x == 0) parts[chunk] = sum;
+  }
+}
+// Clears counts and marks.
 extern "C" __global__ void __launch_bounds__(SCAN_THREADS) particle_scan(const Stream* __restrict__ streams) {
   __shared__ u32 sums[2][SCAN_THREADS];
-  const Stream& s = streams[blockIdx.y];
-  const int level = (int)blockIdx.x - 1;
-  const u32 size = level < 0 ? s.across * s.down : (s.across >> level) * (s.down >> level);
-  u32* from = level < 0 ? s.counts : s.marks[level];
-  u32 before = 0;
-  for (u32 chunk = 0; chunk < size; chunk += SCAN_THREADS * SCAN_EACH) {
-    const u32 own = chunk + threadIdx.x * SCAN_EACH;
+  SCANNED
+  for (u32 chunk = blockIdx.x; chunk < chunks; chunk += gridDim.x) {
+    u32 before = 0;
+    for (u32 other = threadIdx.x; other < chunk; other += SCAN_THREADS) before += parts[other];
+    if (chunk) before = scan_total(before, sums[0]);
+    const u32 own = chunk * CHUNK + threadIdx.x * SCAN_EACH;
     u32 values[SCAN_EACH], sum = 0;
 #pragma unroll
     for (int i = 0; i < SCAN_EACH; i++) {
@@ -139,7 +193,15 @@ extern "C" __global__ void __launch_bounds__(SCAN_THREADS) particle_scan(const S
       __syncthreads();
     }
     u32 running = before + sums[side][threadIdx.x] - sum;
-    before += sums[side][SCAN_THREADS - 1];
+    if (chunk + 1 == chunks && threadIdx.x == 0) {
+      const u32 total = before + sums[side][SCAN_THREADS - 1];
+      if (level >= 0) {
+        s.totals[level] = total;
+      } else {
+        s.starts[size] = total;
+        s.totals[LEVELS] = 0;
+      }
+    }
 #pragma unroll
     for (int i = 0; i < SCAN_EACH; i++) {
       const u32 at = own + i;
@@ -154,10 +216,6 @@ extern "C" __global__ void __launch_bounds__(SCAN_THREADS) particle_scan(const S
       running += values[i];
     }
     __syncthreads();
-  }
-  if (threadIdx.x == 0) {
-    if (level < 0) s.starts[size] = before;
-    else s.totals[level] = before;
   }
 }
 
@@ -178,6 +236,9 @@ extern "C" __global__ void __launch_bounds__(256) particle_rank(const Stream* __
     s.order[slot] = p;
     const Body body = s.bodies[p];
 #pragma unroll
-    for (int a = 0; a < 2; a++) s.places[2 * slot + a] = cell_place(s, body, a);
+    for (int a = 0; a < 2; a++) {
+      const float place = cell_place(s, body, a);
+      spline_weights(place - stencil(place), s.weights + 6 * (size_t)slot + 3 * a);
+    }
   }
 }

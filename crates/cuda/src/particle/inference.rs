@@ -14,6 +14,7 @@
 //! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
 //! | 11 layers | a few nodes | a list | another list |
 //! | decode | a tile of slots | list 2, features, states | states, predictions |
+//! | rules | particles, nodes, cells | particles, links, the grid | predictions |
 //! | store | 256 particles | predictions | memory of the host |
 
 #![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
@@ -25,14 +26,14 @@ use std::{
 
 use eddy_frames::{Domain, Frame, FrameView, Particles};
 use eddy_inference::{
-    checkpoint::{Description, Weights},
+    checkpoint::{self, Description, Weights},
     engine::{Ballistic, StreamStart, scales},
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
     layout::{Constants, Layout, NODE_THREADS},
-    stream::{LEVELS, Memory, Row, Scales, Size},
+    stream::{LEVELS, Memory, RULES, Row, Scales, Size},
 };
 use crate::{
     device::{Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
@@ -53,6 +54,10 @@ const TILE_THREADS: usize = 128;
 /// Threads of a block of the running sums, `SCAN_THREADS` of the kernels.
 const SCAN_THREADS: usize = 512;
 
+/// Threads of a block that solves the area rule's pressure, and its shared memory at most (bytes).
+const SOLVE_THREADS: usize = 512;
+const SOLVE: usize = 100 << 10;
+
 /// Particles of an item of a copy between a frame and the memory of the device.
 const COPY: usize = 1 << 14;
 /// Items from which on several threads copy.
@@ -71,6 +76,12 @@ struct Extent {
     particles: usize,
     /// Nodes of the largest stream by level, rounded up.
     nodes: [usize; LEVELS],
+    /// Cells and their parts, nodes of the area rule's grid, of the largest stream, rounded up.
+    cells: usize,
+    chunks: usize,
+    area: usize,
+    /// Shared memory of a block that solves the area rule's pressure (bytes), where that is small for all streams.
+    solve: Option<usize>,
 }
 
 /// A particle model that predicts streams on a device.
@@ -83,6 +94,8 @@ pub struct Inference {
     /// The domain in training.
     domain: Domain,
     weights: Buffer,
+    /// `struct Rules` of the kernels.
+    rules: Buffer,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
     rows: Buffer,
@@ -127,10 +140,13 @@ impl Inference {
                 width,
                 unit: scales::velocity_unit(&description.normalization),
                 speeds: [slowest, fastest],
+                rules: description.rules,
+                spacing: description.grid.map_or(1.0, |grid| grid.spacing),
             },
             ballistic: Ballistic::new(description),
             domain: description.domain,
             weights: device.allocate(4 * layout.size)?,
+            rules: device.allocate(4 * RULES)?,
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
             rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
             zeros: device.allocate(0)?,
@@ -144,18 +160,20 @@ impl Inference {
             device,
         };
         inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))?;
+        let rules = inference.scales.constants(&inference.ballistic);
+        inference.device.write(&inference.rules, 0, bytemuck::cast_slice(&rules))?;
         Ok(inference)
     }
 
     /// The state of a stream, and the memory that its steps need.
     pub(super) fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
-        let size = Size::new(stream.material.len(), &stream.domain, self.scales.width);
+        let size = Size::new(stream.material.len(), &stream.domain, &self.scales);
         self.make_room(&[size])?;
         Memory::new(Arc::clone(&self.device), &self.constants, stream)
     }
 
     fn size(&self, memory: &Memory, domain: &Domain) -> Size {
-        Size::new(memory.particles(), domain, self.scales.width)
+        Size::new(memory.particles(), domain, &self.scales)
     }
 
     /// How many of the streams that come first are best stepped together: their scratch memory is not too large.
@@ -273,6 +291,10 @@ impl Inference {
             streams: sizes.len(),
             particles: most(&|size| size.particles),
             nodes: std::array::from_fn(|level| most(&|size| size.nodes(level))),
+            cells: most(&Size::cells),
+            chunks: most(&Size::chunks),
+            area: most(&Size::area_nodes),
+            solve: Some(12 * most(&Size::area_nodes) + 8).filter(|&bytes| bytes <= SOLVE),
         };
         match self.graphs.get(&extent) {
             None => {
@@ -303,7 +325,7 @@ impl Inference {
 
     /// Puts a step into the queue.
     fn launch_all(&self, extent: Extent) -> Result<()> {
-        let Extent { streams, particles, nodes } = extent;
+        let Extent { streams, particles, nodes, chunks, .. } = extent;
         let Constants { tile, nodes: node_tile, .. } = self.constants;
         let blocks =
             |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / streams).max(64)).max(1);
@@ -313,7 +335,13 @@ impl Inference {
         let by_tile =
             |shared| Shape { shared, ..Shape::new(blocks(particles, tile), streams, TILE_THREADS) };
         self.launch(Kernel::ParticleLoad, by_particle, &[self.host_rows.address().into(), rows])?;
-        let scan = Shape::new(1 + LEVELS, streams, SCAN_THREADS);
+        let scan = Shape {
+            grid: [blocks(chunks, 1), 1 + LEVELS, streams],
+            ..Shape::new(1, 1, SCAN_THREADS)
+        };
+        if chunks > 1 {
+            self.launch(Kernel::ParticleChunks, scan, &[rows])?;
+        }
         self.launch(Kernel::ParticleScan, scan, &[rows])?;
         self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
         self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
@@ -333,7 +361,59 @@ impl Inference {
         }
         let decode = by_tile(self.constants.decode_bytes());
         self.launch(Kernel::ParticleDecode, decode, &[rows, weights(self.layout.context)])?;
+        self.launch_rules(extent, by_particle, &blocks)?;
         self.launch(Kernel::ParticleStore, by_particle, &[rows])
+    }
+
+    /// Puts the rules of a step into the queue.
+    fn launch_rules(
+        &self,
+        extent: Extent,
+        by_particle: Shape,
+        blocks: &dyn Fn(usize, usize) -> usize,
+    ) -> Result<()> {
+        let Extent { streams, nodes, cells, area, solve, .. } = extent;
+        let checkpoint::Rules { area: area_rule, shape, rest, .. } = self.scales.rules;
+        let (rows, rules): (Argument, Argument) =
+            (self.rows.address().into(), self.rules.address().into());
+        let all = [rows, rules];
+        if let Some(rule) = area_rule {
+            self.launch(Kernel::ParticleAreaFill, by_particle, &all)?;
+            if let Some(shared) = solve {
+                let shape = Shape { shared, ..Shape::new(streams, 1, SOLVE_THREADS) };
+                let arguments = [rows, rules, rule.sweeps.into()];
+                self.launch(Kernel::ParticleAreaSolve, shape, &arguments)?;
+            } else {
+                let by_node = Shape::new(blocks(area, 256), streams, 256);
+                self.launch(Kernel::ParticleAreaMark, by_node, &all)?;
+                let by_colour = Shape::new(blocks(area, 512), streams, 256);
+                for half in 0..2 * rule.sweeps {
+                    let arguments = [rows, rules, (half % 2).into()];
+                    self.launch(Kernel::ParticleAreaSweep, by_colour, &arguments)?;
+                }
+            }
+            self.launch(Kernel::ParticleAreaShift, by_particle, &all)?;
+        }
+        if let Some(rule) = shape {
+            self.launch(Kernel::ParticleShapeLimit, by_particle, &all)?;
+            for sweep in 0..rule.sweeps {
+                let last = usize::from(sweep + 1 == rule.sweeps);
+                let arguments = [rows, sweep.into(), last.into()];
+                self.launch(Kernel::ParticleShapeRelax, by_particle, &arguments)?;
+            }
+        }
+        if self.scales.finds_bodies() {
+            let by_node = Shape::new(blocks(nodes[0], 256), streams, 256);
+            self.launch(Kernel::ParticleBodiesJoin, by_node, &[rows])?;
+            self.launch(Kernel::ParticleBodiesNumber, by_node, &[rows])?;
+            let by_cell = Shape::new(blocks(cells, 128), streams, 128);
+            self.launch(Kernel::ParticleBodiesSum, by_cell, &[rows])?;
+            self.launch(Kernel::ParticleBodiesFlight, by_cell, &all)?;
+        }
+        if rest.is_some() {
+            self.launch(Kernel::ParticleBodiesRest, by_particle, &all)?;
+        }
+        Ok(())
     }
 }
 

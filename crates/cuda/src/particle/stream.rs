@@ -8,7 +8,10 @@ use std::sync::{
 };
 
 use eddy_frames::Domain;
-use eddy_inference::engine::{Ballistic, StreamStart};
+use eddy_inference::{
+    checkpoint,
+    engine::{Ballistic, StreamStart},
+};
 
 use super::layout::{Constants, FIELD_LEVELS};
 use crate::{
@@ -21,10 +24,18 @@ use crate::{
 pub(super) const LEVELS: usize = 3;
 /// Index of node 0 in the maps of level 0, `ORIGIN` of the kernels.
 const ORIGIN: usize = 8;
+/// Numbers of `struct Rules` of the kernels.
+pub(super) const RULES: usize = 16;
 /// Numbers that parts of a memory begin at multiples of.
 const LINE: usize = 32;
-/// Numbers of a body: x, y, vx, vy.
+/// Numbers of a particle: x, y, vx, vy.
 const BODY: usize = 4;
+/// Entries of a part of a map, `CHUNK` of the kernels.
+const CHUNK: usize = 512 * 16;
+/// Nodes of the area rule's grid outside the domain on each side, `MARGIN` of the kernels.
+const MARGIN: usize = 2;
+/// Numbers of 4 bytes of `struct BodySums` of the kernels: 17 sums in two parts, the fastest cell, the box, a mark.
+const BODY_SUMS: usize = 4 * 17 + 2 + 4 + 2;
 
 /// `struct Stream` of the kernels.
 #[derive(Clone, Copy, Debug)]
@@ -34,25 +45,36 @@ pub(super) struct Row {
     expected: u64,
     first: u64,
     links: u64,
+    neighbours: u64,
     material: u64,
     observed: u64,
     predicted: u64,
     counts: u64,
     marks: [u64; LEVELS],
+    fill: u64,
     starts: u64,
     maps: [u64; LEVELS],
     lists: [u64; LEVELS],
     totals: u64,
+    chunks: u64,
     bodies: u64,
     cells: u64,
     arrivals: u64,
     unsorted: u64,
     order: u64,
-    places: u64,
+    weights: u64,
     features: u64,
     encoded: u64,
     fields: [u64; FIELD_LEVELS.len()],
     next: u64,
+    excess: u64,
+    pressure: u64,
+    shapes: [u64; 2],
+    limited: u64,
+    offsets: u64,
+    parents: u64,
+    numbers: u64,
+    sums: u64,
     particles: u32,
     begun: u32,
     extent: [u32; 2],
@@ -64,10 +86,13 @@ pub(super) struct Row {
     dt: f32,
     unit: f32,
     speeds: [[f32; 2]; 2],
+    area_extent: [u32; 2],
+    area_inside: [[i32; 2]; 2],
+    area_walls: [[f32; 2]; 2],
     unused: u32,
 }
 
-// SAFETY: integers and numbers without padding between them: 35 of 8 bytes, then 22 of 4.
+// SAFETY: integers and numbers without padding between them: 47 of 8 bytes, then 32 of 4.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for Row {}
@@ -81,6 +106,51 @@ pub(super) struct Scales {
     pub(super) unit: f32,
     /// Smallest and largest velocities that are predicted (domain lengths per second).
     pub(super) speeds: [[f32; 2]; 2],
+    /// The rules that are on.
+    pub(super) rules: checkpoint::Rules,
+    /// Distance between particles at rest (domain lengths).
+    pub(super) spacing: f32,
+}
+
+impl Scales {
+    /// Width of a cell of the area rule's grid (domain lengths), if the rule is on.
+    pub(super) fn area_width(&self) -> Option<f32> {
+        self.rules.area.map(|rule| rule.cell_width * self.spacing)
+    }
+
+    /// `struct Rules` of the kernels.
+    pub(super) fn constants(&self, ballistic: &Ballistic) -> [f32; RULES] {
+        let checkpoint::Rules { area, shape, flight, rest } = self.rules;
+        let mut all = [0.0; RULES];
+        if let Some(rule) = area {
+            let share = 1.0 / (rule.cell_width * rule.cell_width);
+            // A particle at a wall fills half a spacing beyond it.
+            let beyond = 0.5 / rule.cell_width;
+            let width = rule.cell_width * self.spacing;
+            all[..7].copy_from_slice(&[
+                width,
+                rule.fill_limit,
+                rule.surface_fill,
+                rule.relaxation,
+                rule.longest_shift,
+                share,
+                beyond,
+            ]);
+        }
+        all[7] = shape.map_or(0.0, |rule| rule.strain_limit);
+        all[8] = flight.map_or(-1.0, |rule| rule.wall_distance * self.width);
+        if let Some(rule) = rest {
+            let distance = rule.wall_distance * self.width;
+            all[9..12].copy_from_slice(&[distance, rule.asleep_below, rule.awake_from]);
+        }
+        all[12] = ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt;
+        all
+    }
+
+    /// Whether bodies are to be found.
+    pub(super) fn finds_bodies(&self) -> bool {
+        self.rules.flight.is_some() || self.rules.rest.is_some()
+    }
 }
 
 /// Numbers of particles and of the map's cells of a stream: what its memory depends on.
@@ -89,15 +159,39 @@ pub(super) struct Size {
     pub(super) particles: usize,
     /// Columns and rows of the map of level 0.
     pub(super) extent: [usize; 2],
+    /// Columns and rows of nodes of the area rule's grid; none where the rule is off.
+    pub(super) area: [usize; 2],
+    /// Whether the rules for shapes and for bodies are on.
+    shapes: bool,
+    bodies: bool,
 }
 
 impl Size {
-    /// Of a stream in a domain, with cells of this width (domain lengths).
-    pub(super) fn new(particles: usize, domain: &Domain, width: f32) -> Self {
-        let cells = cells_across(domain, width);
+    /// Of a stream in a domain.
+    pub(super) fn new(particles: usize, domain: &Domain, scales: &Scales) -> Self {
+        let cells = cells_across(domain, scales.width);
         // As `kernels/nodes/window.rs` of eddy-inference: the last node has a neighbour at each level.
         let extent = cells.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4);
-        Self { particles, extent }
+        let area = scales.area_width().map_or([0; 2], |width| {
+            cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
+        });
+        let (shapes, bodies) = (scales.rules.shape.is_some(), scales.finds_bodies());
+        Self { particles, extent, area, shapes, bodies }
+    }
+
+    /// Parts of the map of level 0 that the running sums are made of.
+    pub(super) fn chunks(&self) -> usize {
+        self.entries(0).div_ceil(CHUNK)
+    }
+
+    /// Nodes of the area rule's grid.
+    pub(super) fn area_nodes(&self) -> usize {
+        self.area[0] * self.area[1]
+    }
+
+    /// Cells of the map of level 0.
+    pub(super) fn cells(&self) -> usize {
+        self.entries(0)
     }
 
     fn entries(&self, level: usize) -> usize {
@@ -120,6 +214,7 @@ impl Size {
         let mut places = Places { from, length: 0 };
         row.counts = places.next(self.entries(0));
         row.marks = std::array::from_fn(|level| places.next(self.entries(level)));
+        row.fill = places.next(4 * self.area_nodes());
         places.length
     }
 
@@ -135,12 +230,13 @@ impl Size {
         row.starts = places.next(self.entries(0) + 1);
         row.maps = std::array::from_fn(|level| places.next(self.entries(level)));
         row.lists = std::array::from_fn(|level| places.next(self.nodes(level)));
-        row.totals = places.next(LEVELS);
+        row.totals = places.next(LEVELS + 1);
+        row.chunks = places.next((1 + LEVELS) * self.chunks());
         row.bodies = places.next(BODY * n);
         for list in [&mut row.cells, &mut row.arrivals, &mut row.unsorted, &mut row.order] {
             *list = places.next(n);
         }
-        row.places = places.next(2 * n);
+        row.weights = places.next(6 * n);
         row.features = places.next(constants.feature_columns() * n);
         row.encoded = places.next(constants.encoded_columns() * n);
         let widths = constants.field_widths();
@@ -148,6 +244,20 @@ impl Size {
             places.next(widths[field] * self.nodes(FIELD_LEVELS[field]))
         });
         row.next = places.next(BODY * n);
+        row.excess = places.next(2 * self.area_nodes());
+        row.pressure = places.next(self.area_nodes());
+        if self.shapes {
+            row.shapes = [places.next(2 * n), places.next(2 * n)];
+            row.limited = places.next(4 * n);
+            row.offsets = places.next(2 * n);
+        }
+        if self.bodies {
+            let nodes = self.nodes(0);
+            row.parents = places.next(nodes);
+            row.numbers = places.next(nodes);
+            // Each has at least the nodes of one stencil.
+            row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
+        }
         places.length
     }
 }
@@ -177,6 +287,7 @@ struct Fixed {
     /// Where the links of each particle begin, and the links; nowhere if no particle has a rest shape.
     first: u64,
     links: u64,
+    neighbours: u64,
 }
 
 /// What is remembered of a stream.
@@ -258,18 +369,31 @@ impl Memory {
         host: [Address; 2],
         [zeros, scratch]: [&mut Address; 2],
     ) -> Row {
-        let size = Size::new(self.particles, domain, scales.width);
+        let size = Size::new(self.particles, domain, scales);
         let mut row: Row = bytemuck::Zeroable::zeroed();
         *zeros = zeros.plus(size.place_zeros(*zeros, &mut row));
         *scratch = scratch.plus(size.place_scratch(constants, *scratch, &mut row));
         let states = constants.states() * self.particles * constants.hidden_columns();
-        let Scales { width, unit, speeds } = *scales;
+        let Scales { width, unit, speeds, .. } = *scales;
         let Ballistic { gravity, dt, lower, upper } = *ballistic;
+        let area_width = scales.area_width().unwrap_or(1.0);
+        let area_walls = [0, 1].map(|axis| {
+            [lower, upper]
+                .map(|wall| (wall[axis] - domain.lower[axis]) / area_width + MARGIN as f32)
+        });
+        let area_inside = [0, 1].map(|axis| {
+            let [low, high] = area_walls[axis];
+            // Nodes have neighbours on all sides.
+            let most = (size.area[axis] as i32 - 1).max(1);
+            let first = (low.ceil() as i32).clamp(1, most);
+            [first, (high.floor() as i32 + 1).clamp(first, most)]
+        });
         Row {
             hidden: self.buffer.address().0,
             expected: self.buffer.address().plus(states).0,
             first: self.fixed.first,
             links: self.fixed.links,
+            neighbours: self.fixed.neighbours,
             material: self.fixed.buffer.address().0,
             observed: host[0].0,
             predicted: host[1].0,
@@ -284,6 +408,9 @@ impl Memory {
             dt,
             unit,
             speeds,
+            area_extent: size.area.map(|nodes| nodes as u32),
+            area_inside,
+            area_walls,
             ..row
         }
     }
@@ -294,7 +421,7 @@ impl Fixed {
         let StreamStart { material, rest, .. } = stream;
         let mut numbers: Vec<u32> = vec![0; round_up(material.len().div_ceil(4), LINE)];
         bytemuck::cast_slice_mut(&mut numbers)[..material.len()].copy_from_slice(material);
-        let mut places = [0; 2];
+        let mut places = [0; 3];
         if !rest.is_shapeless() {
             places[0] = numbers.len();
             let mut count = 0;
@@ -309,6 +436,15 @@ impl Fixed {
                 let [x, y] = link.coefficient.map(f32::to_bits);
                 numbers.extend([link.particle, x, y, link.share.to_bits()]);
             }
+            numbers.resize(round_up(numbers.len(), LINE), 0);
+            places[2] = numbers.len();
+            for particle in 0..material.len() {
+                let pairs = rest.neighbours(particle).iter().zip(rest.offsets(particle));
+                for (neighbour, offset) in pairs {
+                    let [x, y] = offset.map(f32::to_bits);
+                    numbers.extend([neighbour.particle, neighbour.share.to_bits(), x, y]);
+                }
+            }
         }
         let buffer = device.allocate(4 * numbers.len().max(1))?;
         device.write(&buffer, 0, bytemuck::cast_slice(&numbers))?;
@@ -316,6 +452,7 @@ impl Fixed {
             0 => 0,
             place => buffer.address().plus(place).0,
         };
-        Ok(Self { first: at(places[0]), links: at(places[1]), buffer })
+        let [first, links, neighbours] = places.map(at);
+        Ok(Self { first, links, neighbours, buffer })
     }
 }

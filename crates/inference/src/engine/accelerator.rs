@@ -6,7 +6,7 @@ use super::ModelError;
 use crate::kernels::rest_shape::RestShape;
 use eddy_frames::{Domain, Frame, FrameView};
 
-/// A device that predicts streams with one network. The hidden states stay on it.
+/// A device that predicts streams with one network and corrects them by its rules. The hidden states stay on it.
 ///
 /// The same frames give the same bits, whatever other streams are stepped with them.
 pub trait Accelerator: Send + Sync {

@@ -75,17 +75,12 @@ impl HiddenState {
         }
     }
 
-    /// The state of a stream on a device; `order` and `rest` are those that the rules need.
-    pub(super) fn on_device(
-        material: Vec<u8>,
-        order: Vec<u32>,
-        rest: RestShape,
-        device: Box<dyn DeviceState>,
-    ) -> Self {
+    /// The state of a stream on a device.
+    pub(super) fn on_device(material: Vec<u8>, device: Box<dyn DeviceState>) -> Self {
         Self {
-            order: Arc::new(order),
+            order: Arc::default(),
             material,
-            rest: Arc::new(rest),
+            rest: Arc::default(),
             hidden: Vec::new(),
             cell: Vec::new(),
             expected_velocity: Vec::new(),

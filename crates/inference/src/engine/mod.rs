@@ -12,7 +12,6 @@
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes.
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
-//!    `device_rules` applies them to the predictions of an [`Accelerator`].
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
 //!    or the [`Accelerator`].
@@ -27,7 +26,6 @@
 mod accelerator;
 mod ballistic;
 mod core;
-mod device_rules;
 mod encoder;
 mod error;
 mod frame_model;

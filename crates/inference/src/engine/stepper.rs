@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use super::{
     Accelerator, DeviceStep, HiddenState, ModelError,
-    device_rules::{self, DeviceRules, Observation},
     frame_model::{self, FrameModel},
     particle_model::{self, ParticleModel},
 };
@@ -24,8 +23,8 @@ const WORTH_WAKING: usize = 1 << 18;
 pub(super) enum Network {
     Frame(FrameModel),
     Particle(ParticleModel),
-    /// On a device beside the processor, with rules on the processor.
-    Device(Arc<dyn Accelerator>, DeviceRules),
+    /// On a device beside the processor.
+    Device(Arc<dyn Accelerator>),
 }
 
 impl Network {
@@ -33,7 +32,7 @@ impl Network {
         match self {
             Self::Frame(model) => model.stages(),
             Self::Particle(model) => model.stages.len(),
-            Self::Device(_, rules) => rules.stages().max(1),
+            Self::Device(_) => 1,
         }
     }
 
@@ -41,9 +40,7 @@ impl Network {
         match self {
             Self::Frame(model) => Scratch::Frame(Box::new(model.scratch(threads))),
             Self::Particle(model) => Scratch::Particle(Box::new(model.scratch(threads))),
-            Self::Device(_, rules) => {
-                Scratch::Device((0..threads).map(|_| rules.scratch()).collect())
-            }
+            Self::Device(_) => Scratch::None,
         }
     }
 }
@@ -52,8 +49,7 @@ impl Network {
 enum Scratch {
     Frame(Box<frame_model::Scratch>),
     Particle(Box<particle_model::Scratch>),
-    /// One per thread.
-    Device(Vec<device_rules::Scratch>),
+    None,
 }
 
 /// A frame that a stream observes, true or predicted, and where its prediction goes.
@@ -90,9 +86,7 @@ impl Stepper {
             tracing::warn!("the engine has {started} threads instead of {threads}: {error}");
         }
         let threads = pool.threads();
-        // A device steps several streams itself.
-        let on_device = matches!(&**network, Network::Device(..));
-        let single = if threads > 1 && !on_device { threads } else { 0 };
+        let single = if threads > 1 { threads } else { 0 };
         Self {
             network: Arc::clone(network),
             interval,
@@ -107,14 +101,14 @@ impl Stepper {
     /// [`Stepper::step_all`].
     pub fn streams(&self) -> usize {
         match &*self.network {
-            Network::Device(device, _) => device.streams(),
+            Network::Device(device) => device.streams(),
             _ => self.pool.threads(),
         }
     }
 
     /// Whether a device predicts: then streams are best stepped by [`Stepper::step_all`].
     pub fn is_on_device(&self) -> bool {
-        matches!(&*self.network, Network::Device(..))
+        matches!(&*self.network, Network::Device(_))
     }
 
     /// Checks that the device has not failed. Predictions since a failure are NaN.
@@ -183,21 +177,13 @@ impl Stepper {
                 hidden.device.as_deref_mut().expect("a state of this network is on its device");
             steps.push(DeviceStep { state, frame: *frame, next });
         }
-        let Network::Device(device, rules) = &*self.network else { return };
+        let Network::Device(device) = &*self.network else { return };
         if let Err(reason) = device.step(&mut steps) {
             self.failure.get_or_insert_with(|| reason.to_string());
             for DeviceStep { next, .. } in steps {
                 next.position.fill([f32::NAN; 2]);
                 next.velocity.fill([f32::NAN; 2]);
             }
-            return;
-        }
-        drop(steps);
-        if let Scratch::Device(scratch) = &mut self.scratch {
-            let observed = requests.iter_mut().map(|StepRequest { hidden, frame, next }| {
-                Observation { hidden: &**hidden, frame: *frame, next: &mut **next }
-            });
-            rules.correct(&mut self.pool, scratch, &mut observed.collect::<Vec<_>>());
         }
     }
 

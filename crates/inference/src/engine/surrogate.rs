@@ -5,8 +5,8 @@ use std::{num::NonZeroUsize, sync::Arc, thread};
 use pulp::Arch;
 
 use super::{
-    Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, device_rules::DeviceRules,
-    frame_model::FrameModel, particle_model::ParticleModel, stepper::Network, warning,
+    Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
+    particle_model::ParticleModel, stepper::Network, warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
@@ -91,8 +91,7 @@ impl Surrogate {
         })
     }
 
-    /// The checkpoint's network on a device that has its weights. The rules run on the processor, on as many threads as there
-    /// are cores.
+    /// The checkpoint's network on a device that has its weights.
     ///
     /// # Errors
     /// [`ModelError::Checkpoint`] if the weights do not match the description.
@@ -101,16 +100,11 @@ impl Surrogate {
         device: Arc<dyn Accelerator>,
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
-        let rules = DeviceRules::new(&checkpoint.description);
-        let threads = match rules.is_empty() {
-            true => 1,
-            false => thread::available_parallelism().map_or(1, NonZeroUsize::get).min(MAX_THREADS),
-        };
         Ok(Self {
             description: checkpoint.description.clone(),
             digest: checkpoint.digest(),
-            network: Arc::new(Network::Device(device, rules)),
-            threads,
+            network: Arc::new(Network::Device(device)),
+            threads: 1,
         })
     }
 
@@ -177,18 +171,15 @@ impl Surrogate {
     pub fn start(&self, frame: &Frame) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
         match &*self.network {
-            Network::Device(device, rules) => {
+            Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
                 let rest = self.description.grid.map_or_else(RestShape::default, |grid| {
                     RestShape::new(&frame.position, &frame.material, 1, grid.spacing)
                 });
-                let state = device.start(&StreamStart {
-                    material: &material,
-                    domain: frame.domain,
-                    rest: &rest,
-                })?;
-                let (order, rest) = rules.places(frame, rest);
-                Ok(HiddenState::on_device(material, order, rest, state))
+                let domain = frame.domain;
+                let state =
+                    device.start(&StreamStart { material: &material, domain, rest: &rest })?;
+                Ok(HiddenState::on_device(material, state))
             }
             _ => Ok(HiddenState::new(&self.description, frame)),
         }

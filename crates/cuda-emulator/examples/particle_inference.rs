@@ -1,0 +1,227 @@
+//! The particle model on NVIDIA GPUs: `check` compares predictions with those of the processor, alone and beside other
+//! streams, in two runs; `time` measures frames from the memory of the host to the memory of the host; `once N` steps a stream
+//! of N x 2,500 particles a few times, for profilers. `check` and `time` take the folder of a checkpoint.
+
+#[path = "problem/mod.rs"]
+#[expect(dead_code, reason = "the example of the training uses more of it")]
+mod problem;
+
+use std::{path::Path, sync::Arc};
+
+use eddy_cuda::{
+    gpu::{Gpu, Precision},
+    particle::{Constants, Inference, Streams},
+};
+use eddy_frames::{Domain, Frame, Material, Stamp, clock::Clock};
+use eddy_inference::{
+    checkpoint::{Architecture, Checkpoint, Core, Description, Rules, Sizes, initial_weights},
+    engine::{HiddenState, StepRequest, Stepper, Surrogate},
+};
+use problem::{Noise, Result};
+
+fn main() -> Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["check", folder] => check(&Checkpoint::load(Path::new(folder))?),
+        ["time", folder] => time(&Checkpoint::load(Path::new(folder))?),
+        ["once", folder, scenes] => once(&Checkpoint::load(Path::new(folder))?, scenes.parse()?),
+        _ => Err("expected check FOLDER, time FOLDER or once FOLDER N".into()),
+    }
+}
+
+/// A checkpoint's network on the GPU.
+fn on_gpu(checkpoint: &Checkpoint) -> Result<Surrogate> {
+    let Checkpoint { description, tensors } = checkpoint;
+    let gpu = Gpu::new(0, &Constants::of(description)?, Precision::Fp32, None)?;
+    let inference = Inference::new(Arc::new(gpu), description, tensors)?;
+    Ok(Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference)))?)
+}
+
+/// The same without rules.
+fn without_rules(checkpoint: &Checkpoint) -> Checkpoint {
+    let description = Description { rules: Rules::default(), ..checkpoint.description.clone() };
+    Checkpoint { description, ..checkpoint.clone() }
+}
+
+/// A network of the shipped one's widths with another core and random weights.
+fn random(shipped: &Description, core: Core) -> Checkpoint {
+    let sizes = Sizes { encoder: 16, hidden: 24, layers: 2, particles: None };
+    let description = Description {
+        core,
+        normalization: shipped.normalization.clone(),
+        ..Description::untrained(Architecture::Particle, core, sizes)
+    };
+    let mut noise = Noise(1);
+    let mut tensors = initial_weights(&description, 5);
+    for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
+        *weight = 0.1 * noise.next();
+    }
+    Checkpoint { description, tensors }
+}
+
+/// Scenes side by side, each with four blocks of 25 x 25 particles, one of each material, at rest distance.
+fn scenes(stream: u64, [across, up]: [usize; 2]) -> Frame {
+    let mut noise = Noise(stream + 9);
+    let (mut position, mut velocity, mut material) = (Vec::new(), Vec::new(), Vec::new());
+    for scene in 0..across * up {
+        let corner = [(scene % across) as f32, (scene / across) as f32];
+        for (number, kind) in Material::ALL.into_iter().enumerate() {
+            let (left, low) = (0.08 + 0.22 * number as f32, 0.1 + 0.1 * noise.next().abs());
+            let speed = [0.5 * noise.next(), -1.0 + 0.5 * noise.next()];
+            for k in 0..625 {
+                let [x, y] = [k % 25, k / 25].map(|step| step as f32 / 128.0);
+                position.push([corner[0] + left + x, corner[1] + low + y]);
+                velocity.push(speed);
+                material.push(kind);
+            }
+        }
+    }
+    Frame {
+        stream,
+        sequence: 0,
+        stamp: Stamp(0),
+        dt: 0.016,
+        domain: Domain { lower: [0.0; 2], upper: [across as f32, up as f32] },
+        position,
+        velocity,
+        material,
+    }
+}
+
+/// One frame of every stream.
+fn step(
+    stepper: &mut Stepper,
+    hidden: &mut [HiddenState],
+    frames: &[Frame],
+    next: &mut [Frame],
+) -> Result<()> {
+    let mut requests: Vec<_> = hidden
+        .iter_mut()
+        .zip(frames)
+        .zip(next)
+        .map(|((hidden, frame), next)| StepRequest { hidden, frame: frame.into(), next })
+        .collect();
+    stepper.step_all(&mut requests);
+    Ok(stepper.check()?)
+}
+
+/// The streams after some frames of their own predictions.
+fn roll(surrogate: &Surrogate, frames: &[Frame], count: usize) -> Result<Vec<Frame>> {
+    let (mut stepper, mut frames) = (surrogate.stepper(), frames.to_vec());
+    let mut hidden = start(surrogate, &frames)?;
+    let mut next = frames.clone();
+    for _ in 0..count {
+        step(&mut stepper, &mut hidden, &frames, &mut next)?;
+        std::mem::swap(&mut frames, &mut next);
+    }
+    Ok(frames)
+}
+
+fn start(surrogate: &Surrogate, frames: &[Frame]) -> Result<Vec<HiddenState>> {
+    let states = frames.iter().map(|frame| surrogate.start(frame));
+    Ok(states.collect::<std::result::Result<_, _>>()?)
+}
+
+/// The largest difference of positions and of velocities.
+fn apart(a: &Frame, b: &Frame) -> [f32; 2] {
+    [[&a.position, &b.position], [&a.velocity, &b.velocity]].map(|[a, b]| {
+        let pairs = a.as_flattened().iter().zip(b.as_flattened());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    })
+}
+
+fn check(shipped: &Checkpoint) -> Result<()> {
+    let cores = Core::ALL.map(|core| (core.name(), random(&shipped.description, core)));
+    let all = [("shipped", shipped.clone()), ("shipped, no rules", without_rules(shipped))];
+    for (name, checkpoint) in all.into_iter().chain(cores) {
+        let (gpu, cpu) = (on_gpu(&checkpoint)?, Surrogate::load(&checkpoint, None)?);
+        let sizes = [[1, 1], [2, 1], [3, 3]];
+        let streams: Vec<_> =
+            (0..64).map(|stream| scenes(stream, sizes[stream as usize % 3])).collect();
+        let together = roll(&gpu, &streams, 4)?;
+        let mut most = [0f32; 2];
+        for (stream, expected) in streams.iter().zip(&together).take(8) {
+            let stream = std::slice::from_ref(stream);
+            if roll(&gpu, stream, 4)? != [expected.clone()] {
+                return Err(format!("{name}: other bits alone than beside others").into());
+            }
+            expected.check()?; // all numbers are finite
+            let [mut found] = [stream.to_vec()];
+            let (mut steppers, mut states) =
+                ([&gpu, &cpu].map(Surrogate::stepper), [&gpu, &cpu].map(|s| start(s, &found)));
+            for _ in 0..4 {
+                let mut next = [found.clone(), found.clone()];
+                for side in 0..2 {
+                    let hidden = states[side].as_mut().map_err(|error| error.to_string())?;
+                    step(&mut steppers[side], hidden, &found, &mut next[side])?;
+                }
+                let [by_gpu, by_cpu] = next;
+                for (most, own) in most.iter_mut().zip(apart(&by_gpu[0], &by_cpu[0])) {
+                    *most = most.max(own);
+                }
+                found = by_cpu;
+            }
+        }
+        println!(
+            "{name}: positions {:.1e}, velocities {:.1e} from the processor's",
+            most[0], most[1]
+        );
+        if most[0].max(most[1]) > 4e-5 {
+            return Err("more than 1e-5 a frame".into());
+        }
+    }
+    let gpu = on_gpu(&without_rules(shipped))?;
+    let large = [scenes(1, [20, 20])];
+    if roll(&gpu, &large, 3)? != roll(&gpu, &large, 3)? {
+        return Err("1,000,000 particles: other bits in a second run".into());
+    }
+    println!("1,000,000 particles: the same bits in two runs");
+    let mut heap = scenes(1, [1, 1]);
+    heap.position.fill([0.5; 2]);
+    let heap = [heap];
+    let [by_gpu, by_cpu] =
+        [roll(&gpu, &heap, 1)?, roll(&Surrogate::load(&without_rules(shipped), None)?, &heap, 1)?];
+    let [position, velocity] = apart(&by_gpu[0], &by_cpu[0]);
+    println!("2,500 particles in one place: {position:.1e}, {velocity:.1e}");
+    if position.max(velocity) > 1e-5 {
+        return Err("more than 1e-5".into());
+    }
+    Ok(())
+}
+
+fn time(shipped: &Checkpoint) -> Result<()> {
+    let cases = [(1, [1, 1]), (8, [1, 1]), (64, [1, 1]), (1, [8, 5]), (1, [20, 20])];
+    for (name, checkpoint) in [("rules", shipped.clone()), ("no rules", without_rules(shipped))] {
+        let gpu = on_gpu(&checkpoint)?;
+        for (count, size) in cases {
+            let frames: Vec<_> = (0..count).map(|stream| scenes(stream, size)).collect();
+            let particles = frames[0].len();
+            let steps = (50_000_000 / (particles * frames.len())).clamp(20, 1000);
+            let mut hidden = start(&gpu, &frames)?;
+            let (mut stepper, mut now, mut next) = (gpu.stepper(), frames.clone(), frames.clone());
+            let mut times = Vec::new();
+            for number in 0..steps + 5 {
+                let clock = Clock::start();
+                step(&mut stepper, &mut hidden, &now, &mut next)?;
+                if number >= 5 {
+                    times.push(1e6 * clock.now().as_secs_f64());
+                }
+                std::mem::swap(&mut now, &mut next);
+            }
+            times.sort_by(f64::total_cmp);
+            println!(
+                "{name}: {count} streams of {particles}: {:.1} us a frame of all, 99th percentile {:.1}",
+                times[steps / 2],
+                times[steps * 99 / 100]
+            );
+        }
+    }
+    Ok(())
+}
+
+fn once(shipped: &Checkpoint, scenes_across: usize) -> Result<()> {
+    let gpu = on_gpu(&without_rules(shipped))?;
+    let frames = [scenes(1, [scenes_across, 1])];
+    roll(&gpu, &frames, 1)?;
+    Ok(())
+}
