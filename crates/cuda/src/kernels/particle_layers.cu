@@ -179,21 +179,29 @@ extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream*
     // This is the node (i, warp) of the stencil of the cell (column - i, row - warp).
     const u32 last = entry - warp * across;
     float mass = 0.0f;
-    if (threadIdx.x == 0 && s.parents) s.parents[node] = node;
+    if (threadIdx.x == 0 && s.parents) {
+      // The smallest neighbour.
+      const u32 before[4] = {entry - across - 1, entry - across, entry - across + 1, entry - 1};
+      u32 parent = node;
+      for (int i = 3; i >= 0; i--) {
+        const u32 other = s.maps[0][before[i]];
+        if (other != MISSING) parent = other;
+      }
+      s.parents[node] = parent;
+    }
+    // The slots of the three cells follow each other.
+    const u32 begin = s.starts[last - 2], middle = s.starts[last - 1], right = s.starts[last], end = s.starts[last + 1];
     float* to = s.fields[0] + (size_t)node * INPUT4;
     for (int first = 0; first < C0 + 1; first += 32) {
       const int channel = first + lane;
       float sum = 0.0f;
-      for (int i = 2; i >= 0; i--) {
-        const u32 end = s.starts[last - i + 1];
 #pragma unroll 8
-        for (u32 slot = s.starts[last - i]; slot < end; slot++) {
-          const float* weights = s.weights + 6 * (size_t)slot;
-          const float weight = weights[i] * weights[3 + warp];
-          const float value = channel < C0 ? s.encoded[(size_t)slot * C04 + channel] : 1.0f;
-          sum = fmaf(weight, value, sum);
-          if (first == 0) mass += weight;
-        }
+      for (u32 slot = begin; slot < end; slot++) {
+        const float* weights = s.weights + 6 * (size_t)slot;
+        const float weight = weights[slot < middle ? 2 : (slot < right ? 1 : 0)] * weights[3 + warp];
+        const float value = channel < C0 ? s.encoded[(size_t)slot * C04 + channel] : 1.0f;
+        sum = fmaf(weight, value, sum);
+        if (first == 0) mass += weight;
       }
       sums[warp][lane] = sum;
       __syncthreads();
@@ -228,6 +236,7 @@ struct Layer { int places, level, from, to, skip, inner, outputs, rectified; };
 extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stream* __restrict__ streams, const float* __restrict__ w, Layer layer,
     int parts) {
   DYNAMIC_SHARED(float, x);
+  __shared__ u32 gathered[NODES * 9];
   const Stream& s = streams[blockIdx.y];
   const int level = layer.level, quarter = NODES / ROWS;
   const u32 total = s.totals[level], across = s.across >> level;
@@ -236,8 +245,8 @@ extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stre
   const float* from = s.fields[layer.from];
   for (u32 begin = blockIdx.x * NODES; begin < total; begin += gridDim.x * NODES) {
     const int count = (int)min((u32)NODES, total - begin);
-    for (int i = threadIdx.x; i < NODES * layer.places * four; i += 256) {
-      const int row = i / (layer.places * four), place = i / four % layer.places, k = i % four;
+    for (int i = threadIdx.x; i < NODES * layer.places; i += 256) {
+      const int row = i / layer.places, place = i % layer.places;
       u32 node = MISSING;
       if (row < count) {
         const u32 entry = s.lists[level][begin + row];
@@ -250,6 +259,13 @@ extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stre
           node = begin + row;
         }
       }
+      gathered[i] = node;
+    }
+    __syncthreads();
+#pragma unroll 4
+    for (int i = threadIdx.x; i < NODES * layer.places * four; i += 256) {
+      const int number = i / four, k = i % four, row = number / layer.places, place = number % layer.places;
+      const u32 node = gathered[number];
       *(float4*)(x + row * stride + (place * four + k) * 4) =
           node == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : ((const float4*)from)[(size_t)node * four + k];
     }

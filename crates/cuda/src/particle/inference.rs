@@ -348,7 +348,7 @@ impl Inference {
         let [first, second] = self.layout.encoder.map(weights);
         let encode = by_tile(self.constants.encode_bytes());
         self.launch(Kernel::ParticleEncode, encode, &[rows, first, second])?;
-        let by_node = Shape::new(blocks(nodes[0], 1), streams, 96);
+        let by_node = Shape::new(blocks(nodes[0], 2), streams, 96);
         self.launch(Kernel::ParticleToNodes, by_node, &[rows])?;
         for layer in &self.layout.grid {
             let shape = Shape {
