@@ -10,6 +10,7 @@ use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 
 use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity};
 
+use super::rtps::{self, Endpoints};
 use crate::{DiscoveryRange, TransportOptions};
 
 /// Default ports of discovery (RTPS 2.5, 9.6.2.3): `PB + DG * domain` for multicast, and
@@ -23,23 +24,14 @@ const PARTICIPANTS: u16 = (DG - D1) / PG;
 /// Multicast group of discovery (RTPS 2.5, 9.6.2.4.1).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 
-/// Protocol version and vendor of RustDDS.
-const VERSION: [u8; 2] = [2, 4];
-const VENDOR: [u8; 2] = [0x01, 0x12];
 /// `ENTITYID_SPDP_BUILTIN_PARTICIPANT_READER` and `..._WRITER` (RTPS 2.5, 9.3.2.1).
 const READER: [u8; 4] = [0, 1, 0, 0xc7];
 const WRITER: [u8; 4] = [0, 1, 0, 0xc2];
-/// Submessage `DATA`, little-endian, with inline QoS and without payload (9.4.5.3).
-const DATA: u8 = 0x15;
-const FLAGS: u8 = 0b0000_0011;
-/// Bytes from after this field to the inline QoS: reader, writer, sequence number.
-const TO_INLINE_QOS: u16 = 16;
-/// Beyond the sequence number of any earlier message of the writer, as readers skip older ones: high and low half.
-const SEQUENCE: [u32; 2] = [1, 0];
+/// Beyond the sequence number of any earlier message of the writer, as readers skip older ones.
+const SEQUENCE: i64 = 1 << 32;
 /// Parameters of the inline QoS (9.6.4).
 const PID_KEY_HASH: u16 = 0x0070;
 const PID_STATUS_INFO: u16 = 0x0071;
-const PID_SENTINEL: u16 = 0x0001;
 /// Disposed and unregistered; big-endian in any message (9.6.4.9).
 const STATUS: [u8; 4] = [0, 0, 0, 0b11];
 
@@ -80,7 +72,7 @@ fn unicast_ports(domain_id: u16) -> impl Iterator<Item = u16> {
 }
 
 /// The IPv4 addresses of the other interfaces.
-fn interfaces() -> impl Iterator<Item = Ipv4Addr> {
+pub(super) fn interfaces() -> impl Iterator<Item = Ipv4Addr> {
     let networks = netdev::get_interfaces().into_iter().flat_map(|interface| interface.ipv4);
     networks.map(|network| network.addr()).filter(|address| !address.is_loopback())
 }
@@ -98,27 +90,15 @@ fn send(message: &[u8], from: Ipv4Addr, to: impl IntoIterator<Item = SocketAddrV
     }
 }
 
-/// An RTPS message with one `DATA` submessage.
+/// An RTPS message without payload.
 fn message(participant: GUID) -> Vec<u8> {
     let guid = participant.to_bytes();
-    let prefix = &guid[..12];
-    let parameter = |id: u16, value: &[u8]| {
-        let length = value.len() as u16;
-        [&id.to_le_bytes()[..], &length.to_le_bytes(), value].concat()
-    };
-    let inline_qos = [
-        parameter(PID_KEY_HASH, &guid),
-        parameter(PID_STATUS_INFO, &STATUS),
-        parameter(PID_SENTINEL, &[]),
-    ]
-    .concat();
-    let sequence = SEQUENCE.map(u32::to_le_bytes).concat();
-    let extra_flags = [0, 0];
-    let to_inline_qos = TO_INLINE_QOS.to_le_bytes();
-    let data =
-        [&extra_flags[..], &to_inline_qos, &READER, &WRITER, &sequence, &inline_qos].concat();
-    let length = (data.len() as u16).to_le_bytes();
-    [b"RTPS", &VERSION[..], &VENDOR, prefix, &[DATA, FLAGS], &length, &data].concat()
+    let mut endpoints = Endpoints { prefix: [0; 12], reader: READER, writer: WRITER };
+    endpoints.prefix.copy_from_slice(&guid[..12]);
+    let inline_qos =
+        [rtps::parameter(PID_KEY_HASH, &guid), rtps::parameter(PID_STATUS_INFO, &STATUS)];
+    // Far shorter than a message can be.
+    rtps::message(&endpoints, SEQUENCE, &inline_qos, &[]).unwrap_or_default()
 }
 
 #[cfg(test)]

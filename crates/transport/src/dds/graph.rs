@@ -130,6 +130,11 @@ impl Graph {
         lock(&self.state).writers.get(&reader).is_some_and(|writers| !writers.is_empty())
     }
 
+    /// Whether a local writer is matched with a reader for which this holds.
+    pub(super) fn has_reader(&self, writer: GUID, is_wanted: impl Fn(&GUID) -> bool) -> bool {
+        lock(&self.state).readers.get(&writer).is_some_and(|readers| readers.iter().any(is_wanted))
+    }
+
     /// Number of readers matched with a local writer.
     pub(super) fn matched(&self, writer: GUID) -> usize {
         lock(&self.state).readers.get(&writer).map_or(0, BTreeSet::len)

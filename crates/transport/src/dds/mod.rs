@@ -6,7 +6,9 @@
 //! 4. [`cdr`]: passes CDR bytes through RustDDS without encoding them again.
 //! 5. [`qos`]: QoS of the endpoints; largest message size.
 //! 6. [`publisher`], [`subscriber`]: messages; [`writers`]: publishers of others.
-//! 7. [`service`]: requests and responses; [`client`]: the other side; [`request_header`]: their form on rmw_cyclonedds.
+//! 7. [`service`]: requests and responses; [`large_response`]: those that RustDDS cannot send; [`client`]: the other side;
+//!    [`request_header`]: their form on rmw_cyclonedds.
+//! 8. [`rtps`]: messages that eddy sends itself.
 //!
 //! Topic `/particles` is `rt/particles` on the wire, its type `eddy_msgs::msg::dds_::ParticleFrame_`
 //! (<https://design.ros2.org/articles/topic_and_service_names.html>).
@@ -34,10 +36,12 @@ mod client;
 mod event_loop;
 mod farewell;
 mod graph;
+mod large_response;
 mod participant;
 mod publisher;
 mod qos;
 mod request_header;
+mod rtps;
 mod service;
 mod subscriber;
 mod writers;
@@ -47,8 +51,8 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use ros2_client::dds::rustdds::{self, DomainParticipant, Topic, TopicKind};
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
-    TransportError, TransportKind, TransportOptions,
+    DiscoveryRange, Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served,
+    Subscriber, TransportError, TransportKind, TransportOptions,
     middleware::{Middleware, error as middleware},
     patience::Patience,
 };
@@ -67,6 +71,7 @@ pub(super) struct DdsNode {
     subscriber: rustdds::Subscriber,
     graph: Graph,
     patience: Patience,
+    range: DiscoveryRange,
     /// Bytes.
     largest_message: usize,
     /// The last field: sent after the participant is closed, which `graph` also keeps open.
@@ -88,7 +93,17 @@ impl DdsNode {
         let graph = Graph::open(link, &participant, &publisher, options)?;
         let largest_message = qos::largest_message();
         tracing::info!("DDS: largest message is {largest_message} bytes");
-        Ok(Self { participant, publisher, subscriber, graph, patience, largest_message, _farewell })
+        let range = options.dds.range;
+        Ok(Self {
+            participant,
+            publisher,
+            subscriber,
+            graph,
+            patience,
+            range,
+            largest_message,
+            _farewell,
+        })
     }
 
     /// The writers of ROS topics of other participants.

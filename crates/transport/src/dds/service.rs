@@ -4,7 +4,7 @@
 //! identity of the request (OMG DDS-RPC 1.0, 7.8.2, "enhanced" mapping, which rmw_fastrtps uses). Requests and responses of
 //! rmw_cyclonedds have their identity in the body: [`request_header`](super::request_header).
 
-use std::{io, sync::Arc};
+use std::{io, sync::Arc, thread, time::Duration};
 
 use ros2_client::dds::rustdds::{
     RTPSEntity, SampleIdentity, SequenceNumber, TopicKind, WriteOptionsBuilder,
@@ -16,12 +16,21 @@ use super::{
     DdsNode,
     cdr::{Body, PassThrough},
     event_loop::EventLoop,
+    large_response::Response,
     middleware,
     qos::{self, PublisherQos},
     request_header::{self, RequestHeader},
     service_types,
 };
 use crate::{Handler, Link, Served, TransportError};
+use eddy_frames::clock::Clock;
+
+/// Longest time for the discovery of a client that has sent a request.
+const DISCOVERY: Duration = Duration::from_secs(1);
+/// Interval between looks for it.
+const INTERVAL: Duration = Duration::from_millis(5);
+/// Last bytes of the GUIDs of readers, with and without key (RTPS 2.5, 9.3.1.2).
+const READER_KINDS: [u8; 2] = [0x04, 0x07];
 
 /// A service; requests are answered until it is dropped.
 pub(crate) struct DdsService {
@@ -55,6 +64,8 @@ struct Worker {
     requests: SimpleDataReader<Vec<u8>, PassThrough>,
     responses: DataWriter<Body, PassThrough>,
     handler: Handler,
+    /// DDS topic of the responses.
+    topic: String,
     node: Arc<DdsNode>,
 }
 
@@ -71,7 +82,8 @@ impl Worker {
             let topic = node.participant.create_topic(name, kind, &qos::topic(), TopicKind::NoKey);
             topic.map_err(failed)
         };
-        let responses = topic(format!("rr{}Reply", link.topic), response_type)?;
+        let name = format!("rr{}Reply", link.topic);
+        let responses = topic(name.clone(), response_type)?;
         let responses = node
             .publisher
             .create_datawriter_no_key(&responses, Some(PublisherQos::Reliable.policies(None)))
@@ -83,7 +95,8 @@ impl Worker {
             .map_err(failed)?;
         node.graph.add_writer(responses.guid(), link);
         node.graph.add_reader(requests.guid(), None);
-        Ok(Self { link: link.clone(), requests, responses, handler, node: Arc::clone(node) })
+        let (link, node) = (link.clone(), Arc::clone(node));
+        Ok(Self { link, requests, responses, handler, topic: name, node })
     }
 
     /// Answers all requests that have arrived.
@@ -100,16 +113,54 @@ impl Worker {
 
     fn respond_to(&mut self, request: DeserializedCacheChange<Vec<u8>>) {
         let identity = identity(&request);
-        let response = match request_header::is_cyclone(request.writer_guid) {
+        let is_cyclone = request_header::is_cyclone(request.writer_guid);
+        let response = match is_cyclone {
             true => RequestHeader::split(&request.into_value()).and_then(|(header, request)| {
                 (self.handler)(&request).map(|response| header.before(&response))
             }),
             false => (self.handler)(&request.into_value()),
         };
-        let Some(response) = response.and_then(Body::of) else { return };
-        let options = WriteOptionsBuilder::new().related_sample_identity(identity).build();
-        if let Err(error) = self.responses.write_with_options(response, options) {
+        let Some(message) = response else { return };
+        if let Err(error) = self.publish(message, (!is_cyclone).then_some(identity)) {
             tracing::warn!("{}: {error}", self.link);
+        }
+    }
+
+    /// Publishes a response, with the sample identity of the request unless its body has one.
+    fn publish(&self, message: Vec<u8>, request: Option<SampleIdentity>) -> Result<(), String> {
+        let Some(body) = Body::of(message.clone()) else { return Ok(()) };
+        let options = WriteOptionsBuilder::new();
+        let Some(request) = request else {
+            self.responses
+                .write_with_options(body, options.build())
+                .map_err(|error| error.to_string())?;
+            return Ok(());
+        };
+        self.wait_for_reader(request);
+        let options = options.related_sample_identity(request).build();
+        let written =
+            self.responses.write_with_options(body, options).map_err(|error| error.to_string())?;
+        if !Response::is_large(&message) {
+            return Ok(());
+        }
+        let response = Response { message: &message, request, written };
+        response.send(&self.node, &self.topic, &self.responses).map_err(|error| error.to_string())
+    }
+
+    /// Waits until the reader of a response is matched, since RustDDS sends a volatile message to matched readers only, and
+    /// a request may arrive before discovery has found the client. rmw_fastrtps does the same
+    /// (`rmw_fastrtps_shared_cpp/src/rmw_response.cpp`).
+    fn wait_for_reader(&self, request: SampleIdentity) {
+        let client = request.writer_guid.to_bytes();
+        // Fast DDS identifies a request by the reader of the response, others by the writer of the request.
+        let identity = if READER_KINDS.contains(&client[15]) { &client[..] } else { &client[..12] };
+        let is_matched = || {
+            let writer = self.responses.guid();
+            self.node.graph.has_reader(writer, |reader| reader.to_bytes().starts_with(identity))
+        };
+        let clock = Clock::start();
+        while !is_matched() && clock.now() < DISCOVERY {
+            thread::sleep(INTERVAL);
         }
     }
 }
