@@ -35,7 +35,10 @@ cd "$root"
 if [ -n "$portable" ]; then
     cargo zigbuild --release --locked --workspace --target "$target.2.28"
     built="$CARGO_TARGET_DIR/$target/release"
-    strip() { python3 -m ziglang objcopy --strip-all "$1" "$2"; }
+    # rustc's own, for any architecture: that of zig 0.15 is not implemented.
+    rust=$(rustc --print sysroot)
+    objcopy="$rust/lib/rustlib/$(rustc --print host-tuple)/bin/rust-objcopy"
+    strip() { LD_LIBRARY_PATH="$rust/lib" "$objcopy" --strip-all "$1" "$2"; }
     tag="manylinux_2_28_${target%%-*}"
 else
     cargo build --release --locked --workspace
