@@ -114,6 +114,8 @@ pub enum Queue {
     Side,
     /// Runs beside both: kernels that fetch data out of the memory of the host.
     Fetch,
+    /// Runs beside all: what devices exchange, and what waits for that.
+    Exchange,
 }
 
 /// A device's place among those that train together, each on its part of every batch.

@@ -160,12 +160,15 @@ pub fn together<D: Device + 'static, T: Send>(
     })
 }
 
-/// Steps of several devices; gives outcomes and weights of each.
+/// What came of the steps of a device, and its weights.
+pub type Trained = (Vec<Outcome>, BTreeMap<String, Weights>);
+
+/// Steps of several devices.
 pub fn train_together<D: Device + 'static>(
     problem: &Problem,
     devices: Vec<D>,
     batches: &[Batch],
-) -> Result<Vec<(Vec<Outcome>, BTreeMap<String, Weights>)>> {
+) -> Result<Vec<Trained>> {
     together(problem, devices, batches, |mut training, batches| {
         training.start(&batches)?;
         Ok((training.outcomes(batches.len())?, training.weights()?))

@@ -62,7 +62,7 @@ pub struct Gpu {
     /// Dropped before the streams that it works in.
     peers: Option<Peers>,
     context: Arc<CudaContext>,
-    streams: [Arc<CudaStream>; 3],
+    streams: [Arc<CudaStream>; 4],
     kernels: HashMap<Kernel, CudaFunction>,
     products: Products,
 }
@@ -84,7 +84,7 @@ impl Gpu {
         // tracking would record events into graphs.
         unsafe { context.disable_event_tracking() };
         let stream = || context.new_stream().context("cuStreamCreate");
-        let streams = [stream()?, stream()?, stream()?];
+        let streams = [stream()?, stream()?, stream()?, stream()?];
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
         let (source, definitions) = (program.source(), program.definitions());
@@ -147,6 +147,7 @@ impl Gpu {
             Queue::Main => 0,
             Queue::Side => 1,
             Queue::Fetch => 2,
+            Queue::Exchange => 3,
         }]
     }
 
@@ -289,7 +290,7 @@ impl Device for Gpu {
         let workspace = match queue {
             Queue::Main => 0,
             Queue::Side => 1,
-            Queue::Fetch => unreachable!("a queue for kernels that fetch data"),
+            Queue::Fetch | Queue::Exchange => unreachable!("a queue without products"),
         };
         // SAFETY: the caller's promise.
         unsafe { self.products.multiply(self.stream(queue), workspace, product) }

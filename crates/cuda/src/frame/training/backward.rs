@@ -1,0 +1,241 @@
+//! The gradients of frames, last frames first.
+
+use eddy_inference::checkpoint::Core;
+
+use crate::{
+    device::{Address, Queue, Shape},
+    error::Result,
+    kernels::Kernel,
+};
+
+use super::{BODY, Training, first_decoded, forward::Decoded, maximum::Maximum};
+
+impl Training {
+    /// The gradients of frames `first..first + frames`, and with the first ones the weights' and their change.
+    pub(super) fn backward(&self, first: usize, frames: usize) -> Result<()> {
+        let batch = self.settings.batch;
+        let wide = self.constants.hidden_columns();
+        let decoded = first_decoded(&self.settings);
+        let Decoded { from, rows, mixed, d_mixed, output } = self.decoded(first, frames);
+        let last = first == 0;
+        let density =
+            self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
+        self.launch(
+            Kernel::LossGradient,
+            self.particles(rows),
+            &[
+                self.states.address().into(),
+                self.output.address().into(),
+                self.bodies().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
+                self.store.material.address().into(),
+                self.error_weights.address().into(),
+                self.scales.address().into(),
+                density.into(),
+                self.carried.address().into(),
+                self.frames_argument(),
+                from.into(),
+            ],
+        )?;
+        let all_decoded = (self.frames() - decoded) * batch;
+        self.learn(
+            last,
+            &self.layout.decoder,
+            self.mixed.address(),
+            self.output.address(),
+            all_decoded,
+        )?;
+        self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
+        self.launch(Kernel::ActivationBackward, self.units(rows), &[d_mixed.into(), mixed.into()])?;
+        self.change(last, &self.layout.decoder)?;
+
+        let top = self.layers.len() - 1;
+        let signal = self.outputs(top).plus(decoded * batch * wide);
+        self.learn(last, &self.layout.mixer, signal, self.d_mixed.address(), all_decoded)?;
+        self.backward_product(
+            &self.layout.mixer,
+            d_mixed,
+            self.at(&self.layers[top].gradient, from, wide),
+            rows,
+            false,
+        )?;
+        self.change(last, &self.layout.mixer)?;
+
+        for number in (0..self.layers.len()).rev() {
+            self.core_backward(number, first, frames)?;
+        }
+
+        self.encoder_backward(first, frames)
+    }
+
+    /// The gradients of both Linears before the core, and those by the particles of frames that were predicted.
+    pub(super) fn encoder_backward(&self, first: usize, frames: usize) -> Result<()> {
+        let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
+        let (rows, all, last) = (frames * batch, self.frames() * batch, first == 0);
+        // The gradient by the second Linear's outputs for the means; that of a pooling by the mean alone is there already.
+        let mean = match &self.maximum {
+            None => {
+                let d_input = self.at(&self.d_input, first, wide);
+                self.launch(
+                    Kernel::ClearPadding,
+                    Shape::new(rows.div_ceil(128), 1, 128),
+                    &[d_input.into(), rows.into()],
+                )?;
+                Some(&self.d_input)
+            }
+            Some(Maximum { d_mean: Some(d_mean), .. }) => {
+                self.mean_part(d_mean, first * batch, rows)?;
+                Some(d_mean)
+            }
+            Some(_) => None,
+        };
+        if last {
+            self.device.wait(Queue::Side, Queue::Main)?;
+            if let Some(mean) = mean {
+                let pooled = self.pooled.address();
+                self.weight_product(&self.layout.pooled, pooled, mean.address(), all)?;
+            }
+            if let Some(maximum) = &self.maximum {
+                self.learn_maxima(maximum, all)?;
+            }
+            self.measure(&self.layout.pooled)?;
+        }
+        if let Some(mean) = mean {
+            let d_pooled = self.at(&self.d_pooled, first, self.constants.pooled_columns());
+            let slopes = self.at(mean, first, wide);
+            self.backward_product(&self.layout.pooled, slopes, d_pooled, rows, false)?;
+        }
+        if last {
+            self.change(last, &self.layout.pooled)?;
+            return self.learn_points(all);
+        }
+        if let Some(maximum) = &self.maximum {
+            self.maxima_by_points(maximum, first)?;
+        }
+        if mean.is_none() {
+            return Ok(());
+        }
+        self.launch(
+            Kernel::EncoderPointsGradient,
+            self.particles(batch),
+            &[
+                self.at(&self.states, first, self.constants.particles * BODY).into(),
+                self.store.material.address().into(),
+                self.windows.address().into(),
+                self.progress.address().into(),
+                self.weight(&self.layout.points).into(),
+                self.scaling.address().into(),
+                self.at(&self.d_pooled, first, self.constants.pooled_columns()).into(),
+                self.carried.address().into(),
+            ],
+        )
+    }
+
+    /// Where the outputs of a layer of the core start.
+    pub(super) fn outputs(&self, number: usize) -> Address {
+        let layer = &self.layers[number];
+        match (&layer.dropped, self.core) {
+            (Some(dropped), _) => dropped.address(),
+            (None, Core::Mlp) => layer.sums.address(),
+            (None, _) => self.at(&layer.states, 1, self.constants.hidden_columns()),
+        }
+    }
+
+    pub(super) fn core_backward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
+        let (batch, rows, wide) =
+            (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());
+        let (layer, (matrix, recurrent)) = (&self.layers[number], &self.layout.core[number]);
+        let gates = matrix.columns;
+        let gradient = self.at(&layer.gradient, first, wide);
+        let (sums, states) =
+            (self.at(&layer.sums, first, gates), self.at(&layer.states, first, wide));
+        if layer.dropped.is_some() {
+            self.dropout(number, gradient, gradient, first, frames, 0.0)?;
+        }
+        let carried = layer.carried.address();
+        // The MLP's outputs are where other cores have their sums, its gradients by the sums where others have those
+        // by the outputs.
+        let (slopes, all_slopes) = match self.core {
+            Core::Mlp => (gradient, layer.gradient.address()),
+            _ => (sums, layer.sums.address()),
+        };
+        match (self.core, recurrent) {
+            (Core::Mlp, _) => {
+                self.launch(
+                    Kernel::ActivationBackward,
+                    self.units(rows),
+                    &[gradient.into(), sums.into()],
+                )?;
+            }
+            (Core::MinGru | Core::MinLstm, _) | (_, None) => {
+                let kernel = if self.core == Core::MinGru {
+                    Kernel::MinGruBackward
+                } else {
+                    Kernel::MinLstmBackward
+                };
+                self.launch(
+                    kernel,
+                    self.units(batch),
+                    &[sums.into(), states.into(), gradient.into(), carried.into(), frames.into()],
+                )?;
+            }
+            (core, Some(recurrent)) => {
+                for t in (first..first + frames).rev() {
+                    let (sums, gradient) =
+                        (self.at(&layer.sums, t, gates), self.at(&layer.gradient, t, wide));
+                    if let (Core::Lstm, Some(cells), Some(carried_cell)) =
+                        (core, &layer.cells, &layer.carried_cell)
+                    {
+                        let cells = self.at(cells, t, wide);
+                        self.launch(
+                            Kernel::LstmBackward,
+                            self.units(batch),
+                            &[
+                                sums.into(),
+                                cells.into(),
+                                gradient.into(),
+                                carried.into(),
+                                carried_cell.address().into(),
+                            ],
+                        )?;
+                        self.backward_product(recurrent, sums, carried, batch, false)?;
+                    } else if let Some(from_state) = &layer.recurrent {
+                        let (from_state, states) =
+                            (self.at(from_state, t, gates), self.at(&layer.states, t, wide));
+                        self.launch(
+                            Kernel::GruBackward,
+                            self.units(batch),
+                            &[
+                                sums.into(),
+                                from_state.into(),
+                                states.into(),
+                                gradient.into(),
+                                carried.into(),
+                            ],
+                        )?;
+                        self.backward_product(recurrent, from_state, carried, batch, true)?;
+                    }
+                }
+            }
+        }
+        let (last, all) = (first == 0, self.frames() * batch);
+        let (input, d_input) = match number {
+            0 => (self.input.address(), self.at(&self.d_input, first, matrix.rows)),
+            _ => {
+                let gradient = &self.layers[number - 1].gradient;
+                (self.outputs(number - 1), self.at(gradient, first, wide))
+            }
+        };
+        self.learn(last, matrix, input, all_slopes, all)?;
+        self.backward_product(matrix, slopes, d_input, rows, false)?;
+        self.change(last, matrix)?;
+        if let Some(recurrent) = recurrent {
+            let slopes =
+                layer.recurrent.as_ref().map_or(layer.sums.address(), |buffer| buffer.address());
+            self.learn(last, recurrent, layer.states.address(), slopes, all)?;
+            self.change(last, recurrent)?;
+        }
+        Ok(())
+    }
+}
