@@ -192,7 +192,7 @@ fn core() -> Result<()> {
     Ok(())
 }
 
-/// Two GPUs, each with 256 windows of a batch of 512, beside one GPU with all of them.
+/// Two GPUs, each with half of the batch, beside one GPU with all of it.
 fn group() -> Result<()> {
     let settings = Settings {
         observed_weight: 0.0,
@@ -218,12 +218,17 @@ fn group() -> Result<()> {
             "{}: weights after 20 steps: those of two GPUs {apart:.1e} from those of one, which moved by {moved:.1e}",
             precision.name()
         );
-        let [alone, both] = [time_together(&problem, one()?)?, time_together(&problem, two()?)?];
-        println!(
-            "{}: 512 windows: {alone:.4} ms/step on one GPU, {both:.4} on two: {:.2} times the windows a second",
-            precision.name(),
-            alone / both
-        );
+        for batch in [512, 2048] {
+            let mut problem = problem.clone();
+            problem.settings.batch = batch;
+            let times = [time_together(&problem, one()?)?, time_together(&problem, two()?)?];
+            let [alone, both] = times;
+            println!(
+                "{}: {batch} windows: {alone:.4} ms/step on one GPU, {both:.4} on two: {:.2} times the windows a second",
+                precision.name(),
+                alone / both
+            );
+        }
     }
     Ok(())
 }
