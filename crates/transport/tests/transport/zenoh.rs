@@ -430,14 +430,18 @@ fn a_stopped_subscriber_is_disconnected_and_the_others_go_on() {
     stopped.says("frame 0");
     stopped.pause();
     let start = Instant::now();
-    let mut missed = Vec::new();
+    let (mut missed, mut next, mut lost) = (Vec::new(), 0, Vec::new());
     for sequence in 1..FRAMES {
         missed.extend(publisher.publish_frame(&frame(sequence, 2_500)).err());
-        if sequence >= 8 {
-            // The publisher is ahead by the messages in its queue at most.
-            assert_eq!(next_frame(&mut *reader).sequence, sequence - 8);
+        // The publisher is ahead by the messages in its queue at most.
+        while next + 8 <= sequence {
+            let found = next_frame(&mut *reader).sequence;
+            lost.extend(next..found);
+            next = found + 1;
         }
     }
+    // The message at which Zenoh closes the connection does not always reach the other peers.
+    assert!(lost.len() <= 1, "{lost:?}");
     assert_eq!(missed.len(), 1, "waited for once: {missed:?}");
     let message = missed[0].to_string();
     assert!(
