@@ -10,7 +10,7 @@ use eddy_evaluation::{
 };
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
+    model::{Architecture, GpuOptions, kernel_cache},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
@@ -50,7 +50,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     let device = args.device.resolve(config.runs_on_gpus());
     device.check()?;
     ensure_usage!(
-        args.gpus.get() == 1 || matches!(device, DeviceKind::Cuda(_)),
+        args.gpus.get() == 1 || device != device.through_burn(),
         "--gpus: found {} with --device {}, expected --device cuda",
         args.gpus,
         device.name()

@@ -139,6 +139,7 @@ impl<'a> Sampler<'a> {
     }
 
     /// Materials of a window's particles.
+    #[cfg(feature = "cuda")]
     pub(super) fn material(&self, draw: &Draw) -> &[Material] {
         &self.streams[draw.stream].material
     }
