@@ -227,6 +227,8 @@ fn a_gpu_that_is_not_there_is_refused() {
     let folder = Folder::new();
     let bag = folder.path("bag");
     let arguments = ["predict", "--input", &bag, "--output", &folder.path("out"), "--device"];
+    let train = ["train", "--data", &bag, "--output", &folder.path("out"), "--gpus", "2"];
+    says(&fail(2, train), &["--gpus: found 2 with --device flex", "expected --device cuda"]);
     // Without a driver, and with one but without so many GPUs.
     says(&fail(1, arguments.into_iter().chain(["cuda:99"])), &["device: found no", "expected"]);
     says(&fail(2, arguments.into_iter().chain(["gpu"])), &["--device", "cpu, cuda or cuda:N"]);
