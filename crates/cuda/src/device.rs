@@ -103,6 +103,18 @@ impl HostBuffer {
             std::slice::from_raw_parts_mut(first, self.bytes / size_of::<T>())
         }
     }
+
+    /// The memory as a list that cannot be changed.
+    ///
+    /// # Safety
+    /// No work of the device that writes this memory may run while the list is used.
+    pub unsafe fn view<T: bytemuck::Pod>(&self) -> &[T] {
+        // SAFETY: as in `slice`.
+        unsafe {
+            let first = std::ptr::with_exposed_provenance(self.address.0 as usize);
+            std::slice::from_raw_parts(first, self.bytes / size_of::<T>())
+        }
+    }
 }
 
 /// Which queue work is put into. Work in one queue runs in order.

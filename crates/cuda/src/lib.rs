@@ -3,7 +3,7 @@
 //! 1. [`device`]: what the networks need of a device; [`gpu`] is one; tests have another, that of the
 //!    crate `eddy-cuda-emulator`.
 //! 2. [`kernels`]: the kernels' text and the constants they are compiled for.
-//! 3. [`frame`]: the frame model. [`particle`]: the particle model.
+//! 3. [`frame`]: the frame model. [`particle`]: the particle model. [`solver`]: the MPM solver.
 //!
 //! No CUDA toolkit is needed to build: the driver, NVRTC and cuBLASLt are loaded at run time.
 
@@ -12,6 +12,7 @@ pub mod frame;
 pub mod gpu;
 pub mod kernels;
 pub mod particle;
+pub mod solver;
 
 mod error;
 

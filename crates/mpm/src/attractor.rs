@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::plane;
 
 /// Distance below which the pull fades to zero at the centre (domain lengths).
-const CORE: f32 = 0.05;
+pub(super) const CORE: f32 = 0.05;
 
 /// A point attractor: a pull of constant magnitude towards one point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -75,6 +75,9 @@ pub enum MpmError {
         /// time before the recording (s).
         time: f64,
     },
+    /// The device that runs the substeps has failed.
+    #[error("{0}")]
+    Device(String),
     /// The state is not a valid frame: a velocity is not finite.
     #[error(transparent)]
     Frame(#[from] InvalidFrame),

@@ -16,13 +16,14 @@
 //! 3. [`grid`]: convert momentum to velocity; apply gravity and walls.
 //! 4. [`g2p`]: gather velocities and their gradients; advance positions.
 //!
-//! [`fast`] does the same vectorised and on several threads; [`energy`] computes the total energy, [`state`]
+//! [`fast`] does the same vectorised and on several threads; an [`accelerator`] does it for many solvers at once; [`energy`] computes the total energy, [`state`]
 //! pressure and energy of every particle.
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
 //! and Two-Way Rigid Body Coupling", ACM TOG 37(4), 2018; the constitutive law and its parameters as in Taichi's
 //! `mpm99` and `mpm128`. Lengths are domain lengths (the side of the presets' unit square), density is 1.
 
+mod accelerator;
 mod attractor;
 mod body;
 mod constitutive;
@@ -49,8 +50,10 @@ mod solver;
 mod spline;
 mod stability;
 mod state;
+mod step;
 mod water;
 
+pub use accelerator::{Accelerator, CONSTANTS, Interval};
 pub use attractor::Attractor;
 pub use body::Body;
 pub use energy::Energy;
@@ -58,7 +61,7 @@ pub use error::{Limit, MpmError};
 pub use extent::Extent;
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
-pub use material::{Law, Materials};
+pub use material::{Lame, Law, Materials, Moduli};
 pub use matrix::Matrix2;
 pub use particle::Particle;
 pub use preset::Preset;
@@ -68,6 +71,7 @@ pub use simulation::{Settings, Simulation};
 pub use solver::{Solver, SolverSettings};
 pub use stability::minimum_substeps;
 pub use state::ParticleState;
+pub use step::Step;
 
 /// Time between two frames (s).
 pub const FRAME_INTERVAL: f32 = 0.016;

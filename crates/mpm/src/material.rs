@@ -62,11 +62,11 @@ impl Default for Materials {
 
 /// The Lame parameters of a stiffness, before hardening.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Lame {
+pub struct Lame {
     /// Shear modulus mu (density x velocity^2).
-    pub(super) mu: f32,
+    pub mu: f32,
     /// First parameter lambda (density x velocity^2).
-    pub(super) lambda: f32,
+    pub lambda: f32,
 }
 
 impl Lame {
@@ -93,13 +93,13 @@ impl Lame {
 
 /// Parameters of the constitutive law, from [`Materials`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Moduli {
+pub struct Moduli {
     /// The parameters before hardening.
-    pub(super) lame: Lame,
+    pub lame: Lame,
     /// The constitutive law of liquids.
-    pub(super) law: Law,
+    pub law: Law,
     /// Dynamic viscosity of liquids (density x domain lengths^2 per s).
-    pub(super) viscosity: f32,
+    pub viscosity: f32,
 }
 
 impl Moduli {

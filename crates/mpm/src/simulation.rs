@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
+    accelerator::Interval,
     energy::Energy,
     error::MpmError,
     flow::Flow,
@@ -64,6 +65,8 @@ pub struct Simulation {
     fewest_frames: u64,
     /// Maximum number of frames.
     most_frames: u64,
+    /// Intervals that the attractor has acted.
+    attracted: u32,
     /// Sequence number of the next frame.
     sequence: u64,
     /// Set when the scene is at rest or empty, or after an error.
@@ -104,55 +107,85 @@ impl Simulation {
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
         let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
-        let (sequence, ended) = (0, false);
-        Ok(Self { scene, solver, flow, substeps, fewest_frames, most_frames, sequence, ended })
+        Ok(Self {
+            scene,
+            solver,
+            flow,
+            substeps,
+            fewest_frames,
+            most_frames,
+            attracted: 0,
+            sequence: 0,
+            ended: false,
+        })
     }
 
     /// The next frame, one interval after the last; `None` when the scene has ended. The first frame is the state after the
     /// attractor has acted.
     ///
     /// # Errors
-    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is not finite; the simulation then ends.
+    /// As [`Simulation::finish_interval`].
     pub fn next_frame(&mut self) -> Result<Option<Frame>, MpmError> {
-        if self.ended || self.sequence == self.most_frames {
-            return Ok(None);
+        while let Some(Interval { substeps, attractor }) = self.next_interval() {
+            self.solver.attractor = attractor;
+            let outcome = self.solver.run(substeps);
+            self.solver.attractor = None;
+            if let Some(frame) = self.finish_interval(outcome)? {
+                return Ok(Some(frame));
+            }
         }
-        let moved = self.advance();
-        if moved.is_ok() && self.solver.particles().is_empty() {
+        Ok(None)
+    }
+
+    /// What the solver is to run next; `None` when the scene has ended.
+    pub fn next_interval(&self) -> Option<Interval> {
+        if self.ended || self.sequence == self.most_frames {
+            return None;
+        }
+        if self.sequence > 0 {
+            return Some(Interval { substeps: self.substeps, attractor: None });
+        }
+        let attractor = self.scene.attractor.filter(|it| self.attracted < it.frames);
+        // The first frame of a scene is its start, unless an attractor acts before.
+        let substeps = if attractor.is_some() { self.substeps } else { 0 };
+        Some(Interval { substeps, attractor })
+    }
+
+    /// Goes on when the solver has run an interval with this outcome ([`Solver::run`]): applies emitters and drains, and
+    /// returns the next frame; `None` while the attractor acts, and when no particles are left.
+    ///
+    /// # Errors
+    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is not finite; the simulation then ends.
+    pub fn finish_interval(
+        &mut self,
+        outcome: Result<(), usize>,
+    ) -> Result<Option<Frame>, MpmError> {
+        let frame = self.taken(outcome);
+        self.ended |= frame.is_err();
+        frame
+    }
+
+    fn taken(&mut self, outcome: Result<(), usize>) -> Result<Option<Frame>, MpmError> {
+        outcome.map_err(|particle| diverged(self.solver.particles(), particle, self.begun()))?;
+        if let (0, Some(attractor)) = (self.sequence, self.scene.attractor) {
+            self.attracted = (self.attracted + 1).min(attractor.frames);
+            if self.attracted < attractor.frames {
+                return Ok(None);
+            }
+        }
+        if self.sequence > 0 {
+            self.exchange()?;
+        }
+        if self.solver.particles().is_empty() {
             self.ended = true;
             return Ok(None);
         }
-        let frame = moved.and_then(|()| self.frame());
+        let frame = self.frame()?;
         self.sequence += 1;
         let rest = self.scene.frames.rest;
-        let settled =
+        self.ended =
             self.sequence >= self.fewest_frames && self.solver.mean_kinetic_energy() < rest;
-        self.ended = frame.is_err() || settled;
-        frame.map(Some)
-    }
-
-    /// Advances to the time of the next frame.
-    fn advance(&mut self) -> Result<(), MpmError> {
-        if self.sequence > 0 {
-            self.run(1)?;
-            return self.exchange();
-        }
-        let Some(attractor) = self.scene.attractor else { return Ok(()) };
-        self.solver.attractor = Some(attractor);
-        let done = self.run(attractor.frames);
-        self.solver.attractor = None;
-        done
-    }
-
-    /// Runs the substeps of a number of frame intervals.
-    fn run(&mut self, intervals: u32) -> Result<(), MpmError> {
-        for interval in 0..intervals {
-            self.solver.run(self.substeps).map_err(|particle| {
-                let time = self.begun() + f64::from(interval) * self.interval();
-                diverged(self.solver.particles(), particle, time)
-            })?;
-        }
-        Ok(())
+        Ok(Some(frame))
     }
 
     /// Applies emitters and drains for the next frame.
@@ -216,6 +249,16 @@ impl Simulation {
         self.most_frames
     }
 
+    /// The solver.
+    pub fn solver(&self) -> &Solver {
+        &self.solver
+    }
+
+    /// The solver, whose particles another one has advanced.
+    pub fn solver_mut(&mut self) -> &mut Solver {
+        &mut self.solver
+    }
+
     /// Current number of particles.
     pub fn particles(&self) -> usize {
         self.solver.particles().len()
@@ -236,10 +279,9 @@ impl Simulation {
         Domain { lower: [0.0; 2], upper: self.scene.domain }
     }
 
-    /// Start of the interval before the next frame: simulated time since the start of the scene (s).
+    /// Start of the interval that runs next: simulated time since the start of the scene (s).
     fn begun(&self) -> f64 {
-        let before = self.scene.attractor.map_or(0, |attractor| attractor.frames);
-        let intervals = if self.sequence > 0 { u64::from(before) + self.sequence - 1 } else { 0 };
+        let intervals = u64::from(self.attracted) + self.sequence.saturating_sub(1);
         intervals as f64 * self.interval()
     }
 

@@ -110,6 +110,11 @@ impl Solver {
         &self.particles
     }
 
+    /// The particles, for who advances them in place of [`Solver::run`].
+    pub fn particles_mut(&mut self) -> &mut [Particle] {
+        &mut self.particles
+    }
+
     /// The settings.
     pub fn settings(&self) -> &SolverSettings {
         &self.settings

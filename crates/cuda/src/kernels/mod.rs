@@ -26,6 +26,9 @@ pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("particle_rules.cu"),
 );
 
+/// The kernels of the solver, as one text.
+pub const SOLVER_SOURCE: &str = include_str!("solver.cu");
+
 /// A text of kernels and the constants it is compiled for.
 pub trait Program {
     /// The text.
@@ -203,6 +206,20 @@ kernels! {
     ParticleBodiesRest = "particle_bodies_rest",
     /// Predictions, to the memory of the host.
     ParticleStore = "particle_store",
+    /// Solver: particles from the memory of the host.
+    SolverLoad = "solver_load",
+    /// The same way back.
+    SolverStore = "solver_store",
+    /// Particles of each tile.
+    SolverCount = "solver_count",
+    /// First particle of each tile.
+    SolverScan = "solver_scan",
+    /// Particles by tiles.
+    SolverMove = "solver_move",
+    /// Gather, motion, law and scatter of particles.
+    SolverParticles = "solver_particles",
+    /// Velocities of the nodes.
+    SolverNodes = "solver_nodes",
 }
 
 /// Rounds up to a multiple.

@@ -3,13 +3,14 @@
 use super::{
     super::{
         material::Law,
+        step::Step,
         water::{MAX_AREA, RELAXATION_TIME},
     },
     field::Nodes,
     pack::Pack,
     simd::{LANES, Simd},
     stencil::{Stencils, Weights},
-    transfer::{Scratch, Step},
+    transfer::Scratch,
 };
 use eddy_frames::Material;
 

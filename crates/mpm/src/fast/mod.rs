@@ -41,9 +41,11 @@ use eddy_threads::{DisjointSlice, ThreadPool, share};
 use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
 use sort::Packs;
-use transfer::{Pass, Step};
+use transfer::Pass;
 
-use super::{attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings};
+use super::{
+    attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings, step::Step,
+};
 
 pub(super) use level::Level;
 

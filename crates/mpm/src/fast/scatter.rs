@@ -1,12 +1,13 @@
 //! Particles to grid for a pack, as [`p2g`](super::super::p2g).
 
 use super::{
+    super::step::Step,
     chunk::Chunk,
     law,
     pack::Pack,
     simd::{LANES, Simd},
     stencil::{Stencils, Weights},
-    transfer::{Scratch, Step},
+    transfer::Scratch,
 };
 
 /// Computes the momentum that each particle scatters, `w (lowest + i along_x + j along_y)` at the node (i, j) of its

@@ -3,7 +3,11 @@
 use eddy_threads::{DisjointSlice, ThreadPool, share};
 
 use super::{
-    super::particle::Particle, chunk::Chunk, field::Field, pack::Pack, simd::LANES, transfer::Step,
+    super::{particle::Particle, step::Step},
+    chunk::Chunk,
+    field::Field,
+    pack::Pack,
+    simd::LANES,
 };
 
 /// Maximum number of chunks, and so of threads with work.

@@ -4,11 +4,7 @@
 //! All particles have the same mass, so masses and momenta are in units of it.
 
 use super::{
-    super::{
-        grid::GridShape,
-        material::{DENSITY, Moduli},
-        solver::SolverSettings,
-    },
+    super::step::Step,
     chunk::Chunk,
     field::Nodes,
     gather::gather,
@@ -19,44 +15,6 @@ use super::{
     simd::{LANES, Lanes, Simd, Vectors},
     stencil::{Stencils, Weights},
 };
-
-/// Parameters of a substep.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Step {
-    /// Length of the substep (s).
-    pub(super) dt: f32,
-    /// Cell width (domain lengths).
-    pub(super) dx: f32,
-    /// Cells per domain length.
-    pub(super) inverse_dx: f32,
-    /// `-dt 4 / (dx^2 rho)`: converts Kirchhoff stress to the affine part of the velocity.
-    pub(super) impulse: f32,
-    /// Particles per cell in an undeformed body.
-    pub(super) particles_per_cell: f32,
-    /// Material parameters.
-    pub(super) moduli: Moduli,
-}
-
-impl Step {
-    /// The parameters for these settings.
-    pub(super) fn of(settings: &SolverSettings) -> Self {
-        let SolverSettings { grid: GridShape { dx, .. }, dt, .. } = *settings;
-        let inverse_dx = 1.0 / dx;
-        Self {
-            dt,
-            dx,
-            inverse_dx,
-            impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
-            particles_per_cell: dx * dx / settings.volume(),
-            moduli: Moduli::of(&settings.materials),
-        }
-    }
-
-    /// The lowest node of the stencil at a position (domain lengths).
-    pub(super) fn lowest(&self, position: [f32; 2]) -> [i32; 2] {
-        position.map(|x| (x * self.inverse_dx - 0.5) as i32)
-    }
-}
 
 /// Scratch buffer of a pack, between vectors over particles and vectors over nodes. Reused without clearing.
 #[repr(align(64))]

@@ -1,0 +1,458 @@
+// The MLS-MPM solver (crate eddy-mpm) for many scenes side by side. Two launches a substep:
+//
+//   solver_particles  a block has a tile of TILE x TILE cells: gather from the nodes, move, deform, stress, scatter to the
+//                     tile's patch of nodes in shared memory
+//   solver_nodes      a block has the nodes of a tile: sum of the patches that cover them, forces, walls
+//
+// Particles are sorted by tiles every few dozen substeps and when one has drifted further than a cell out of its tile: a
+// patch reaches MARGIN cells further. Everything of a scene is computed from its own particles. Sums over particles are sums
+// of integers, which have no order: the same bits come out of every run, however particles are sorted, and beside whatever
+// other scenes.
+//
+// Constants: LIQUID, SNOW, JELLY, ROPE (numbers of the materials), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
+typedef unsigned int u32;
+typedef unsigned long long u64;
+
+#define TILE 8
+#define MARGIN 2
+#define PATCH (TILE + 2 * MARGIN + 2)
+#define PATCH_NODES (PATCH * PATCH)
+#define THREADS 128        // of a block of solver_particles
+#define SCAN_THREADS 512   // of the block of solver_scan
+#define NONE 0xffffffffu
+
+// A sum of numbers below 2^LIMIT_BITS as integers: `high` in units of 2^-HIGH_BITS, `low` in units of 2^-LOW_BITS of those.
+// Neither overflows within BATCH numbers; after as many, both go into one of 64 bits.
+#define HIGH_BITS 14
+#define LOW_BITS 20
+#define LIMIT_BITS 6
+#define BATCH 2048
+// Rounds |v| < 2^22 to an integer: the bits of v + ROUND are those of ROUND plus that integer.
+#define ROUND 12582912.0f
+#define ROUND_BITS 0x4b400000u
+
+#ifdef EMULATED
+#define multiply_rounded(a, b) ((a) * (b))
+static u32 bits_of(float v) { u32 bits; std::memcpy(&bits, &v, 4); return bits; }
+static float real(u32 bits) { float v; std::memcpy(&v, &bits, 4); return v; }
+#else
+// Not joined with an addition: cells must be those that the processor finds.
+#define multiply_rounded(a, b) __fmul_rn(a, b)
+#define bits_of(v) __float_as_uint(v)
+#define real(bits) __uint_as_float(bits)
+#endif
+
+// The settings of a scene, and where its part of the lists is.
+struct Scene {
+  u32 first, particles;        // in the lists of particles
+  u32 first_tile, tiles[2];    // in the lists of tiles; tiles along x and y
+  u32 first_node, sides[2];    // in the list of nodes; nodes along x and y
+  u32 cells[2];
+  u32 substeps;                // to be done
+  float dx, inverse_dx;        // of a cell (domain lengths)
+  float dt, gravity;
+  float impulse;               // -dt 4 / (dx^2 rho)
+  float per_cell;              // particles of a cell in an undeformed body
+  float mu, lambda, viscosity; // before hardening; of liquids
+  u32 water;                   // 1: the law of water, 0: Taichi's
+  float unit;                  // a power of two: velocities times this are below about 1 for a cell in a substep
+  u32 attracted;               // 1: there is an attractor
+  float centre[2], strength, period; // period 0: a single point
+};
+
+// How far a scene is: substep `done` begins with a gather (but for the first), and ends with a scatter (but for the last,
+// `substeps`). Stopped until particles are sorted, or for good when one is lost.
+struct Status { u32 done, stopped; };
+
+struct Tile { u32 scene, x, y; };
+
+// The state of all particles, as lists of `n`: 14 numbers a particle.
+struct State {
+  float2* position;    // domain lengths
+  float2* velocity;    // domain lengths per s
+  float4* affine;      // C: xx, xy, yx, yy (1/s)
+  float4* deformation; // F: xx, xy, yx, yy
+  float* plastic;      // Jp of snow
+  u32* identity;       // index in its scene times 4, and its material; in memory of the host the material only
+};
+__device__ __forceinline__ State state_at(float* base, u32 n) {
+  return {(float2*)base, (float2*)(base + 2 * (u64)n), (float4*)(base + 4 * (u64)n), (float4*)(base + 8 * (u64)n),
+          base + 12 * (u64)n, (u32*)(base + 13 * (u64)n)};
+}
+__device__ __forceinline__ void copy_particle(const State& to, u32 k, const State& from, u32 p) {
+  to.position[k] = from.position[p];
+  to.velocity[k] = from.velocity[p];
+  to.affine[k] = from.affine[p];
+  to.deformation[k] = from.deformation[p];
+  to.plastic[k] = from.plastic[p];
+}
+
+// The lowest node of a stencil on an axis; false for NaN and where not all three nodes exist (`GridShape::contains`).
+__device__ __forceinline__ bool lowest_node(const Scene& s, float position, int axis, float* cell, int* lowest) {
+  *cell = multiply_rounded(position, s.inverse_dx);
+  const bool inside = *cell >= 0.5f && *cell < (float)s.cells[axis] - 0.5f;
+  *lowest = inside ? (int)(*cell - 0.5f) : 0;
+  return inside;
+}
+
+// Particles from the memory of the host, scene by scene in their own order.
+// grid (ceil(largest scene / 256), scenes), block 256
+extern "C" __global__ void __launch_bounds__(256) solver_load(const Scene* __restrict__ scenes, float* host, float* base, u32 n) {
+  const Scene& s = scenes[blockIdx.y];
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  if (k >= s.particles) return;
+  const State to = state_at(base, n), from = state_at(host, n);
+  const u32 p = s.first + k;
+  copy_particle(to, p, from, p);
+  to.identity[p] = 4 * k + from.identity[p];
+}
+
+// The same way back.
+extern "C" __global__ void __launch_bounds__(256) solver_store(const Scene* __restrict__ scenes, float* host, float* base, const u32* __restrict__ places, u32 n) {
+  const Scene& s = scenes[blockIdx.y];
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  if (k >= s.particles) return;
+  copy_particle(state_at(host, n), s.first + k, state_at(base, n), places[s.first + k]);
+}
+
+// Counts the particles of each tile; each learns how many came before, in any order.
+// grid and block as above
+extern "C" __global__ void __launch_bounds__(256) solver_count(const Scene* __restrict__ scenes, float* base, u32* __restrict__ keys, u32* __restrict__ arrivals, u32* __restrict__ counts, u32 n) {
+  const Scene& s = scenes[blockIdx.y];
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  if (k >= s.particles) return;
+  const u32 p = s.first + k;
+  const float2 position = state_at(base, n).position[p];
+  float cell;
+  int x, y;
+  // One that is lost goes anywhere: its scene is not computed any more.
+  const bool inside = lowest_node(s, position.x, 0, &cell, &x) & lowest_node(s, position.y, 1, &cell, &y);
+  const u32 tile = s.first_tile + (inside ? (u32)x / TILE * s.tiles[1] + (u32)y / TILE : 0);
+  keys[p] = tile;
+  arrivals[p] = atomicAdd(&counts[tile], 1u);
+}
+
+// First particle of each tile; the list of tiles that have any, and each one's place in it. Scenes that had to wait for this
+// go on.
+// grid 1, block SCAN_THREADS
+extern "C" __global__ void __launch_bounds__(SCAN_THREADS) solver_scan(const u32* __restrict__ counts, u32* __restrict__ starts, u32* __restrict__ slots, u32* __restrict__ list, u32* __restrict__ total, u32 tiles, Status* __restrict__ status, u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scenes) {
+  __shared__ u32 particles[SCAN_THREADS], active[SCAN_THREADS];
+  const u32 t = threadIdx.x;
+  const u32 from = (u32)((u64)tiles * t / SCAN_THREADS), to = (u32)((u64)tiles * (t + 1) / SCAN_THREADS);
+  u32 here = 0, any = 0;
+  for (u32 k = from; k < to; k++) {
+    here += counts[k];
+    any += counts[k] > 0;
+  }
+  particles[t] = here;
+  active[t] = any;
+  __syncthreads();
+  for (u32 by = 1; by < SCAN_THREADS; by *= 2) {
+    const u32 before = t >= by ? particles[t - by] : 0, before_active = t >= by ? active[t - by] : 0;
+    __syncthreads();
+    particles[t] += before;
+    active[t] += before_active;
+    __syncthreads();
+  }
+  u32 start = particles[t] - here, slot = active[t] - any;
+  for (u32 k = from; k < to; k++) {
+    starts[k] = start;
+    slots[k] = counts[k] > 0 ? slot : NONE;
+    if (counts[k] > 0) list[slot++] = k;
+    start += counts[k];
+  }
+  if (t == SCAN_THREADS - 1) {
+    starts[tiles] = start;
+    *total = slot;
+  }
+  for (u32 s = t; s < scenes; s += SCAN_THREADS) {
+    drifted[s] = 0;
+    status[s].stopped = lost[s] != NONE;
+  }
+}
+
+// Particles by tiles.
+// grid (ceil(largest scene / 256), scenes), block 256
+extern "C" __global__ void __launch_bounds__(256) solver_move(const Scene* __restrict__ scenes, float* from_base, float* to_base, const u32* __restrict__ keys, const u32* __restrict__ arrivals, const u32* __restrict__ starts, u32* __restrict__ places, u32 n) {
+  const Scene& s = scenes[blockIdx.y];
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  if (k >= s.particles) return;
+  const State from = state_at(from_base, n), to = state_at(to_base, n);
+  const u32 p = s.first + k, place = starts[keys[p]] + arrivals[p];
+  copy_particle(to, place, from, p);
+  to.identity[place] = from.identity[p];
+  places[s.first + (from.identity[p] >> 2)] = place;
+}
+
+// Weights of three nodes by the quadratic spline, at a distance of 0.5 to 1.5 from the first (cells).
+__device__ __forceinline__ void spline_weights(float x, float* weights) {
+  weights[0] = 0.5f * (1.5f - x) * (1.5f - x);
+  weights[1] = 0.75f - (x - 1.0f) * (x - 1.0f);
+  weights[2] = 0.5f * (x - 0.5f) * (x - 0.5f);
+}
+__device__ __forceinline__ float clamped(float v, float lowest, float highest) {
+  return v < lowest ? lowest : (highest < v ? highest : v);
+}
+
+// Kirchhoff stress: xx, xy, yy (density x velocity^2).
+struct Stress { float xx, xy, yy; };
+
+// The law of liquids (`water` and `constitutive` of eddy-mpm), from the trial deformation.
+__device__ __forceinline__ Stress liquid(const Scene& s, float4 c, float4* f) {
+  float area = f->x * f->w - f->y * f->z;
+  Stress stress;
+  if (s.water) {
+    area = real(MAX_AREA) < area ? real(MAX_AREA) : area;
+    const float packed = 1.0f / area, squared = packed * packed;
+    float pressure = s.lambda / 7.0f * (squared * squared * squared * packed - 1.0f);
+    pressure = area * (pressure < 0.0f ? 0.0f : pressure);
+    const float viscous = 2.0f * s.viscosity * area;
+    const float stretch = viscous * (0.5f * (c.x - c.w));
+    stress = {stretch - pressure, viscous * (0.5f * (c.y + c.z)), -stretch - pressure};
+  } else {
+    const float tension = s.lambda * area * (area - 1.0f);
+    stress = {tension, 0.0f, tension};
+  }
+  const float side = sqrtf(area);
+  *f = {side, 0.0f, 0.0f, side};
+  return stress;
+}
+
+// `exp(10 (1 - Jp))` within bounds, as `snow_hardening` of eddy-mpm.
+__device__ __forceinline__ float snow_hardening(float plastic) {
+  const float x = 0.125f * clamped(real(SNOW_HARDENING) * (1.0f - plastic), real(SNOW_LEAST_EXPONENT), real(SNOW_MOST_EXPONENT));
+  float eighth = 1.0f / 720.0f;
+  eighth = 1.0f / 120.0f + x * eighth;
+  eighth = 1.0f / 24.0f + x * eighth;
+  eighth = 1.0f / 6.0f + x * eighth;
+  eighth = 0.5f + x * eighth;
+  eighth = 1.0f + x * eighth;
+  eighth = 1.0f + x * eighth;
+  const float fourth = eighth * eighth, half = fourth * fourth;
+  return clamped(half * half, real(SNOW_SOFTEST), real(SNOW_HARDEST));
+}
+
+// Solids (`constitutive` and `polar` of eddy-mpm): snow is projected onto its yield surface; fixed-corotated stress.
+__device__ __forceinline__ Stress solid(const Scene& s, u32 material, float4* f, float* plastic) {
+  const float a = 0.5f * (f->x + f->w), b = 0.5f * (f->z - f->y);
+  const float q = sqrtf(a * a + b * b);
+  const float cosine = q < 1e-12f ? 1.0f : a / q, sine = q < 1e-12f ? 0.0f : b / q;
+  float factor = material == ROPE ? real(ROPE_STIFFNESS) : real(JELLY_STIFFNESS);
+  if (material == SNOW) {
+    factor = snow_hardening(*plastic);
+    const float c = 0.5f * (f->x - f->w), d = 0.5f * (f->z + f->y);
+    const float r = sqrtf(c * c + d * d);
+    const float large = q + r, small = q - r;
+    if (small < real(SNOW_LOWEST) || real(SNOW_HIGHEST) < large) {
+      const float large_kept = clamped(large, real(SNOW_LOWEST), real(SNOW_HIGHEST)), small_kept = clamped(small, real(SNOW_LOWEST), real(SNOW_HIGHEST));
+      *plastic *= large / large_kept * (small / small_kept);
+      const float mean = 0.5f * (large_kept + small_kept);
+      // Without a direction of the stretch there is none: both singular values are the same.
+      const float stretch = r < 1e-12f ? 0.0f : 0.5f * (large_kept - small_kept) / r;
+      const float e = mean * cosine, g = mean * sine;
+      *f = {e + stretch * c, stretch * d - g, g + stretch * d, e - stretch * c};
+    }
+  }
+  const float area = f->x * f->w - f->y * f->z;
+  const float shear = 2.0f * s.mu * factor, tension = s.lambda * factor * area * (area - 1.0f);
+  const float xx = f->x - cosine, xy = f->y + sine, yx = f->z - sine, yy = f->w - cosine;
+  return {shear * (xx * f->x + xy * f->y) + tension, shear * (xx * f->z + xy * f->w), shear * (yx * f->z + yy * f->w) + tension};
+}
+
+// Adds a number below 2^LIMIT_BITS to a sum.
+__device__ __forceinline__ void add(u32* high, u32* low, float v) {
+  const float scaled = v * (float)(1 << HIGH_BITS), shifted = scaled + ROUND;
+  const float rest = scaled - (shifted - ROUND); // exact
+  atomicAdd(high, bits_of(shifted) - ROUND_BITS);
+  atomicAdd(low, bits_of(rest * (float)(1 << LOW_BITS) + ROUND) - ROUND_BITS);
+}
+
+// Gather, motion, law and scatter of the particles of a tile.
+// grid about the number of tiles with particles, block THREADS
+extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ list, const u32* __restrict__ total, const u32* __restrict__ starts, float* base, u32 n, const float4* __restrict__ nodes, long long* __restrict__ patches, const Status* __restrict__ status, u32* __restrict__ drifted, u32* __restrict__ lost) {
+  __shared__ float4 near[PATCH_NODES]; // velocity (domain lengths per s) and mass of the nodes before the substep
+  __shared__ u32 high[3 * PATCH_NODES], low[3 * PATCH_NODES];
+  __shared__ long long sums[3 * PATCH_NODES];
+  const State state = state_at(base, n);
+  const u32 t = threadIdx.x;
+  for (u32 slot = blockIdx.x; slot < *total; slot += gridDim.x) {
+    const u32 number = list[slot];
+    const Tile tile = tiles[number];
+    const Scene& s = scenes[tile.scene];
+    const Status now = status[tile.scene];
+    if (now.stopped || now.done > s.substeps) continue;
+    const bool gathers = now.done > 0, scatters = now.done < s.substeps;
+    const int origin_x = (int)(tile.x * TILE) - MARGIN, origin_y = (int)(tile.y * TILE) - MARGIN;
+    __syncthreads(); // the tile before is done
+    for (u32 k = t; k < PATCH_NODES; k += THREADS) {
+      const int x = origin_x + (int)(k / PATCH), y = origin_y + (int)(k % PATCH);
+      const bool there = gathers && x >= 0 && y >= 0 && x < (int)s.sides[0] && y < (int)s.sides[1];
+      near[k] = there ? nodes[s.first_node + (u32)x * s.sides[1] + (u32)y] : float4{0.0f, 0.0f, 0.0f, 0.0f};
+    }
+    for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) high[k] = low[k] = 0, sums[k] = 0;
+    __syncthreads();
+    const u32 end = starts[number + 1];
+    u32 added = 0;
+    for (u32 first = starts[number]; first < end; first += THREADS) {
+      const u32 p = first + t;
+      if (p < end) {
+        float2 x = state.position[p], v = state.velocity[p];
+        float4 c = state.affine[p], f = state.deformation[p];
+        const u32 identity = state.identity[p], material = identity & 3;
+        float cell_x, cell_y, wx[3], wy[3];
+        int i, j;
+        bool inside = true;
+        if (gathers) {
+          lowest_node(s, x.x, 0, &cell_x, &i);
+          lowest_node(s, x.y, 1, &cell_y, &j);
+          const float fx = cell_x - (float)i, fy = cell_y - (float)j;
+          spline_weights(fx, wx);
+          spline_weights(fy, wy);
+          const u32 at = (u32)(i - origin_x) * PATCH + (u32)(j - origin_y);
+          float mass = 0.0f;
+          v = {0.0f, 0.0f};
+          c = {0.0f, 0.0f, 0.0f, 0.0f};
+#pragma unroll
+          for (int a = 0; a < 3; a++)
+#pragma unroll
+            for (int b = 0; b < 3; b++) {
+              const float4 node = near[at + a * PATCH + b];
+              const float w = wx[a] * wy[b], dx = (float)a - fx, dy = (float)b - fy;
+              const float vx = w * node.x, vy = w * node.y;
+              v.x += vx;
+              v.y += vy;
+              c.x += vx * dx;
+              c.y += vx * dy;
+              c.z += vy * dx;
+              c.w += vy * dy;
+              mass += w * node.z;
+            }
+          const float scale = 4.0f * s.inverse_dx;
+          c = {c.x * scale, c.y * scale, c.z * scale, c.w * scale};
+          x.x += s.dt * v.x;
+          x.y += s.dt * v.y;
+          state.position[p] = x;
+          state.velocity[p] = v;
+          state.affine[p] = c;
+          if (material == LIQUID && s.water) {
+            // The area relaxes towards the density of the grid (`water::corrected`).
+            const float density = s.per_cell / mass, target = real(MAX_AREA) < density ? real(MAX_AREA) : density;
+            float area = f.x * f.w;
+            area += (target - area) * fminf(s.dt / real(RELAXATION_TIME), 1.0f);
+            f.x = f.w = sqrtf(area);
+          }
+        }
+        inside = lowest_node(s, x.x, 0, &cell_x, &i) & lowest_node(s, x.y, 1, &cell_y, &j);
+        // Within the patch, and within the patch without the outermost cell of its margin.
+        const int px = i - origin_x, py = j - origin_y;
+        inside = inside && px >= 0 && py >= 0 && px < TILE + 2 * MARGIN && py < TILE + 2 * MARGIN;
+        if (px < 1 || py < 1 || px >= TILE + 2 * MARGIN - 1 || py >= TILE + 2 * MARGIN - 1) drifted[tile.scene] = 1;
+        if (scatters && inside) {
+          // (I + dt C) F
+          const float one_x = 1.0f + s.dt * c.x, one_y = 1.0f + s.dt * c.w, cross_x = s.dt * c.y, cross_y = s.dt * c.z;
+          float4 trial = {one_x * f.x + cross_x * f.z, one_x * f.y + cross_x * f.w, cross_y * f.x + one_y * f.z, cross_y * f.y + one_y * f.w};
+          float plastic = state.plastic[p];
+          const Stress stress = material == LIQUID ? liquid(s, c, &trial) : solid(s, material, &trial, &plastic);
+          f = trial;
+          if (material == SNOW) state.plastic[p] = plastic;
+          // Momentum per mass at the particle, and its change from cell to cell.
+          const float xx = (s.impulse * stress.xx + c.x) * s.dx, xy = (s.impulse * stress.xy + c.y) * s.dx;
+          const float yx = (s.impulse * stress.xy + c.z) * s.dx, yy = (s.impulse * stress.yy + c.w) * s.dx;
+          const float largest = fmaxf(fabsf(v.x), fabsf(v.y)) + 1.5f * (fabsf(xx) + fabsf(xy) + fabsf(yx) + fabsf(yy));
+          inside = largest * s.unit < (float)(1 << LIMIT_BITS); // false for NaN
+          if (inside) {
+            const float fx = cell_x - (float)i, fy = cell_y - (float)j;
+            spline_weights(fx, wx);
+            spline_weights(fy, wy);
+            const u32 at = (u32)px * PATCH + (u32)py;
+#pragma unroll
+            for (int a = 0; a < 3; a++)
+#pragma unroll
+              for (int b = 0; b < 3; b++) {
+                const float w = wx[a] * wy[b], dx = (float)a - fx, dy = (float)b - fy;
+                const u32 node = at + a * PATCH + b;
+                add(high + node, low + node, w);
+                add(high + PATCH_NODES + node, low + PATCH_NODES + node, s.unit * (w * (v.x + xx * dx + xy * dy)));
+                add(high + 2 * PATCH_NODES + node, low + 2 * PATCH_NODES + node, s.unit * (w * (v.y + yx * dx + yy * dy)));
+              }
+          }
+        }
+        state.deformation[p] = f;
+        if (!inside) atomicMin(&lost[tile.scene], identity >> 2);
+      }
+      added += THREADS;
+      if (added == BATCH || first + THREADS >= end) {
+        added = 0;
+        __syncthreads();
+        for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) {
+          sums[k] += (long long)(int)high[k] * (1 << LOW_BITS) + (int)low[k];
+          high[k] = low[k] = 0;
+        }
+        __syncthreads();
+      }
+    }
+    if (!scatters) continue;
+    for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) patches[(u64)slot * 3 * PATCH_NODES + k] = sums[k];
+  }
+}
+
+// Acceleration by the attractor (`Attractor::acceleration`).
+__device__ __forceinline__ float2 pull(const Scene& s, float x, float y) {
+  float towards_x = s.centre[0] - x;
+  const float towards_y = s.centre[1] - y;
+  if (s.period > 0.0f) towards_x -= s.period * roundf(towards_x / s.period);
+  const float scale = s.strength / (real(CORE) + sqrtf(towards_x * towards_x + towards_y * towards_y));
+  return {towards_x * scale, towards_y * scale};
+}
+// A velocity at node `index` of an axis beside separating slip walls.
+__device__ __forceinline__ float walled(float velocity, u32 index, u32 side) {
+  const u32 wall = (u32)real(WALL_CELLS);
+  if (index < wall) return fmaxf(velocity, 0.0f);
+  return index + wall >= side ? fminf(velocity, 0.0f) : velocity;
+}
+
+// Velocities of the nodes; what the scenes have done.
+// grid about the number of tiles, block TILE * TILE
+extern "C" __global__ void __launch_bounds__(TILE * TILE) solver_nodes(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ slots, u32 tile_count, const long long* __restrict__ patches, float4* __restrict__ nodes, const Status* __restrict__ status, Status* __restrict__ next, const u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scene_count) {
+  const u32 t = threadIdx.x;
+  if (blockIdx.x == 0)
+    for (u32 k = t; k < scene_count; k += TILE * TILE) {
+      const Status now = status[k];
+      const bool runs = !now.stopped && now.done <= scenes[k].substeps;
+      next[k] = {now.done + (runs ? 1u : 0u), now.stopped || drifted[k] || lost[k] != NONE};
+    }
+  const int i = (int)(t / TILE), j = (int)(t % TILE);
+  for (u32 number = blockIdx.x; number < tile_count; number += gridDim.x) {
+    const Tile tile = tiles[number];
+    const Scene& s = scenes[tile.scene];
+    const Status now = status[tile.scene];
+    if (now.stopped || now.done >= s.substeps) continue;
+    long long sum = 0, sum_x = 0, sum_y = 0;
+#pragma unroll
+    for (int a = -1; a <= 1; a++)
+#pragma unroll
+      for (int b = -1; b <= 1; b++) {
+        // The patch of the tile at (a, b) from here has its own margin.
+        const int x = i - TILE * a + MARGIN, y = j - TILE * b + MARGIN;
+        const int tx = (int)tile.x + a, ty = (int)tile.y + b;
+        if (x < 0 || y < 0 || x >= PATCH || y >= PATCH || tx < 0 || ty < 0 || tx >= (int)s.tiles[0] || ty >= (int)s.tiles[1]) continue;
+        const u32 slot = slots[s.first_tile + (u32)tx * s.tiles[1] + (u32)ty];
+        if (slot == NONE) continue;
+        const long long* patch = patches + (u64)slot * 3 * PATCH_NODES + x * PATCH + y;
+        sum += patch[0];
+        sum_x += patch[PATCH_NODES];
+        sum_y += patch[2 * PATCH_NODES];
+      }
+    const u32 gx = tile.x * TILE + (u32)i, gy = tile.y * TILE + (u32)j;
+    if (sum <= 0 || gx >= s.sides[0] || gy >= s.sides[1]) continue;
+    const float mass = (float)sum * (1.0f / (float)(1ll << (HIGH_BITS + LOW_BITS)));
+    const float unit = (float)sum * s.unit;
+    float vx = (float)sum_x / unit, vy = (float)sum_y / unit - s.dt * s.gravity;
+    if (s.attracted) {
+      const float2 pulled = pull(s, (float)gx * s.dx, (float)gy * s.dx);
+      vx += s.dt * pulled.x;
+      vy += s.dt * pulled.y;
+    }
+    nodes[s.first_node + gx * s.sides[1] + gy] = {walled(vx, gx, s.sides[0]), walled(vy, gy, s.sides[1]), mass, 0.0f};
+  }
+}

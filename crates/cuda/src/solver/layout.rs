@@ -1,0 +1,171 @@
+//! The constants of the solver's kernels, the table of scenes, and where each one's particles, tiles and nodes are.
+
+#![expect(unsafe_code, reason = "structs that the device reads")]
+
+use eddy_frames::Material;
+use eddy_mpm::{Attractor, CONSTANTS, GridShape, Interval, Law, Solver, SolverSettings, Step};
+
+use crate::kernels::{Program, SOLVER_SOURCE};
+
+/// Cells of a tile on each axis, `TILE` of the kernels.
+pub(super) const TILE: usize = 8;
+/// Numbers of a patch, `3 * PATCH_NODES` of the kernels: mass and momentum of a tile, two cells more on each side, and two
+/// nodes more.
+pub(super) const PATCH: usize = 3 * (TILE + 6) * (TILE + 6);
+/// Numbers of a particle's state, `State` of the kernels.
+pub(super) const NUMBERS: usize = 14;
+
+/// What the kernels are compiled for: nothing that differs from scene to scene.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Constants;
+
+impl Program for Constants {
+    fn source(&self) -> &'static str {
+        SOLVER_SOURCE
+    }
+
+    fn definitions(&self) -> Vec<(&'static str, usize)> {
+        let materials = [
+            ("LIQUID", Material::Liquid),
+            ("SNOW", Material::Snow),
+            ("JELLY", Material::Jelly),
+            ("ROPE", Material::Rope),
+        ];
+        let materials = materials.map(|(name, material)| (name, material as usize));
+        let numbers = CONSTANTS.map(|(name, number)| (name, number.to_bits() as usize));
+        materials.into_iter().chain(numbers).collect()
+    }
+}
+
+/// `struct Scene` of the kernels.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct Row {
+    first: u32,
+    particles: u32,
+    first_tile: u32,
+    tiles: [u32; 2],
+    first_node: u32,
+    sides: [u32; 2],
+    cells: [u32; 2],
+    substeps: u32,
+    dx: f32,
+    inverse_dx: f32,
+    dt: f32,
+    gravity: f32,
+    impulse: f32,
+    particles_per_cell: f32,
+    mu: f32,
+    lambda: f32,
+    viscosity: f32,
+    water: u32,
+    unit: f32,
+    attracted: u32,
+    centre: [f32; 2],
+    strength: f32,
+    period: f32,
+}
+
+// SAFETY: integers and numbers of 4 bytes, without padding between them.
+unsafe impl bytemuck::Zeroable for Row {}
+// SAFETY: as above.
+unsafe impl bytemuck::Pod for Row {}
+
+impl Row {
+    /// Sets what the scene runs next.
+    pub(super) fn set(&mut self, interval: &Interval) {
+        self.substeps = interval.substeps;
+        self.attracted = u32::from(interval.attractor.is_some());
+        if let Some(Attractor { centre, strength, period, .. }) = interval.attractor {
+            (self.centre, self.strength) = (centre, strength);
+            self.period = period.unwrap_or(0.0);
+        }
+    }
+}
+
+/// Where all scenes are, side by side.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Layout {
+    /// Of each scene.
+    pub(super) rows: Vec<Row>,
+    /// Particles of all scenes.
+    pub(super) particles: usize,
+    /// Particles of the largest one.
+    pub(super) largest: usize,
+    /// `struct Tile` of the kernels, of all scenes: scene, and place along x and y.
+    pub(super) tiles: Vec<[u32; 3]>,
+    /// Nodes of all scenes.
+    pub(super) nodes: usize,
+}
+
+impl Layout {
+    /// Of these solvers.
+    pub(super) fn of(solvers: &[&Solver]) -> Self {
+        let mut layout = Self::default();
+        for solver in solvers {
+            layout.add(solver.settings(), solver.particles().len());
+        }
+        layout
+    }
+
+    fn add(&mut self, settings: &SolverSettings, particles: usize) {
+        let SolverSettings { grid: GridShape { cells, .. }, gravity, .. } = *settings;
+        let step = Step::of(settings);
+        let sides = cells.map(|cells| cells + 1);
+        let tiles = sides.map(|side| side.div_ceil(TILE as u32));
+        // Velocities are summed as integers. A power of two, so that scaling does not round.
+        let cells_per_substep = step.dt * step.inverse_dx;
+        let unit = f32::from_bits(cells_per_substep.to_bits() & 0x7f80_0000);
+        let scene = self.rows.len() as u32;
+        self.rows.push(Row {
+            first: self.particles as u32,
+            particles: particles as u32,
+            first_tile: self.tiles.len() as u32,
+            tiles,
+            first_node: self.nodes as u32,
+            sides,
+            cells,
+            substeps: 0,
+            dx: step.dx,
+            inverse_dx: step.inverse_dx,
+            dt: step.dt,
+            gravity,
+            impulse: step.impulse,
+            particles_per_cell: step.particles_per_cell,
+            mu: step.moduli.lame.mu,
+            lambda: step.moduli.lame.lambda,
+            viscosity: step.moduli.viscosity,
+            water: u32::from(step.moduli.law == Law::Water),
+            unit,
+            attracted: 0,
+            centre: [0.0; 2],
+            strength: 0.0,
+            period: 0.0,
+        });
+        self.particles += particles;
+        self.largest = self.largest.max(particles);
+        let places = (0..tiles[0]).flat_map(|x| (0..tiles[1]).map(move |y| [scene, x, y]));
+        self.tiles.extend(places);
+        self.nodes += sides[0] as usize * sides[1] as usize;
+    }
+
+    /// Tiles that can have particles at once.
+    pub(super) fn most_active(&self) -> usize {
+        self.tiles.len().min(self.particles)
+    }
+
+    /// Memory of the device that these scenes take (bytes).
+    pub(super) fn bytes(&self) -> u64 {
+        let lists = 2 * NUMBERS + 3;
+        let per_scene = size_of::<Row>() + 2 * size_of::<[u32; 2]>() + 2 * size_of::<u32>();
+        let numbers = [
+            (self.particles, 4 * lists),
+            // Tile, count, start, slot, place in the list.
+            (self.tiles.len(), size_of::<[u32; 3]>() + 4 * size_of::<u32>()),
+            (self.most_active(), size_of::<i64>() * PATCH),
+            (self.nodes, size_of::<[f32; 4]>()),
+            (self.rows.len(), per_scene),
+        ];
+        numbers.iter().map(|&(count, bytes)| count as u64 * bytes as u64).sum()
+    }
+}

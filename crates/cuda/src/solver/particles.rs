@@ -1,0 +1,173 @@
+//! Particles in the memory of the host, as lists that the device reads and writes.
+
+#![expect(unsafe_code, reason = "memory that the device reads and writes")]
+
+use std::{
+    num::NonZero,
+    ops::Range,
+    sync::{Mutex, PoisonError},
+    thread,
+};
+
+use eddy_mpm::{Matrix2, Particle, Solver};
+
+use super::layout::NUMBERS;
+use crate::{
+    device::{Address, Device, HostBuffer},
+    error::Result,
+};
+
+/// Particles that a thread copies at a time, at most.
+const PART: usize = 1 << 14;
+
+/// `State` of the kernels in the memory of the host: lists of all scenes' particles, in the order of the solvers.
+pub(super) struct HostParticles {
+    memory: HostBuffer,
+    /// Length of the lists.
+    length: usize,
+}
+
+/// A part of the lists.
+struct Lists<'a> {
+    position: &'a mut [[f32; 2]],
+    velocity: &'a mut [[f32; 2]],
+    affine: &'a mut [[f32; 4]],
+    deformation: &'a mut [[f32; 4]],
+    plastic: &'a mut [f32],
+    material: &'a mut [u32],
+}
+
+impl HostParticles {
+    /// Room for so many.
+    pub(super) fn new(device: &dyn Device, length: usize) -> Result<Self> {
+        let memory = device.allocate_host(NUMBERS * length * size_of::<f32>())?;
+        Ok(Self { memory, length })
+    }
+
+    pub(super) fn address(&self) -> Address {
+        self.memory.address()
+    }
+
+    /// Length of the lists.
+    pub(super) fn length(&self) -> usize {
+        self.length
+    }
+
+    /// Writes the particles of these solvers.
+    ///
+    /// # Safety
+    /// No work of the device that uses the lists may run.
+    pub(super) unsafe fn write(&mut self, solvers: &[&Solver]) {
+        let n = self.length;
+        // SAFETY: the caller's promise.
+        let all: &mut [f32] = unsafe { self.memory.slice() };
+        let (position, rest) = all.split_at_mut(2 * n);
+        let (velocity, rest) = rest.split_at_mut(2 * n);
+        let (affine, rest) = rest.split_at_mut(4 * n);
+        let (deformation, rest) = rest.split_at_mut(4 * n);
+        let (plastic, rest) = rest.split_at_mut(n);
+        let mut lists = Lists {
+            position: position.as_chunks_mut().0,
+            velocity: velocity.as_chunks_mut().0,
+            affine: affine.as_chunks_mut().0,
+            deformation: deformation.as_chunks_mut().0,
+            plastic,
+            material: bytemuck::cast_slice_mut(&mut rest[..n]),
+        };
+        let parts = solvers.iter().flat_map(|solver| solver.particles().chunks(PART));
+        let parts = parts.map(|part| (lists.take(part.len()), part)).collect();
+        on_threads(parts, |(to, from): (Lists<'_>, &[Particle])| to.write(from));
+    }
+
+    /// Copies the particles to these solvers; their materials stay.
+    ///
+    /// # Safety
+    /// As of [`Self::write`].
+    pub(super) unsafe fn read(&self, solvers: &mut [&mut Solver]) {
+        let parts = solvers.iter_mut().flat_map(|solver| solver.particles_mut().chunks_mut(PART));
+        let mut end = 0;
+        let parts = parts.map(|part| {
+            end += part.len();
+            (end - part.len()..end, part)
+        });
+        // SAFETY: the caller's promise.
+        on_threads(parts.collect(), |(from, to)| unsafe { self.read_at(from, to) });
+    }
+
+    /// Copies the particles at these places.
+    ///
+    /// # Safety
+    /// As of [`Self::write`].
+    unsafe fn read_at(&self, places: Range<usize>, particles: &mut [Particle]) {
+        let n = self.length;
+        // SAFETY: the caller's promise.
+        let all: &[f32] = unsafe { self.memory.view() };
+        let list = |first: usize, width: usize| {
+            &all[first * n + width * places.start..first * n + width * places.end]
+        };
+        let pairs = |first: usize| list(first, 2).as_chunks::<2>().0;
+        let matrices = |first: usize| list(first, 4).as_chunks::<4>().0;
+        let matrix = |&[xx, xy, yx, yy]: &[f32; 4]| Matrix2::new(xx, xy, yx, yy);
+        let states = pairs(0)
+            .iter()
+            .zip(pairs(2))
+            .zip(matrices(4))
+            .zip(matrices(8))
+            .zip(list(12, 1))
+            .zip(particles);
+        for (((((position, velocity), affine), deformation), plastic), particle) in states {
+            particle.position = *position;
+            particle.velocity = *velocity;
+            particle.affine = matrix(affine);
+            particle.deformation = matrix(deformation);
+            particle.plastic = *plastic;
+        }
+    }
+}
+
+/// Does the work of all parts on the threads that are worth it.
+fn on_threads<T: Send>(parts: Vec<T>, work: impl Fn(T) + Sync) {
+    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(parts.len());
+    let parts = Mutex::new(parts.into_iter());
+    let next = || parts.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let worker = || {
+        while let Some(part) = next() {
+            work(part);
+        }
+    };
+    if threads <= 1 {
+        return worker();
+    }
+    thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(worker))));
+}
+
+impl<'a> Lists<'a> {
+    /// Splits the first so many off.
+    fn take(&mut self, count: usize) -> Lists<'a> {
+        fn first<'a, T>(list: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+            let (first, rest) = std::mem::take(list).split_at_mut(count);
+            *list = rest;
+            first
+        }
+        Lists {
+            position: first(&mut self.position, count),
+            velocity: first(&mut self.velocity, count),
+            affine: first(&mut self.affine, count),
+            deformation: first(&mut self.deformation, count),
+            plastic: first(&mut self.plastic, count),
+            material: first(&mut self.material, count),
+        }
+    }
+
+    fn write(self, particles: &[Particle]) {
+        let numbers = |matrix: Matrix2| [matrix.xx, matrix.xy, matrix.yx, matrix.yy];
+        for (k, particle) in particles.iter().enumerate() {
+            self.position[k] = particle.position;
+            self.velocity[k] = particle.velocity;
+            self.affine[k] = numbers(particle.affine);
+            self.deformation[k] = numbers(particle.deformation);
+            self.plastic[k] = particle.plastic;
+            self.material[k] = particle.material as u32;
+        }
+    }
+}

@@ -1,0 +1,422 @@
+//! Solvers side by side on a device.
+//!
+//! An interval of all scenes is a number of rounds of [`Round::substeps`] substeps, each one graph:
+//!
+//! | stage | a block has | reads | writes |
+//! |---|---|---|---|
+//! | count, scan, move | 256 particles; all tiles | positions | particles sorted by tiles |
+//! | particles | a tile of 8 x 8 cells | particles, nodes around the tile | particles, a patch of 14 x 14 nodes |
+//! | nodes | 8 x 8 nodes | the patches that cover them | velocity and mass of nodes |
+//!
+//! The last two are repeated for every substep. A scene that has finished, or has to wait until its particles are sorted,
+//! skips its part of the round; the host reads how far each one is and starts rounds until all have finished.
+
+#![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
+
+use std::sync::Arc;
+
+use eddy_mpm::{Accelerator, Interval, MpmError, Solver};
+
+use super::{
+    layout::{Layout, NUMBERS, PATCH, TILE},
+    particles::HostParticles,
+};
+use crate::{
+    device::{Address, Argument, Buffer, Device, Queue, Recording, Shape},
+    error::{CudaError, Result},
+    kernels::{Kernel, round_up},
+};
+
+/// Substeps of a round, at most: after that many, the particles of a tile are no longer near it.
+const MOST_SUBSTEPS: u32 = 64;
+/// Threads of a block over the particles of a scene.
+const THREADS: usize = 256;
+/// Threads of a block of a tile, `THREADS` of the kernels.
+const TILE_THREADS: usize = 128;
+/// Threads of the block that numbers the tiles, `SCAN_THREADS` of the kernels.
+const SCAN_THREADS: usize = 512;
+/// Blocks over tiles, at most; each goes on with further tiles.
+const BLOCKS: usize = 16384;
+/// No particle is lost, `NONE` of the kernels.
+const NONE: u32 = u32::MAX;
+
+/// Solvers on a device.
+pub struct Solvers {
+    device: Arc<dyn Device>,
+    loaded: Option<Loaded>,
+}
+
+impl Solvers {
+    /// None yet, on a device with the kernels of [`Constants`](super::Constants).
+    pub fn new(device: Arc<dyn Device>) -> Self {
+        Self { device, loaded: None }
+    }
+
+    /// Runs an interval without copying the particles from and to the solvers, for measurements.
+    ///
+    /// # Errors
+    /// [`CudaError`].
+    ///
+    /// # Panics
+    /// Before [`Accelerator::load`].
+    pub fn advance(&mut self, intervals: &[Interval]) -> Result<Vec<Option<usize>>> {
+        self.loaded.as_mut().expect("solvers are loaded first").advance(&*self.device, intervals)
+    }
+
+    /// Memory of the device that solvers take beside those that it has (bytes), and what is free for them.
+    fn room(&self, layout: &Layout) -> Result<(u64, u64)> {
+        let held = self.loaded.as_ref().map_or(0, |loaded| loaded.layout.bytes());
+        Ok((layout.bytes(), self.device.free_memory()?.saturating_add(held)))
+    }
+
+    fn load_all(&mut self, solvers: &[&Solver]) -> Result<()> {
+        let layout = Layout::of(solvers);
+        let (needed, free) = self.room(&layout)?;
+        if needed > free {
+            return Err(CudaError::Memory {
+                device: 0,
+                needed: needed.div_ceil(1 << 20),
+                free: free >> 20,
+                remedy: "increase the spacing, reduce the domain or the number of particles",
+            });
+        }
+        let host = self.loaded.take().map(|loaded| loaded.host);
+        let mut loaded = Loaded::new(&*self.device, layout, host)?;
+        // SAFETY: `advance` waits for the work of the device.
+        unsafe { loaded.host.write(solvers) };
+        loaded.launch_load(&*self.device)?;
+        self.device.finish()?;
+        self.loaded = Some(loaded);
+        Ok(())
+    }
+
+    fn run_all(&mut self, intervals: &[Interval]) -> Result<Vec<Option<usize>>> {
+        let lost = self.advance(intervals)?;
+        if let Some(loaded) = &self.loaded
+            && intervals.iter().any(|interval| interval.substeps > 0)
+        {
+            loaded.launch_store(&*self.device)?;
+        }
+        self.device.finish()?;
+        Ok(lost)
+    }
+}
+
+fn failed(reason: CudaError) -> MpmError {
+    MpmError::Device(reason.to_string())
+}
+
+impl Accelerator for Solvers {
+    fn has_room(&self, solvers: &[&Solver]) -> std::result::Result<bool, MpmError> {
+        let (needed, free) = self.room(&Layout::of(solvers)).map_err(failed)?;
+        Ok(needed <= free)
+    }
+
+    fn load(&mut self, solvers: &[&Solver]) -> std::result::Result<(), MpmError> {
+        self.load_all(solvers).map_err(failed)
+    }
+
+    fn run(
+        &mut self,
+        intervals: &[Interval],
+    ) -> std::result::Result<Vec<std::result::Result<(), usize>>, MpmError> {
+        let lost = self.run_all(intervals).map_err(failed)?;
+        Ok(lost.into_iter().map(|lost| lost.map_or(Ok(()), Err)).collect())
+    }
+
+    fn fetch(&self, solvers: &mut [&mut Solver]) {
+        if let Some(loaded) = &self.loaded {
+            // SAFETY: `load` and `run` wait for the work of the device.
+            unsafe { loaded.host.read(solvers) };
+        }
+    }
+}
+
+/// How far a scene is, `struct Status` of the kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C)]
+struct Status {
+    done: u32,
+    stopped: u32,
+}
+
+// SAFETY: two integers.
+unsafe impl bytemuck::Zeroable for Status {}
+// SAFETY: as above.
+unsafe impl bytemuck::Pod for Status {}
+
+/// Scenes and their memory.
+struct Loaded {
+    layout: Layout,
+    host: HostParticles,
+    scenes: Buffer,
+    /// The particles' states, and the same sorted.
+    states: [Buffer; 2],
+    /// Tile of each particle, its place among those of the tile, and where each scene's particles are.
+    keys: Buffer,
+    arrivals: Buffer,
+    places: Buffer,
+    tiles: Buffer,
+    tile_counts: Buffer,
+    starts: Buffer,
+    slots: Buffer,
+    list: Buffer,
+    active: Buffer,
+    patches: Buffer,
+    nodes: Buffer,
+    /// Before and after a substep, in turn.
+    status: [Buffer; 2],
+    drifted: Buffer,
+    lost: Buffer,
+    round: Option<Round>,
+}
+
+/// A recorded round.
+struct Round {
+    substeps: u32,
+    /// `None` the first time, and where the device cannot record.
+    recording: Option<Box<dyn Recording + Send>>,
+}
+
+impl Loaded {
+    /// Memory for scenes; `host` is used again if it is large enough.
+    fn new(device: &dyn Device, layout: Layout, host: Option<HostParticles>) -> Result<Self> {
+        let number = size_of::<u32>();
+        let (n, tiles, scenes) = (layout.particles, layout.tiles.len(), layout.rows.len());
+        let host = match host {
+            Some(host) if host.length() >= n => host,
+            _ => HostParticles::new(device, round_up(n.max(1), 4))?,
+        };
+        let list = |count: usize| device.allocate(count.max(1) * number);
+        let states = || list(NUMBERS * host.length());
+        let status = || device.allocate(scenes.max(1) * size_of::<Status>());
+        let loaded = Self {
+            scenes: device.allocate(size_of_val(&layout.rows[..]).max(1))?,
+            states: [states()?, states()?],
+            keys: list(n)?,
+            arrivals: list(n)?,
+            places: list(n)?,
+            tiles: list(3 * tiles)?,
+            tile_counts: list(tiles)?,
+            starts: list(tiles + 1)?,
+            slots: list(tiles)?,
+            list: list(layout.most_active())?,
+            active: list(1)?,
+            patches: device.allocate(PATCH * layout.most_active().max(1) * size_of::<i64>())?,
+            nodes: list(4 * layout.nodes)?,
+            status: [status()?, status()?],
+            drifted: list(scenes)?,
+            lost: list(scenes)?,
+            round: None,
+            host,
+            layout,
+        };
+        device.write(&loaded.tiles, 0, bytemuck::cast_slice(&loaded.layout.tiles))?;
+        device.write(&loaded.scenes, 0, bytemuck::cast_slice(&loaded.layout.rows))?;
+        Ok(loaded)
+    }
+
+    /// Runs an interval of each scene; the particle that was lost, if any.
+    fn advance(
+        &mut self,
+        device: &dyn Device,
+        intervals: &[Interval],
+    ) -> Result<Vec<Option<usize>>> {
+        let scenes = self.layout.rows.len();
+        assert_eq!(intervals.len(), scenes, "an interval for each solver");
+        for (row, interval) in self.layout.rows.iter_mut().zip(intervals) {
+            row.set(interval);
+        }
+        if scenes == 0 || self.layout.particles == 0 {
+            return Ok(vec![None; scenes]);
+        }
+        device.write(&self.scenes, 0, bytemuck::cast_slice(&self.layout.rows))?;
+        let begun =
+            |interval: &Interval| Status { done: u32::from(interval.substeps == 0), stopped: 0 };
+        let mut status: Vec<Status> = intervals.iter().map(begun).collect();
+        device.write(&self.status[0], 0, bytemuck::cast_slice(&status))?;
+        let mut lost = vec![NONE; scenes];
+        device.write(&self.lost, 0, bytemuck::cast_slice(&lost))?;
+        let most = intervals.iter().map(|interval| interval.substeps).max().unwrap_or_default();
+        let substeps = substeps_of_a_round(most);
+        let finished = |(status, interval): (&Status, &Interval)| status.done > interval.substeps;
+        while !status
+            .iter()
+            .zip(intervals)
+            .zip(&lost)
+            .all(|(scene, &lost)| lost != NONE || finished(scene))
+        {
+            self.run_round(device, substeps)?;
+            device.read(&self.status[0], 0, bytemuck::cast_slice_mut(&mut status))?;
+            device.read(&self.lost, 0, bytemuck::cast_slice_mut(&mut lost))?;
+        }
+        let index = |lost: u32| (lost != NONE).then_some(lost as usize);
+        Ok(lost.into_iter().map(index).collect())
+    }
+
+    /// Runs a round: the second time it is recorded.
+    fn run_round(&mut self, device: &dyn Device, substeps: u32) -> Result<()> {
+        let ran = self.round.take_if(|round| round.substeps == substeps);
+        let recording = match ran {
+            Some(Round { recording: Some(recording), .. }) => Some(recording),
+            // Kernels are loaded when they run for the first time, which cannot be recorded.
+            Some(_) => device.record(&mut || self.launch_round(device, substeps))?,
+            None => None,
+        };
+        match &recording {
+            Some(recording) => recording.repeat()?,
+            None => self.launch_round(device, substeps)?,
+        }
+        self.round = Some(Round { substeps, recording });
+        Ok(())
+    }
+
+    /// A launch with a thread for each particle of each scene.
+    fn over_particles(&self) -> Shape {
+        Shape::new(self.layout.largest.div_ceil(THREADS), self.layout.rows.len(), THREADS)
+    }
+
+    /// Particles from the memory of the host.
+    fn launch_load(&self, device: &dyn Device) -> Result<()> {
+        if self.layout.particles == 0 {
+            return Ok(());
+        }
+        let arguments = [
+            self.scenes.address().into(),
+            self.host.address().into(),
+            self.states[0].address().into(),
+            self.host.length().into(),
+        ];
+        // SAFETY: the arguments of the kernel; all lists are as long as `new` makes them.
+        unsafe { device.launch(Queue::Main, Kernel::SolverLoad, self.over_particles(), &arguments) }
+    }
+
+    /// Particles to the memory of the host.
+    fn launch_store(&self, device: &dyn Device) -> Result<()> {
+        if self.layout.particles == 0 {
+            return Ok(());
+        }
+        let arguments = [
+            self.scenes.address().into(),
+            self.host.address().into(),
+            self.states[0].address().into(),
+            self.places.address().into(),
+            self.host.length().into(),
+        ];
+        // SAFETY: as above.
+        unsafe {
+            device.launch(Queue::Main, Kernel::SolverStore, self.over_particles(), &arguments)
+        }
+    }
+
+    /// Sorts the particles and puts so many substeps into the queue.
+    fn launch_round(&self, device: &dyn Device, substeps: u32) -> Result<()> {
+        self.launch_sort(device)?;
+        for substep in 0..substeps as usize {
+            let status = [substep % 2, (substep + 1) % 2].map(|k| self.status[k].address());
+            self.launch_substep(device, status)?;
+        }
+        Ok(())
+    }
+
+    fn launch_sort(&self, device: &dyn Device) -> Result<()> {
+        let length = self.host.length();
+        let [from, to] = self.states.each_ref();
+        device.clear(Queue::Main, &self.tile_counts)?;
+        let count = [
+            self.scenes.address().into(),
+            from.address().into(),
+            self.keys.address().into(),
+            self.arrivals.address().into(),
+            self.tile_counts.address().into(),
+            length.into(),
+        ];
+        let scan = [
+            self.tile_counts.address().into(),
+            self.starts.address().into(),
+            self.slots.address().into(),
+            self.list.address().into(),
+            self.active.address().into(),
+            self.layout.tiles.len().into(),
+            self.status[0].address().into(),
+            self.drifted.address().into(),
+            self.lost.address().into(),
+            self.layout.rows.len().into(),
+        ];
+        let rearrange = [
+            self.scenes.address().into(),
+            from.address().into(),
+            to.address().into(),
+            self.keys.address().into(),
+            self.arrivals.address().into(),
+            self.starts.address().into(),
+            self.places.address().into(),
+            length.into(),
+        ];
+        let shape = self.over_particles();
+        // SAFETY: as above.
+        unsafe {
+            device.launch(Queue::Main, Kernel::SolverCount, shape, &count)?;
+            let all_tiles = Shape::new(1, 1, SCAN_THREADS);
+            device.launch(Queue::Main, Kernel::SolverScan, all_tiles, &scan)?;
+            device.launch(Queue::Main, Kernel::SolverMove, shape, &rearrange)?;
+        }
+        device.copy(from, to)
+    }
+
+    /// A substep of the scenes that are not done with theirs; `status` before and after.
+    fn launch_substep(&self, device: &dyn Device, status: [Address; 2]) -> Result<()> {
+        let tiles = self.layout.tiles.len();
+        let particles: [Argument; 12] = [
+            self.scenes.address().into(),
+            self.tiles.address().into(),
+            self.list.address().into(),
+            self.active.address().into(),
+            self.starts.address().into(),
+            self.states[0].address().into(),
+            self.host.length().into(),
+            self.nodes.address().into(),
+            self.patches.address().into(),
+            status[0].into(),
+            self.drifted.address().into(),
+            self.lost.address().into(),
+        ];
+        let nodes: [Argument; 11] = [
+            self.scenes.address().into(),
+            self.tiles.address().into(),
+            self.slots.address().into(),
+            tiles.into(),
+            self.patches.address().into(),
+            self.nodes.address().into(),
+            status[0].into(),
+            status[1].into(),
+            self.drifted.address().into(),
+            self.lost.address().into(),
+            self.layout.rows.len().into(),
+        ];
+        let active = Shape::new(self.layout.most_active().min(BLOCKS), 1, TILE_THREADS);
+        let all = Shape::new(tiles.min(BLOCKS), 1, TILE * TILE);
+        // SAFETY: as above.
+        unsafe {
+            device.launch(Queue::Main, Kernel::SolverParticles, active, &particles)?;
+            device.launch(Queue::Main, Kernel::SolverNodes, all, &nodes)
+        }
+    }
+}
+
+/// Substeps of a round in an interval of at most so many, which ends with one more that only gathers: even, since what a
+/// substep has done is told to the next one in two lists in turn.
+fn substeps_of_a_round(most: u32) -> u32 {
+    let steps = most + 1;
+    steps.div_ceil(steps.div_ceil(MOST_SUBSTEPS)).next_multiple_of(2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_share_the_substeps_of_an_interval() {
+        assert_eq!([0, 1, 63, 64, 153, 1000].map(substeps_of_a_round), [2, 2, 64, 34, 52, 64]);
+    }
+}
