@@ -1,5 +1,7 @@
 //! The solver's kernels beside the solver of the processor.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
+
 use std::sync::Arc;
 
 use eddy_cuda::solver::{Constants, Solvers};
@@ -43,10 +45,12 @@ fn block(corner: [f32; 2], velocity: [f32; 2], material: Material) -> Vec<Partic
         .collect()
 }
 
+/// A device.
 fn solvers() -> Solvers {
     Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()))
 }
 
+/// Loads solvers, runs an interval of each, and fetches their particles.
 fn run(
     device: &mut Solvers,
     solvers: &mut [&mut Solver],

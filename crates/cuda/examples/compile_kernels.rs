@@ -6,7 +6,7 @@ use std::{error::Error, fs, path::PathBuf};
 use eddy_cuda::{
     gpu::{Target, compile},
     kernels::{Constants, Program},
-    particle,
+    particle, solver,
 };
 use eddy_inference::checkpoint::{
     Activation, Architecture, Core, Description, Form, Pooling, Sizes,
@@ -46,7 +46,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         Ok((name, Box::new(constants) as Box<dyn Program>))
     });
     let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
-    for (name, program) in frame.chain(particle) {
+    let solver = ("solver".to_owned(), Box::new(solver::Constants) as Box<dyn Program>);
+    for (name, program) in frame.chain(particle).chain([solver]) {
         for &capability in &capabilities {
             for (target, extension) in
                 [(Target::Ptx(capability), "ptx"), (Target::Machine(capability), "cubin")]
