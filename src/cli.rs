@@ -36,7 +36,7 @@ pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
 };
-pub use values::PredictionDevice;
+pub use values::ComputeDevice;
 
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
@@ -306,6 +306,10 @@ pub struct SimulateArgs {
     /// per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Where the solver runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second. A GPU simulates up to 256 scenes side by
+    /// side, and its results differ from the processor's by rounding.
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
+    pub device: ComputeDevice,
 }
 
 /// `eddy record`
@@ -498,8 +502,8 @@ pub struct NodeArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
-    pub device: PredictionDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
+    pub device: ComputeDevice,
     /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
     /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
@@ -571,8 +575,8 @@ pub struct PredictArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
-    pub device: PredictionDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
+    pub device: ComputeDevice,
 }
 
 /// `eddy eval`
@@ -623,8 +627,8 @@ pub struct EvalArgs {
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = PredictionDevice::parse)]
-    pub device: PredictionDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
+    pub device: ComputeDevice,
 }
 
 /// A reference predictor.

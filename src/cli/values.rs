@@ -22,9 +22,9 @@ fn number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<
     }
 }
 
-/// Where a network predicts.
+/// Where a network predicts, or the solver runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PredictionDevice {
+pub enum ComputeDevice {
     /// On the processor.
     Cpu,
     /// On the NVIDIA GPU of this number.
@@ -32,7 +32,7 @@ pub enum PredictionDevice {
     Cuda(u8),
 }
 
-impl PredictionDevice {
+impl ComputeDevice {
     pub(super) fn parse(text: &str) -> Result<Self, String> {
         match text {
             "cpu" => Ok(Self::Cpu),

@@ -8,13 +8,13 @@ use eddy_inference::{
     engine::{ModelError, Surrogate},
 };
 
-use crate::cli::PredictionDevice;
+use crate::cli::ComputeDevice;
 
 /// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default.
 pub(super) fn load(
     path: Option<&Path>,
     threads: Option<NonZeroUsize>,
-    device: PredictionDevice,
+    device: ComputeDevice,
 ) -> anyhow::Result<Surrogate> {
     let checkpoint = Checkpoint::load_or_shipped(path)?;
     let name = path.map_or("the shipped checkpoint".into(), |path| path.display().to_string());
@@ -25,12 +25,12 @@ pub(super) fn load(
 pub(super) fn on_device(
     checkpoint: &Checkpoint,
     threads: Option<NonZeroUsize>,
-    device: PredictionDevice,
+    device: ComputeDevice,
 ) -> Result<Surrogate, ModelError> {
     match device {
-        PredictionDevice::Cpu => Surrogate::load(checkpoint, threads),
+        ComputeDevice::Cpu => Surrogate::load(checkpoint, threads),
         #[cfg(feature = "cuda")]
-        PredictionDevice::Cuda(number) => on_gpu(checkpoint, number.into()),
+        ComputeDevice::Cuda(number) => on_gpu(checkpoint, number.into()),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The MPM solver on NVIDIA GPUs: `check` compares it with that of the processor, in two runs, alone and beside other scenes;
 //! `time [FOLDER]` measures substeps beside those of the processor's threads, and writes the start of the largest case to
-//! the folder, for other programs; `once` runs a few substeps, for profilers.
+//! the folder, for other programs; `once N` runs a few substeps of N scenes, `once PARTICLES CELLS` of one, for profilers.
 
 use std::{fs, io::Write as _, num::NonZero, path::Path, sync::Arc, thread};
 
@@ -27,8 +27,12 @@ fn main() -> Result<()> {
         ["check"] => check(),
         ["time"] => time(None),
         ["time", folder] => time(Some(Path::new(folder))),
-        ["once"] => once(),
-        _ => Err("expected check, time [FOLDER] or once".into()),
+        ["once", count] => {
+            let simulations = scenes(count.parse()?)?;
+            once(&simulations.iter().map(Simulation::solver).collect::<Vec<_>>())
+        }
+        ["once", particles, cells] => once(&[&blocks(particles.parse()?, cells.parse()?)?]),
+        _ => Err("expected check, time [FOLDER], once N or once PARTICLES CELLS".into()),
     }
 }
 
@@ -212,11 +216,9 @@ fn write_start(folder: &Path, solver: &Solver) -> Result<()> {
     Ok(file.flush()?)
 }
 
-fn once() -> Result<()> {
+fn once(solvers: &[&Solver]) -> Result<()> {
     let mut device = on_gpu()?;
-    let simulations = scenes(8)?;
-    let all: Vec<&Solver> = simulations.iter().map(Simulation::solver).collect();
-    device.load(&all)?;
-    device.run(&[interval(130); 8])?;
+    device.load(solvers)?;
+    device.run(&vec![interval(130); solvers.len()])?;
     Ok(())
 }

@@ -32,6 +32,7 @@ using std::max;
 using std::min;
 struct alignas(16) float4 { float x, y, z, w; };
 struct alignas(8) float2 { float x, y; };
+struct alignas(16) uint4 { unsigned x, y, z, w; };
 static unsigned atomicAdd(unsigned* to, unsigned by) {
   const unsigned before = *to;
   *to += by;

@@ -424,6 +424,7 @@ mod tests {
             seed: 5,
             settings: mpm::Settings { duration: Some(0.2), ..mpm::Settings::default() },
             fields: false,
+            device: None,
             threads: None,
         };
         simulate(&request, folder.path(), &Silent).unwrap().complete().unwrap();

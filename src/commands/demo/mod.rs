@@ -29,7 +29,7 @@ use super::{
     output::{Output, OutputKind, unused},
     surrogate,
 };
-use crate::cli::{DemoArgs, PredictionDevice};
+use crate::cli::{ComputeDevice, DemoArgs};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::{Settings, dataset, evaluate_model};
 use eddy_frames::{Stamp, clock};
@@ -54,7 +54,7 @@ const SECONDS: f64 = 8.0;
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let folder = args.output.clone().unwrap_or_else(|| unused(Path::new(DEFAULT_OUTPUT)));
     let output = Output::at(&folder, OutputKind::Demo, args.force, &[])?;
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), None, PredictionDevice::Cpu)?;
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), None, ComputeDevice::Cpu)?;
     let comparison = Comparison::new(surrogate.description());
     let info = PageInfo {
         command: "demo",

@@ -13,9 +13,11 @@ use super::{
     Interrupt, TerminalProgress,
     output::{Output, OutputKind},
 };
-use crate::cli::SimulateArgs;
-use eddy_evaluation::dataset::simulate::{Job, SimulateError, SimulationRequest, Source};
-use eddy_mpm::Settings;
+use crate::cli::{ComputeDevice, SimulateArgs};
+use eddy_evaluation::dataset::simulate::{
+    Job, MOST_SCENES, SimulateError, SimulationRequest, Source,
+};
+use eddy_mpm::{Accelerator, Settings};
 use eddy_settings::usage::Usage;
 use source::source;
 
@@ -26,7 +28,15 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         (Some(output), true) => Some(Output::at(output, OutputKind::Bags, true, &[])?),
         _ => None,
     };
-    let at_once = args.publish.is_some().then_some(1);
+    let mut device = open(args.device)?;
+    let at_once = match (&args.publish, &device) {
+        (Some(link), Some(_)) => {
+            bail!("{link}: --publish simulates on the processor; omit --device")
+        }
+        (Some(_), None) => Some(1),
+        (None, Some(_)) => Some(MOST_SCENES),
+        (None, None) => None,
+    };
     let job = Job::plan(&request, args.output.as_deref(), at_once).map_err(with_usage)?;
     let present = job.present();
     if let (Some(output), 1..) = (&args.output, present) {
@@ -41,7 +51,9 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let outcome = match (&args.publish, &store) {
         (Some(link), store) => publish::run(&job, link, &args, store.as_ref(), quiet, interrupt),
         (None, Some(store)) => {
-            let summary = job.write(store, &TerminalProgress::new(quiet, interrupt));
+            let progress = TerminalProgress::new(quiet, interrupt);
+            let device = device.as_mut().map(|device| &mut **device as &mut dyn Accelerator);
+            let summary = job.write(store, &progress, device);
             if !job.planned().is_empty() {
                 println!("{summary}");
             }
@@ -55,6 +67,23 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     outcome?;
     room.into_iter().for_each(Output::replaced);
     Ok(())
+}
+
+/// The device of this name; `None` for the processor.
+fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
+    match device {
+        ComputeDevice::Cpu => Ok(None),
+        #[cfg(feature = "cuda")]
+        ComputeDevice::Cuda(number) => {
+            use eddy_cuda::{
+                gpu::{Gpu, Precision},
+                solver::{Constants, Solvers},
+            };
+            let cache = eddy_learning::model::kernel_cache();
+            let gpu = Gpu::new(number.into(), &Constants, Precision::Fp32, cache.as_deref())?;
+            Ok(Some(Box::new(Solvers::new(std::sync::Arc::new(gpu)))))
+        }
+    }
 }
 
 /// An invalid request is wrong usage: its numbers are all from the command line.
@@ -85,6 +114,7 @@ fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
         seed: args.seed,
         settings: Settings { stiffness, law, viscosity, substeps, duration },
         fields: args.fields,
+        device: (args.device != ComputeDevice::Cpu).then_some("cuda"),
         threads: args.threads,
     })
 }

@@ -210,10 +210,12 @@ kernels! {
     SolverLoad = "solver_load",
     /// The same way back.
     SolverStore = "solver_store",
-    /// Particles of each tile.
+    /// Particles of each cell.
     SolverCount = "solver_count",
-    /// First particle of each tile.
-    SolverScan = "solver_scan",
+    /// Places for the particles of each tile.
+    SolverTiles = "solver_tiles",
+    /// Tiles whose nodes particles touch.
+    SolverTouch = "solver_touch",
     /// Particles by tiles.
     SolverMove = "solver_move",
     /// Gather, motion, law and scatter of particles.

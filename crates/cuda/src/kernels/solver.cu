@@ -17,8 +17,10 @@ typedef unsigned long long u64;
 #define MARGIN 2
 #define PATCH (TILE + 2 * MARGIN + 2)
 #define PATCH_NODES (PATCH * PATCH)
+#define ROW 24              // from a row of sums in shared memory to the next: 4 rows of 8 lie in different banks
+#define SUMS (PATCH * ROW)
+#define CELLS (TILE * TILE) // of a tile
 #define THREADS 128        // of a block of solver_particles
-#define SCAN_THREADS 512   // of the block of solver_scan
 #define NONE 0xffffffffu
 
 // A sum of numbers below 2^LIMIT_BITS as integers: `high` in units of 2^-HIGH_BITS, `low` in units of 2^-LOW_BITS of those.
@@ -115,7 +117,7 @@ extern "C" __global__ void __launch_bounds__(256) solver_store(const Scene* __re
   copy_particle(state_at(host, n), s.first + k, state_at(base, n), places[s.first + k]);
 }
 
-// Counts the particles of each tile; each learns how many came before, in any order.
+// Counts the particles of each cell of each tile; each learns how many in its cell came before, in any order.
 // grid and block as above
 extern "C" __global__ void __launch_bounds__(256) solver_count(const Scene* __restrict__ scenes, float* base, u32* __restrict__ keys, u32* __restrict__ arrivals, u32* __restrict__ counts, u32 n) {
   const Scene& s = scenes[blockIdx.y];
@@ -128,57 +130,76 @@ extern "C" __global__ void __launch_bounds__(256) solver_count(const Scene* __re
   // One that is lost goes anywhere: its scene is not computed any more.
   const bool inside = lowest_node(s, position.x, 0, &cell, &x) & lowest_node(s, position.y, 1, &cell, &y);
   const u32 tile = s.first_tile + (inside ? (u32)x / TILE * s.tiles[1] + (u32)y / TILE : 0);
-  keys[p] = tile;
-  arrivals[p] = atomicAdd(&counts[tile], 1u);
+  const u32 key = tile * CELLS + (inside ? (u32)x % TILE * TILE + (u32)y % TILE : 0);
+  keys[p] = key;
+  arrivals[p] = atomicAdd(&counts[key], 1u);
 }
 
-// First particle of each tile; the list of tiles that have any, and each one's place in it. Scenes that had to wait for this
-// go on.
-// grid 1, block SCAN_THREADS
-extern "C" __global__ void __launch_bounds__(SCAN_THREADS) solver_scan(const u32* __restrict__ counts, u32* __restrict__ starts, u32* __restrict__ slots, u32* __restrict__ list, u32* __restrict__ total, u32 tiles, Status* __restrict__ status, u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scenes) {
-  __shared__ u32 particles[SCAN_THREADS], active[SCAN_THREADS];
-  const u32 t = threadIdx.x;
-  const u32 from = (u32)((u64)tiles * t / SCAN_THREADS), to = (u32)((u64)tiles * (t + 1) / SCAN_THREADS);
-  u32 here = 0, any = 0;
-  for (u32 k = from; k < to; k++) {
-    here += counts[k];
-    any += counts[k] > 0;
+// What changes when particles are sorted.
+struct Sorted {
+  u32 active;  // tiles with particles
+  u32 touched; // tiles with nodes in patches of those
+};
+
+// Places for the particles of each tile, and for its patch. Scenes that had to wait for this go on. The lists are in any
+// order, on which no result depends.
+// grid ceil(tiles / 256), block 256
+extern "C" __global__ void __launch_bounds__(256) solver_tiles(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const uint4* __restrict__ counts, u32* __restrict__ taken, u32* __restrict__ starts, u32* __restrict__ ends, u32* __restrict__ slots, u32* __restrict__ list, Sorted* __restrict__ sorted, u32 tile_count, Status* __restrict__ status, u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scene_count) {
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  for (u32 scene = k; scene < scene_count; scene += gridDim.x * 256) {
+    drifted[scene] = 0;
+    status[scene].stopped = lost[scene] != NONE;
   }
-  particles[t] = here;
-  active[t] = any;
-  __syncthreads();
-  for (u32 by = 1; by < SCAN_THREADS; by *= 2) {
-    const u32 before = t >= by ? particles[t - by] : 0, before_active = t >= by ? active[t - by] : 0;
-    __syncthreads();
-    particles[t] += before;
-    active[t] += before_active;
-    __syncthreads();
+  if (k >= tile_count) return;
+  u32 count = 0;
+  for (u32 i = 0; i < CELLS / 4; i++) {
+    const uint4 four = counts[k * (CELLS / 4) + i];
+    count += four.x + four.y + four.z + four.w;
   }
-  u32 start = particles[t] - here, slot = active[t] - any;
-  for (u32 k = from; k < to; k++) {
-    starts[k] = start;
-    slots[k] = counts[k] > 0 ? slot : NONE;
-    if (counts[k] > 0) list[slot++] = k;
-    start += counts[k];
-  }
-  if (t == SCAN_THREADS - 1) {
-    starts[tiles] = start;
-    *total = slot;
-  }
-  for (u32 s = t; s < scenes; s += SCAN_THREADS) {
-    drifted[s] = 0;
-    status[s].stopped = lost[s] != NONE;
-  }
+  slots[k] = NONE;
+  if (count == 0) return;
+  starts[k] = scenes[tiles[k].scene].first + atomicAdd(&taken[tiles[k].scene], count);
+  ends[k] = starts[k] + count;
+  slots[k] = atomicAdd(&sorted->active, 1u);
+  list[slots[k]] = k;
 }
 
-// Particles by tiles.
+// The slot of the tile beside another one; NONE where it has no particles or is outside.
+__device__ __forceinline__ u32 slot_beside(const Scene& s, const Tile& tile, const u32* slots, int across, int along) {
+  const int x = (int)tile.x + across, y = (int)tile.y + along;
+  if (x < 0 || y < 0 || x >= (int)s.tiles[0] || y >= (int)s.tiles[1]) return NONE;
+  return slots[s.first_tile + (u32)x * s.tiles[1] + (u32)y];
+}
+
+// Lists the tiles with nodes in patches, in any order.
+// grid and block as above
+extern "C" __global__ void __launch_bounds__(256) solver_touch(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ slots, u32* __restrict__ touched, Sorted* __restrict__ sorted, u32 tile_count) {
+  const u32 k = blockIdx.x * 256 + threadIdx.x;
+  if (k >= tile_count) return;
+  const Tile tile = tiles[k];
+  const Scene& s = scenes[tile.scene];
+  bool any = false;
+  for (int across = -1; across <= 1; across++)
+    for (int along = -1; along <= 1; along++) any = any || slot_beside(s, tile, slots, across, along) != NONE;
+  if (any) touched[atomicAdd(&sorted->touched, 1u)] = k;
+}
+
+// Particles by tiles: the first of each cell, then the second of each, and so on, so that the threads of a warp add to
+// different nodes.
 // grid (ceil(largest scene / 256), scenes), block 256
-extern "C" __global__ void __launch_bounds__(256) solver_move(const Scene* __restrict__ scenes, float* from_base, float* to_base, const u32* __restrict__ keys, const u32* __restrict__ arrivals, const u32* __restrict__ starts, u32* __restrict__ places, u32 n) {
+extern "C" __global__ void __launch_bounds__(256) solver_move(const Scene* __restrict__ scenes, float* from_base, float* to_base, const u32* __restrict__ keys, const u32* __restrict__ arrivals, const u32* __restrict__ starts, const uint4* __restrict__ counts, u32* __restrict__ places, u32 n) {
   const Scene& s = scenes[blockIdx.y];
   const u32 k = blockIdx.x * 256 + threadIdx.x;
   if (k >= s.particles) return;
   const State from = state_at(from_base, n), to = state_at(to_base, n);
-  const u32 p = s.first + k, place = starts[keys[p]] + arrivals[p];
+  const u32 p = s.first + k, key = keys[p], tile = key / CELLS, own = key % CELLS, arrival = arrivals[p];
+  u32 place = starts[tile];
+  for (u32 i = 0; i < CELLS / 4; i++) {
+    const uint4 four = counts[tile * (CELLS / 4) + i];
+    const u32 count[4] = {four.x, four.y, four.z, four.w};
+#pragma unroll
+    for (u32 j = 0; j < 4; j++) place += min(count[j], arrival) + (4 * i + j < own && count[j] > arrival);
+  }
   copy_particle(to, place, from, p);
   to.identity[place] = from.identity[p];
   places[s.first + (from.identity[p] >> 2)] = place;
@@ -259,23 +280,23 @@ __device__ __forceinline__ Stress solid(const Scene& s, u32 material, float4* f,
   return {shear * (xx * f->x + xy * f->y) + tension, shear * (xx * f->z + xy * f->w), shear * (yx * f->z + yy * f->w) + tension};
 }
 
-// Adds a number below 2^LIMIT_BITS to a sum.
+// Adds a number below 2^(LIMIT_BITS + HIGH_BITS), in units of `high`, to a sum.
 __device__ __forceinline__ void add(u32* high, u32* low, float v) {
-  const float scaled = v * (float)(1 << HIGH_BITS), shifted = scaled + ROUND;
-  const float rest = scaled - (shifted - ROUND); // exact
+  const float shifted = v + ROUND;
+  const float rest = v - (shifted - ROUND); // exact
   atomicAdd(high, bits_of(shifted) - ROUND_BITS);
   atomicAdd(low, bits_of(rest * (float)(1 << LOW_BITS) + ROUND) - ROUND_BITS);
 }
 
 // Gather, motion, law and scatter of the particles of a tile.
 // grid about the number of tiles with particles, block THREADS
-extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ list, const u32* __restrict__ total, const u32* __restrict__ starts, float* base, u32 n, const float4* __restrict__ nodes, long long* __restrict__ patches, const Status* __restrict__ status, u32* __restrict__ drifted, u32* __restrict__ lost) {
+extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ list, const Sorted* __restrict__ sorted, const u32* __restrict__ starts, const u32* __restrict__ ends, float* base, u32 n, const float4* __restrict__ nodes, long long* __restrict__ patches, const Status* __restrict__ status, u32* __restrict__ drifted, u32* __restrict__ lost) {
   __shared__ float4 near[PATCH_NODES]; // velocity (domain lengths per s) and mass of the nodes before the substep
-  __shared__ u32 high[3 * PATCH_NODES], low[3 * PATCH_NODES];
-  __shared__ long long sums[3 * PATCH_NODES];
+  __shared__ uint4 sums[6 * SUMS / 4]; // three sums: the high parts, then the low ones
+  u32 *const high = (u32*)sums, *const low = high + 3 * SUMS;
   const State state = state_at(base, n);
   const u32 t = threadIdx.x;
-  for (u32 slot = blockIdx.x; slot < *total; slot += gridDim.x) {
+  for (u32 slot = blockIdx.x; slot < sorted->active; slot += gridDim.x) {
     const u32 number = list[slot];
     const Tile tile = tiles[number];
     const Scene& s = scenes[tile.scene];
@@ -284,20 +305,23 @@ extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Sce
     const bool gathers = now.done > 0, scatters = now.done < s.substeps;
     const int origin_x = (int)(tile.x * TILE) - MARGIN, origin_y = (int)(tile.y * TILE) - MARGIN;
     __syncthreads(); // the tile before is done
-    for (u32 k = t; k < PATCH_NODES; k += THREADS) {
-      const int x = origin_x + (int)(k / PATCH), y = origin_y + (int)(k % PATCH);
-      const bool there = gathers && x >= 0 && y >= 0 && x < (int)s.sides[0] && y < (int)s.sides[1];
-      near[k] = there ? nodes[s.first_node + (u32)x * s.sides[1] + (u32)y] : float4{0.0f, 0.0f, 0.0f, 0.0f};
+    for (u32 row = t / 16; row < PATCH; row += THREADS / 16) {
+      if (t % 16 >= PATCH || !gathers) continue;
+      const int x = origin_x + (int)row, y = origin_y + (int)(t % 16);
+      const bool there = x >= 0 && y >= 0 && x < (int)s.sides[0] && y < (int)s.sides[1];
+      near[row * PATCH + t % 16] = there ? nodes[s.first_node + (u32)x * s.sides[1] + (u32)y] : float4{0.0f, 0.0f, 0.0f, 0.0f};
     }
-    for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) high[k] = low[k] = 0, sums[k] = 0;
+    for (u32 k = t; k < 6 * SUMS / 4; k += THREADS) sums[k] = uint4{0, 0, 0, 0};
     __syncthreads();
-    const u32 end = starts[number + 1];
+    long long* patch = patches + (u64)slot * 3 * PATCH_NODES;
+    const u32 end = ends[number];
     u32 added = 0;
+    bool first_batch = true;
     for (u32 first = starts[number]; first < end; first += THREADS) {
       const u32 p = first + t;
       if (p < end) {
-        float2 x = state.position[p], v = state.velocity[p];
-        float4 c = state.affine[p], f = state.deformation[p];
+        float2 x = state.position[p], v;
+        float4 c, f = state.deformation[p];
         const u32 identity = state.identity[p], material = identity & 3;
         float cell_x, cell_y, wx[3], wy[3];
         int i, j;
@@ -332,8 +356,11 @@ extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Sce
           x.x += s.dt * v.x;
           x.y += s.dt * v.y;
           state.position[p] = x;
-          state.velocity[p] = v;
-          state.affine[p] = c;
+          // Nobody reads them before the next gather.
+          if (!scatters) {
+            state.velocity[p] = v;
+            state.affine[p] = c;
+          }
           if (material == LIQUID && s.water) {
             // The area relaxes towards the density of the grid (`water::corrected`).
             const float density = s.per_cell / mass, target = real(MAX_AREA) < density ? real(MAX_AREA) : density;
@@ -341,6 +368,9 @@ extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Sce
             area += (target - area) * fminf(s.dt / real(RELAXATION_TIME), 1.0f);
             f.x = f.w = sqrtf(area);
           }
+        } else {
+          v = state.velocity[p];
+          c = state.affine[p];
         }
         inside = lowest_node(s, x.x, 0, &cell_x, &i) & lowest_node(s, x.y, 1, &cell_y, &j);
         // Within the patch, and within the patch without the outermost cell of its margin.
@@ -351,7 +381,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Sce
           // (I + dt C) F
           const float one_x = 1.0f + s.dt * c.x, one_y = 1.0f + s.dt * c.w, cross_x = s.dt * c.y, cross_y = s.dt * c.z;
           float4 trial = {one_x * f.x + cross_x * f.z, one_x * f.y + cross_x * f.w, cross_y * f.x + one_y * f.z, cross_y * f.y + one_y * f.w};
-          float plastic = state.plastic[p];
+          float plastic = material == SNOW ? state.plastic[p] : 1.0f;
           const Stress stress = material == LIQUID ? liquid(s, c, &trial) : solid(s, material, &trial, &plastic);
           f = trial;
           if (material == SNOW) state.plastic[p] = plastic;
@@ -364,35 +394,43 @@ extern "C" __global__ void __launch_bounds__(THREADS) solver_particles(const Sce
             const float fx = cell_x - (float)i, fy = cell_y - (float)j;
             spline_weights(fx, wx);
             spline_weights(fy, wy);
-            const u32 at = (u32)px * PATCH + (u32)py;
+            // Both factors are powers of two: nothing is rounded here that would not be without them.
+            const float mass = (float)(1 << HIGH_BITS), unit = s.unit;
+            const u32 at = (u32)px * ROW + (u32)py;
 #pragma unroll
-            for (int a = 0; a < 3; a++)
+            for (int a = 0; a < 3; a++) {
+              const float across = (float)a - fx, w = mass * wx[a];
+              const float row_x = unit * (v.x + xx * across), row_y = unit * (v.y + yx * across);
 #pragma unroll
               for (int b = 0; b < 3; b++) {
-                const float w = wx[a] * wy[b], dx = (float)a - fx, dy = (float)b - fy;
-                const u32 node = at + a * PATCH + b;
-                add(high + node, low + node, w);
-                add(high + PATCH_NODES + node, low + PATCH_NODES + node, s.unit * (w * (v.x + xx * dx + xy * dy)));
-                add(high + 2 * PATCH_NODES + node, low + 2 * PATCH_NODES + node, s.unit * (w * (v.y + yx * dx + yy * dy)));
+                const float along = unit * ((float)b - fy), weight = w * wy[b];
+                const u32 node = at + a * ROW + b;
+                add(high + node, low + node, weight);
+                add(high + SUMS + node, low + SUMS + node, weight * (row_x + xy * along));
+                add(high + 2 * SUMS + node, low + 2 * SUMS + node, weight * (row_y + yy * along));
               }
+            }
           }
         }
         state.deformation[p] = f;
         if (!inside) atomicMin(&lost[tile.scene], identity >> 2);
       }
       added += THREADS;
-      if (added == BATCH || first + THREADS >= end) {
-        added = 0;
+      if (scatters && (added == BATCH || first + THREADS >= end)) {
         __syncthreads();
-        for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) {
-          sums[k] += (long long)(int)high[k] * (1 << LOW_BITS) + (int)low[k];
-          high[k] = low[k] = 0;
+        // 16 threads have a row of nodes.
+        for (u32 row = t / 16; row < 3 * PATCH; row += THREADS / 16) {
+          if (t % 16 >= PATCH) continue;
+          const u32 at = row * ROW + t % 16, k = row * PATCH + t % 16;
+          const long long sum = (long long)(int)high[at] * (1 << LOW_BITS) + (int)low[at];
+          patch[k] = first_batch ? sum : patch[k] + sum;
+          high[at] = low[at] = 0;
         }
+        first_batch = false;
+        added = 0;
         __syncthreads();
       }
     }
-    if (!scatters) continue;
-    for (u32 k = t; k < 3 * PATCH_NODES; k += THREADS) patches[(u64)slot * 3 * PATCH_NODES + k] = sums[k];
   }
 }
 
@@ -412,37 +450,37 @@ __device__ __forceinline__ float walled(float velocity, u32 index, u32 side) {
 }
 
 // Velocities of the nodes; what the scenes have done.
-// grid about the number of tiles, block TILE * TILE
-extern "C" __global__ void __launch_bounds__(TILE * TILE) solver_nodes(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ slots, u32 tile_count, const long long* __restrict__ patches, float4* __restrict__ nodes, const Status* __restrict__ status, Status* __restrict__ next, const u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scene_count) {
+// grid about the number of tiles, block CELLS
+extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ slots, const u32* __restrict__ touched, const Sorted* __restrict__ sorted, const long long* __restrict__ patches, float4* __restrict__ nodes, const Status* __restrict__ status, Status* __restrict__ next, const u32* __restrict__ drifted, const u32* __restrict__ lost, u32 scene_count) {
   const u32 t = threadIdx.x;
   if (blockIdx.x == 0)
-    for (u32 k = t; k < scene_count; k += TILE * TILE) {
+    for (u32 k = t; k < scene_count; k += CELLS) {
       const Status now = status[k];
       const bool runs = !now.stopped && now.done <= scenes[k].substeps;
       next[k] = {now.done + (runs ? 1u : 0u), now.stopped || drifted[k] || lost[k] != NONE};
     }
   const int i = (int)(t / TILE), j = (int)(t % TILE);
-  for (u32 number = blockIdx.x; number < tile_count; number += gridDim.x) {
-    const Tile tile = tiles[number];
+  // The patches of this tile and of the one that is nearer on each axis, if its patch reaches this far, cover the node.
+  const int across = i < PATCH - TILE - MARGIN ? -1 : (i >= TILE - MARGIN ? 1 : 0);
+  const int along = j < PATCH - TILE - MARGIN ? -1 : (j >= TILE - MARGIN ? 1 : 0);
+  for (u32 k = blockIdx.x; k < sorted->touched; k += gridDim.x) {
+    const Tile tile = tiles[touched[k]];
     const Scene& s = scenes[tile.scene];
     const Status now = status[tile.scene];
     if (now.stopped || now.done >= s.substeps) continue;
     long long sum = 0, sum_x = 0, sum_y = 0;
 #pragma unroll
-    for (int a = -1; a <= 1; a++)
-#pragma unroll
-      for (int b = -1; b <= 1; b++) {
-        // The patch of the tile at (a, b) from here has its own margin.
-        const int x = i - TILE * a + MARGIN, y = j - TILE * b + MARGIN;
-        const int tx = (int)tile.x + a, ty = (int)tile.y + b;
-        if (x < 0 || y < 0 || x >= PATCH || y >= PATCH || tx < 0 || ty < 0 || tx >= (int)s.tiles[0] || ty >= (int)s.tiles[1]) continue;
-        const u32 slot = slots[s.first_tile + (u32)tx * s.tiles[1] + (u32)ty];
-        if (slot == NONE) continue;
-        const long long* patch = patches + (u64)slot * 3 * PATCH_NODES + x * PATCH + y;
-        sum += patch[0];
-        sum_x += patch[PATCH_NODES];
-        sum_y += patch[2 * PATCH_NODES];
-      }
+    for (int patch = 0; patch < 4; patch++) {
+      const int a = patch / 2 * across, b = patch % 2 * along;
+      if ((patch / 2 && !across) || (patch % 2 && !along)) continue;
+      const u32 slot = slot_beside(s, tile, slots, a, b);
+      if (slot == NONE) continue;
+      // The patch begins MARGIN nodes before its tile.
+      const long long* sums = patches + (u64)slot * 3 * PATCH_NODES + (i - TILE * a + MARGIN) * PATCH + j - TILE * b + MARGIN;
+      sum += sums[0];
+      sum_x += sums[PATCH_NODES];
+      sum_y += sums[2 * PATCH_NODES];
+    }
     const u32 gx = tile.x * TILE + (u32)i, gy = tile.y * TILE + (u32)j;
     if (sum <= 0 || gx >= s.sides[0] || gy >= s.sides[1]) continue;
     const float mass = (float)sum * (1.0f / (float)(1ll << (HIGH_BITS + LOW_BITS)));

@@ -157,11 +157,11 @@ impl Layout {
     /// Memory of the device that these scenes take (bytes).
     pub(super) fn bytes(&self) -> u64 {
         let lists = 2 * NUMBERS + 3;
-        let per_scene = size_of::<Row>() + 2 * size_of::<[u32; 2]>() + 2 * size_of::<u32>();
+        let per_scene = size_of::<Row>() + 2 * size_of::<[u32; 2]>() + 3 * size_of::<u32>();
         let numbers = [
             (self.particles, 4 * lists),
-            // Tile, count, start, slot, place in the list.
-            (self.tiles.len(), size_of::<[u32; 3]>() + 4 * size_of::<u32>()),
+            // Place, first and last particle, slot, two lists; counts of its cells.
+            (self.tiles.len(), size_of::<[u32; 3]>() + (5 + TILE * TILE) * size_of::<u32>()),
             (self.most_active(), size_of::<i64>() * PATCH),
             (self.nodes, size_of::<[f32; 4]>()),
             (self.rows.len(), per_scene),

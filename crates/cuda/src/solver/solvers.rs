@@ -4,7 +4,7 @@
 //!
 //! | stage | a block has | reads | writes |
 //! |---|---|---|---|
-//! | count, scan, move | 256 particles; all tiles | positions | particles sorted by tiles |
+//! | count, tiles, touch, move | 256 particles or tiles | positions | particles sorted by tiles |
 //! | particles | a tile of 8 x 8 cells | particles, nodes around the tile | particles, a patch of 14 x 14 nodes |
 //! | nodes | 8 x 8 nodes | the patches that cover them | velocity and mass of nodes |
 //!
@@ -29,12 +29,10 @@ use crate::{
 
 /// Substeps of a round, at most: after that many, the particles of a tile are no longer near it.
 const MOST_SUBSTEPS: u32 = 64;
-/// Threads of a block over the particles of a scene.
+/// Threads of a block over the particles of a scene, or over tiles.
 const THREADS: usize = 256;
 /// Threads of a block of a tile, `THREADS` of the kernels.
 const TILE_THREADS: usize = 128;
-/// Threads of the block that numbers the tiles, `SCAN_THREADS` of the kernels.
-const SCAN_THREADS: usize = 512;
 /// Blocks over tiles, at most; each goes on with further tiles.
 const BLOCKS: usize = 16384;
 /// No particle is lost, `NONE` of the kernels.
@@ -152,16 +150,22 @@ struct Loaded {
     scenes: Buffer,
     /// The particles' states, and the same sorted.
     states: [Buffer; 2],
-    /// Tile of each particle, its place among those of the tile, and where each scene's particles are.
+    /// Cell of each particle, its place among those of the cell, and where each scene's particles are.
     keys: Buffer,
     arrivals: Buffer,
     places: Buffer,
     tiles: Buffer,
-    tile_counts: Buffer,
+    /// Particles of each cell of the tiles.
+    counts: Buffer,
+    /// Places of particles that each scene has given to its tiles, and those of each tile.
+    taken: Buffer,
     starts: Buffer,
+    ends: Buffer,
+    /// Patch of each tile; the tiles with particles, and those with nodes in their patches.
     slots: Buffer,
     list: Buffer,
-    active: Buffer,
+    touched: Buffer,
+    sorted: Buffer,
     patches: Buffer,
     nodes: Buffer,
     /// Before and after a substep, in turn.
@@ -197,11 +201,14 @@ impl Loaded {
             arrivals: list(n)?,
             places: list(n)?,
             tiles: list(3 * tiles)?,
-            tile_counts: list(tiles)?,
-            starts: list(tiles + 1)?,
+            counts: list(TILE * TILE * tiles)?,
+            taken: list(scenes)?,
+            starts: list(tiles)?,
+            ends: list(tiles)?,
             slots: list(tiles)?,
             list: list(layout.most_active())?,
-            active: list(1)?,
+            touched: list(tiles)?,
+            sorted: list(2)?,
             patches: device.allocate(PATCH * layout.most_active().max(1) * size_of::<i64>())?,
             nodes: list(4 * layout.nodes)?,
             status: [status()?, status()?],
@@ -322,26 +329,41 @@ impl Loaded {
     fn launch_sort(&self, device: &dyn Device) -> Result<()> {
         let length = self.host.length();
         let [from, to] = self.states.each_ref();
-        device.clear(Queue::Main, &self.tile_counts)?;
+        let tiles = self.layout.tiles.len();
+        for zero in [&self.counts, &self.taken, &self.sorted] {
+            device.clear(Queue::Main, zero)?;
+        }
         let count = [
             self.scenes.address().into(),
             from.address().into(),
             self.keys.address().into(),
             self.arrivals.address().into(),
-            self.tile_counts.address().into(),
+            self.counts.address().into(),
             length.into(),
         ];
-        let scan = [
-            self.tile_counts.address().into(),
+        let place = [
+            self.scenes.address().into(),
+            self.tiles.address().into(),
+            self.counts.address().into(),
+            self.taken.address().into(),
             self.starts.address().into(),
+            self.ends.address().into(),
             self.slots.address().into(),
             self.list.address().into(),
-            self.active.address().into(),
-            self.layout.tiles.len().into(),
+            self.sorted.address().into(),
+            tiles.into(),
             self.status[0].address().into(),
             self.drifted.address().into(),
             self.lost.address().into(),
             self.layout.rows.len().into(),
+        ];
+        let touch = [
+            self.scenes.address().into(),
+            self.tiles.address().into(),
+            self.slots.address().into(),
+            self.touched.address().into(),
+            self.sorted.address().into(),
+            tiles.into(),
         ];
         let rearrange = [
             self.scenes.address().into(),
@@ -350,16 +372,17 @@ impl Loaded {
             self.keys.address().into(),
             self.arrivals.address().into(),
             self.starts.address().into(),
+            self.counts.address().into(),
             self.places.address().into(),
             length.into(),
         ];
-        let shape = self.over_particles();
+        let over_tiles = Shape::new(tiles.div_ceil(THREADS), 1, THREADS);
         // SAFETY: as above.
         unsafe {
-            device.launch(Queue::Main, Kernel::SolverCount, shape, &count)?;
-            let all_tiles = Shape::new(1, 1, SCAN_THREADS);
-            device.launch(Queue::Main, Kernel::SolverScan, all_tiles, &scan)?;
-            device.launch(Queue::Main, Kernel::SolverMove, shape, &rearrange)?;
+            device.launch(Queue::Main, Kernel::SolverCount, self.over_particles(), &count)?;
+            device.launch(Queue::Main, Kernel::SolverTiles, over_tiles, &place)?;
+            device.launch(Queue::Main, Kernel::SolverTouch, over_tiles, &touch)?;
+            device.launch(Queue::Main, Kernel::SolverMove, self.over_particles(), &rearrange)?;
         }
         device.copy(from, to)
     }
@@ -367,12 +390,13 @@ impl Loaded {
     /// A substep of the scenes that are not done with theirs; `status` before and after.
     fn launch_substep(&self, device: &dyn Device, status: [Address; 2]) -> Result<()> {
         let tiles = self.layout.tiles.len();
-        let particles: [Argument; 12] = [
+        let particles: [Argument; 13] = [
             self.scenes.address().into(),
             self.tiles.address().into(),
             self.list.address().into(),
-            self.active.address().into(),
+            self.sorted.address().into(),
             self.starts.address().into(),
+            self.ends.address().into(),
             self.states[0].address().into(),
             self.host.length().into(),
             self.nodes.address().into(),
@@ -381,11 +405,12 @@ impl Loaded {
             self.drifted.address().into(),
             self.lost.address().into(),
         ];
-        let nodes: [Argument; 11] = [
+        let nodes: [Argument; 12] = [
             self.scenes.address().into(),
             self.tiles.address().into(),
             self.slots.address().into(),
-            tiles.into(),
+            self.touched.address().into(),
+            self.sorted.address().into(),
             self.patches.address().into(),
             self.nodes.address().into(),
             status[0].into(),

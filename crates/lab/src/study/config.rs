@@ -225,6 +225,7 @@ impl DataConfig {
             seed: self.seed,
             settings: Settings { duration: self.duration, ..Settings::default() },
             fields: false,
+            device: None,
             threads: None,
         })
     }

@@ -147,7 +147,7 @@ impl SimulateError {
     pub(super) fn is_of_the_scene(&self) -> bool {
         match self {
             Self::Scene { reason, .. } => reason.is_of_the_scene(),
-            Self::Mpm(_) => true,
+            Self::Mpm(reason) => !matches!(reason, MpmError::Device(_)),
             _ => false,
         }
     }

@@ -36,6 +36,9 @@ pub(super) struct RecordedRequest {
     /// Whether pressure and energy of every particle are recorded.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) fields: bool,
+    /// The kind of device, unless the processor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) device: Option<String>,
 }
 
 /// Initial conditions of a scene.

@@ -3,7 +3,7 @@
 //! 1. [`source`]: where scenes come from: a preset and a seed, or a file.
 //! 2. [`plan`]: sets up every scene once, so that an invalid request, or one that exceeds the memory, is rejected before
 //!    anything is written.
-//! 3. [`write`]: simulates scenes in parallel, each into a bag ([`recording`]).
+//! 3. [`write`]: simulates scenes in parallel, each into a bag ([`recording`]); [`side_by_side`] does so on a device.
 //! 4. [`staging`] and [`manifest`]: a scene is written to `.incomplete/scene_0007`, entered in the
 //!    manifest, then moved to `scene_0007`. So a bag with its final name is complete, and a scene with an entry but no
 //!    directory is simulated again.
@@ -12,6 +12,7 @@ mod error;
 mod manifest;
 mod plan;
 mod recording;
+mod side_by_side;
 mod source;
 mod staging;
 #[cfg(test)]
@@ -21,12 +22,13 @@ mod write;
 use std::{num::NonZeroUsize, path::Path};
 
 use eddy_frames::progress::Progress;
-use eddy_mpm::{MpmError, Scene, Settings, Simulation};
+use eddy_mpm::{Accelerator, MpmError, Scene, Settings, Simulation};
 pub use error::SimulateError;
 pub use manifest::{EnergyCurve, Finished, Start, recorded_scenes};
 use manifest::{Manifest, RecordedRequest};
 pub use plan::Planned;
 pub use recording::{Recording, Store};
+pub use side_by_side::MOST_SCENES;
 pub use source::Source;
 pub use write::Summary;
 
@@ -50,6 +52,8 @@ pub struct SimulationRequest {
     pub settings: Settings,
     /// Whether to record pressure and energy of every particle.
     pub fields: bool,
+    /// The kind of device that computes, whose bits are its own; the processor if not given.
+    pub device: Option<&'static str>,
     /// Threads: one per scene; surplus threads share the work within scenes. By default one per scene, at most one per
     /// core.
     pub threads: Option<NonZeroUsize>,
@@ -84,6 +88,7 @@ impl SimulationRequest {
             particles: self.source.unusual_particles(),
             settings: self.settings,
             fields: self.fields,
+            device: self.device.map(Into::into),
         }
     }
 
@@ -113,7 +118,7 @@ pub fn simulate(
         progress.message(&job.present_scenes(output));
     }
     let store = job.open_store(output)?;
-    let summary = job.write(&store, progress);
+    let summary = job.write(&store, progress, None);
     store.close();
     if !job.planned.is_empty() {
         progress.message(&summary.to_string());
@@ -198,9 +203,14 @@ impl Job {
         Store::open(output, &self.request.recorded(), self.manifest.as_ref())
     }
 
-    /// Simulates the planned scenes in parallel, each into a bag.
-    pub fn write(&self, store: &Store, progress: &dyn Progress) -> Summary {
-        self.pool.install(|| write::write(self, store, progress))
+    /// Simulates the planned scenes, each into a bag: in parallel, or side by side on a device.
+    pub fn write(
+        &self,
+        store: &Store,
+        progress: &dyn Progress,
+        device: Option<&mut dyn Accelerator>,
+    ) -> Summary {
+        self.pool.install(|| write::write(self, store, progress, device))
     }
 }
 

@@ -1,6 +1,7 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
+    sync::Arc,
     sync::atomic::{AtomicU64, Ordering},
     time::SystemTime,
 };
@@ -9,8 +10,10 @@ use tempfile::TempDir;
 
 use super::*;
 use eddy_bag::BagReader;
+use eddy_cuda::solver::{Constants, Solvers};
+use eddy_cuda_emulator::Emulator;
 use eddy_frames::progress::Silent;
-use eddy_mpm::{Extent, Preset};
+use eddy_mpm::{Extent, Interval, Preset, Solver};
 
 /// Two frames of each scene, on one thread.
 fn request(scenes: u32) -> SimulationRequest {
@@ -22,6 +25,7 @@ fn request(scenes: u32) -> SimulationRequest {
         seed: 1,
         settings: Settings { duration: Some(0.032), ..Settings::default() },
         fields: false,
+        device: None,
         threads: NonZeroUsize::new(1),
     }
 }
@@ -215,4 +219,84 @@ fn bytes_are_formatted_in_the_largest_unit() {
         assert_eq!(plan::bytes(count), expected);
     }
     assert_eq!(plan::bytes(u64::MAX), "16.00 EiB");
+}
+
+/// The kernels of GPUs on the processor.
+fn emulated() -> Solvers {
+    Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()))
+}
+
+#[test]
+fn scenes_side_by_side_on_a_device_are_those_of_the_processor() {
+    let ((_a, here), (_b, there)) = (output(), output());
+    let request = request(3);
+    simulate(&request, &here, &Silent).unwrap().complete().unwrap();
+    let job = Job::plan(&request, Some(&there), Some(MOST_SCENES)).unwrap();
+    let store = job.open_store(&there).unwrap();
+    let summary = job.write(&store, &Silent, Some(&mut emulated()));
+    assert_eq!(summary.to_string(), format!("3 scenes, 6 frames: {}", there.display()));
+    summary.complete().unwrap();
+    store.close();
+    assert_eq!(names(&there), ["manifest.json", "scene_0000", "scene_0001", "scene_0002"]);
+    for id in 0..3 {
+        let [expected, found] = [&here, &there].map(|output| {
+            let bag = BagReader::open(&output.join(directory(id))).unwrap();
+            bag.frames(TRUTH_TOPIC).unwrap().collect::<Result<Vec<_>, _>>().unwrap()
+        });
+        assert_eq!(expected.len(), found.len());
+        for (expected, found) in expected.iter().zip(&found) {
+            assert_eq!(expected.stamp, found.stamp);
+            let pairs = expected.position.iter().zip(&found.position);
+            let far = pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum::<f32>();
+            assert!(far / (found.len() as f32) < 1e-4, "scene {id}: {far}");
+        }
+    }
+}
+
+/// A device with room for two scenes that fails after it was loaded so often.
+struct Failing(Solvers, u32);
+
+impl Accelerator for Failing {
+    fn has_room(&self, solvers: &[&Solver]) -> Result<bool, MpmError> {
+        Ok(solvers.len() <= 2)
+    }
+
+    fn load(&mut self, solvers: &[&Solver]) -> Result<(), MpmError> {
+        assert!(solvers.len() <= 2);
+        self.1 -= 1;
+        self.0.load(solvers)
+    }
+
+    fn run(&mut self, intervals: &[Interval]) -> Result<Vec<Result<(), usize>>, MpmError> {
+        if self.1 == 0 {
+            return Err(MpmError::Device("GPU: cuStreamSynchronize failed: it is gone".into()));
+        }
+        self.0.run(intervals)
+    }
+
+    fn fetch(&self, solvers: &mut [&mut Solver]) {
+        self.0.fetch(solvers);
+    }
+}
+
+#[test]
+fn finished_scenes_stay_when_a_device_fails_and_the_others_are_resumed() {
+    let (_folder, output) = output();
+    let run = |loads: u32| {
+        let job = Job::plan(&request(5), Some(&output), Some(MOST_SCENES)).unwrap();
+        let store = job.open_store(&output).unwrap();
+        let mut device = Failing(emulated(), loads);
+        let outcome = job.write(&store, &Silent, Some(&mut device)).complete();
+        store.close();
+        outcome
+    };
+    let error = run(2).unwrap_err().to_string();
+    // The manifest and at least the first scene.
+    let finished = names(&output).len() - 1;
+    assert!((1..5).contains(&finished), "{finished}");
+    let expected =
+        format!("{finished} of 5 scenes are finished and kept; run the same command again");
+    assert!(error.contains("it is gone") && error.contains(&expected), "{error}");
+    run(u32::MAX).unwrap();
+    assert_eq!(names(&output).len(), 6);
 }

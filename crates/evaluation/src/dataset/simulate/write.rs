@@ -13,8 +13,10 @@ use super::{
     manifest::Finished,
     plan::Planned,
     recording::{Recording, Store},
+    side_by_side,
 };
 use eddy_frames::{counted, progress::Progress};
+use eddy_mpm::Accelerator;
 
 /// Outcome of a request.
 #[derive(Debug)]
@@ -65,8 +67,14 @@ impl fmt::Display for Summary {
     }
 }
 
-/// Simulates the planned scenes. A failure stops the others only if they would fail for the same reason.
-pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summary {
+/// Simulates the planned scenes, on a device if there is one. A failure stops the others only if they would fail for the same
+/// reason.
+pub(super) fn write(
+    job: &Job,
+    store: &Store,
+    progress: &dyn Progress,
+    device: Option<&mut dyn Accelerator>,
+) -> Summary {
     let (present, scenes) = (job.present(), job.request.scenes);
     let mut summary = Summary {
         finished: Vec::new(),
@@ -82,8 +90,12 @@ pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summar
     let frames = job.planned.iter().map(|scene| scene.most_frames).sum();
     progress.begin(frames, "frames");
     let workers = Workers { job, store, progress, aborted: AtomicBool::new(false) };
-    let outcomes: Vec<Result<Option<Finished>, SimulateError>> =
-        job.planned.par_iter().with_max_len(1).map(|scene| workers.scene(scene)).collect();
+    let outcomes: Vec<Result<Option<Finished>, SimulateError>> = match device {
+        Some(device) => {
+            side_by_side::simulate(&workers, device).into_iter().map(|one| one.map(Some)).collect()
+        }
+        None => job.planned.par_iter().with_max_len(1).map(|scene| workers.scene(scene)).collect(),
+    };
     progress.finish();
     summary.cancelled = progress.cancelled();
     for outcome in outcomes {
@@ -96,10 +108,10 @@ pub(super) fn write(job: &Job, store: &Store, progress: &dyn Progress) -> Summar
 }
 
 /// Shared by the threads.
-struct Workers<'a> {
-    job: &'a Job,
-    store: &'a Store,
-    progress: &'a dyn Progress,
+pub(super) struct Workers<'a> {
+    pub(super) job: &'a Job,
+    pub(super) store: &'a Store,
+    pub(super) progress: &'a dyn Progress,
     /// Set when a failure was not due to its scene, but to the disk, for example.
     aborted: AtomicBool,
 }
@@ -107,18 +119,18 @@ struct Workers<'a> {
 impl Workers<'_> {
     /// Simulates one scene; `None` when it was cancelled or aborted.
     fn scene(&self, planned: &Planned) -> Result<Option<Finished>, SimulateError> {
-        let outcome = self.simulate(planned);
-        if let Err(error) = &outcome {
-            // Frees space for the other scenes and the manifest.
-            let _ = self.store.discard(planned.start.id);
-            if !error.is_of_the_scene() {
-                self.aborted.store(true, Ordering::Relaxed);
-            }
+        self.simulate(planned).map_err(|reason| self.failed(planned, reason))
+    }
+
+    /// Removes what a failed scene has written, and names the scene.
+    pub(super) fn failed(&self, planned: &Planned, reason: SimulateError) -> SimulateError {
+        // Frees space for the other scenes and the manifest.
+        let _ = self.store.discard(planned.start.id);
+        if !reason.is_of_the_scene() {
+            self.aborted.store(true, Ordering::Relaxed);
         }
-        outcome.map_err(|reason| SimulateError::Scene {
-            scene: self.job.scene_name(planned.start.id),
-            reason: Box::new(reason),
-        })
+        let scene = self.job.scene_name(planned.start.id);
+        SimulateError::Scene { scene, reason: Box::new(reason) }
     }
 
     fn simulate(&self, planned: &Planned) -> Result<Option<Finished>, SimulateError> {
@@ -142,7 +154,8 @@ impl Workers<'_> {
         Ok(Some(finished))
     }
 
-    fn stops(&self) -> bool {
+    /// Whether no further frames are wanted.
+    pub(super) fn stops(&self) -> bool {
         self.progress.cancelled() || self.aborted.load(Ordering::Relaxed)
     }
 }
