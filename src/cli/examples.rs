@@ -11,6 +11,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
             "eddy simulate --preset kinds --scenes 20 --seed 1 --output bags/mm",
             "eddy simulate --scene launch_configs/scenes/dam_break.toml --output bags/dam",
             "eddy simulate --preset snowball --publish zenoh:/particles",
+            "eddy simulate --preset kinds --scenes 400 --device cuda --output bags/gpu",
         ],
     ),
     (

@@ -232,4 +232,7 @@ fn a_gpu_that_is_not_there_is_refused() {
     // Without a driver, and with one but without so many GPUs.
     says(&fail(1, arguments.into_iter().chain(["cuda:99"])), &["device: found no", "expected"]);
     says(&fail(2, arguments.into_iter().chain(["gpu"])), &["--device", "cpu, cuda or cuda:N"]);
+    let simulate = ["simulate", "--output", &folder.path("truth"), "--device", "cuda:99"];
+    says(&fail(1, simulate), &["device: found no", "expected"]);
+    assert!(!Path::new(&folder.path("truth")).exists(), "nothing is written");
 }

@@ -47,7 +47,7 @@ fn block(corner: [f32; 2], velocity: [f32; 2], material: Material) -> Vec<Partic
 
 /// A device.
 fn solvers() -> Solvers {
-    Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()))
+    Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()), 0)
 }
 
 /// Loads solvers, runs an interval of each, and fetches their particles.

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 pub enum CudaError {
     /// There is no NVIDIA driver on this machine.
     #[error(
-        "device: found no NVIDIA driver (libcuda.so.1), expected one; use --device flex for the CPU"
+        "device: found no NVIDIA driver (libcuda.so.1), expected one; omit --device cuda to compute on the processor"
     )]
     NoDriver,
     /// A library is missing that is loaded at run time.

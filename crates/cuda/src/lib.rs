@@ -1,4 +1,4 @@
-//! eddy's networks on NVIDIA GPUs.
+//! eddy's networks and its solver on NVIDIA GPUs.
 //!
 //! 1. [`device`]: what the networks need of a device; [`gpu`] is one; tests have another, that of the
 //!    crate `eddy-cuda-emulator`.

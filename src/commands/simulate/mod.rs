@@ -80,8 +80,9 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
                 solver::{Constants, Solvers},
             };
             let cache = eddy_learning::model::kernel_cache();
-            let gpu = Gpu::new(number.into(), &Constants, Precision::Fp32, cache.as_deref())?;
-            Ok(Some(Box::new(Solvers::new(std::sync::Arc::new(gpu)))))
+            let number = number.into();
+            let gpu = Gpu::new(number, &Constants, Precision::Fp32, cache.as_deref())?;
+            Ok(Some(Box::new(Solvers::new(std::sync::Arc::new(gpu), number))))
         }
     }
 }

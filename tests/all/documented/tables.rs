@@ -82,7 +82,7 @@ pub const NOT_HERE: &[(&str, &str)] = &[
     ("cargo install --locked --path .", "already built"),
     ("cargo build --release -p eddy-cuda-emulator --examples", "recompiles dependencies"),
     (
-        "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference target/release/examples/particle_inference",
+        "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference target/release/examples/particle_inference target/release/examples/solver",
         "needs an NVIDIA GPU and PyTorch",
     ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),

@@ -41,13 +41,15 @@ const NONE: u32 = u32::MAX;
 /// Solvers on a device.
 pub struct Solvers {
     device: Arc<dyn Device>,
+    /// The GPU's number, for errors.
+    number: usize,
     loaded: Option<Loaded>,
 }
 
 impl Solvers {
-    /// None yet, on a device with the kernels of [`Constants`](super::Constants).
-    pub fn new(device: Arc<dyn Device>) -> Self {
-        Self { device, loaded: None }
+    /// None yet, on the GPU of this number, which has the kernels of [`Constants`](super::Constants).
+    pub fn new(device: Arc<dyn Device>, number: usize) -> Self {
+        Self { device, number, loaded: None }
     }
 
     /// Runs an interval without copying the particles from and to the solvers, for measurements.
@@ -61,7 +63,7 @@ impl Solvers {
         self.loaded.as_mut().expect("solvers are loaded first").advance(&*self.device, intervals)
     }
 
-    /// Memory of the device that solvers take beside those that it has (bytes), and what is free for them.
+    /// Memory of the device that solvers take in place of those that it has (bytes), and what is free for them.
     fn room(&self, layout: &Layout) -> Result<(u64, u64)> {
         let held = self.loaded.as_ref().map_or(0, |loaded| loaded.layout.bytes());
         Ok((layout.bytes(), self.device.free_memory()?.saturating_add(held)))
@@ -72,7 +74,7 @@ impl Solvers {
         let (needed, free) = self.room(&layout)?;
         if needed > free {
             return Err(CudaError::Memory {
-                device: 0,
+                device: self.number,
                 needed: needed.div_ceil(1 << 20),
                 free: free >> 20,
                 remedy: "increase the spacing, reduce the domain or the number of particles",

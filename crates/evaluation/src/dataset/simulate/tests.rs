@@ -9,6 +9,7 @@ use std::{
 use tempfile::TempDir;
 
 use super::*;
+use crate::dataset::TRUTH_TOPIC;
 use eddy_bag::BagReader;
 use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;
@@ -135,7 +136,7 @@ fn an_output_directory_is_used_by_one_job_at_a_time() {
     let store = first.open_store(&output).unwrap();
     let error = second.open_store(&output).unwrap_err();
     assert!(matches!(error, SimulateError::Locked { .. }), "{error}");
-    first.write(&store, &Silent).complete().unwrap();
+    first.write(&store, &Silent, None).complete().unwrap();
     store.close();
     // The scene that the second has planned is finished now.
     let error = second.open_store(&output).unwrap_err();
@@ -223,7 +224,7 @@ fn bytes_are_formatted_in_the_largest_unit() {
 
 /// The kernels of GPUs on the processor.
 fn emulated() -> Solvers {
-    Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()))
+    Solvers::new(Arc::new(Emulator::new(&Constants).unwrap()), 0)
 }
 
 #[test]
