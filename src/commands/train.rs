@@ -1,6 +1,9 @@
 //! `eddy train`: from bags to a checkpoint.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use anyhow::{Context as _, bail};
 use eddy_evaluation::{
@@ -10,7 +13,8 @@ use eddy_evaluation::{
 };
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::{Architecture, GpuOptions, kernel_cache},
+    model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
+    ranks::{Process, ProcessOptions, Timing},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
@@ -38,8 +42,13 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     allocator::keep_freed_memory();
     let config = settings(&args)?;
     let runs = runs(&args, &config)?;
+    let device = args.device.resolve(config.runs_on_gpus());
+    let process = process(&args, device)?;
+    // The others write nothing, and what rank 0 prints is enough.
+    let leads = process.as_ref().is_none_or(Process::leads);
+    let quiet = quiet || !leads;
     let mut rooms = Vec::new();
-    for (_, output) in &runs {
+    for (_, output) in runs.iter().filter(|_| leads) {
         match check_output(output, args.resume) {
             Err(TrainError::Exists { .. }) if args.force => {
                 rooms.push(Output::at(output, OutputKind::Checkpoint, true, &args.data)?);
@@ -47,7 +56,6 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             outcome => outcome?,
         }
     }
-    let device = args.device.resolve(config.runs_on_gpus());
     device.check()?;
     ensure_usage!(
         args.gpus.get() == 1 || device != device.through_burn(),
@@ -72,6 +80,14 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
                 count: args.gpus,
                 precision: args.precision,
                 kernel_cache: kernel_cache.as_deref(),
+                process: process.as_ref().map(|process| ProcessOptions {
+                    process,
+                    timing: Timing {
+                        deadline: Duration::from_secs_f64(args.rendezvous_timeout),
+                        ..Timing::default()
+                    },
+                    abandon: &abandon,
+                }),
             },
             output,
             resume: args.resume,
@@ -93,7 +109,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         if !quiet {
             summarize(&args, config, &dataset, output, &outcome)?;
         }
-        if outcome.best.is_none() {
+        if leads && outcome.best.is_none() {
             bail!("{}: interrupted before the first epoch ended", output.display());
         }
         let interrupted = outcome.interrupted;
@@ -102,21 +118,63 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             break;
         }
     }
-    if outcomes.len() > 1 {
+    if leads && outcomes.len() > 1 {
         let table = comparison(&outcomes, config.validation.horizon);
         println!("{}", table.framed(terminal::columns()));
     }
-    match failure {
-        None => {
-            rooms.into_iter().for_each(Output::replaced);
-            Ok(())
-        }
-        Some(error) if runs.len() == 1 => Err(error.into()),
-        Some(error) => {
+    let Some(failure) = failure else {
+        rooms.into_iter().for_each(Output::replaced);
+        return Ok(());
+    };
+    let has_lost_another = matches!(failure, TrainError::OtherProcess { .. });
+    let error = match runs.as_slice() {
+        [_] => anyhow::Error::new(failure),
+        _ => {
             let seed = runs[outcomes.len()].0.seed;
-            Err(anyhow::Error::new(error).context(format!("seed {seed}")))
+            anyhow::Error::new(failure).context(format!("seed {seed}"))
         }
+    };
+    if has_lost_another {
+        drop(rooms);
+        abandon(&format!("{error:#}"));
     }
+    Err(error)
+}
+
+/// The place of this process among several that train together, as torchrun or Slurm say it. On the CPU, tasks of Slurm are runs
+/// of their own.
+fn process(args: &TrainArgs, device: DeviceKind) -> anyhow::Result<Option<Process>> {
+    let process = Process::from_environment();
+    if device == device.through_burn() {
+        if let Ok(Some(process)) = process {
+            let (count, variable) = (process.count, process.count_variable);
+            let is_meant = variable == "WORLD_SIZE" || args.device != device;
+            ensure_usage!(
+                count == 1 || !is_meant,
+                "--device: found {} with {variable}={count}, expected --device cuda: processes train together on NVIDIA \
+                 GPUs only",
+                args.device.name()
+            );
+        }
+        return Ok(None);
+    }
+    let process = process?;
+    if let Some(Process { count, count_variable, .. }) = &process {
+        ensure_usage!(
+            args.gpus.get() == 1,
+            "--gpus: found {} with {count_variable}={count}, expected 1: each process has one GPU",
+            args.gpus
+        );
+    }
+    Ok(process)
+}
+
+/// Ends this process, whose libraries may still wait for one that was lost.
+fn abandon(sentence: &str) {
+    eprintln!("eddy: {sentence}");
+    terminal::flush();
+    // Without the libraries' own ends: NCCL's may be waiting too, or fail.
+    signal_hook::low_level::exit(1);
 }
 
 /// The defaults of the architecture, then the file, then the command line.

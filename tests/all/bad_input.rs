@@ -12,7 +12,7 @@ use eddy_inference::checkpoint::Checkpoint;
 use eddy_messages::{Message, RosString, cdr};
 use tempfile::TempDir;
 
-use crate::support::{fail, simulate, succeed, unique};
+use crate::support::{eddy, fail, simulate, succeed, unique};
 
 struct Folder(TempDir);
 
@@ -143,7 +143,7 @@ fn an_unknown_config_key_is_named_with_its_file() {
 fn a_busy_port_is_named() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
-    let output = crate::support::eddy()
+    let output = eddy()
         .args(["node", "--input", "zenoh:/busy/particles", "--output", "zenoh:/busy/prediction"])
         .env("ZENOH_CONFIG_OVERRIDE", format!("listen/endpoints=[\"tcp/127.0.0.1:{port}\"]"))
         .output()
@@ -229,6 +229,27 @@ fn a_gpu_that_is_not_there_is_refused() {
     let arguments = ["predict", "--input", &bag, "--output", &folder.path("out"), "--device"];
     let train = ["train", "--data", &bag, "--output", &folder.path("out"), "--gpus", "2"];
     says(&fail(2, train), &["--gpus: found 2 with --device flex", "expected --device cuda"]);
+    let variables = |found: &[(&str, &str)], device: &str, expected: &[&str]| {
+        let mut command = eddy();
+        command.args([
+            "train",
+            "--data",
+            &bag,
+            "--output",
+            &folder.path("out"),
+            "--device",
+            device,
+        ]);
+        let output = command.envs(found.iter().copied()).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success());
+        says(&message, expected);
+    };
+    let two = [("RANK", "0"), ("LOCAL_RANK", "0"), ("WORLD_SIZE", "2"), ("MASTER_ADDR", "host")];
+    variables(&two, "flex", &["--device: found flex with WORLD_SIZE=2", "expected --device cuda"]);
+    let parts =
+        ["WORLD_SIZE: found nothing", "number of processes, since RANK is set (by torchrun)"];
+    variables(&two[..2], "cuda:15", &parts);
     // Without a driver, and with one but without so many GPUs.
     says(&fail(1, arguments.into_iter().chain(["cuda:99"])), &["device: found no", "expected"]);
     says(&fail(2, arguments.into_iter().chain(["gpu"])), &["--device", "cpu, cuda or cuda:N"]);

@@ -8,7 +8,7 @@ use std::{
     ffi::c_void,
     fs,
     process::Command,
-    sync::{Arc, Barrier, Mutex, OnceLock},
+    sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
 };
 
 use libloading::Library;
@@ -39,9 +39,28 @@ struct Peers {
 
 /// What the devices of a group share.
 struct Group {
+    exchange: Mutex<Exchange>,
+    changed: Condvar,
+}
+
+/// An exchange between devices.
+struct Exchange {
     /// The numbers of each device that are to be averaged.
-    numbers: Mutex<Vec<Vec<f32>>>,
-    barrier: Barrier,
+    numbers: Vec<Vec<f32>>,
+    /// Devices that have brought theirs.
+    arrived: usize,
+    /// Exchanges that are complete.
+    complete: u64,
+    /// The means of the last one.
+    means: Vec<f32>,
+    /// Whether a device has left.
+    left: bool,
+}
+
+impl Group {
+    fn exchange(&self) -> MutexGuard<'_, Exchange> {
+        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// Compiled libraries by their text.
@@ -76,8 +95,10 @@ impl Emulator {
     /// # Errors
     /// As [`Self::new`].
     pub fn group(program: &dyn Program, count: usize) -> Result<Vec<Self>> {
-        let numbers = Mutex::new(vec![Vec::new(); count]);
-        let group = Arc::new(Group { numbers, barrier: Barrier::new(count) });
+        let numbers = vec![Vec::new(); count];
+        let exchange =
+            Exchange { numbers, arrived: 0, complete: 0, means: Vec::new(), left: false };
+        let group = Arc::new(Group { exchange: Mutex::new(exchange), changed: Condvar::new() });
         let member = |number| {
             let peers = Peers { rank: Rank { number, count }, group: group.clone() };
             Ok(Self { peers: Some(peers), ..Self::new(program)? })
@@ -234,15 +255,38 @@ impl Device for Emulator {
         let Some(Peers { rank, group }) = &self.peers else { return Ok(()) };
         // SAFETY: the caller's promise.
         let here = unsafe { std::slice::from_raw_parts_mut(pointer(at).cast::<f32>(), numbers) };
-        let all = || group.numbers.lock().unwrap_or_else(|broken| broken.into_inner());
-        all()[rank.number] = here.to_vec();
-        group.barrier.wait();
-        for (number, here) in here.iter_mut().enumerate() {
-            *here = all().iter().map(|of| of[number]).sum::<f32>() / rank.count as f32;
+        let mut exchange = group.exchange();
+        exchange.numbers[rank.number] = here.to_vec();
+        exchange.arrived += 1;
+        if exchange.arrived == rank.count {
+            let Exchange { numbers, means, .. } = &mut *exchange;
+            let mean = |number: usize| {
+                numbers.iter().map(|of| of[number]).sum::<f32>() / rank.count as f32
+            };
+            *means = (0..here.len()).map(mean).collect();
+            exchange.arrived = 0;
+            exchange.complete += 1;
+            group.changed.notify_all();
+        } else {
+            let complete = exchange.complete;
+            let waits = |state: &mut Exchange| state.complete == complete && !state.left;
+            exchange =
+                group.changed.wait_while(exchange, waits).unwrap_or_else(PoisonError::into_inner);
+            if exchange.complete == complete {
+                let reason = "another device of the group has failed".to_owned();
+                return Err(CudaError::Call { call: "average", reason });
+            }
         }
-        // Nobody brings new numbers before all have read these.
-        group.barrier.wait();
+        // The next exchange is complete only when this device has come again.
+        here.copy_from_slice(&exchange.means);
         Ok(())
+    }
+
+    fn leave_group(&self) {
+        if let Some(Peers { group, .. }) = &self.peers {
+            group.exchange().left = true;
+            group.changed.notify_all();
+        }
     }
 
     unsafe fn multiply(&self, _: Queue, product: &Product) -> Result<()> {

@@ -85,6 +85,14 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference target/release/examples/particle_inference target/release/examples/solver",
         "needs an NVIDIA GPU and PyTorch",
     ),
+    (
+        "torchrun --no-python --nproc-per-node 2 eddy train --data bags/mm --architecture frame --device cuda --output checkpoints/frame",
+        "needs two NVIDIA GPUs; tests/gpu/processes sets the variables",
+    ),
+    (
+        "srun --ntasks 2 --gpus 2 eddy train --data bags/mm --architecture frame --device cuda --output checkpoints/frame",
+        "needs two NVIDIA GPUs; tests/gpu/processes sets the variables",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (

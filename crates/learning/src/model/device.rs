@@ -9,6 +9,8 @@ use std::{
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
+use crate::ranks::ProcessOptions;
+
 /// A compute device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
@@ -224,12 +226,27 @@ pub struct GpuOptions<'a> {
     pub precision: Precision,
     /// Folder that compiled kernels are kept in, none to compile them each time.
     pub kernel_cache: Option<&'a Path>,
+    /// This process among several that train together, each on one GPU: that of the device's number plus the
+    /// process's number on its host.
+    pub process: Option<ProcessOptions<'a>>,
+}
+
+impl GpuOptions<'_> {
+    /// GPUs that train together, of all processes.
+    pub fn total(&self) -> usize {
+        self.process.map_or(self.count.get(), |options| options.process.count)
+    }
 }
 
 impl Default for GpuOptions<'_> {
     /// One GPU, in TF32, without a folder.
     fn default() -> Self {
-        Self { count: NonZeroUsize::MIN, precision: Precision::default(), kernel_cache: None }
+        Self {
+            count: NonZeroUsize::MIN,
+            precision: Precision::default(),
+            kernel_cache: None,
+            process: None,
+        }
     }
 }
 

@@ -14,14 +14,17 @@ use super::{
     steps::Step,
     window::{Draw, Sampler},
 };
-use crate::model::{GpuOptions, Precision};
+use crate::{
+    model::{GpuOptions, Precision},
+    ranks::{Group, Process},
+};
 use eddy_cuda::{
-    device::Device,
+    device::{Device, Rank},
     frame::{
         Batch, GROUP, Inference, Outcome, Place, Settings, Store, StoreWriter, Streams, Training,
         Window, footprint,
     },
-    gpu::{self, Gpu},
+    gpu::{self, Gpu, GroupId},
     kernels::{Constants, MATERIALS},
 };
 use eddy_evaluation::dataset::Trajectory;
@@ -147,6 +150,31 @@ pub(super) struct Learner {
     streams: Option<Streams>,
 }
 
+/// The number of a process's GPU among those of its host. Where a launcher lets each process see a GPU of its own only,
+/// that one has the number 0.
+fn own_number(process: Option<&Process>) -> Result<usize, TrainError> {
+    let Some(process) = process else { return Ok(0) };
+    let is_single = process.local_rank > 0 && gpu::list()?.len() == 1;
+    Ok(if is_single { 0 } else { process.local_rank })
+}
+
+/// The name of a new group of GPUs, which rank 0 tells the other processes.
+fn share_id(group: &Group) -> Result<GroupId, TrainError> {
+    if group.leads() {
+        let id = GroupId::new()?;
+        group.tell(&id.bytes().map(|byte| format!("{byte:02x}")).concat());
+        return Ok(id);
+    }
+    let word = group.hear()?;
+    let byte = |at: usize| u8::from_str_radix(word.get(2 * at..2 * at + 2)?, 16).ok();
+    let bytes: Option<Vec<u8>> = (0..word.len() / 2).map(byte).collect();
+    let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+    bytes.map(GroupId::from_bytes).ok_or_else(|| {
+        let expected = "the name of a group of GPUs";
+        TrainError::Setting { field: "word of rank 0", found: word.clone(), expected }
+    })
+}
+
 /// A GPU with the network: all have the same weights.
 struct Replica {
     device: Arc<dyn Device>,
@@ -164,6 +192,7 @@ impl Learner {
     pub(super) fn new(
         number: usize,
         options: GpuOptions,
+        group: Option<&Group>,
         host_free: u64,
         config: &TrainConfig,
         description: &Description,
@@ -174,7 +203,7 @@ impl Learner {
             Precision::Tf32 => gpu::Precision::Tf32,
             Precision::Fp32 => gpu::Precision::Fp32,
         };
-        let (count, cache) = (options.count.get(), options.kernel_cache);
+        let (count, cache) = (options.total(), options.kernel_cache);
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {
             return Err(TrainError::Setting {
@@ -183,9 +212,17 @@ impl Learner {
                 expected: "a multiple of the number of GPUs",
             });
         }
-        let gpus = match count {
-            1 => vec![Gpu::new(number, &constants, precision, cache)?],
-            _ => Gpu::group(number..number + count, &constants, precision, cache)?,
+        let number = number + own_number(options.process.map(|options| options.process))?;
+        let gpus = match (group, options.count.get()) {
+            (Some(group), _) => {
+                let mut gpu = Gpu::new(number, &constants, precision, cache)?;
+                let id = share_id(group)?;
+                let rank = options.process.map_or(0, |options| options.process.rank);
+                gpu.join(id, Rank { number: rank, count })?;
+                vec![gpu]
+            }
+            (None, 1) => vec![Gpu::new(number, &constants, precision, cache)?],
+            (None, count) => Gpu::group(number..number + count, &constants, precision, cache)?,
         };
         let stages: Vec<_> =
             config.unroll.iter().map(|stage| settings(config, stage.frames, count)).collect();
@@ -203,20 +240,31 @@ impl Learner {
             places.push(place);
         }
         let devices = gpus.into_iter().map(|gpu| Arc::new(gpu) as Arc<dyn Device>);
-        Self::on(devices.zip(places), streams)
+        Self::on(devices.zip(places), group, streams)
     }
 
-    /// Of any devices, with the place of their trajectories.
+    /// Of any devices, with the place of their trajectories. If another process of the group is lost, they end their
+    /// waiting for it.
     pub(super) fn on(
         devices: impl IntoIterator<Item = (Arc<dyn Device>, Place)>,
+        group: Option<&Group>,
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
         let replica = |(device, place): (Arc<dyn Device>, Place)| {
             let store = Arc::new(store(&*device, streams, place)?);
             Ok(Replica { device, store, training: None })
         };
-        let replicas = devices.into_iter().map(replica).collect::<Result<_, TrainError>>()?;
+        let replicas = devices.into_iter().map(replica).collect::<Result<Vec<_>, TrainError>>()?;
+        if let Some(group) = group {
+            let devices: Vec<_> = replicas.iter().map(|replica| replica.device.clone()).collect();
+            group.on_gone(move || devices.iter().for_each(|device| device.leave_group()));
+        }
         Ok(Self { replicas, streams: None })
+    }
+
+    /// Devices that share a batch, those of other processes included.
+    fn count(&self) -> usize {
+        self.replicas.first().map_or(1, |replica| replica.device.rank().count)
     }
 
     /// Takes the run's weights and moments onto the devices, for steps of its stage.
@@ -225,7 +273,7 @@ impl Learner {
         task: &GradientTask,
         state: &RunState,
     ) -> Result<(), TrainError> {
-        let count = self.replicas.len();
+        let count = self.count();
         self.replicas.iter_mut().try_for_each(|replica| replica.begin(task, state, count))
     }
 
@@ -241,7 +289,7 @@ impl Learner {
         state: &mut RunState,
     ) -> Result<Vec<Step>, TrainError> {
         let GradientTask { config, scale, .. } = task;
-        let part = config.windows.batch / self.replicas.len();
+        let part = config.windows.batch / self.count();
         let mut batches = vec![Vec::new(); self.replicas.len()];
         let mut drawn = Vec::new();
         for &rate in rates {
@@ -249,7 +297,9 @@ impl Learner {
             let masks = state.dropout.fork();
             state.adam.steps += 1;
             let correction = Correction::new(state.adam.steps, rate, &config.optimizer);
-            for (draws, batches) in draws.chunks(part).zip(&mut batches) {
+            for (replica, batches) in self.replicas.iter().zip(&mut batches) {
+                let first = replica.device.rank().number * part;
+                let draws = &draws[first..first + part];
                 let relative = config.loss.kind == LossKind::Relative;
                 let own =
                     relative.then(|| weights(scale, sampler, draws, state.unroll)).transpose()?;

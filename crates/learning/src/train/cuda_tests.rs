@@ -30,10 +30,10 @@ use eddy_inference::{
     engine::{Ballistic, Surrogate},
 };
 
-const PARTICLES: usize = 21;
+pub(super) const PARTICLES: usize = 21;
 
 /// Two streams of particles that move at random.
-fn streams() -> Vec<Trajectory> {
+pub(super) fn streams() -> Vec<Trajectory> {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let mut pairs = |low: f32, high: f32| -> Vec<[f32; 2]> {
         (0..PARTICLES).map(|_| [(); 2].map(|()| random.random_range(low..high))).collect()
@@ -58,7 +58,7 @@ fn streams() -> Vec<Trajectory> {
 }
 
 /// A small network, with everything that a training may ask for switched on.
-fn config(core: Core) -> TrainConfig {
+pub(super) fn config(core: Core) -> TrainConfig {
     let mut config = TrainConfig::defaults(Architecture::Frame);
     config.core = core;
     config.network.encoder = 13;
@@ -77,7 +77,7 @@ fn config(core: Core) -> TrainConfig {
     config
 }
 
-fn description(config: &TrainConfig) -> Description {
+pub(super) fn description(config: &TrainConfig) -> Description {
     let mut description =
         Description::untrained(Architecture::Frame, config.core, config.sizes(PARTICLES));
     description.frame = config.network.frame;
@@ -115,7 +115,7 @@ fn named(description: &Description, tensors: Vec<Vec<f32>>) -> BTreeMap<String, 
 }
 
 /// The difference of two lists, relative to the second.
-fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
+pub(super) fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
     let difference = norm(&mut found.iter().zip(expected).map(|(a, b)| f64::from(a - b)));
@@ -318,7 +318,7 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (found, found_losses) = run(&|| {
         let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
         Learner::Cuda(Box::new(
-            cuda::Learner::on([(device as Arc<dyn Device>, Place::Host)], &streams).unwrap(),
+            cuda::Learner::on([(device as Arc<dyn Device>, Place::Host)], None, &streams).unwrap(),
         ))
     });
 

@@ -11,7 +11,8 @@
 //! 9. `validate`: free rollouts over streams that are not trained on.
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file.
 //! 11. `state`, `resume`, `record`, `moments`: the state of a run between batches, and how it is saved and resumed.
-//! 12. `footprint`: the memory and disk space that a run needs, estimated before it starts.
+//! 12. `together`: several processes that train together.
+//! 13. `footprint`: the memory and disk space that a run needs, estimated before it starts.
 //!
 //! [`train`] is the training loop. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
 //! network for the paper's comparison of activations.
@@ -43,6 +44,10 @@ mod schedule;
 mod state;
 pub mod step_benchmark;
 mod steps;
+mod together;
+#[cfg(test)]
+#[cfg(feature = "cuda")]
+mod together_tests;
 mod validate;
 mod window;
 
@@ -55,11 +60,16 @@ pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::test_skill;
 
-use std::{path::Path, time::Duration};
+use std::{mem::swap, path::Path, time::Duration};
 
-use crate::model::{DeviceKind, GpuOptions};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{
+    model::{DeviceKind, GpuOptions, dropout::Dropout},
+    ranks::Group,
+};
 use eddy_evaluation::dataset::Dataset;
-use eddy_frames::progress::Progress;
+use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::Ballistic,
@@ -105,11 +115,16 @@ impl Run<'_> {
             name.to_owned()
         } else {
             let precision = self.gpu.precision.name();
-            match self.gpu.count.get() {
+            match self.gpu.total() {
                 1 => format!("{name} {precision}"),
                 count => format!("{name} {precision} x{count}"),
             }
         }
+    }
+
+    /// Whether this process decides for all that train together, and writes the files.
+    fn leads(&self) -> bool {
+        self.gpu.process.is_none_or(|options| options.process.leads())
     }
 
     /// Whether there is an epoch to resume from.
@@ -149,7 +164,7 @@ impl Machine {
 pub struct Outcome {
     /// All epochs, including those before the run was resumed.
     pub epochs: Vec<Epoch>,
-    /// The best checkpoint, as saved; none if no epoch was completed.
+    /// The best checkpoint, as saved; none if no epoch was completed, or if another process saves it.
     pub best: Option<Checkpoint>,
     /// Whether the run was interrupted.
     pub interrupted: bool,
@@ -169,12 +184,69 @@ pub struct Outcome {
 /// contains a run or does not match the run to resume, a loss that is not finite, or a file that cannot be written (the best
 /// and the last checkpoint so far are kept).
 pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outcome, TrainError> {
+    let clock = Clock::start();
+    let learner = |description: &Description, group: Option<&Group>| {
+        Learner::new(run, config, description, dataset, group)
+    };
+    train_with(config, dataset, run, &Means { learner: &learner, clock: &|| clock.now() })
+}
+
+/// Opens what takes the steps of a network, beside other processes.
+type Open<'a> = dyn Fn(&Description, Option<&Group>) -> Result<Learner, TrainError> + 'a;
+
+/// What a run gets from outside: in tests, another device and another time.
+struct Means<'a> {
+    /// What takes the steps.
+    learner: &'a Open<'a>,
+    /// The time since any instant.
+    clock: &'a dyn Fn() -> Duration,
+}
+
+fn train_with(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    run: &Run,
+    means: &Means<'_>,
+) -> Result<Outcome, TrainError> {
     config.check()?;
     let mut description = description::describe(config, dataset, &run.command)?;
     check_streams(config, dataset)?;
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
     footprint::check(config, &description, particles, run)?;
-    let state = resume::begin(config, &mut description, run)?;
+    // Rank 0 settles the folder before other processes read it.
+    let leads = run.leads();
+    let begun = leads.then(|| resume::begin(config, &mut description, run)).transpose()?;
+    let group = together::join(config, &description, run)?;
+    let outcome = match begun {
+        Some(state) => Ok(state),
+        None => resume::follow(config, &mut description, run),
+    };
+    let outcome = outcome.and_then(|state| {
+        take_epochs(config, dataset, run, &description, state, group.as_ref(), means)
+    });
+    together::part(group.as_ref(), &outcome);
+    outcome
+}
+
+/// Trains from `state` on.
+fn take_epochs(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    run: &Run,
+    description: &Description,
+    state: RunState,
+    group: Option<&Group>,
+    means: &Means<'_>,
+) -> Result<Outcome, TrainError> {
+    let done = state.epoch();
+    let explained = |error| match group {
+        Some(group) => together::explain(group, error, done, run),
+        None => error,
+    };
+    if let (Some(group), Some(options)) = (group, &run.gpu.process) {
+        together::same_state(group, options.process.rank, &state, description)
+            .map_err(explained)?;
+    }
     if state.is_over(config) {
         let RunState { epochs, best, seconds, samples, .. } = state;
         return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
@@ -183,16 +255,17 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let scale = LossScale {
         loss: &config.loss,
         normalization: &dataset.normalization,
-        ballistic: Ballistic::new(&description),
+        ballistic: Ballistic::new(description),
         common: state.common.clone(),
     };
-    let monitor = Monitor::new(run.output, config, &state, run.progress)?;
-    let description = &description;
-    let learner = Learner::new(run, config, description, dataset)?;
+    let output = run.leads().then_some(run.output);
+    let monitor = Monitor::new(output, config, &state, run.progress, means.clock)?;
+    let learner = (means.learner)(description, group).map_err(explained)?;
     let mut trainer = Trainer {
         config,
         dataset,
         run,
+        group,
         description,
         state,
         sampler,
@@ -201,15 +274,17 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
         learner,
         saved: None,
         has_unsaved_best: false,
-        has_unsaved_epoch: false,
+        unsaved: None,
+        asked_to_stop: false,
     };
     if trainer.state.unroll > 0 {
-        trainer.begin_stage()?;
+        trainer.begin_stage().map_err(explained)?;
     }
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
         let outcome = match trainer.epoch() {
-            Ok(Some(means)) => trainer.validate_and_save(&means),
+            Ok(Some(means)) if trainer.leads() => trainer.validate_and_save(&means),
+            Ok(Some(_)) => trainer.hear_epoch(),
             Ok(None) => {
                 interrupted = true;
                 Ok(())
@@ -217,8 +292,12 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
             Err(error) => Err(error),
         };
         if let Err(error) = outcome {
-            if let Err(second) = trainer.save_best() {
-                tracing::warn!("the best checkpoint is not saved: {second}");
+            let error = match group {
+                Some(group) => together::explain(group, error, trainer.state.epoch(), run),
+                None => error,
+            };
+            if let Err(second) = trainer.save_last_epoch().and_then(|()| trainer.save_best()) {
+                tracing::warn!("the last and the best epoch are not saved: {second}");
             }
             return Err(error);
         }
@@ -234,6 +313,8 @@ struct Trainer<'a> {
     config: &'a TrainConfig,
     dataset: &'a Dataset,
     run: &'a Run<'a>,
+    /// The processes that train together, if there are several.
+    group: Option<&'a Group>,
     description: &'a Description,
     state: RunState,
     sampler: Sampler<'a>,
@@ -244,8 +325,38 @@ struct Trainer<'a> {
     saved: Option<Duration>,
     /// Whether the best checkpoint is yet to be saved.
     has_unsaved_best: bool,
-    /// Whether the last epoch is yet to be saved.
-    has_unsaved_epoch: bool,
+    /// Of the last epoch, if it is yet to be saved.
+    unsaved: Option<Boundary>,
+    /// Whether rank 0 knows that this process wants to stop.
+    asked_to_stop: bool,
+}
+
+/// What changes in the state of a run on a GPU between the end of an epoch and that of the next one.
+struct Boundary {
+    order: ChaCha8Rng,
+    dropout: Dropout,
+    steps: u32,
+    samples: u64,
+}
+
+impl Boundary {
+    fn of(state: &RunState) -> Self {
+        let RunState { order, dropout, adam, samples, .. } = state;
+        Self {
+            order: order.clone(),
+            dropout: dropout.clone(),
+            steps: adam.steps,
+            samples: *samples,
+        }
+    }
+
+    /// Puts it into the state, and takes what was there.
+    fn swap(&mut self, state: &mut RunState) {
+        swap(&mut self.order, &mut state.order);
+        swap(&mut self.dropout, &mut state.dropout);
+        swap(&mut self.steps, &mut state.adam.steps);
+        swap(&mut self.samples, &mut state.samples);
+    }
 }
 
 /// Training loss and learning rate of an epoch.
@@ -256,13 +367,28 @@ struct EpochMeans {
 }
 
 impl Trainer<'_> {
+    /// Whether this process decides for all, and writes the files.
+    fn leads(&self) -> bool {
+        self.run.leads()
+    }
+
+    /// Whether to stop before the next batches.
+    fn stops(&mut self) -> Result<bool, TrainError> {
+        let wants = self.run.progress.cancelled();
+        // Epochs that are not yet saved take less time than saving: the one at hand is finished, and saved.
+        let may = self.unsaved.is_none();
+        match self.group {
+            Some(group) => together::stops(group, wants, may, &mut self.asked_to_stop),
+            None => Ok(wants && may),
+        }
+    }
+
     /// Trains for an epoch; none if it was interrupted.
     fn epoch(&mut self) -> Result<Option<EpochMeans>, TrainError> {
         let (config, epoch) = (self.config, self.state.epoch() + 1);
         let (mut losses, mut learning_rate, mut number) = (0.0, 0.0, 1);
         while number <= config.batches() {
-            // Epochs that are not yet saved take less time than saving: the one at hand is finished, and saved.
-            if self.run.progress.cancelled() && !self.has_unsaved_epoch {
+            if self.stops()? {
                 return Ok(None);
             }
             let progress = |number| schedule::progress(config, epoch, number);
@@ -301,6 +427,8 @@ impl Trainer<'_> {
                 number += 1;
             }
         }
+        // The weights of the epoch before are no longer there.
+        self.unsaved = None;
         self.learner.sync(&mut self.state)?;
         Ok(Some(EpochMeans { loss: losses / config.batches() as f64, learning_rate }))
     }
@@ -310,6 +438,7 @@ impl Trainer<'_> {
         if frames == self.state.unroll {
             return Ok(());
         }
+        self.save_last_epoch()?;
         self.learner.sync(&mut self.state)?;
         self.state.unroll = frames;
         self.sampler = sampler(self.config, self.dataset, frames)?;
@@ -341,7 +470,7 @@ impl Trainer<'_> {
 
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
-        let Self { config, dataset, run, state, monitor, learner, .. } = self;
+        let Self { config, dataset, run, group, state, monitor, learner, .. } = self;
         let tensors = state.tensors(self.description);
         let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
         let surrogate = learner.surrogate(&checkpoint)?;
@@ -365,6 +494,7 @@ impl Trainer<'_> {
         let saves = !learner.is_fast()
             || self.saved.is_none_or(|saved| elapsed >= saved + SAVE_INTERVAL)
             || run.progress.cancelled()
+            || group.is_some_and(Group::asked_to_stop)
             || state.is_over(config);
         if saves {
             // The record names the best epoch: an earlier one must be there before it; this one is in it.
@@ -378,7 +508,10 @@ impl Trainer<'_> {
             self.state.best = Some(checkpoint);
             self.has_unsaved_best = true;
         }
-        self.has_unsaved_epoch = !saves;
+        self.unsaved = (!saves).then(|| Boundary::of(&self.state));
+        if let Some(group) = self.group {
+            together::tell_epoch(group, &epoch);
+        }
         (self.run.on_epoch)(&epoch);
         self.monitor.epoch(&epoch)?;
         if saves {
@@ -386,6 +519,36 @@ impl Trainer<'_> {
             self.saved = Some(self.monitor.elapsed());
         }
         Ok(())
+    }
+
+    /// Takes over rank 0's result of an epoch.
+    fn hear_epoch(&mut self) -> Result<(), TrainError> {
+        let Some(group) = self.group else { return Ok(()) };
+        let epoch = together::hear_epoch(group)?;
+        self.state.epochs.push(epoch);
+        self.state.since_best = if epoch.best { 0 } else { self.state.since_best + 1 };
+        (self.run.on_epoch)(&epoch);
+        self.monitor.epoch(&epoch)
+    }
+
+    /// Saves the last epoch, if it is not yet saved, as long as its weights are those of the state.
+    fn save_last_epoch(&mut self) -> Result<(), TrainError> {
+        let Some(mut boundary) = self.unsaved.take() else { return Ok(()) };
+        let Some(epoch) = self.state.epochs.last().copied() else { return Ok(()) };
+        if !epoch.best {
+            self.save_best()?;
+        }
+        let tensors = self.state.tensors(self.description);
+        let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
+        epoch.summarize(&mut checkpoint.description.training);
+        let now = self.monitor.elapsed();
+        let seconds = self.state.seconds + now.as_secs_f64();
+        boundary.swap(&mut self.state);
+        let outcome = resume::save(self.run, self.config, &self.state, &checkpoint, seconds);
+        boundary.swap(&mut self.state);
+        outcome?;
+        self.saved = Some(now);
+        self.save_best()
     }
 
     /// Saves the best checkpoint, if it is not yet saved.
@@ -404,8 +567,10 @@ impl Trainer<'_> {
         self.monitor.finish();
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();
+        let leads = self.run.leads();
         let RunState { epochs, mut best, samples, .. } = self.state;
-        if let Some(best) = &mut best
+        if leads
+            && let Some(best) = &mut best
             && best.description.training.epochs != done
         {
             best.description.training.epochs = done;

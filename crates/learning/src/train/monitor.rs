@@ -11,10 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{TrainConfig, TrainError, events::EventFile, state::RunState};
 use eddy_evaluation::skill_text;
-use eddy_frames::{
-    clock::{self, Clock},
-    progress::Progress,
-};
+use eddy_frames::{clock, progress::Progress};
 use eddy_inference::checkpoint::TrainingSummary;
 
 /// Name of the table of epochs within the output directory.
@@ -84,12 +81,20 @@ pub(super) struct BatchMetrics {
 /// Reports a run.
 pub(super) struct Monitor<'a> {
     progress: &'a dyn Progress,
-    metrics: NamedFile<File>,
-    events: NamedFile<EventFile>,
-    clock: Clock,
+    /// `None` where another process writes them.
+    files: Option<Files>,
+    clock: &'a dyn Fn() -> Duration,
+    /// What the clock said at the beginning.
+    start: Duration,
     /// Start of the epoch, and training windows up to then.
     epoch_start: (Duration, u64),
     batches: u64,
+}
+
+/// What a run writes beside its checkpoints.
+struct Files {
+    metrics: NamedFile<File>,
+    events: NamedFile<EventFile>,
 }
 
 /// An open file with its path, for errors.
@@ -105,14 +110,9 @@ impl<T> NamedFile<T> {
     }
 }
 
-impl<'a> Monitor<'a> {
-    /// Starts to report a run at `state`; its files go to the directory `output`.
-    pub(super) fn new(
-        output: &Path,
-        config: &TrainConfig,
-        state: &RunState,
-        progress: &'a dyn Progress,
-    ) -> Result<Self, TrainError> {
+impl Files {
+    /// Creates them at `state`.
+    fn create(output: &Path, state: &RunState) -> Result<Self, TrainError> {
         let failed = |file: &Path| {
             let file = file.to_owned();
             move |reason| TrainError::File { file, reason }
@@ -130,17 +130,37 @@ impl<'a> Monitor<'a> {
         let mut events = NamedFile { file, path: output.to_owned() };
         // Also at 0: a run that ended before its first epoch may have left events.
         events.write(|events| events.resume_after(clock::wall(), state.samples))?;
+        Ok(Self { metrics, events })
+    }
+}
 
+impl<'a> Monitor<'a> {
+    /// Starts to report a run at `state`; its files go to the directory `output`, if it is to write any. `clock` tells
+    /// the time since any instant.
+    pub(super) fn new(
+        output: Option<&Path>,
+        config: &TrainConfig,
+        state: &RunState,
+        progress: &'a dyn Progress,
+        clock: &'a dyn Fn() -> Duration,
+    ) -> Result<Self, TrainError> {
+        let files = output.map(|output| Files::create(output, state)).transpose()?;
         let batches = config.batches() as u64 * u64::from(config.epochs);
         let done = state.samples / config.windows.batch as u64;
         progress.begin(batches.saturating_sub(done), "batches");
         let epoch_start = (Duration::ZERO, state.samples);
-        Ok(Self { progress, metrics, events, clock: Clock::start(), epoch_start, batches: 0 })
+        Ok(Self { progress, files, clock, start: clock(), epoch_start, batches: 0 })
     }
 
-    /// Time since the monitor was created.
+    /// Time since the run began.
     pub(super) fn elapsed(&self) -> Duration {
-        self.clock.now()
+        (self.clock)().saturating_sub(self.start)
+    }
+
+    /// Writes scalars to the event file.
+    fn scalars(&mut self, samples: u64, scalars: &[(&str, f64)]) -> Result<(), TrainError> {
+        let Some(files) = &mut self.files else { return Ok(()) };
+        files.events.write(|events| events.scalars(clock::wall(), samples, scalars))
     }
 
     /// Training windows per second in the current epoch.
@@ -162,7 +182,7 @@ impl<'a> Monitor<'a> {
                 ("gradient_norm", gradient_norm),
                 ("samples_per_second", speed),
             ];
-            self.events.write(|events| events.scalars(clock::wall(), samples, &scalars))?;
+            self.scalars(samples, &scalars)?;
         }
         self.batches += 1;
         Ok(())
@@ -170,14 +190,16 @@ impl<'a> Monitor<'a> {
 
     /// Reports an epoch.
     pub(super) fn epoch(&mut self, epoch: &Epoch) -> Result<(), TrainError> {
-        self.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
+        if let Some(files) = &mut self.files {
+            files.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
+        }
         let scalars = [
             ("loss/training", epoch.training_loss),
             ("loss/validation", epoch.validation_loss),
             ("skill/first_frame", epoch.first_skill),
             ("skill/last_frame", epoch.last_skill),
         ];
-        self.events.write(|events| events.scalars(clock::wall(), epoch.samples, &scalars))?;
+        self.scalars(epoch.samples, &scalars)?;
         self.epoch_start = (self.elapsed(), epoch.samples);
         let Epoch { epoch: number, unroll, training_loss, validation_loss, .. } = epoch;
         let [first, last] = [epoch.first_skill, epoch.last_skill].map(skill_text);
