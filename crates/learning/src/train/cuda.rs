@@ -1,6 +1,6 @@
 //! Training of the frame model on a GPU: the same windows, dropout masks, loss and steps as on the CPU.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -256,8 +256,12 @@ impl Learner {
         };
         let replicas = devices.into_iter().map(replica).collect::<Result<Vec<_>, TrainError>>()?;
         if let Some(group) = group {
-            let devices: Vec<_> = replicas.iter().map(|replica| replica.device.clone()).collect();
-            group.on_gone(move || devices.iter().for_each(|device| device.leave_group()));
+            // Weak: the group may outlast the run, and a GPU must not be given back while the process ends.
+            let devices: Vec<Weak<dyn Device>> =
+                replicas.iter().map(|replica| Arc::downgrade(&replica.device)).collect();
+            group.on_gone(move || {
+                devices.iter().filter_map(Weak::upgrade).for_each(|device| device.leave_group());
+            });
         }
         Ok(Self { replicas, streams: None })
     }
