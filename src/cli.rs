@@ -502,7 +502,8 @@ pub struct NodeArgs {
     /// What happens when a subscriber cannot keep up [default: drop].
     #[arg(long, value_enum)]
     pub reliability: Option<Reliability>,
-    /// Number of threads for prediction [default: one per core].
+    /// Number of threads for prediction [default: one per core]; on a GPU, of those that copy frames to it and back
+    /// [default: one per core, at most 8].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
@@ -575,7 +576,8 @@ pub struct PredictArgs {
     pub topic: String,
     #[command(flatten)]
     pub settings: PredictOptions,
-    /// Number of threads for prediction [default: one per core].
+    /// Number of threads for prediction [default: one per core]; on a GPU, of those that copy frames to it and back
+    /// [default: one per core, at most 8].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.

@@ -34,17 +34,16 @@ pub enum ComputeDevice {
 
 impl ComputeDevice {
     pub(super) fn parse(text: &str) -> Result<Self, String> {
-        match text {
-            "cpu" => Ok(Self::Cpu),
-            #[cfg(feature = "cuda")]
-            "cuda" => Ok(Self::Cuda(0)),
-            #[cfg(feature = "cuda")]
-            _ => match text.strip_prefix("cuda:").map(str::parse) {
-                Some(Ok(number)) => Ok(Self::Cuda(number)),
-                _ => Err("expected cpu, cuda or cuda:N".to_owned()),
-            },
-            #[cfg(not(feature = "cuda"))]
-            _ => Err("expected cpu: this program was built without the feature cuda".to_owned()),
+        if text == "cpu" {
+            return Ok(Self::Cpu);
         }
+        #[cfg(feature = "cuda")]
+        {
+            use eddy_learning::model::{MOST_GPUS, gpu_number};
+            let number = gpu_number(text).map(Self::Cuda);
+            number.ok_or_else(|| format!("expected cpu, cuda or cuda:N, N up to {}", MOST_GPUS - 1))
+        }
+        #[cfg(not(feature = "cuda"))]
+        Err("expected cpu: this program was built without the feature cuda".to_owned())
     }
 }

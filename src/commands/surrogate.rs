@@ -10,7 +10,8 @@ use eddy_inference::{
 
 use crate::cli::ComputeDevice;
 
-/// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default.
+/// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default. On a GPU, the
+/// threads copy frames.
 pub(super) fn load(
     path: Option<&Path>,
     threads: Option<NonZeroUsize>,
@@ -30,12 +31,16 @@ pub(super) fn on_device(
     match device {
         ComputeDevice::Cpu => Surrogate::load(checkpoint, threads),
         #[cfg(feature = "cuda")]
-        ComputeDevice::Cuda(number) => on_gpu(checkpoint, number.into()),
+        ComputeDevice::Cuda(number) => on_gpu(checkpoint, threads, number.into()),
     }
 }
 
 #[cfg(feature = "cuda")]
-fn on_gpu(checkpoint: &Checkpoint, number: usize) -> Result<Surrogate, ModelError> {
+fn on_gpu(
+    checkpoint: &Checkpoint,
+    threads: Option<NonZeroUsize>,
+    number: usize,
+) -> Result<Surrogate, ModelError> {
     use std::sync::Arc;
 
     use eddy_cuda::{
@@ -54,12 +59,18 @@ fn on_gpu(checkpoint: &Checkpoint, number: usize) -> Result<Surrogate, ModelErro
         Ok(match description.architecture {
             Architecture::Frame => {
                 let gpu = gpu(&kernels::Constants::of(description)?)?;
-                let inference = frame::Inference::new(gpu, description, tensors)?;
+                let mut inference = frame::Inference::new(gpu, description, tensors)?;
+                if let Some(threads) = threads {
+                    inference = inference.with_threads(threads);
+                }
                 Arc::new(frame::Streams::new(inference))
             }
             Architecture::Particle => {
                 let gpu = gpu(&particle::Constants::of(description)?)?;
-                let inference = particle::Inference::new(gpu, description, tensors)?;
+                let mut inference = particle::Inference::new(gpu, description, tensors)?;
+                if let Some(threads) = threads {
+                    inference = inference.with_threads(threads);
+                }
                 Arc::new(particle::Streams::new(inference))
             }
         })

@@ -251,9 +251,11 @@ fn a_gpu_that_is_not_there_is_refused() {
         ["WORLD_SIZE: found nothing", "number of processes, since RANK is set (by torchrun)"];
     variables(&two[..2], "cuda:15", &parts);
     // Without a driver, and with one but without so many GPUs.
-    says(&fail(1, arguments.into_iter().chain(["cuda:99"])), &["device: found no", "expected"]);
-    says(&fail(2, arguments.into_iter().chain(["gpu"])), &["--device", "cpu, cuda or cuda:N"]);
-    let simulate = ["simulate", "--output", &folder.path("truth"), "--device", "cuda:99"];
+    says(&fail(1, arguments.into_iter().chain(["cuda:15"])), &["device: found no", "expected"]);
+    for found in ["gpu", "cuda:16", "cuda:", "cuda1"] {
+        says(&fail(2, arguments.into_iter().chain([found])), &["--device", "cpu, cuda or cuda:N"]);
+    }
+    let simulate = ["simulate", "--output", &folder.path("truth"), "--device", "cuda:15"];
     says(&fail(1, simulate), &["device: found no", "expected"]);
     assert!(!Path::new(&folder.path("truth")).exists(), "nothing is written");
 }

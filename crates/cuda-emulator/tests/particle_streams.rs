@@ -5,7 +5,7 @@
 #[expect(dead_code, reason = "the engine's own tests use more of it")]
 mod streams;
 
-use std::{path::Path, sync::Arc};
+use std::{num::NonZeroUsize, path::Path, sync::Arc};
 
 use proptest::{prelude::*, sample::select};
 
@@ -46,7 +46,10 @@ fn descriptions() -> impl Strategy<Value = Description> {
 fn emulated(checkpoint: &Checkpoint) -> Surrogate {
     let Checkpoint { description, tensors } = checkpoint;
     let device = Emulator::new(&Constants::of(description).unwrap()).unwrap();
-    let inference = Inference::new(Arc::new(device), description, tensors).unwrap();
+    // More threads than there are by default, which copy parts of a frame.
+    let inference = Inference::new(Arc::new(device), description, tensors)
+        .unwrap()
+        .with_threads(NonZeroUsize::new(5).unwrap());
     Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference))).unwrap()
 }
 

@@ -8,6 +8,7 @@
 use std::{
     any::Any,
     collections::{BTreeMap, HashMap},
+    num::NonZeroUsize,
     sync::{Arc, Mutex, MutexGuard},
 };
 
@@ -49,11 +50,15 @@ const BODY: usize = 2 * AXES;
 
 /// Streams from which on several threads copy frames.
 const WORTH_THREADS: usize = 4;
-/// Threads that copy: more do not make the memory faster.
+/// Threads that copy, unless another number is given: more do not make the memory faster.
 const COPY_THREADS: usize = 4;
 
 fn copy_threads() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from).min(COPY_THREADS)
+}
+
+fn pool(threads: usize) -> ThreadPool {
+    ThreadPool::new("copies", threads, 1)
 }
 
 /// x, y, vx, vy of a particle.
@@ -218,7 +223,7 @@ impl Inference {
             host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
-            threads: ThreadPool::new("copies", copy_threads(), 1),
+            threads: pool(copy_threads()),
             graphs: HashMap::new(),
             dt: description.dt,
             constants,
@@ -230,6 +235,12 @@ impl Inference {
         device.write(weights, 0, bytemuck::cast_slice(&layout.pack(tensors)))?;
         device.write(scales, 0, bytemuck::cast_slice(&scaling(description)))?;
         Ok(inference)
+    }
+
+    /// The same, with so many threads that copy frames between the program's memory and the device's.
+    #[must_use]
+    pub fn with_threads(self, threads: NonZeroUsize) -> Self {
+        Self { threads: pool(threads.get()), ..self }
     }
 
     fn memory(&self, material: &[u8]) -> Result<Memory> {

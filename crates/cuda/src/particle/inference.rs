@@ -21,6 +21,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
+    num::NonZeroUsize,
     sync::Arc,
 };
 
@@ -120,6 +121,10 @@ struct Part {
     at: usize,
 }
 
+fn pool(threads: usize) -> ThreadPool {
+    ThreadPool::new("copies", threads, 1)
+}
+
 impl Inference {
     /// The network of a checkpoint on a device that has its kernels.
     ///
@@ -154,7 +159,7 @@ impl Inference {
             scratch: device.allocate(0)?,
             host: [device.allocate_host(0)?, device.allocate_host(0)?],
             bodies: 0,
-            threads: ThreadPool::new("copies", threads, 1),
+            threads: pool(threads),
             graphs: HashMap::new(),
             constants,
             layout,
@@ -164,6 +169,12 @@ impl Inference {
         let rules = inference.scales.constants(&inference.ballistic);
         inference.device.write(&inference.rules, 0, bytemuck::cast_slice(&rules))?;
         Ok(inference)
+    }
+
+    /// The same, with so many threads that copy frames between the program's memory and the device's.
+    #[must_use]
+    pub fn with_threads(self, threads: NonZeroUsize) -> Self {
+        Self { threads: pool(threads.get()), ..self }
     }
 
     /// The state of a stream, and the memory that its steps need.

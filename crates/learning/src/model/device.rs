@@ -40,6 +40,16 @@ const CUDA_NAMES: [&str; MOST_GPUS] = [
     "cuda:9", "cuda:10", "cuda:11", "cuda:12", "cuda:13", "cuda:14", "cuda:15",
 ];
 
+/// The number of the NVIDIA GPU that a device's name means: `cuda` or `cuda:N`, N below [`MOST_GPUS`].
+#[cfg(feature = "cuda")]
+pub fn gpu_number(name: &str) -> Option<u8> {
+    let number = match name.strip_prefix("cuda")? {
+        "" => 0,
+        number => number.strip_prefix(':')?.parse().ok()?,
+    };
+    (usize::from(number) < MOST_GPUS).then_some(number)
+}
+
 /// Every device that this build knows, in the order of the help.
 const ALL: &[DeviceKind] = &[
     DeviceKind::Flex,
@@ -160,6 +170,10 @@ impl TryFrom<String> for DeviceKind {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
+        #[cfg(feature = "cuda")]
+        if let Some(number) = gpu_number(&name) {
+            return Ok(Self::Cuda(number));
+        }
         let known = ALL.iter().find(|device| device.name() == name);
         known
             .copied()
@@ -281,6 +295,8 @@ mod tests {
         for &device in ALL {
             assert_eq!(DeviceKind::try_from(device.name().to_owned()), Ok(device));
         }
+        #[cfg(feature = "cuda")]
+        assert_eq!(DeviceKind::try_from("cuda:0".to_owned()), Ok(DeviceKind::Cuda(0)));
         let error = DeviceKind::try_from("cuda:99".to_owned()).unwrap_err();
         assert!(error.contains("found cuda:99"), "{error}");
     }

@@ -49,6 +49,8 @@ pub(crate) mod strain;
 mod device;
 
 pub use device::{DeviceKind, GpuOptions, NoDevice, Precision, kernel_cache};
+#[cfg(feature = "cuda")]
+pub use device::{MOST_GPUS, gpu_number};
 pub use reference::Reference;
 
 pub use eddy_inference::checkpoint::{Architecture, Core};
