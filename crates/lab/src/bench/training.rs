@@ -6,8 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use eddy_frames::clock::Clock;
 use eddy_learning::{
-    model::{Core, DeviceKind},
-    train::step_benchmark::{Part, StepBenchmark},
+    model::{Core, DeviceKind, GpuOptions},
+    train::{
+        TrainError,
+        step_benchmark::{Part, StepBenchmark},
+    },
 };
 
 /// Samples per epoch in the paper's Table 4.
@@ -99,23 +102,33 @@ pub struct Timing {
 
 impl Step {
     /// Times steps for about `seconds`.
-    pub fn time(&self, windows: usize, seconds: f64, device: DeviceKind) -> Timing {
+    ///
+    /// # Errors
+    /// [`TrainError`] of an NVIDIA GPU.
+    pub fn time(
+        &self,
+        windows: usize,
+        seconds: f64,
+        device: DeviceKind,
+        gpu: GpuOptions,
+    ) -> Result<Timing, TrainError> {
         let windows = self.windows.unwrap_or(windows);
-        let mut exercise = StepBenchmark::new(self.part, self.core, self.frames, windows, device);
+        let mut exercise =
+            StepBenchmark::new(self.part, self.core, self.frames, windows, device, gpu)?;
         for _ in 0..WARM_UP {
-            exercise.step();
+            exercise.run()?;
         }
         let total = Clock::start();
         let mut times = Vec::new();
         while times.len() < MIN_SAMPLES || total.now().as_secs_f64() < seconds {
             let clock = Clock::start();
-            exercise.step();
-            times.push(clock.now().as_secs_f64());
+            let steps = exercise.run()?;
+            times.push(clock.now().as_secs_f64() / steps as f64);
         }
         times.sort_by(f64::total_cmp);
         let milliseconds = 1e3 * times[times.len() / 2];
         let Self { part, core, frames, .. } = *self;
-        Timing { what: part, core, frames, windows, milliseconds }
+        Ok(Timing { what: part, core, frames, windows, milliseconds })
     }
 }
 

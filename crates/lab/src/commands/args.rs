@@ -218,6 +218,9 @@ pub struct BenchTrainingArgs {
     /// Device.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
+    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    pub precision: Precision,
     /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,

@@ -11,8 +11,8 @@ use crate::bench::training::{FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, paper
 use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
 use eddy_learning::{
-    model::Core,
-    train::step_benchmark::{PARTICLES, Part},
+    model::{Core, GpuOptions, kernel_cache},
+    train::step_benchmark::{GPU_CORE_PARTICLES, PARTICLES, Part},
 };
 use eddy_settings::ensure_usage;
 
@@ -31,25 +31,36 @@ pub fn run(
 ) -> anyhow::Result<()> {
     ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
     ensure_usage!(args.windows > 0, "windows: found 0, expected at least 1");
-    ensure_usage!(
-        args.device == args.device.through_burn(),
-        "--device: found {}, expected a device that burn computes on: flex, ndarray or vulkan",
-        args.device.name()
-    );
-    args.device.check()?;
+    let device = args.device.resolve(true);
+    device.check()?;
+    let cache = kernel_cache();
+    let gpu = GpuOptions {
+        precision: args.precision,
+        kernel_cache: cache.as_deref(),
+        ..GpuOptions::default()
+    };
     let steps = if args.step.is_empty() { paper_steps(&FRAMES) } else { args.step.clone() };
     progress.begin(steps.len() as u64, "steps");
     let mut timings = Vec::new();
     for step in &steps {
         ensure!(!progress.cancelled(), "interrupted");
-        timings.push(step.time(args.windows, args.seconds, args.device));
+        timings.push(step.time(args.windows, args.seconds, device, gpu)?);
         progress.advance(1);
     }
     progress.finish();
     let threads = std::thread::available_parallelism()?.get();
     let mut tables = vec![times(&timings)];
+    let place = if device == device.through_burn() {
+        format!("{threads} threads")
+    } else {
+        format!(
+            "{}, {}, core alone with {GPU_CORE_PARTICLES} particles",
+            device.name(),
+            args.precision.name()
+        )
+    };
     let mut notes = vec![format!(
-        "median time per step (forward, loss, backward, Adam) on {threads} threads; N = {PARTICLES}, \
+        "median time per step (forward, loss, backward, Adam) on {place}; N = {PARTICLES}, \
          encoder 256, two layers of 1250; epoch as in the paper's Table 4: {PAPER_SAMPLES} windows"
     )];
     if args.step.is_empty() {
@@ -61,6 +72,11 @@ pub fn run(
     let output =
         BenchOutput { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
     output.show(&Report { threads, steps: timings }, args.json, html)
+}
+
+/// Three digits, also of a GPU's times.
+fn milliseconds(time: f64) -> String {
+    format!("{time:.*}", if time < 10.0 { 3 } else { 1 })
 }
 
 /// Rows of the table: the whole network with the paper's window, and the core alone by frames.
@@ -77,8 +93,8 @@ fn times(timings: &[Timing]) -> Table {
             timing.core.name().to_owned(),
             timing.frames.to_string(),
             timing.windows.to_string(),
-            format!("{:.1}", timing.milliseconds),
-            format!("{sample:.2}"),
+            milliseconds(timing.milliseconds),
+            format!("{sample:.*}", if sample < 0.1 { 4 } else { 2 }),
             format!("{:.0}", 1e-3 * sample * f64::from(PAPER_SAMPLES)),
         ]
     });

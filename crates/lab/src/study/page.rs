@@ -7,7 +7,7 @@ use super::{
 use crate::bench::training::{CORES, Timing};
 use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
 use eddy_inference::checkpoint::{Activation, Core};
-use eddy_learning::train::step_benchmark::Part;
+use eddy_learning::train::step_benchmark::{GPU_CORE_PARTICLES, Part};
 
 /// Builds the report of a study.
 pub struct StudyReport {
@@ -144,7 +144,10 @@ impl StudyReport {
             std::iter::once(String::new()).chain(lengths.iter().map(title)),
         );
         for core in CORES {
-            let cells = lengths.iter().map(|&length| format!("{:.1}", time(core, length)));
+            let cells = lengths.iter().map(|&length| {
+                let time = time(core, length);
+                format!("{time:.*}", if time < 10.0 { 3 } else { 1 })
+            });
             table.row(core.name(), cells.collect::<Vec<_>>());
         }
         for [slow, fast] in [[Core::Lstm, Core::MinLstm], [Core::Gru, Core::MinGru]] {
@@ -153,12 +156,17 @@ impl StudyReport {
             let cells: Vec<String> = lengths.iter().map(ratio).collect();
             table.row(format!("{} / {}", slow.name(), fast.name()), cells);
         }
+        let device = match speed.precision.as_str() {
+            "" => speed.device.name().to_owned(),
+            precision => format!(
+                "{}, {precision}, the core alone with {GPU_CORE_PARTICLES} particles",
+                speed.device.name()
+            ),
+        };
         let section = self.page.section("Training speed");
         section.table(&table).paragraph(&format!(
             "The paper's Table 4, by window length; on {} cores of {}, device {}.",
-            speed.machine.cores,
-            speed.machine.processor,
-            speed.device.name()
+            speed.machine.cores, speed.machine.processor, device
         ));
         self.tables.push(("Training speed".to_owned(), table));
     }

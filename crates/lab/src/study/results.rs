@@ -141,6 +141,9 @@ pub struct Speed {
     /// Device.
     #[serde(default)]
     pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU, otherwise empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub precision: String,
     /// Times by kind of step.
     pub steps: Vec<Timing>,
 }
@@ -151,9 +154,14 @@ impl Speed {
     /// The times in the folder of a comparison, if measured.
     ///
     /// # Errors
-    /// [`ResultError`], also for times of another device.
-    pub fn find(folder: &Path, device: DeviceKind) -> Result<Option<Self>, ResultError> {
-        find(folder.join(SPEED_FILE), |speed: &Self| speed.device == device)
+    /// [`ResultError`], also for times of another device or precision.
+    pub fn find(
+        folder: &Path,
+        device: DeviceKind,
+        precision: &str,
+    ) -> Result<Option<Self>, ResultError> {
+        let is_ours = |speed: &Self| speed.device == device && speed.precision == precision;
+        find(folder.join(SPEED_FILE), is_ours)
     }
 
     /// Writes them to the folder of a comparison.

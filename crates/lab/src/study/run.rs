@@ -139,6 +139,11 @@ pub(super) struct Work<'a> {
 }
 
 impl Work<'_> {
+    /// The precision of products on an NVIDIA GPU; empty on other devices.
+    pub(super) fn gpu_precision(&self) -> &'static str {
+        if self.device == self.device.through_burn() { "" } else { self.precision.name() }
+    }
+
     /// Whether tasks should stop.
     pub(super) fn stops(&self) -> bool {
         self.progress.cancelled() || self.failed.load(Ordering::Relaxed)

@@ -3,17 +3,25 @@
 use super::{Speed, run::Work};
 use crate::bench::training::paper_steps;
 use eddy_evaluation::page::Machine;
+use eddy_learning::model::{GpuOptions, kernel_cache};
 
 /// Windows per batch.
 const WINDOWS: usize = 16;
 
-/// Times a step of every recurrent core for each window length through burn, unless already done.
+/// Times a step of every recurrent core for each window length, unless already done.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let folder = work.folders.report(work.comparison);
-    let device = work.device.through_burn();
-    if Speed::find(&folder, device)?.is_some() {
+    let device = work.device;
+    let precision = work.gpu_precision();
+    if Speed::find(&folder, device, precision)?.is_some() {
         return Ok(());
     }
+    let cache = kernel_cache();
+    let gpu = GpuOptions {
+        precision: work.precision,
+        kernel_cache: cache.as_deref(),
+        ..GpuOptions::default()
+    };
     let kinds = paper_steps(&work.study.step_frames);
     work.progress.begin(kinds.len() as u64, "training steps timed");
     let mut steps = Vec::new();
@@ -22,10 +30,11 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             work.progress.finish();
             return Ok(());
         }
-        steps.push(step.time(WINDOWS, work.study.step_seconds, device));
+        steps.push(step.time(WINDOWS, work.study.step_seconds, device, gpu)?);
         work.progress.advance(1);
     }
     work.progress.finish();
-    Speed { machine: Machine::here(), device, steps }.save(&folder)?;
+    let precision = precision.to_owned();
+    Speed { machine: Machine::here(), device, precision, steps }.save(&folder)?;
     Ok(())
 }

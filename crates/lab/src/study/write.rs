@@ -31,7 +31,7 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
             }
         }
     }
-    if let Some(speed) = Speed::find(&folder, work.device)? {
+    if let Some(speed) = Speed::find(&folder, work.device, work.gpu_precision())? {
         report.speed(&speed);
     }
     let summaries = report.summaries();

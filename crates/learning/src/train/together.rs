@@ -1,6 +1,7 @@
 //! Processes that train together: what they must agree on, and what rank 0 decides for all. Every process draws all windows and
 //! takes its part of each batch; rank 0 validates and writes the files.
 
+#[cfg(feature = "cuda")]
 use std::time::Duration;
 
 use toml::Value;
@@ -14,6 +15,7 @@ const GO: &str = "go";
 const STOP: &str = "stop";
 
 /// Time for the loss of another process to become known after a GPU's waiting for it has ended.
+#[cfg(feature = "cuda")]
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The group of a run of several processes.
