@@ -93,6 +93,10 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "srun --ntasks 2 --gpus 2 eddy train --data bags/mm --architecture frame --device cuda --output checkpoints/frame",
         "needs two NVIDIA GPUs; tests/gpu/processes sets the variables",
     ),
+    (
+        "eddy simulate --preset kinds --scenes 400 --device cuda --output bags/gpu",
+        "needs an NVIDIA GPU",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (
