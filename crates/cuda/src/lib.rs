@@ -15,6 +15,8 @@ pub mod particle;
 pub mod solver;
 
 mod error;
+mod graphs;
+mod streams;
 
 pub use error::{CudaError, Result};
 

@@ -5,30 +5,26 @@
 
 #![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
 
-use std::{
-    any::Any,
-    collections::{BTreeMap, HashMap},
-    num::NonZeroUsize,
-    sync::{Arc, Mutex, MutexGuard},
-};
+use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
-use eddy_frames::{Frame, FrameView, Particles};
 use eddy_inference::{
     checkpoint::{Core, Description, Weights},
-    engine::{Accelerator, DeviceState, DeviceStep, ModelError, StreamStart},
+    engine::StreamStart,
 };
-
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
     Training,
     layout::{Layout, Matrix},
     maximum::Points,
+    stream::Memory,
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
-    error::{CudaError, Result},
-    kernels::{AXES, Constants, Kernel, scaling},
+    device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Shape},
+    error::Result,
+    graphs::Graphs,
+    kernels::{Constants, Kernel, scaling},
+    streams::{Body, Step, StreamModel, copy_bodies, copy_motion},
 };
 
 /// Streams of a step.
@@ -46,7 +42,7 @@ const GROUP: usize = 8;
 /// Numbers in 256 bytes: products of memory that is aligned alike are computed alike.
 const ALIGNMENT: usize = 64;
 /// Numbers of a body.
-const BODY: usize = 2 * AXES;
+const BODY: usize = size_of::<Body>() / size_of::<f32>();
 
 /// Streams from which on several threads copy frames.
 const WORTH_THREADS: usize = 4;
@@ -60,9 +56,6 @@ fn copy_threads() -> usize {
 fn pool(threads: usize) -> ThreadPool {
     ThreadPool::new("copies", threads, 1)
 }
-
-/// x, y, vx, vy of a particle.
-type Body = [f32; BODY];
 
 /// A frame model that predicts streams on a device.
 pub struct Inference {
@@ -93,97 +86,8 @@ pub struct Inference {
     idle: Memory,
     /// Copies frames to and from the memory of the host.
     threads: ThreadPool,
-    /// By the number of rows; none before the second step of so many.
-    graphs: HashMap<usize, Option<Box<dyn Recording + Send>>>,
-}
-
-/// What is remembered of a stream: states and cells, then the particles in the order of their materials, and where each
-/// material starts in it.
-struct Memory {
-    device: Arc<dyn Device>,
-    buffer: Buffer,
-    /// Layers of states, with those of cells, and their padded and their actual width.
-    layers: usize,
-    widths: [usize; 2],
-    particles: usize,
-}
-
-impl Memory {
-    fn new(
-        device: Arc<dyn Device>,
-        constants: &Constants,
-        layout: &Layout,
-        core: Core,
-        material: &[u8],
-    ) -> Result<Self> {
-        let layers = layout.core.len() * if core == Core::Lstm { 2 } else { 1 };
-        let widths = [constants.hidden_columns(), constants.hidden];
-        let particles = material.len();
-        let [order, segments] = super::data::by_material(material);
-        let bytes = 4 * (layers * widths[0] + order.len() + segments.len());
-        let buffer = device.allocate(bytes)?;
-        let memory = Self { device, buffer, layers, widths, particles };
-        memory.clear()?;
-        let tables = [order, segments].concat();
-        let offset = 4 * layers * widths[0];
-        memory.device.write(&memory.buffer, offset, bytemuck::cast_slice(&tables))?;
-        Ok(memory)
-    }
-
-    fn order(&self) -> Address {
-        self.buffer.address().plus(self.layers * self.widths[0])
-    }
-
-    /// `struct Row` of the kernels.
-    fn row(&self) -> [u64; 3] {
-        [self.buffer.address(), self.order(), self.order().plus(self.particles)].map(|at| at.0)
-    }
-
-    /// States as they are before the first frame: zero, with the ones that the bias of W_hh is multiplied by.
-    fn clear(&self) -> Result<()> {
-        let [wide, hidden] = self.widths;
-        let mut states = vec![0f32; self.layers * wide];
-        states.iter_mut().skip(hidden).step_by(wide).for_each(|one| *one = 1.0);
-        self.device.write(&self.buffer, 0, bytemuck::cast_slice(&states))
-    }
-
-    fn states(&self) -> Result<Vec<f32>> {
-        let mut states = vec![0f32; self.layers * self.widths[0]];
-        self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut states))?;
-        Ok(states)
-    }
-
-    fn copy_from(&self, other: &Self) -> Result<()> {
-        self.device.copy(&self.buffer, &other.buffer)
-    }
-
-    fn duplicate(&self) -> Result<Self> {
-        let buffer = self.device.allocate(self.buffer.bytes())?;
-        let Self { device, layers, widths, particles, .. } = self;
-        let copy = Self {
-            device: device.clone(),
-            buffer,
-            layers: *layers,
-            widths: *widths,
-            particles: *particles,
-        };
-        copy.copy_from(self)?;
-        Ok(copy)
-    }
-}
-
-/// Positions and velocities side by side.
-fn copy_frame(frame: &FrameView<'_>, bodies: &mut [Body]) {
-    if let Particles::Lists { position, velocity, .. } = frame.particles {
-        for (body, (&[x, y], &[vx, vy])) in bodies.iter_mut().zip(position.iter().zip(velocity)) {
-            *body = [x, y, vx, vy];
-        }
-        return;
-    }
-    for (particle, body) in bodies.iter_mut().enumerate() {
-        let ([x, y], [vx, vy]) = frame.particles.motion(particle);
-        *body = [x, y, vx, vy];
-    }
+    /// By the number of rows.
+    graphs: Graphs<usize>,
 }
 
 impl Inference {
@@ -224,7 +128,7 @@ impl Inference {
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
             threads: pool(copy_threads()),
-            graphs: HashMap::new(),
+            graphs: Graphs::new(SIZES.len()),
             dt: description.dt,
             constants,
             core,
@@ -243,12 +147,8 @@ impl Inference {
         Self { threads: pool(threads.get()), ..self }
     }
 
-    fn memory(&self, material: &[u8]) -> Result<Memory> {
-        Memory::new(self.device.clone(), &self.constants, &self.layout, self.core, material)
-    }
-
     /// One frame of each stream, at most [`MOST_STREAMS`].
-    fn step(&mut self, steps: &mut [(&Memory, FrameView<'_>, &mut Frame)]) -> Result<()> {
+    fn predict(&mut self, steps: &mut [Step<'_, Memory>]) -> Result<()> {
         let Some(&rows) = SIZES.iter().find(|&&rows| rows >= steps.len()) else {
             panic!("{} streams, at most {MOST_STREAMS}", steps.len());
         };
@@ -268,7 +168,7 @@ impl Inference {
             self.threads.run([steps.len()], alone, &|Task { item, .. }| {
                 // SAFETY: each item runs once.
                 let bodies = unsafe { frames.part(item * particles..(item + 1) * particles) };
-                copy_frame(&steps[item].1, bodies);
+                copy_bodies(&steps[item].1, 0, bodies);
             });
         }
         self.run(rows)?;
@@ -278,32 +178,14 @@ impl Inference {
         self.threads.run([steps.len()], alone, &|Task { item, .. }| {
             // SAFETY: each item runs once.
             let (.., frame) = &mut unsafe { steps.part(item..item + 1) }[0];
-            let after = frame.position.iter_mut().zip(&mut frame.velocity);
-            let bodies = &next[item * particles..];
-            for ((position, velocity), &[x, y, vx, vy]) in after.zip(bodies) {
-                (*position, *velocity) = ([x, y], [vx, vy]);
-            }
+            copy_motion(&next[item * particles..], &mut frame.position, &mut frame.velocity);
         });
         Ok(())
     }
 
     /// A step of so many rows, from the memory of the host to the memory of the host.
     fn run(&mut self, rows: usize) -> Result<()> {
-        match self.graphs.get(&rows) {
-            None => {
-                self.launch_all(rows)?;
-                self.graphs.insert(rows, None);
-            }
-            Some(Some(graph)) => graph.repeat()?,
-            Some(None) => {
-                let graph = self.device.record(&mut || self.launch_all(rows))?;
-                match &graph {
-                    Some(graph) => graph.repeat()?,
-                    None => self.launch_all(rows)?,
-                }
-                self.graphs.insert(rows, graph);
-            }
-        }
+        self.graphs.run(&*self.device, rows, || self.launch_all(rows))?;
         self.device.finish()
     }
 
@@ -515,144 +397,35 @@ impl Inference {
     }
 }
 
-/// A frame model on a device, as the streaming engine uses it. Steps from several threads follow each other. After a
-/// failure of the device every step fails with it.
-#[derive(Clone)]
-pub struct Streams(Arc<Mutex<Shared>>);
+impl StreamModel for Inference {
+    type Memory = Memory;
 
-struct Shared {
-    inference: Inference,
-    failure: Option<String>,
-}
+    const MOST: usize = MOST_STREAMS;
 
-impl Streams {
-    /// Of a network on a device.
-    pub fn new(inference: Inference) -> Self {
-        Self(Arc::new(Mutex::new(Shared { inference, failure: None })))
+    fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
+        let Self { device, constants, layout, core, .. } = self;
+        Memory::new(Arc::clone(device), constants, layout, *core, stream.material)
     }
 
+    fn step(&mut self, steps: &mut [Step<'_, Memory>]) -> Result<()> {
+        self.predict(steps)
+    }
+}
+
+/// A frame model on a device, as the streaming engine uses it.
+pub type Streams = crate::streams::Streams<Inference>;
+
+impl Streams {
     /// Takes the weights that a training on the same device has now, averaged if it keeps an average.
     ///
     /// # Errors
-    /// [`CudaError::Call`].
+    /// [`CudaError::Call`](crate::CudaError::Call).
     ///
     /// # Panics
     /// With a training of another network.
     pub fn copy_weights(&self, training: &Training) -> Result<()> {
-        let Shared { inference, .. } = &*self.shared();
-        inference.device.copy(&inference.weights, training.averaged_weights())
-    }
-
-    fn shared(&self) -> MutexGuard<'_, Shared> {
-        self.0.lock().unwrap_or_else(|broken| broken.into_inner())
-    }
-
-    /// Runs `work`, unless the device has failed; keeps its failure.
-    fn attempt<T>(
-        &self,
-        work: impl FnOnce(&mut Inference) -> Result<T>,
-    ) -> std::result::Result<T, ModelError> {
-        let Shared { inference, failure } = &mut *self.shared();
-        if failure.is_none() {
-            match work(inference) {
-                Ok(value) => return Ok(value),
-                // Nothing is lost but this state: other streams go on.
-                Err(reason @ CudaError::Memory { .. }) => {
-                    return Err(ModelError::Device(reason.to_string()));
-                }
-                Err(reason) => *failure = Some(reason.to_string()),
-            }
-        }
-        Err(ModelError::Device(failure.clone().unwrap_or_default()))
-    }
-}
-
-impl Accelerator for Streams {
-    fn streams(&self) -> usize {
-        MOST_STREAMS
-    }
-
-    fn start(
-        &self,
-        stream: &StreamStart<'_>,
-    ) -> std::result::Result<Box<dyn DeviceState>, ModelError> {
-        let memory = self.attempt(|inference| inference.memory(stream.material))?;
-        Ok(Box::new(State { owner: self.clone(), memory: Ok(memory) }))
-    }
-
-    fn step(&self, steps: &mut [DeviceStep<'_>]) -> std::result::Result<(), ModelError> {
-        for batch in steps.chunks_mut(MOST_STREAMS) {
-            let mut rows = Vec::with_capacity(batch.len());
-            for DeviceStep { state, frame, next } in batch {
-                let memory = memory_of(&**state);
-                let memory = memory.map_err(|reason| ModelError::Device(reason.to_owned()))?;
-                rows.push((memory, *frame, &mut **next));
-            }
-            self.attempt(|inference| inference.step(&mut rows))?;
-        }
-        Ok(())
-    }
-}
-
-/// The state of a stream on a device, or why it could not be copied.
-struct State {
-    owner: Streams,
-    memory: std::result::Result<Memory, String>,
-}
-
-impl Drop for State {
-    /// Gives the memory back between steps: a step may be about to be recorded.
-    fn drop(&mut self) {
-        let memory = std::mem::replace(&mut self.memory, Err(String::new()));
-        let _alone = self.owner.shared();
-        drop(memory);
-    }
-}
-
-fn memory_of(state: &dyn DeviceState) -> std::result::Result<&Memory, &str> {
-    let state: &dyn Any = state;
-    let state = state.downcast_ref::<State>();
-    let memory = state.map(|state| state.memory.as_ref().map_err(String::as_str));
-    memory.unwrap_or(Err("the state of another device"))
-}
-
-impl State {
-    /// A copy of a state's memory.
-    fn copy_of(&self, other: &dyn DeviceState) -> std::result::Result<Memory, String> {
-        let memory = memory_of(other)?;
-        self.owner.attempt(|_| memory.duplicate()).map_err(|reason| reason.to_string())
-    }
-}
-
-impl DeviceState for State {
-    fn duplicate(&self) -> Box<dyn DeviceState> {
-        Box::new(Self { owner: self.owner.clone(), memory: self.copy_of(self) })
-    }
-
-    fn copy_from(&mut self, other: &dyn DeviceState) {
-        let copied = match (&self.memory, memory_of(other)) {
-            (Ok(to), Ok(from)) => self.owner.attempt(|_| to.copy_from(from)),
-            _ => {
-                let copy = self.copy_of(other);
-                self.memory = copy;
-                return;
-            }
-        };
-        if let Err(reason) = copied {
-            self.memory = Err(reason.to_string());
-        }
-    }
-
-    fn forget(&mut self) {
-        if let Ok(memory) = &self.memory
-            && let Err(reason) = self.owner.attempt(|_| memory.clear())
-        {
-            self.memory = Err(reason.to_string());
-        }
-    }
-
-    fn numbers(&self) -> Vec<f32> {
-        let memory = self.memory.as_ref().ok();
-        memory.and_then(|memory| self.owner.attempt(|_| memory.states()).ok()).unwrap_or_default()
+        self.alone(|inference| {
+            inference.device.copy(&inference.weights, training.averaged_weights())
+        })
     }
 }

@@ -3,7 +3,7 @@
 //! 1. `layout`: where its tensors are.
 //! 2. `data`: trajectories on the device or in the memory of the host, windows of them.
 //! 3. `training`: training steps.
-//! 4. `inference`: streams, frame by frame.
+//! 4. `stream`: what is remembered of a stream. `inference`: streams, frame by frame.
 //! 5. `maximum`: the pooling by the maximum.
 //! 6. [`footprint`]: the memory that a training needs.
 
@@ -12,6 +12,7 @@ pub mod footprint;
 mod inference;
 mod layout;
 mod maximum;
+mod stream;
 mod training;
 
 pub use data::{Place, Store, StoreWriter, Window};

@@ -11,18 +11,18 @@ mod forward;
 mod maximum;
 mod update;
 
-use std::{cell::Cell, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::{Core, Description, Weights};
-use std::collections::BTreeMap;
 
 use super::{
     data::{Bodies, Store, Window, key},
     layout::{Layout, Matrix},
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, Factor, Product, Queue, Recording, Shape},
+    device::{Address, Argument, Buffer, Device, Factor, Product, Queue, Shape},
     error::{CudaError, Result},
+    graphs::Graphs,
     kernels::{AXES, Constants, Kernel, MATERIALS, gates, scaling},
 };
 use maximum::Maximum;
@@ -199,9 +199,7 @@ pub struct Training {
     tensor_scales: Buffer,
     tensor_totals: Buffer,
 
-    recording: Option<Box<dyn Recording + Send>>,
-    /// Whether a step has run, so that one can be recorded.
-    ran: Cell<bool>,
+    graph: Graphs<()>,
 }
 
 impl Training {
@@ -313,8 +311,7 @@ impl Training {
             tensor_squares: numbers(layout.tensors * CHUNKS)?,
             tensor_scales: numbers(layout.tensors)?,
             tensor_totals: numbers(layout.tensors)?,
-            recording: None,
-            ran: Cell::new(false),
+            graph: Graphs::new(1),
             dt: description.dt,
             sides: description.domain.lower[0] + description.domain.upper[0],
             grid: [description.domain.lower, [cell(0), cell(1)]],
@@ -475,21 +472,7 @@ impl Training {
             self.fetch(Queue::Main, 0)?;
         }
         for _ in batches {
-            match &self.recording {
-                Some(recording) => recording.repeat()?,
-                None if self.ran.get() => {
-                    let device = self.device.clone();
-                    self.recording = device.record(&mut || self.step())?;
-                    match &self.recording {
-                        Some(recording) => recording.repeat()?,
-                        None => self.step()?,
-                    }
-                }
-                None => {
-                    self.step()?;
-                    self.ran.set(true);
-                }
-            }
+            self.graph.run(&*self.device, (), || self.step())?;
         }
         Ok(())
     }
@@ -759,6 +742,6 @@ impl Drop for Training {
         if let Err(reason) = self.device.finish() {
             tracing::debug!("a GPU was lost: {reason}");
         }
-        self.recording = None;
+        self.graph.clear();
     }
 }

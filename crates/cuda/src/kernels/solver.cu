@@ -75,7 +75,7 @@ struct State {
   float4* affine;      // C: xx, xy, yx, yy (1/s)
   float4* deformation; // F: xx, xy, yx, yy
   float* plastic;      // Jp of snow
-  u32* identity;       // index in its scene times 4, and its material; in memory of the host the material only
+  u32* identity;       // index in its scene times 4, and its material; in the order of the solvers the material only
 };
 __device__ __forceinline__ State state_at(float* base, u32 n) {
   return {(float2*)base, (float2*)(base + 2 * (u64)n), (float4*)(base + 4 * (u64)n), (float4*)(base + 8 * (u64)n),
@@ -97,24 +97,24 @@ __device__ __forceinline__ bool lowest_node(const Scene& s, float position, int 
   return inside;
 }
 
-// Particles from the memory of the host, scene by scene in their own order.
+// Particles in the order of the solvers, scene by scene, to those of the solver.
 // grid (ceil(largest scene / 256), scenes), block 256
-extern "C" __global__ void __launch_bounds__(256) solver_load(const Scene* __restrict__ scenes, float* host, float* base, u32 n) {
+extern "C" __global__ void __launch_bounds__(256) solver_load(const Scene* __restrict__ scenes, float* listed, float* base, u32 n) {
   const Scene& s = scenes[blockIdx.y];
   const u32 k = blockIdx.x * 256 + threadIdx.x;
   if (k >= s.particles) return;
-  const State to = state_at(base, n), from = state_at(host, n);
+  const State to = state_at(base, n), from = state_at(listed, n);
   const u32 p = s.first + k;
   copy_particle(to, p, from, p);
   to.identity[p] = 4 * k + from.identity[p];
 }
 
 // The same way back.
-extern "C" __global__ void __launch_bounds__(256) solver_store(const Scene* __restrict__ scenes, float* host, float* base, const u32* __restrict__ places, u32 n) {
+extern "C" __global__ void __launch_bounds__(256) solver_store(const Scene* __restrict__ scenes, float* listed, float* base, const u32* __restrict__ places, u32 n) {
   const Scene& s = scenes[blockIdx.y];
   const u32 k = blockIdx.x * 256 + threadIdx.x;
   if (k >= s.particles) return;
-  copy_particle(state_at(host, n), s.first + k, state_at(base, n), places[s.first + k]);
+  copy_particle(state_at(listed, n), s.first + k, state_at(base, n), places[s.first + k]);
 }
 
 // Counts the particles of each cell of each tile; each learns how many in its cell came before, in any order.

@@ -19,13 +19,9 @@
 
 #![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    num::NonZeroUsize,
-    sync::Arc,
-};
+use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
-use eddy_frames::{Domain, Frame, FrameView, Particles};
+use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint::{self, Description, Weights},
     engine::{Ballistic, StreamStart, scales},
@@ -37,9 +33,11 @@ use super::{
     stream::{LEVELS, Memory, RULES, Row, Scales, Size},
 };
 use crate::{
-    device::{Argument, Buffer, Device, HostBuffer, Queue, Recording, Shape},
+    device::{Argument, Buffer, Device, HostBuffer, Queue, Shape},
     error::Result,
+    graphs::Graphs,
     kernels::Kernel,
+    streams::{Body, Step, StreamModel, copy_bodies, copy_motion},
 };
 
 /// Streams of a step.
@@ -65,9 +63,6 @@ const COPY: usize = 1 << 14;
 const WORTH_THREADS: usize = 4;
 /// Threads that copy.
 const COPY_THREADS: usize = 8;
-
-/// x, y, vx, vy of a particle.
-type Body = [f32; 4];
 
 /// What the launches of a step depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -109,8 +104,7 @@ pub struct Inference {
     bodies: usize,
     /// Copies frames to and from the memory of the host.
     threads: ThreadPool,
-    /// None before the second step of an extent.
-    graphs: HashMap<Extent, Option<Box<dyn Recording + Send>>>,
+    graphs: Graphs<Extent>,
 }
 
 /// A part of a frame: number of the stream, first particle, and its place in the memory of the host.
@@ -160,7 +154,7 @@ impl Inference {
             host: [device.allocate_host(0)?, device.allocate_host(0)?],
             bodies: 0,
             threads: pool(threads),
-            graphs: HashMap::new(),
+            graphs: Graphs::new(GRAPHS),
             constants,
             layout,
             device,
@@ -177,30 +171,8 @@ impl Inference {
         Self { threads: pool(threads.get()), ..self }
     }
 
-    /// The state of a stream, and the memory that its steps need.
-    pub(super) fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
-        let size = Size::new(stream.material.len(), &stream.domain, &self.scales);
-        self.make_room(&[size])?;
-        Memory::new(Arc::clone(&self.device), &self.constants, stream)
-    }
-
     fn size(&self, memory: &Memory, domain: &Domain) -> Size {
         Size::new(memory.particles(), domain, &self.scales)
-    }
-
-    /// How many of the streams that come first are best stepped together: their scratch memory is not too large.
-    pub(super) fn batch<'a>(
-        &self,
-        streams: impl IntoIterator<Item = (&'a Memory, &'a Domain)>,
-    ) -> usize {
-        let mut bytes = 0usize;
-        let fits = |(memory, domain): (&Memory, &Domain)| {
-            let size = self.size(memory, domain);
-            let own = size.zeros().saturating_add(size.scratch(&self.constants));
-            bytes = bytes.saturating_add(own.saturating_mul(4));
-            bytes <= SCRATCH
-        };
-        streams.into_iter().take(MOST_STREAMS).map(fits).take_while(|&fits| fits).count().max(1)
     }
 
     /// Makes room for a step of such streams.
@@ -226,10 +198,7 @@ impl Inference {
     }
 
     /// One frame of each stream, at most [`MOST_STREAMS`].
-    pub(super) fn step(
-        &mut self,
-        steps: &mut [(&Memory, FrameView<'_>, &mut Frame)],
-    ) -> Result<()> {
+    fn predict(&mut self, steps: &mut [Step<'_, Memory>]) -> Result<()> {
         assert!(steps.len() <= MOST_STREAMS, "{} streams, at most {MOST_STREAMS}", steps.len());
         let sizes: Vec<_> =
             steps.iter().map(|(memory, frame, _)| self.size(memory, &frame.domain)).collect();
@@ -252,7 +221,7 @@ impl Inference {
             self.threads.run([parts.len()], alone, &|Task { item, .. }| {
                 let Part { step, first, count, at } = parts[item];
                 // SAFETY: each item runs once.
-                read_frame(&steps[step].1, first, unsafe { bodies.part(at..at + count) });
+                copy_bodies(&steps[step].1, first, unsafe { bodies.part(at..at + count) });
             });
         }
         self.run(&sizes)?;
@@ -272,15 +241,13 @@ impl Inference {
             // SAFETY: each item runs once.
             let (position, velocity) =
                 unsafe { (positions[step].part(own.clone()), velocities[step].part(own)) };
-            for ((x, v), &[a, b, c, d]) in position.iter_mut().zip(velocity).zip(&next[at..]) {
-                (*x, *v) = ([a, b], [c, d]);
-            }
+            copy_motion(&next[at..], position, velocity);
         });
         Ok(())
     }
 
     /// Writes the table of the streams.
-    fn write_rows(&mut self, steps: &[(&Memory, FrameView<'_>, &mut Frame)]) {
+    fn write_rows(&mut self, steps: &[Step<'_, Memory>]) {
         let (mut zeros, mut scratch) = (self.zeros.address(), self.scratch.address());
         let mut host = [self.host[0].address(), self.host[1].address()];
         // SAFETY: the last step has finished, and nothing else uses this memory.
@@ -308,24 +275,7 @@ impl Inference {
             area: most(&Size::area_nodes),
             solve: Some(12 * most(&Size::area_nodes) + 8).filter(|&bytes| bytes <= SOLVE),
         };
-        match self.graphs.get(&extent) {
-            None => {
-                if self.graphs.len() >= GRAPHS {
-                    self.graphs.clear();
-                }
-                self.launch_all(extent)?;
-                self.graphs.insert(extent, None);
-            }
-            Some(Some(graph)) => graph.repeat()?,
-            Some(None) => {
-                let graph = self.device.record(&mut || self.launch_all(extent))?;
-                match &graph {
-                    Some(graph) => graph.repeat()?,
-                    None => self.launch_all(extent)?,
-                }
-                self.graphs.insert(extent, graph);
-            }
-        }
+        self.graphs.run(&*self.device, extent, || self.launch_all(extent))?;
         self.device.finish()
     }
 
@@ -429,17 +379,33 @@ impl Inference {
     }
 }
 
-/// Positions and velocities side by side, from particle `first` on.
-fn read_frame(frame: &FrameView<'_>, first: usize, bodies: &mut [Body]) {
-    if let Particles::Lists { position, velocity, .. } = frame.particles {
-        let pairs = position[first..].iter().zip(&velocity[first..]);
-        for (body, (&[x, y], &[vx, vy])) in bodies.iter_mut().zip(pairs) {
-            *body = [x, y, vx, vy];
-        }
-        return;
+impl StreamModel for Inference {
+    type Memory = Memory;
+
+    const MOST: usize = MOST_STREAMS;
+
+    fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
+        let size = Size::new(stream.material.len(), &stream.domain, &self.scales);
+        self.make_room(&[size])?;
+        Memory::new(Arc::clone(&self.device), &self.constants, stream)
     }
-    for (particle, body) in (first..).zip(bodies) {
-        let ([x, y], [vx, vy]) = frame.particles.motion(particle);
-        *body = [x, y, vx, vy];
+
+    /// As many as have scratch memory that is not too large together.
+    fn batch(&self, steps: &[Step<'_, Memory>]) -> usize {
+        let mut bytes = 0usize;
+        let fits = |(memory, frame, _): &Step<'_, Memory>| {
+            let size = self.size(memory, &frame.domain);
+            let own = size.zeros().saturating_add(size.scratch(&self.constants));
+            bytes = bytes.saturating_add(own.saturating_mul(4));
+            bytes <= SCRATCH
+        };
+        steps.iter().map(fits).take_while(|&fits| fits).count().max(1)
+    }
+
+    fn step(&mut self, steps: &mut [Step<'_, Memory>]) -> Result<()> {
+        self.predict(steps)
     }
 }
+
+/// A particle model on a device, as the streaming engine uses it.
+pub type Streams = crate::streams::Streams<Inference>;

@@ -3,13 +3,10 @@
 //! 1. `layout`: the constants of its kernels, and where its tensors are.
 //! 2. `stream`: what is remembered of a stream, and its scratch memory in a step.
 //! 3. `inference`: streams, frame by frame.
-//! 4. `streams`: the same as the streaming engine uses it.
 
 mod inference;
 mod layout;
 mod stream;
-mod streams;
 
-pub use inference::{Inference, MOST_STREAMS};
+pub use inference::{Inference, MOST_STREAMS, Streams};
 pub use layout::{Constants, Layout};
-pub use streams::Streams;

@@ -15,9 +15,10 @@ use eddy_inference::{
 
 use super::layout::{Constants, FIELD_LEVELS};
 use crate::{
-    device::{Address, Buffer, Device},
+    device::{Address, Buffer, Device, Queue},
     error::Result,
     kernels::round_up,
+    streams::StreamMemory,
 };
 
 /// Levels of the grid.
@@ -291,7 +292,7 @@ struct Fixed {
 }
 
 /// What is remembered of a stream.
-pub(super) struct Memory {
+pub struct Memory {
     device: Arc<dyn Device>,
     fixed: Arc<Fixed>,
     /// The core's outputs and cells, and the velocities that the ballistic step expects.
@@ -321,41 +322,6 @@ impl Memory {
     /// That the coming frame is not the first.
     pub(super) fn begin(&self) {
         self.begun.store(true, Ordering::Relaxed);
-    }
-
-    pub(super) fn clear(&self) -> Result<()> {
-        self.begun.store(false, Ordering::Relaxed);
-        self.device.clear(crate::device::Queue::Main, &self.buffer)
-    }
-
-    /// Outputs and cells, expected velocities, and whether a frame was observed.
-    pub(super) fn numbers(&self) -> Result<Vec<f32>> {
-        let mut numbers = vec![0f32; self.buffer.bytes() / 4];
-        self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut numbers))?;
-        numbers.push(f32::from(u8::from(self.begun.load(Ordering::Relaxed))));
-        Ok(numbers)
-    }
-
-    pub(super) fn copy_from(&self, other: &Self) -> Result<()> {
-        self.begun.store(other.begun.load(Ordering::Relaxed), Ordering::Relaxed);
-        self.device.copy(&self.buffer, &other.buffer)
-    }
-
-    /// Whether this state can become a copy of the other one in place.
-    pub(super) fn resembles(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.fixed, &other.fixed)
-    }
-
-    pub(super) fn duplicate(&self) -> Result<Self> {
-        let copy = Self {
-            device: Arc::clone(&self.device),
-            fixed: Arc::clone(&self.fixed),
-            buffer: self.device.allocate(self.buffer.bytes())?,
-            particles: self.particles,
-            begun: AtomicBool::new(false),
-        };
-        copy.copy_from(self)?;
-        Ok(copy)
     }
 
     /// The stream in a step: its frame's domain and ballistic step; where its frame and its prediction are in the memory of the
@@ -413,6 +379,42 @@ impl Memory {
             area_walls,
             ..row
         }
+    }
+}
+
+impl StreamMemory for Memory {
+    fn clear(&self) -> Result<()> {
+        self.begun.store(false, Ordering::Relaxed);
+        self.device.clear(Queue::Main, &self.buffer)
+    }
+
+    /// Outputs and cells, expected velocities, and whether a frame was observed.
+    fn numbers(&self) -> Result<Vec<f32>> {
+        let mut numbers = vec![0f32; self.buffer.bytes() / 4];
+        self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut numbers))?;
+        numbers.push(f32::from(u8::from(self.begun.load(Ordering::Relaxed))));
+        Ok(numbers)
+    }
+
+    fn copy_from(&self, other: &Self) -> Result<()> {
+        self.begun.store(other.begun.load(Ordering::Relaxed), Ordering::Relaxed);
+        self.device.copy(&self.buffer, &other.buffer)
+    }
+
+    fn resembles(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.fixed, &other.fixed)
+    }
+
+    fn duplicate(&self) -> Result<Self> {
+        let copy = Self {
+            device: Arc::clone(&self.device),
+            fixed: Arc::clone(&self.fixed),
+            buffer: self.device.allocate(self.buffer.bytes())?,
+            particles: self.particles,
+            begun: AtomicBool::new(false),
+        };
+        copy.copy_from(self)?;
+        Ok(copy)
     }
 }
 

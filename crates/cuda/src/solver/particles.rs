@@ -1,6 +1,6 @@
-//! Particles in the memory of the host, as lists that the device reads and writes.
+//! Particles in pinned memory of the host, as the device's lists.
 
-#![expect(unsafe_code, reason = "memory that the device reads and writes")]
+#![expect(unsafe_code, reason = "pinned memory")]
 
 use std::{
     num::NonZero,
@@ -13,7 +13,7 @@ use eddy_mpm::{Matrix2, Particle, Solver};
 
 use super::layout::NUMBERS;
 use crate::{
-    device::{Address, Device, HostBuffer},
+    device::{Device, HostBuffer},
     error::Result,
 };
 
@@ -44,8 +44,16 @@ impl HostParticles {
         Ok(Self { memory, length })
     }
 
-    pub(super) fn address(&self) -> Address {
-        self.memory.address()
+    /// All lists, one after the other.
+    pub(super) fn bytes(&self) -> &[u8] {
+        // SAFETY: the device is given no address of this memory: it is copied from and to.
+        unsafe { self.memory.view() }
+    }
+
+    /// The same, to be written to.
+    pub(super) fn bytes_mut(&mut self) -> &mut [u8] {
+        // SAFETY: as above.
+        unsafe { self.memory.slice() }
     }
 
     /// Length of the lists.
@@ -54,13 +62,9 @@ impl HostParticles {
     }
 
     /// Writes the particles of these solvers.
-    ///
-    /// # Safety
-    /// No work of the device that uses the lists may run.
-    pub(super) unsafe fn write(&mut self, solvers: &[&Solver]) {
+    pub(super) fn write(&mut self, solvers: &[&Solver]) {
         let n = self.length;
-        // SAFETY: the caller's promise.
-        let all: &mut [f32] = unsafe { self.memory.slice() };
+        let all: &mut [f32] = bytemuck::cast_slice_mut(self.bytes_mut());
         let (position, rest) = all.split_at_mut(2 * n);
         let (velocity, rest) = rest.split_at_mut(2 * n);
         let (affine, rest) = rest.split_at_mut(4 * n);
@@ -80,28 +84,20 @@ impl HostParticles {
     }
 
     /// Copies the particles to these solvers; their materials stay.
-    ///
-    /// # Safety
-    /// As of [`Self::write`].
-    pub(super) unsafe fn read(&self, solvers: &mut [&mut Solver]) {
+    pub(super) fn read(&self, solvers: &mut [&mut Solver]) {
         let parts = solvers.iter_mut().flat_map(|solver| solver.particles_mut().chunks_mut(PART));
         let mut end = 0;
         let parts = parts.map(|part| {
             end += part.len();
             (end - part.len()..end, part)
         });
-        // SAFETY: the caller's promise.
-        on_threads(parts.collect(), |(from, to)| unsafe { self.read_at(from, to) });
+        on_threads(parts.collect(), |(from, to)| self.read_at(from, to));
     }
 
     /// Copies the particles at these places.
-    ///
-    /// # Safety
-    /// As of [`Self::write`].
-    unsafe fn read_at(&self, places: Range<usize>, particles: &mut [Particle]) {
+    fn read_at(&self, places: Range<usize>, particles: &mut [Particle]) {
         let n = self.length;
-        // SAFETY: the caller's promise.
-        let all: &[f32] = unsafe { self.memory.view() };
+        let all: &[f32] = bytemuck::cast_slice(self.bytes());
         let list = |first: usize, width: usize| {
             &all[first * n + width * places.start..first * n + width * places.end]
         };

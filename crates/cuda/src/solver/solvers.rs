@@ -1,6 +1,6 @@
 //! Solvers side by side on a device.
 //!
-//! An interval of all scenes is a number of rounds of [`Round::substeps`] substeps, each one graph:
+//! An interval of all scenes is a number of rounds of [`MOST_SUBSTEPS`] substeps at most, each one graph:
 //!
 //! | stage | a block has | reads | writes |
 //! |---|---|---|---|
@@ -22,11 +22,14 @@ use super::{
     particles::HostParticles,
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, Queue, Recording, Shape},
+    device::{Address, Argument, Buffer, Device, Queue, Shape},
     error::{CudaError, Result},
+    graphs::Graphs,
     kernels::{Kernel, round_up},
 };
 
+/// Recorded rounds that are kept.
+const ROUNDS: usize = 4;
 /// Substeps of a round, at most: after that many, the particles of a tile are no longer near it.
 const MOST_SUBSTEPS: u32 = 64;
 /// Threads of a block over the particles of a scene, or over tiles.
@@ -82,22 +85,19 @@ impl Solvers {
         }
         let host = self.loaded.take().map(|loaded| loaded.host);
         let mut loaded = Loaded::new(&*self.device, layout, host)?;
-        // SAFETY: `advance` waits for the work of the device.
-        unsafe { loaded.host.write(solvers) };
-        loaded.launch_load(&*self.device)?;
-        self.device.finish()?;
+        loaded.host.write(solvers);
+        loaded.load(&*self.device)?;
         self.loaded = Some(loaded);
         Ok(())
     }
 
     fn run_all(&mut self, intervals: &[Interval]) -> Result<Vec<Option<usize>>> {
         let lost = self.advance(intervals)?;
-        if let Some(loaded) = &self.loaded
+        if let Some(loaded) = &mut self.loaded
             && intervals.iter().any(|interval| interval.substeps > 0)
         {
-            loaded.launch_store(&*self.device)?;
+            loaded.store(&*self.device)?;
         }
-        self.device.finish()?;
         Ok(lost)
     }
 }
@@ -126,8 +126,7 @@ impl Accelerator for Solvers {
 
     fn fetch(&self, solvers: &mut [&mut Solver]) {
         if let Some(loaded) = &self.loaded {
-            // SAFETY: `load` and `run` wait for the work of the device.
-            unsafe { loaded.host.read(solvers) };
+            loaded.host.read(solvers);
         }
     }
 }
@@ -150,7 +149,7 @@ struct Loaded {
     layout: Layout,
     host: HostParticles,
     scenes: Buffer,
-    /// The particles' states, and the same sorted.
+    /// The particles' states; the same sorted, or in the order of the solvers.
     states: [Buffer; 2],
     /// Cell of each particle, its place among those of the cell, and where each scene's particles are.
     keys: Buffer,
@@ -174,14 +173,8 @@ struct Loaded {
     status: [Buffer; 2],
     drifted: Buffer,
     lost: Buffer,
-    round: Option<Round>,
-}
-
-/// A recorded round.
-struct Round {
-    substeps: u32,
-    /// `None` the first time, and where the device cannot record.
-    recording: Option<Box<dyn Recording + Send>>,
+    /// By the number of substeps.
+    rounds: Graphs<u32>,
 }
 
 impl Loaded {
@@ -216,7 +209,7 @@ impl Loaded {
             status: [status()?, status()?],
             drifted: list(scenes)?,
             lost: list(scenes)?,
-            round: None,
+            rounds: Graphs::new(ROUNDS),
             host,
             layout,
         };
@@ -255,29 +248,12 @@ impl Loaded {
             .zip(&lost)
             .all(|(scene, &lost)| lost != NONE || finished(scene))
         {
-            self.run_round(device, substeps)?;
+            self.rounds.run(device, substeps, || self.launch_round(device, substeps))?;
             device.read(&self.status[0], 0, bytemuck::cast_slice_mut(&mut status))?;
             device.read(&self.lost, 0, bytemuck::cast_slice_mut(&mut lost))?;
         }
         let index = |lost: u32| (lost != NONE).then_some(lost as usize);
         Ok(lost.into_iter().map(index).collect())
-    }
-
-    /// Runs a round: the second time it is recorded.
-    fn run_round(&mut self, device: &dyn Device, substeps: u32) -> Result<()> {
-        let ran = self.round.take_if(|round| round.substeps == substeps);
-        let recording = match ran {
-            Some(Round { recording: Some(recording), .. }) => Some(recording),
-            // Kernels are loaded when they run for the first time, which cannot be recorded.
-            Some(_) => device.record(&mut || self.launch_round(device, substeps))?,
-            None => None,
-        };
-        match &recording {
-            Some(recording) => recording.repeat()?,
-            None => self.launch_round(device, substeps)?,
-        }
-        self.round = Some(Round { substeps, recording });
-        Ok(())
     }
 
     /// A launch with a thread for each particle of each scene.
@@ -286,14 +262,16 @@ impl Loaded {
     }
 
     /// Particles from the memory of the host.
-    fn launch_load(&self, device: &dyn Device) -> Result<()> {
+    fn load(&mut self, device: &dyn Device) -> Result<()> {
         if self.layout.particles == 0 {
             return Ok(());
         }
+        let [states, listed] = self.states.each_ref();
+        device.write(listed, 0, self.host.bytes())?;
         let arguments = [
             self.scenes.address().into(),
-            self.host.address().into(),
-            self.states[0].address().into(),
+            listed.address().into(),
+            states.address().into(),
             self.host.length().into(),
         ];
         // SAFETY: the arguments of the kernel; all lists are as long as `new` makes them.
@@ -301,21 +279,22 @@ impl Loaded {
     }
 
     /// Particles to the memory of the host.
-    fn launch_store(&self, device: &dyn Device) -> Result<()> {
+    fn store(&mut self, device: &dyn Device) -> Result<()> {
         if self.layout.particles == 0 {
             return Ok(());
         }
+        let [states, listed] = self.states.each_ref();
         let arguments = [
             self.scenes.address().into(),
-            self.host.address().into(),
-            self.states[0].address().into(),
+            listed.address().into(),
+            states.address().into(),
             self.places.address().into(),
             self.host.length().into(),
         ];
+        let shape = self.over_particles();
         // SAFETY: as above.
-        unsafe {
-            device.launch(Queue::Main, Kernel::SolverStore, self.over_particles(), &arguments)
-        }
+        unsafe { device.launch(Queue::Main, Kernel::SolverStore, shape, &arguments)? };
+        device.read(listed, 0, self.host.bytes_mut())
     }
 
     /// Sorts the particles and puts so many substeps into the queue.
