@@ -3,24 +3,32 @@
 //! The warm-up's W frames go through the network together. Each further frame goes alone, from the prediction
 //! before; the backward pass takes these frames in the reverse order. Gradients by the weights are products over the
 //! rows of all frames, made once the first frames' gradients are there.
+//!
+//! 1. `settings`: what a step is made of, and what comes of it.
+//! 2. `forward`, `maximum`, `backward`, `update`: its phases.
+//! 3. `launch`: launches and products that they share.
 
 #![expect(unsafe_code, reason = "launches and products on memory of the device")]
 
 mod backward;
 mod forward;
+mod launch;
 mod maximum;
+mod settings;
 mod update;
+
+pub use settings::{Batch, Outcome, Settings};
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::{Core, Description, Weights};
 
 use super::{
-    data::{Bodies, Store, Window, key},
-    layout::{Layout, Matrix},
+    data::{Bodies, Store, key},
+    layout::Layout,
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, Factor, Product, Queue, Shape},
+    device::{Buffer, Device, Queue, Shape},
     error::{CudaError, Result},
     graphs::Graphs,
     kernels::{AXES, Constants, Kernel, MATERIALS, gates, scaling},
@@ -33,89 +41,10 @@ pub const GROUP: usize = 64;
 const BODY: usize = 2 * AXES;
 /// Sums of the encoder for each of its units, `SUMS` of the kernels.
 const SUMS: usize = BODY + MATERIALS + 1;
-/// Blocks that fetch windows: enough to keep the bus busy, few, since they wait beside those of the step.
-const FETCHING: usize = 32;
 /// Parts of a sum of squares.
 const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
 const MOST_NODES: usize = 110;
-
-/// What a training step is made of.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// B, windows of a batch, of those on this device where several train together.
-    pub batch: usize,
-    /// W, observed frames of a window.
-    pub warm_up: usize,
-    /// K, frames predicted freely after them.
-    pub unroll: usize,
-    /// Whether the loss is the root of each window's sum.
-    pub relative: bool,
-    /// Weight of the predictions made during the warm-up.
-    pub observed_weight: f32,
-    /// Weight of the density maps' mean squared error.
-    pub density_weight: f32,
-    /// Nodes of a density map along an axis.
-    pub density_nodes: usize,
-    /// Share of the core's outputs dropped after each layer.
-    pub dropout: f32,
-    /// Standard deviations of the noise on positions (domain lengths) and velocities (domain lengths per second).
-    pub noise: [f32; 2],
-    /// Largest norm of a tensor's gradient.
-    pub clip: f32,
-    /// Keeps a step finite where gradients vanish.
-    pub epsilon: f32,
-    /// Whether a running average of the weights is kept.
-    pub average: bool,
-}
-
-impl Settings {
-    /// The mean squared error of all frames, and nothing beside it, for windows of `warm_up` observed frames and the next.
-    pub fn plain(batch: usize, warm_up: usize) -> Self {
-        Self {
-            batch,
-            warm_up,
-            unroll: 1,
-            relative: false,
-            observed_weight: 1.0,
-            density_weight: 0.0,
-            density_nodes: 32,
-            dropout: 0.0,
-            noise: [0.0, 0.0],
-            clip: f32::INFINITY,
-            epsilon: 1e-8,
-            average: false,
-        }
-    }
-}
-
-/// One step, as the host prepares it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Batch {
-    /// B windows.
-    pub windows: Vec<Window>,
-    /// Learning rate, corrected for the first moment's start from zero.
-    pub rate: f32,
-    /// 1 / sqrt(1 - beta_2^t).
-    pub correction: f32,
-    /// Share of the running average that stays.
-    pub kept: f32,
-    /// Seed of ChaCha8 for dropout masks.
-    pub dropout: [u8; 32],
-    /// Weights of squared errors of x, y, vx, vy, `[K, B, MATERIALS]`, where they differ from batch to batch.
-    pub weights: Option<Vec<[f32; 4]>>,
-}
-
-/// What came of a step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome {
-    /// The loss before the step.
-    pub loss: f32,
-    /// Norm of the gradient by all tensors, before any was shortened.
-    pub gradient_norm: f32,
-    /// Whether that was not finite; then tensors without a finite gradient stayed as they were.
-    pub not_finite: bool,
-}
 
 /// A layer of the core in the memory of the device; `T` frames of `B` windows.
 struct LayerMemory {
@@ -229,7 +158,7 @@ impl Training {
         let layout = Layout::new(description, &constants);
         let Settings { batch, warm_up, unroll, .. } = *settings;
         let frames = warm_up + unroll - 1;
-        let decoded = first_decoded(settings);
+        let decoded = settings.first_decoded();
         let (rows, decoded_rows) = (frames * batch, (frames - decoded) * batch);
         let (wide, particles) = (constants.hidden_columns(), constants.particles);
         let chunks = (512usize.div_ceil(batch)).clamp(1, particles.div_ceil(128));
@@ -510,168 +439,8 @@ impl Training {
     }
 }
 
-/// The first frame that the decoder runs on: earlier predictions count only where the loss asks for them.
-fn first_decoded(settings: &Settings) -> usize {
-    if settings.observed_weight > 0.0 { 0 } else { settings.warm_up - 1 }
-}
-
 /// The step itself.
 impl Training {
-    fn frames(&self) -> usize {
-        self.settings.warm_up + self.settings.unroll - 1
-    }
-
-    /// The place of frame `t` in a buffer of so many numbers a window.
-    fn at(&self, buffer: &Buffer, t: usize, numbers: usize) -> Address {
-        buffer.address().plus(t * self.settings.batch * numbers)
-    }
-
-    /// `struct Frames` of the kernels.
-    fn frames_argument(&self) -> Argument {
-        let Settings { batch, warm_up, unroll, relative, .. } = self.settings;
-        let even = if warm_up > 1 { unroll as f32 / (warm_up - 1) as f32 } else { 0.0 };
-        let step = if relative { unroll * batch * MATERIALS } else { 0 };
-        let counts =
-            [batch, warm_up, unroll, first_decoded(&self.settings), step].map(|count| count as u32);
-        let numbers = [self.dt, self.sides, even].map(f32::to_bits);
-        let words: Vec<u32> = counts.into_iter().chain(numbers).collect();
-        Argument::from_bytes(bytemuck::cast_slice(&words))
-    }
-
-    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
-        self.launch_in(Queue::Main, kernel, shape, arguments)
-    }
-
-    fn launch_in(
-        &self,
-        queue: Queue,
-        kernel: Kernel,
-        shape: Shape,
-        arguments: &[Argument],
-    ) -> Result<()> {
-        // SAFETY: every call of this file passes the kernel's parameters in type and order, and buffers that
-        // `new` has made for these shapes.
-        unsafe { self.device.launch(queue, kernel, shape, arguments) }
-    }
-
-    /// `output = input W` for `rows` rows; W has rows for the input's columns.
-    fn forward_product(
-        &self,
-        matrix: &Matrix,
-        input: Address,
-        output: Address,
-        rows: usize,
-    ) -> Result<()> {
-        self.product(
-            Queue::Main,
-            [input, self.weight(matrix), output],
-            [false, false],
-            [matrix.rows, matrix.columns, matrix.columns],
-            [rows, matrix.rows, matrix.columns],
-            false,
-        )
-    }
-
-    /// `gradient = slopes W'`.
-    fn backward_product(
-        &self,
-        matrix: &Matrix,
-        slopes: Address,
-        gradient: Address,
-        rows: usize,
-        add: bool,
-    ) -> Result<()> {
-        self.product(
-            Queue::Main,
-            [slopes, self.weight(matrix), gradient],
-            [false, true],
-            [matrix.columns, matrix.columns, matrix.rows],
-            [rows, matrix.columns, matrix.rows],
-            add,
-        )
-    }
-
-    /// `dW = input' slopes`, in the side queue.
-    fn weight_product(
-        &self,
-        matrix: &Matrix,
-        input: Address,
-        slopes: Address,
-        rows: usize,
-    ) -> Result<()> {
-        let gradient = self.gradients.address().plus(matrix.first);
-        self.product(
-            Queue::Side,
-            [input, slopes, gradient],
-            [true, false],
-            [matrix.rows, matrix.columns, matrix.columns],
-            [matrix.rows, rows, matrix.columns],
-            false,
-        )
-    }
-
-    fn product(
-        &self,
-        queue: Queue,
-        [left, right, result]: [Address; 3],
-        transposed: [bool; 2],
-        strides: [usize; 3],
-        sizes: [usize; 3],
-        add: bool,
-    ) -> Result<()> {
-        let left = Factor { at: left, stride: strides[0], transposed: transposed[0] };
-        let right = Factor { at: right, stride: strides[1], transposed: transposed[1] };
-        let product = Product { left, right, result, stride: strides[2], sizes, add };
-        // SAFETY: buffers are those that `new` has made for these sizes.
-        unsafe { self.device.multiply(queue, &product) }
-    }
-
-    fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address().plus(matrix.first)
-    }
-
-    /// Blocks over the hidden units of rows.
-    fn units(&self, rows: usize) -> Shape {
-        Shape::new(self.constants.hidden_columns().div_ceil(128), rows, 128)
-    }
-
-    /// Blocks over the particles of rows.
-    fn particles(&self, rows: usize) -> Shape {
-        Shape::new(self.constants.particles.div_ceil(256), rows, 256)
-    }
-
-    /// Where the bodies of the step's windows lie in the memory of the device.
-    fn bodies(&self) -> Address {
-        match (&self.store.bodies, &self.staging) {
-            (Bodies::Device(buffer), _) | (_, Some(Staging { bodies: buffer, .. })) => {
-                buffer.address()
-            }
-            (Bodies::Host(_), None) => Address::NULL,
-        }
-    }
-
-    /// Fetches the windows of the step `ahead` steps from now, if they lie in the memory of the host.
-    fn fetch(&self, queue: Queue, ahead: usize) -> Result<()> {
-        let (Bodies::Host(host), Some(staging)) = (&self.store.bodies, &self.staging) else {
-            return Ok(());
-        };
-        let frames = self.settings.warm_up + self.settings.unroll;
-        self.launch_in(
-            queue,
-            Kernel::Fetch,
-            Shape::new(self.settings.batch.min(FETCHING), 1, 256),
-            &[
-                host.address().into(),
-                staging.sources.address().into(),
-                self.progress.address().into(),
-                staging.bodies.address().into(),
-                ahead.into(),
-                (frames * self.constants.particles).into(),
-                self.settings.batch.into(),
-            ],
-        )
-    }
-
     /// Puts a whole step into the queues.
     fn step(&self) -> Result<()> {
         let Settings { batch, warm_up, .. } = self.settings;

@@ -8,14 +8,14 @@ use crate::{
     kernels::Kernel,
 };
 
-use super::{BODY, Training, first_decoded, forward::Decoded, maximum::Maximum};
+use super::{BODY, Training, forward::Decoded, maximum::Maximum};
 
 impl Training {
     /// The gradients of frames `first..first + frames`, and with the first ones the weights' and their change.
     pub(super) fn backward(&self, first: usize, frames: usize) -> Result<()> {
         let batch = self.settings.batch;
         let wide = self.constants.hidden_columns();
-        let decoded = first_decoded(&self.settings);
+        let decoded = self.settings.first_decoded();
         let Decoded { from, rows, mixed, d_mixed, output } = self.decoded(first, frames);
         let last = first == 0;
         let density =

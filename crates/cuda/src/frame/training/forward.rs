@@ -8,7 +8,7 @@ use crate::{
     kernels::{AXES, Constants, Kernel},
 };
 
-use super::{BODY, SUMS, Settings, Training, first_decoded};
+use super::{BODY, SUMS, Settings, Training};
 
 /// The frames of a segment that the decoder runs on.
 pub(super) struct Decoded {
@@ -105,7 +105,7 @@ impl Training {
 
     /// What the decoder sees of frames `first..first + frames`.
     pub(super) fn decoded(&self, first: usize, frames: usize) -> Decoded {
-        let decoded = first_decoded(&self.settings);
+        let decoded = self.settings.first_decoded();
         let (from, wide) = (first.max(decoded), self.constants.hidden_columns());
         Decoded {
             from,
