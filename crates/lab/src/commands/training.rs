@@ -88,6 +88,7 @@ fn times(timings: &[Timing]) -> Table {
     let header = ["what", "core", "frames", "windows", "ms/step", "ms/sample", "s/epoch"];
     let rows = timings.iter().map(|timing| {
         let sample = timing.milliseconds / timing.windows as f64;
+        let epoch = 1e-3 * sample * f64::from(PAPER_SAMPLES);
         vec![
             if timing.what == Part::Frame { "network" } else { "core" }.to_owned(),
             timing.core.name().to_owned(),
@@ -95,7 +96,7 @@ fn times(timings: &[Timing]) -> Table {
             timing.windows.to_string(),
             milliseconds(timing.milliseconds),
             format!("{sample:.*}", if sample < 0.1 { 4 } else { 2 }),
-            format!("{:.0}", 1e-3 * sample * f64::from(PAPER_SAMPLES)),
+            format!("{epoch:.*}", usize::from(epoch < 10.0)),
         ]
     });
     table("Training steps", header, rows)
