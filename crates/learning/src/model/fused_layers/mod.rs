@@ -14,7 +14,7 @@ use eddy_inference::{
     checkpoint::Activation,
     kernels::{
         activation::{Elu, Relu, Sigmoid, Tanh, relu_gradient},
-        encoder::{Encoder, Gradients},
+        encoder::{Encoder, Gradients, Means},
         gru::{self, Gru},
         linear::Linear,
         lstm::{self, Lstm},
@@ -146,35 +146,36 @@ struct Encode {
 struct EncodeOf<const F: usize>(Encode);
 
 impl<const F: usize> Operation<3> for EncodeOf<F> {
-    type Kept = ();
+    /// Sums of slopes.
+    type Kept = Vec<f32>;
 
-    fn forward(&self, [points, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, ()) {
+    fn forward(&self, [points, weight, bias]: [&[f32]; 3]) -> (Vec<f32>, Self::Kept) {
         let Encode { activation, particles } = self.0;
         let layer = Encoder::<F> { weight, bias, particles };
-        let means = match activation {
+        let Means { means, slopes } = match activation {
             Activation::Sigmoid => layer.forward(Sigmoid, points),
             Activation::Tanh => layer.forward(Tanh, points),
             Activation::Relu => layer.forward(Relu, points),
             Activation::Elu => layer.forward(Elu, points),
         };
-        (means, ())
+        (means, slopes)
     }
 
     fn backward(
         &self,
         [points, weight, bias]: [&[f32]; 3],
         _means: &[f32],
-        (): (),
+        slopes: Self::Kept,
         gradient: &[f32],
         [by_points, _, _]: [bool; 3],
     ) -> [Vec<f32>; 3] {
         let Encode { activation, particles } = self.0;
         let layer = Encoder::<F> { weight, bias, particles };
         let Gradients { points, weight, bias } = match activation {
-            Activation::Sigmoid => layer.backward(Sigmoid, points, gradient, by_points),
-            Activation::Tanh => layer.backward(Tanh, points, gradient, by_points),
-            Activation::Relu => layer.backward(Relu, points, gradient, by_points),
-            Activation::Elu => layer.backward(Elu, points, gradient, by_points),
+            Activation::Sigmoid => layer.backward(Sigmoid, points, &slopes, gradient, by_points),
+            Activation::Tanh => layer.backward(Tanh, points, &slopes, gradient, by_points),
+            Activation::Relu => layer.backward(Relu, points, &slopes, gradient, by_points),
+            Activation::Elu => layer.backward(Elu, points, &slopes, gradient, by_points),
         };
         [points, weight, bias]
     }
