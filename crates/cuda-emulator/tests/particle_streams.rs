@@ -5,10 +5,13 @@
 #[expect(dead_code, reason = "the engine's own tests use more of it")]
 mod streams;
 
+mod device_streams;
+
 use std::{num::NonZeroUsize, path::Path, sync::Arc};
 
 use proptest::{prelude::*, sample::select};
 
+use device_streams::{are_copied_and_forgotten, have_the_same_bits_alone_and_beside_others};
 use eddy_cuda::particle::{Constants, Inference, Streams};
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Domain, Frame, Material, Stamp};
@@ -17,7 +20,7 @@ use eddy_inference::{
         Architecture, Checkpoint, Core, Description, Form, GridOptions, Normalization, Rules,
         Sizes, initial_weights,
     },
-    engine::{StepRequest, Surrogate},
+    engine::Surrogate,
 };
 use streams::{checkpoint, description, frames, largest_difference, predict, threads};
 
@@ -139,62 +142,23 @@ proptest! {
 
 #[test]
 fn a_stream_has_the_same_bits_alone_and_beside_others_of_other_sizes() {
-    for core in Core::ALL {
-        let surrogate = emulated(&small(core));
-        let streams: Vec<_> = (0..11u64)
-            .map(|seed| {
-                let mut frames = frames(3, [1, 70, 257, 130][seed as usize % 4], seed);
-                for frame in &mut frames {
-                    frame.domain.upper[0] += seed as f32 % 3.0;
-                }
-                frames
-            })
-            .collect();
-        let alone: Vec<_> = streams.iter().map(|frames| predict(&surrogate, frames)).collect();
-        let again: Vec<_> = streams.iter().map(|frames| predict(&surrogate, frames)).collect();
-        assert!(alone == again, "{}: other bits in a second run", core.name());
-
-        let mut stepper = surrogate.stepper();
-        let mut hidden: Vec<_> =
-            streams.iter().map(|frames| surrogate.start(&frames[0]).unwrap()).collect();
-        let mut predicted: Vec<Frame> = streams.iter().map(|frames| frames[0].clone()).collect();
-        for number in 0..3 {
-            let pairs = hidden.iter_mut().zip(&mut predicted).zip(&streams);
-            let mut requests: Vec<_> = pairs
-                .map(|((hidden, next), frames)| StepRequest {
-                    hidden,
-                    frame: (&frames[number]).into(),
-                    next,
-                })
-                .collect();
-            stepper.step_all(&mut requests);
-            let expected: Vec<_> = alone.iter().map(|frames| frames[number].clone()).collect();
-            assert!(predicted == expected, "{}: frame {number}", core.name());
+    let stream = |seed: u64| {
+        let mut frames = frames(3, [1, 70, 257, 130][seed as usize % 4], seed);
+        for frame in &mut frames {
+            frame.domain.upper[0] += seed as f32 % 3.0;
         }
-        stepper.check().unwrap();
+        frames
+    };
+    let streams: Vec<_> = (0..11).map(stream).collect();
+    for core in Core::ALL {
+        have_the_same_bits_alone_and_beside_others(&emulated(&small(core)), &streams);
     }
 }
 
 #[test]
 fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
     for core in [Core::MinGru, Core::Lstm, Core::Mlp] {
-        let surrogate = emulated(&small(core));
-        let frames = frames(4, 70, 5);
-        let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
-        let first = stepper.step(&mut hidden, &frames[0]);
-        let mut ahead = hidden.clone();
-        assert_eq!(ahead, hidden);
-        let second = stepper.step(&mut ahead, &frames[1]);
-        assert_ne!(ahead, hidden, "the copy has moved on");
-        assert_eq!(stepper.step(&mut hidden, &frames[1]), second);
-
-        stepper.step(&mut hidden, &frames[2]);
-        assert_ne!(ahead, hidden);
-        ahead.clone_from(&hidden);
-        assert_eq!(stepper.step(&mut ahead, &frames[3]), stepper.step(&mut hidden, &frames[3]));
-
-        hidden.forget();
-        assert_eq!(stepper.step(&mut hidden, &frames[0]), first);
+        are_copied_and_forgotten(&emulated(&small(core)));
     }
 }
 
