@@ -94,7 +94,8 @@ impl Inference {
     /// The network of a checkpoint on a device that has its kernels.
     ///
     /// # Errors
-    /// [`CudaError::Unsupported`], [`CudaError::Memory`], [`CudaError::Call`].
+    /// [`CudaError::Unsupported`](crate::CudaError::Unsupported), [`CudaError::Memory`](crate::CudaError::Memory),
+    /// [`CudaError::Call`](crate::CudaError::Call).
     pub fn new(
         device: Arc<dyn Device>,
         description: &Description,
