@@ -1,5 +1,4 @@
-// Shared by all kernels. NVRTC compiles the files of this folder as one text, without headers; the
-// tests compile the same text for the CPU (`emulator.cpp`), which defines EMULATED.
+// Shared by the kernels of both networks.
 //
 // Constants come from the network's description:
 //   DIM        axes of space
@@ -18,8 +17,6 @@
 // Activations are [rows, HP]: columns 0..H are numbers, column H is 1, the rest is 0. The bias is row H
 // of the weight matrix, so that the products add it and give its gradient. Gradients are 0 from column
 // H on.
-typedef unsigned int u32;
-typedef unsigned long long u64;
 #define LOG2E 1.4426950408889634f
 #define FEATURES (2 * DIM)
 #define INPUTS (FEATURES + (ONE_HOT ? MATERIALS : 1))

@@ -8,6 +8,7 @@ use crate::error::{CudaError, Result};
 
 /// All kernels, as one text.
 pub const SOURCE: &str = concat!(
+    include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("windows.cu"),
     include_str!("encoder.cu"),
@@ -20,6 +21,7 @@ pub const SOURCE: &str = concat!(
 
 /// The kernels of the particle model, as one text.
 pub const PARTICLE_SOURCE: &str = concat!(
+    include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
@@ -27,7 +29,7 @@ pub const PARTICLE_SOURCE: &str = concat!(
 );
 
 /// The kernels of the solver, as one text.
-pub const SOLVER_SOURCE: &str = include_str!("solver.cu");
+pub const SOLVER_SOURCE: &str = concat!(include_str!("base.cu"), include_str!("solver.cu"));
 
 /// A text of kernels and the constants it is compiled for.
 pub trait Program {

@@ -14,13 +14,6 @@
 #define NODE_FEATURES 5 // mass, and proximity to four walls
 #define ORIGIN 8        // index of node 0 in the maps of level 0
 
-#ifdef EMULATED
-#define multiply_rounded(a, b) ((a) * (b))
-#else
-// Not joined with an addition: cells and walls must be those that the processor finds.
-#define multiply_rounded(a, b) __fmul_rn(a, b)
-#endif
-
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {
   u32 particle;
@@ -102,12 +95,6 @@ __device__ __forceinline__ float cell_place(const Stream& s, const Body& body, i
 }
 // The first node of the stencil on an axis, from there on.
 __device__ __forceinline__ float stencil(float place) { return floorf(place - 0.5f); }
-// Weights of three nodes by the quadratic spline, at a distance of 0.5 to 1.5 from the first (cells).
-__device__ __forceinline__ void spline_weights(float x, float* weights) {
-  weights[0] = 0.5f * (1.5f - x) * (1.5f - x);
-  weights[1] = 0.75f - (x - 1.0f) * (x - 1.0f);
-  weights[2] = 0.5f * (x - 0.5f) * (x - 0.5f);
-}
 
 // Frames from the memory of the host; the particles of each cell; marks for the nodes they touch.
 // grid (ceil(n / 256), B), block 256

@@ -10,9 +10,6 @@
 // other scenes.
 //
 // Constants: LIQUID, SNOW, JELLY, ROPE (numbers of the materials), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
-typedef unsigned int u32;
-typedef unsigned long long u64;
-
 #define TILE 8
 #define MARGIN 2
 #define PATCH (TILE + 2 * MARGIN + 2)
@@ -34,12 +31,9 @@ typedef unsigned long long u64;
 #define ROUND_BITS 0x4b400000u
 
 #ifdef EMULATED
-#define multiply_rounded(a, b) ((a) * (b))
 static u32 bits_of(float v) { u32 bits; std::memcpy(&bits, &v, 4); return bits; }
 static float real(u32 bits) { float v; std::memcpy(&v, &bits, 4); return v; }
 #else
-// Not joined with an addition: cells must be those that the processor finds.
-#define multiply_rounded(a, b) __fmul_rn(a, b)
 #define bits_of(v) __float_as_uint(v)
 #define real(bits) __uint_as_float(bits)
 #endif
@@ -135,7 +129,7 @@ extern "C" __global__ void __launch_bounds__(256) solver_count(const Scene* __re
   arrivals[p] = atomicAdd(&counts[key], 1u);
 }
 
-// What changes when particles are sorted.
+// Numbers of tiles, found when particles are sorted.
 struct Sorted {
   u32 active;  // tiles with particles
   u32 touched; // tiles with nodes in patches of those
@@ -205,12 +199,6 @@ extern "C" __global__ void __launch_bounds__(256) solver_move(const Scene* __res
   places[s.first + (from.identity[p] >> 2)] = place;
 }
 
-// Weights of three nodes by the quadratic spline, at a distance of 0.5 to 1.5 from the first (cells).
-__device__ __forceinline__ void spline_weights(float x, float* weights) {
-  weights[0] = 0.5f * (1.5f - x) * (1.5f - x);
-  weights[1] = 0.75f - (x - 1.0f) * (x - 1.0f);
-  weights[2] = 0.5f * (x - 0.5f) * (x - 0.5f);
-}
 __device__ __forceinline__ float clamped(float v, float lowest, float highest) {
   return v < lowest ? lowest : (highest < v ? highest : v);
 }
