@@ -43,35 +43,22 @@ fn on_gpu(
 ) -> Result<Surrogate, ModelError> {
     use std::sync::Arc;
 
-    use eddy_cuda::{
-        CudaError, frame,
-        gpu::{Gpu, Precision},
-        kernels::{self, Program},
-        particle,
-    };
+    use eddy_cuda::{frame, kernels, particle};
     use eddy_inference::{checkpoint::Architecture, engine::Accelerator};
+
+    use super::devices::open_gpu;
     let Checkpoint { description, tensors } = checkpoint;
-    let gpu = |program: &dyn Program| {
-        let cache = eddy_learning::model::kernel_cache();
-        Gpu::new(number, program, Precision::Fp32, cache.as_deref()).map(Arc::new)
-    };
-    let streams = || -> Result<Arc<dyn Accelerator>, CudaError> {
+    let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
         Ok(match description.architecture {
             Architecture::Frame => {
-                let gpu = gpu(&kernels::Constants::of(description)?)?;
-                let mut inference = frame::Inference::new(gpu, description, tensors)?;
-                if let Some(threads) = threads {
-                    inference = inference.with_threads(threads);
-                }
-                Arc::new(frame::Streams::new(inference))
+                let gpu = open_gpu(number, &kernels::Constants::of(description)?)?;
+                let inference = frame::Inference::new(gpu, description, tensors)?;
+                Arc::new(frame::Streams::new(inference.with_threads(threads)))
             }
             Architecture::Particle => {
-                let gpu = gpu(&particle::Constants::of(description)?)?;
-                let mut inference = particle::Inference::new(gpu, description, tensors)?;
-                if let Some(threads) = threads {
-                    inference = inference.with_threads(threads);
-                }
-                Arc::new(particle::Streams::new(inference))
+                let gpu = open_gpu(number, &particle::Constants::of(description)?)?;
+                let inference = particle::Inference::new(gpu, description, tensors)?;
+                Arc::new(particle::Streams::new(inference.with_threads(threads)))
             }
         })
     };

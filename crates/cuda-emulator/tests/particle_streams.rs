@@ -52,7 +52,7 @@ fn emulated(checkpoint: &Checkpoint) -> Surrogate {
     // More threads than there are by default, which copy parts of a frame.
     let inference = Inference::new(Arc::new(device), description, tensors)
         .unwrap()
-        .with_threads(NonZeroUsize::new(5).unwrap());
+        .with_threads(NonZeroUsize::new(5));
     Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference))).unwrap()
 }
 

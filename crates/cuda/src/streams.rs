@@ -2,11 +2,14 @@
 
 use std::{
     any::Any,
+    num::NonZeroUsize,
     sync::{Arc, Mutex, MutexGuard},
+    thread,
 };
 
 use eddy_frames::{Frame, FrameView, Particles};
 use eddy_inference::engine::{Accelerator, DeviceState, DeviceStep, ModelError, StreamStart};
+use eddy_threads::ThreadPool;
 
 use crate::error::{CudaError, Result};
 
@@ -205,6 +208,12 @@ impl<M: StreamModel> DeviceState for State<M> {
         let memory = self.memory.as_ref().ok();
         memory.and_then(|memory| self.owner.attempt(|_| memory.numbers()).ok()).unwrap_or_default()
     }
+}
+
+/// The threads that copy between the program's memory and the device's: this many, otherwise one per core, at most `most`.
+pub(crate) fn copy_threads(threads: Option<NonZeroUsize>, most: usize) -> ThreadPool {
+    let usual = || thread::available_parallelism().map_or(1, NonZeroUsize::get).min(most);
+    ThreadPool::new("copies", threads.map_or_else(usual, NonZeroUsize::get), 1)
 }
 
 /// Positions and velocities side by side, from particle `first` on.

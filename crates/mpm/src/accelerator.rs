@@ -46,7 +46,7 @@ pub trait Accelerator: Send {
     fn run(&mut self, intervals: &[Interval]) -> Result<Vec<Result<(), usize>>, MpmError>;
 
     /// Copies the particles to the solvers, in the order of [`Accelerator::load`], as they are after the last run.
-    fn fetch(&self, solvers: &mut [&mut Solver]);
+    fn fetch(&mut self, solvers: &mut [&mut Solver]);
 }
 
 /// The numbers of the laws, the walls and the attractor, by the names that the devices' programs have for them.

@@ -160,12 +160,12 @@ impl Simulation {
         &mut self,
         outcome: Result<(), usize>,
     ) -> Result<Option<Frame>, MpmError> {
-        let frame = self.taken(outcome);
+        let frame = self.after_interval(outcome);
         self.ended |= frame.is_err();
         frame
     }
 
-    fn taken(&mut self, outcome: Result<(), usize>) -> Result<Option<Frame>, MpmError> {
+    fn after_interval(&mut self, outcome: Result<(), usize>) -> Result<Option<Frame>, MpmError> {
         outcome.map_err(|particle| diverged(self.solver.particles(), particle, self.begun()))?;
         if let (0, Some(attractor)) = (self.sequence, self.scene.attractor) {
             self.attracted = (self.attracted + 1).min(attractor.frames);

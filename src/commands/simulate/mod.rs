@@ -28,8 +28,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         (Some(output), true) => Some(Output::at(output, OutputKind::Bags, true, &[])?),
         _ => None,
     };
-    let mut device = open(args.device)?;
-    let at_once = match (&args.publish, &device) {
+    let at_once = match (&args.publish, request.device) {
         (Some(link), Some(_)) => {
             bail!("{link}: --publish simulates on the processor; omit --device")
         }
@@ -47,6 +46,8 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
             "{link}: {present} scenes already exist; publish them with `eddy replay`, or choose another --output"
         );
     }
+    // Before anything is written, and after what needs no device is checked.
+    let mut device = open(args.device)?;
     let store = args.output.as_ref().map(|output| job.open_store(output)).transpose()?;
     let outcome = match (&args.publish, &store) {
         (Some(link), store) => publish::run(&job, link, &args, store.as_ref(), quiet, interrupt),
@@ -75,14 +76,10 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
         ComputeDevice::Cpu => Ok(None),
         #[cfg(feature = "cuda")]
         ComputeDevice::Cuda(number) => {
-            use eddy_cuda::{
-                gpu::{Gpu, Precision},
-                solver::{Constants, Solvers},
-            };
-            let cache = eddy_learning::model::kernel_cache();
+            use eddy_cuda::solver::{Constants, Solvers};
             let number = number.into();
-            let gpu = Gpu::new(number, &Constants, Precision::Fp32, cache.as_deref())?;
-            Ok(Some(Box::new(Solvers::new(std::sync::Arc::new(gpu), number))))
+            let gpu = super::devices::open_gpu(number, &Constants)?;
+            Ok(Some(Box::new(Solvers::new(gpu, number))))
         }
     }
 }

@@ -32,7 +32,7 @@ pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams
     stepper.check().unwrap();
 }
 
-/// The copy of a state goes on alone, and a forgotten one starts anew.
+/// A copied state evolves independently of the original; a cleared state predicts as at the start.
 pub fn are_copied_and_forgotten(surrogate: &Surrogate) {
     let frames = frames(4, 70, 5);
     let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());

@@ -24,7 +24,7 @@ use crate::{
     error::Result,
     graphs::Graphs,
     kernels::{Constants, Kernel, scaling},
-    streams::{Body, Step, StreamModel, copy_bodies, copy_motion},
+    streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
 };
 
 /// Streams of a step.
@@ -48,14 +48,6 @@ const BODY: usize = size_of::<Body>() / size_of::<f32>();
 const WORTH_THREADS: usize = 4;
 /// Threads that copy, unless another number is given: more do not make the memory faster.
 const COPY_THREADS: usize = 4;
-
-fn copy_threads() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from).min(COPY_THREADS)
-}
-
-fn pool(threads: usize) -> ThreadPool {
-    ThreadPool::new("copies", threads, 1)
-}
 
 /// A frame model that predicts streams on a device.
 pub struct Inference {
@@ -128,7 +120,7 @@ impl Inference {
             host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
-            threads: pool(copy_threads()),
+            threads: copy_threads(None, COPY_THREADS),
             graphs: Graphs::new(SIZES.len()),
             dt: description.dt,
             constants,
@@ -142,10 +134,10 @@ impl Inference {
         Ok(inference)
     }
 
-    /// The same, with so many threads that copy frames between the program's memory and the device's.
+    /// The same, with this number of threads that copy frames between the program's memory and the device's, if one is given.
     #[must_use]
-    pub fn with_threads(self, threads: NonZeroUsize) -> Self {
-        Self { threads: pool(threads.get()), ..self }
+    pub fn with_threads(self, threads: Option<NonZeroUsize>) -> Self {
+        Self { threads: copy_threads(threads, COPY_THREADS), ..self }
     }
 
     /// One frame of each stream, at most [`MOST_STREAMS`].

@@ -37,7 +37,7 @@ use crate::{
     error::Result,
     graphs::Graphs,
     kernels::Kernel,
-    streams::{Body, Step, StreamModel, copy_bodies, copy_motion},
+    streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
 };
 
 /// Streams of a step.
@@ -115,10 +115,6 @@ struct Part {
     at: usize,
 }
 
-fn pool(threads: usize) -> ThreadPool {
-    ThreadPool::new("copies", threads, 1)
-}
-
 impl Inference {
     /// The network of a checkpoint on a device that has its kernels.
     ///
@@ -134,7 +130,6 @@ impl Inference {
         let (layout, weights) = Layout::new(description, &constants, tensors);
         let width = description.grid.map_or(1.0, |grid| grid.cell_width);
         let (slowest, fastest) = scales::velocity_limits(&description.normalization);
-        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(COPY_THREADS);
         let inference = Self {
             scales: Scales {
                 width,
@@ -153,7 +148,7 @@ impl Inference {
             scratch: device.allocate(0)?,
             host: [device.allocate_host(0)?, device.allocate_host(0)?],
             bodies: 0,
-            threads: pool(threads),
+            threads: copy_threads(None, COPY_THREADS),
             graphs: Graphs::new(GRAPHS),
             constants,
             layout,
@@ -165,10 +160,10 @@ impl Inference {
         Ok(inference)
     }
 
-    /// The same, with so many threads that copy frames between the program's memory and the device's.
+    /// The same, with this number of threads that copy frames between the program's memory and the device's, if one is given.
     #[must_use]
-    pub fn with_threads(self, threads: NonZeroUsize) -> Self {
-        Self { threads: pool(threads.get()), ..self }
+    pub fn with_threads(self, threads: Option<NonZeroUsize>) -> Self {
+        Self { threads: copy_threads(threads, COPY_THREADS), ..self }
     }
 
     fn size(&self, memory: &Memory, domain: &Domain) -> Size {

@@ -2,29 +2,31 @@
 
 #![expect(unsafe_code, reason = "pinned memory")]
 
-use std::{
-    num::NonZero,
-    ops::Range,
-    sync::{Mutex, PoisonError},
-    thread,
-};
+use std::ops::Range;
 
 use eddy_mpm::{Matrix2, Particle, Solver};
+use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::layout::NUMBERS;
 use crate::{
     device::{Device, HostBuffer},
     error::Result,
+    streams::copy_threads,
 };
 
 /// Particles that a thread copies at a time, at most.
 const PART: usize = 1 << 14;
+/// Parts from which on several threads copy.
+const WORTH_THREADS: usize = 4;
+/// Threads that copy, at most.
+const COPY_THREADS: usize = 16;
 
 /// `State` of the kernels in the memory of the host: lists of all scenes' particles, in the order of the solvers.
 pub(super) struct HostParticles {
     memory: HostBuffer,
     /// Length of the lists.
     length: usize,
+    threads: ThreadPool,
 }
 
 /// A part of the lists.
@@ -41,7 +43,7 @@ impl HostParticles {
     /// Room for so many.
     pub(super) fn new(device: &dyn Device, length: usize) -> Result<Self> {
         let memory = device.allocate_host(NUMBERS * length * size_of::<f32>())?;
-        Ok(Self { memory, length })
+        Ok(Self { memory, length, threads: copy_threads(None, COPY_THREADS) })
     }
 
     /// All lists, one after the other.
@@ -64,7 +66,8 @@ impl HostParticles {
     /// Writes the particles of these solvers.
     pub(super) fn write(&mut self, solvers: &[&Solver]) {
         let n = self.length;
-        let all: &mut [f32] = bytemuck::cast_slice_mut(self.bytes_mut());
+        // SAFETY: as in `bytes`.
+        let all: &mut [f32] = unsafe { self.memory.slice() };
         let (position, rest) = all.split_at_mut(2 * n);
         let (velocity, rest) = rest.split_at_mut(2 * n);
         let (affine, rest) = rest.split_at_mut(4 * n);
@@ -80,61 +83,59 @@ impl HostParticles {
         };
         let parts = solvers.iter().flat_map(|solver| solver.particles().chunks(PART));
         let parts = parts.map(|part| (lists.take(part.len()), part)).collect();
-        on_threads(parts, |(to, from): (Lists<'_>, &[Particle])| to.write(from));
+        copy_parts(&mut self.threads, parts, |(to, from)| to.write(from));
     }
 
     /// Copies the particles to these solvers; their materials stay.
-    pub(super) fn read(&self, solvers: &mut [&mut Solver]) {
+    pub(super) fn read(&mut self, solvers: &mut [&mut Solver]) {
+        let n = self.length;
+        // SAFETY: as in `bytes`.
+        let all: &[f32] = unsafe { self.memory.view() };
         let parts = solvers.iter_mut().flat_map(|solver| solver.particles_mut().chunks_mut(PART));
         let mut end = 0;
         let parts = parts.map(|part| {
             end += part.len();
             (end - part.len()..end, part)
         });
-        on_threads(parts.collect(), |(from, to)| self.read_at(from, to));
-    }
-
-    /// Copies the particles at these places.
-    fn read_at(&self, places: Range<usize>, particles: &mut [Particle]) {
-        let n = self.length;
-        let all: &[f32] = bytemuck::cast_slice(self.bytes());
-        let list = |first: usize, width: usize| {
-            &all[first * n + width * places.start..first * n + width * places.end]
-        };
-        let pairs = |first: usize| list(first, 2).as_chunks::<2>().0;
-        let matrices = |first: usize| list(first, 4).as_chunks::<4>().0;
-        let matrix = |&[xx, xy, yx, yy]: &[f32; 4]| Matrix2::new(xx, xy, yx, yy);
-        let states = pairs(0)
-            .iter()
-            .zip(pairs(2))
-            .zip(matrices(4))
-            .zip(matrices(8))
-            .zip(list(12, 1))
-            .zip(particles);
-        for (((((position, velocity), affine), deformation), plastic), particle) in states {
-            particle.position = *position;
-            particle.velocity = *velocity;
-            particle.affine = matrix(affine);
-            particle.deformation = matrix(deformation);
-            particle.plastic = *plastic;
-        }
+        copy_parts(&mut self.threads, parts.collect(), |(from, to)| read(all, n, from, to));
     }
 }
 
-/// Does the work of all parts on the threads that are worth it.
-fn on_threads<T: Send>(parts: Vec<T>, work: impl Fn(T) + Sync) {
-    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(parts.len());
-    let parts = Mutex::new(parts.into_iter());
-    let next = || parts.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let worker = || {
-        while let Some(part) = next() {
-            work(part);
-        }
+/// Copies all parts, on several threads if they are many.
+fn copy_parts<T: Send + Sync>(
+    threads: &mut ThreadPool,
+    mut parts: Vec<T>,
+    copy: impl Fn(&mut T) + Sync,
+) {
+    let (count, parts) = (parts.len(), DisjointSlice::new(&mut parts));
+    threads.run([count], count < WORTH_THREADS, &|Task { item, .. }| {
+        // SAFETY: each item runs once.
+        copy(&mut unsafe { parts.part(item..item + 1) }[0]);
+    });
+}
+
+/// Copies the particles at these places of lists of length `n`, one after the other in `all`.
+fn read(all: &[f32], n: usize, places: &Range<usize>, particles: &mut [Particle]) {
+    let list = |first: usize, width: usize| {
+        &all[first * n + width * places.start..first * n + width * places.end]
     };
-    if threads <= 1 {
-        return worker();
+    let pairs = |first: usize| list(first, 2).as_chunks::<2>().0;
+    let matrices = |first: usize| list(first, 4).as_chunks::<4>().0;
+    let matrix = |&[xx, xy, yx, yy]: &[f32; 4]| Matrix2::new(xx, xy, yx, yy);
+    let states = pairs(0)
+        .iter()
+        .zip(pairs(2))
+        .zip(matrices(4))
+        .zip(matrices(8))
+        .zip(list(12, 1))
+        .zip(particles);
+    for (((((position, velocity), affine), deformation), plastic), particle) in states {
+        particle.position = *position;
+        particle.velocity = *velocity;
+        particle.affine = matrix(affine);
+        particle.deformation = matrix(deformation);
+        particle.plastic = *plastic;
     }
-    thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(worker))));
 }
 
 impl<'a> Lists<'a> {
@@ -155,7 +156,7 @@ impl<'a> Lists<'a> {
         }
     }
 
-    fn write(self, particles: &[Particle]) {
+    fn write(&mut self, particles: &[Particle]) {
         let numbers = |matrix: Matrix2| [matrix.xx, matrix.xy, matrix.yx, matrix.yy];
         for (k, particle) in particles.iter().enumerate() {
             self.position[k] = particle.position;

@@ -124,8 +124,8 @@ impl Accelerator for Solvers {
         Ok(lost.into_iter().map(|lost| lost.map_or(Ok(()), Err)).collect())
     }
 
-    fn fetch(&self, solvers: &mut [&mut Solver]) {
-        if let Some(loaded) = &self.loaded {
+    fn fetch(&mut self, solvers: &mut [&mut Solver]) {
+        if let Some(loaded) = &mut self.loaded {
             loaded.host.read(solvers);
         }
     }
@@ -410,8 +410,8 @@ impl Loaded {
     }
 }
 
-/// Substeps of a round in an interval of at most so many, which ends with one more that only gathers: even, since what a
-/// substep has done is told to the next one in two lists in turn.
+/// Substeps of a round in an interval of at most `most`, which ends with one more that only gathers: an even number, because
+/// successive substeps alternate between two status buffers.
 fn substeps_of_a_round(most: u32) -> u32 {
     let steps = most + 1;
     steps.div_ceil(steps.div_ceil(MOST_SUBSTEPS)).next_multiple_of(2)

@@ -100,6 +100,11 @@ pub struct Timing {
     pub milliseconds: f64,
 }
 
+/// A time per step (ms) in tables: three digits, also of a GPU's times.
+pub fn milliseconds(time: f64) -> String {
+    format!("{time:.*}", if time < 10.0 { 3 } else { 1 })
+}
+
 impl Step {
     /// Times steps for about `seconds`.
     ///

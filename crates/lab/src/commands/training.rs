@@ -7,7 +7,9 @@ use serde::Serialize;
 
 use super::args::BenchTrainingArgs;
 use super::{BenchOutput, table};
-use crate::bench::training::{FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, paper_steps, products};
+use crate::bench::training::{
+    FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, milliseconds, paper_steps, products,
+};
 use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
 use eddy_learning::{
@@ -72,11 +74,6 @@ pub fn run(
     let output =
         BenchOutput { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
     output.show(&Report { threads, steps: timings }, args.json, html)
-}
-
-/// Three digits, also of a GPU's times.
-fn milliseconds(time: f64) -> String {
-    format!("{time:.*}", if time < 10.0 { 3 } else { 1 })
 }
 
 /// Rows of the table: the whole network with the paper's window, and the core alone by frames.

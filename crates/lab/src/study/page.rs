@@ -4,7 +4,7 @@ use super::{
     Comparison, Curve, Networks, Speed, StudyConfig,
     networks::{mean, scientific, spread},
 };
-use crate::bench::training::{CORES, Timing};
+use crate::bench::training::{CORES, Timing, milliseconds};
 use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
 use eddy_inference::checkpoint::{Activation, Core};
 use eddy_learning::train::step_benchmark::{GPU_CORE_PARTICLES, Part};
@@ -144,10 +144,7 @@ impl StudyReport {
             std::iter::once(String::new()).chain(lengths.iter().map(title)),
         );
         for core in CORES {
-            let cells = lengths.iter().map(|&length| {
-                let time = time(core, length);
-                format!("{time:.*}", if time < 10.0 { 3 } else { 1 })
-            });
+            let cells = lengths.iter().map(|&length| milliseconds(time(core, length)));
             table.row(core.name(), cells.collect::<Vec<_>>());
         }
         for [slow, fast] in [[Core::Lstm, Core::MinLstm], [Core::Gru, Core::MinGru]] {

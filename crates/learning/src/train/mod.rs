@@ -188,14 +188,14 @@ pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outco
     let learner = |description: &Description, group: Option<&Group>| {
         Learner::new(run, config, description, dataset, group)
     };
-    train_with(config, dataset, run, &Means { learner: &learner, clock: &|| clock.now() })
+    train_with(config, dataset, run, &Dependencies { learner: &learner, clock: &|| clock.now() })
 }
 
 /// Opens what takes the steps of a network, beside other processes.
 type Open<'a> = dyn Fn(&Description, Option<&Group>) -> Result<Learner, TrainError> + 'a;
 
 /// What a run gets from outside: in tests, another device and another time.
-struct Means<'a> {
+struct Dependencies<'a> {
     /// What takes the steps.
     learner: &'a Open<'a>,
     /// The time since any instant.
@@ -206,7 +206,7 @@ fn train_with(
     config: &TrainConfig,
     dataset: &Dataset,
     run: &Run,
-    means: &Means<'_>,
+    dependencies: &Dependencies<'_>,
 ) -> Result<Outcome, TrainError> {
     config.check()?;
     let mut description = description::describe(config, dataset, &run.command)?;
@@ -222,7 +222,7 @@ fn train_with(
         None => resume::follow(config, &mut description, run),
     };
     let outcome = outcome.and_then(|state| {
-        take_epochs(config, dataset, run, &description, state, group.as_ref(), means)
+        take_epochs(config, dataset, run, &description, state, group.as_ref(), dependencies)
     });
     together::part(group.as_ref(), &outcome);
     outcome
@@ -236,7 +236,7 @@ fn take_epochs(
     description: &Description,
     state: RunState,
     group: Option<&Group>,
-    means: &Means<'_>,
+    dependencies: &Dependencies<'_>,
 ) -> Result<Outcome, TrainError> {
     let done = state.epoch();
     let explained = |error| match group {
@@ -259,8 +259,8 @@ fn take_epochs(
         common: state.common.clone(),
     };
     let output = run.leads().then_some(run.output);
-    let monitor = Monitor::new(output, config, &state, run.progress, means.clock)?;
-    let learner = (means.learner)(description, group).map_err(explained)?;
+    let monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
+    let learner = (dependencies.learner)(description, group).map_err(explained)?;
     let mut trainer = Trainer {
         config,
         dataset,

@@ -15,7 +15,7 @@ use std::{
 };
 
 use super::{
-    Epoch, Machine, Means, Outcome, Run, Schedule, TrainConfig, TrainError, cuda,
+    Dependencies, Epoch, Machine, Outcome, Run, Schedule, TrainConfig, TrainError, cuda,
     cuda_tests::{self, relative_error, streams},
     steps::Learner,
     train_with,
@@ -90,7 +90,7 @@ fn run(
         let learner = cuda::Learner::on(devices, group, &dataset.train)?;
         Ok(Learner::Cuda(Box::new(learner)))
     };
-    train_with(config, &dataset, &run, &Means { learner: &learner, clock: options.clock })
+    train_with(config, &dataset, &run, &Dependencies { learner: &learner, clock: options.clock })
 }
 
 fn constants(config: &TrainConfig) -> Constants {
@@ -140,6 +140,23 @@ fn both(
     })
 }
 
+/// A run of two processes with the same settings and options, which both come to its end.
+fn together(
+    config: &TrainConfig,
+    output: &Path,
+    options: &(dyn Fn() -> Options<'static> + Sync),
+) -> [Outcome; 2] {
+    both([config; 2], [output; 2], [options; 2]).map(|outcome| outcome.unwrap().unwrap())
+}
+
+/// Two processes continue a run, and end with the same epochs and bits as one that was never interrupted.
+fn resume_as(expected: &Outcome, config: &TrainConfig, output: &Path) {
+    let resuming = || Options { resume: true, ..Options::default() };
+    let [found, _] = together(config, output, &resuming);
+    assert_eq!(found.epochs, expected.epochs);
+    assert_eq!(distance(&found, expected), 0.0, "the same bits");
+}
+
 /// Largest relative error of a tensor of the best checkpoints.
 fn distance(found: &Outcome, expected: &Outcome) -> f64 {
     let [found, expected] =
@@ -179,15 +196,10 @@ fn two_processes_resume_with_the_same_bits() {
     let mut config = config();
     // Another number of epochs would change the schedule.
     config.optimizer.schedule = Schedule::Constant;
-    let expected = both([&config; 2], [&whole; 2], [&Options::default, &Options::default]);
-    let [expected, _] = expected.map(|outcome| outcome.unwrap().unwrap());
+    let [expected, _] = together(&config, &whole, &Options::default);
     let first = TrainConfig { epochs: 1, ..config.clone() };
-    both([&first; 2], [&parts; 2], [&Options::default, &Options::default]);
-    let resuming = || Options { resume: true, ..Options::default() };
-    let [found, _] = both([&config; 2], [&parts; 2], [&resuming, &resuming])
-        .map(|outcome| outcome.unwrap().unwrap());
-    assert_eq!(found.epochs, expected.epochs);
-    assert_eq!(distance(&found, &expected), 0.0, "the same bits");
+    together(&first, &parts, &Options::default);
+    resume_as(&expected, &config, &parts);
 }
 
 #[test]
@@ -231,8 +243,7 @@ fn a_lost_process_ends_the_other_and_the_last_epoch_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     let config = config();
-    let expected = both([&config; 2], [&whole; 2], [&Options::default, &Options::default]);
-    let [expected, _] = expected.map(|outcome| outcome.unwrap().unwrap());
+    let [expected, _] = together(&config, &whole, &Options::default);
 
     // The clock stands still: without the loss, the second epoch would not be saved.
     let lost = || Options {
@@ -248,11 +259,7 @@ fn a_lost_process_ends_the_other_and_the_last_epoch_is_kept() {
     assert!(message.ends_with(&end), "{message}");
     assert_eq!(epochs_saved(&parts), 2);
 
-    let resuming = || Options { resume: true, ..Options::default() };
-    let [found, _] = both([&config; 2], [&parts; 2], [&resuming, &resuming])
-        .map(|outcome| outcome.unwrap().unwrap());
-    assert_eq!(found.epochs, expected.epochs);
-    assert_eq!(distance(&found, &expected), 0.0, "the same bits");
+    resume_as(&expected, &config, &parts);
 }
 
 #[test]
@@ -327,7 +334,8 @@ fn a_run_through_burn_is_saved_after_every_epoch() {
         progress: &Silent,
         on_epoch: &on_epoch,
     };
-    let means = Means { learner: &|_, _| Ok(Learner::Burn), clock: &|| Duration::ZERO };
-    train_with(&config, &dataset, &run, &means).unwrap();
+    let dependencies =
+        Dependencies { learner: &|_, _| Ok(Learner::Burn), clock: &|| Duration::ZERO };
+    train_with(&config, &dataset, &run, &dependencies).unwrap();
     assert_eq!(*saved.lock().unwrap(), [1, 2, 3]);
 }

@@ -13,7 +13,7 @@ use eddy_mpm::{Accelerator, Interval, MpmError, Simulation, Solver};
 
 /// Maximum number of scenes side by side: more gain nothing.
 pub const MOST_SCENES: usize = 256;
-/// One in so many scenes has to end before others take their places, since all are loaded anew then.
+/// Finished scenes are replaced when they are more than one in this many, because all scenes are then loaded again.
 const REPLACED: usize = 8;
 
 /// Outcome of a scene.

@@ -1,8 +1,10 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
-    sync::Arc,
-    sync::atomic::{AtomicU64, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     time::SystemTime,
 };
 
@@ -275,7 +277,7 @@ impl Accelerator for Failing {
         self.0.run(intervals)
     }
 
-    fn fetch(&self, solvers: &mut [&mut Solver]) {
+    fn fetch(&mut self, solvers: &mut [&mut Solver]) {
         self.0.fetch(solvers);
     }
 }
