@@ -20,8 +20,11 @@ use eddy_bag::Compression;
 use eddy_evaluation::DEFAULT_STARTS;
 use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
-use eddy_learning::model::{Architecture, Core, DeviceKind, Precision};
-use eddy_mpm::Law;
+use eddy_learning::{
+    model::{Architecture, Core, DeviceKind, Precision},
+    train::Recipe,
+};
+use eddy_mpm::{Law, ParticleOrder};
 use eddy_node::surrogate::{NodeOptions, PredictOptions};
 use eddy_transport::{Link, ListenAddress, Reliability, TransportKind};
 
@@ -265,6 +268,14 @@ pub struct SimulateArgs {
     /// Particles of a random scene; more particles make the domain wider, at the same spacing and height [default: 2500].
     #[arg(long, value_name = "N", conflicts_with = "scene")]
     pub particles: Option<usize>,
+    /// All random scenes have the bodies of the first: the same materials, shapes and places. Only their velocities and the
+    /// attractor differ.
+    #[arg(long, conflicts_with = "scene")]
+    pub same_bodies: bool,
+    /// How the particles of bodies are numbered: body by body, or along a Hilbert curve through their initial positions
+    /// [default: the scene's; bodies].
+    #[arg(long, value_enum, value_name = "ORDER")]
+    pub particle_order: Option<ParticleOrder>,
     /// Duration of a scene (simulated s) [default: the scene's].
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub duration: Option<f64>,
@@ -448,6 +459,9 @@ pub struct TrainArgs {
     /// Read settings from a TOML file; command-line options override it.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Defaults of all settings: eddy's for the architecture, or the paper's network and training as published.
+    #[arg(long, value_enum, default_value_t = Recipe::Default)]
+    pub recipe: Recipe,
     /// Network architecture.
     #[arg(long, value_enum)]
     pub architecture: Option<Architecture>,

@@ -43,7 +43,8 @@ impl Solver {
             return Err(wrong("threads", 0, "at least 1"));
         }
         let law: Option<Law> = law.map(|law| values::word("law", law)).transpose()?;
-        let settings = Settings { stiffness, law, viscosity, substeps, duration };
+        let settings =
+            Settings { stiffness, law, viscosity, substeps, duration, ..Settings::default() };
         let scene = scene.get().inner.clone();
         let simulation = py.detach(|| Simulation::on_threads(scene, &settings, threads));
         Ok(Self { simulation: Mutex::new(simulation.map_err(raise::<SimulationError>)?) })

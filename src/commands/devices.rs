@@ -21,17 +21,6 @@ pub fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The GPU of this number with the kernels of a program, all products in FP32; compiled kernels are kept in the user's cache folder.
-#[cfg(feature = "cuda")]
-pub(super) fn open_gpu(
-    number: usize,
-    program: &dyn eddy_cuda::kernels::Program,
-) -> eddy_cuda::Result<std::sync::Arc<eddy_cuda::gpu::Gpu>> {
-    let cache = eddy_learning::model::kernel_cache();
-    let precision = eddy_cuda::gpu::Precision::Fp32;
-    eddy_cuda::gpu::Gpu::new(number, program, precision, cache.as_deref()).map(Into::into)
-}
-
 /// Adds every GPU; returns why none can be used.
 #[cfg(feature = "cuda")]
 fn gpus(table: &mut Table) -> Option<eddy_cuda::CudaError> {

@@ -16,7 +16,7 @@ use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
     ranks::{Process, ProcessOptions, Timing},
     train::{
-        Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
+        Epoch, LAST_FOLDER, Machine, Outcome, Recipe, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
     },
 };
@@ -177,7 +177,7 @@ fn abandon(sentence: &str) {
     signal_hook::low_level::exit(1);
 }
 
-/// The defaults of the architecture, then the file, then the command line.
+/// The recipe's defaults, then the file, then the command line.
 fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
     let overrides = match &args.config {
         None => Overrides::default(),
@@ -187,9 +187,17 @@ fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
         Some(architecture) => Some(architecture),
         None => overrides.get("architecture")?,
     };
-    let architecture = architecture.unwrap_or_default();
-    let mut config = overrides.over(&TrainConfig::defaults(architecture))?;
-    config.architecture = architecture;
+    let defaults = match (args.recipe, architecture) {
+        (Recipe::Default, architecture) => TrainConfig::defaults(architecture.unwrap_or_default()),
+        (Recipe::Paper, None | Some(Architecture::Frame)) => TrainConfig::paper(),
+        (Recipe::Paper, Some(Architecture::Particle)) => {
+            let error =
+                "--recipe: found paper for architecture particle, expected architecture frame";
+            return Err(Usage::new(error).into());
+        }
+    };
+    let mut config = overrides.over(&defaults)?;
+    config.architecture = defaults.architecture;
     config.core = args.core.unwrap_or(config.core);
     config.epochs = args.epochs.unwrap_or(config.epochs);
     config.seed = args.seed.first().copied().unwrap_or(config.seed);

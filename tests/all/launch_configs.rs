@@ -33,7 +33,6 @@ files! {
     the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => train,
     the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => train,
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
-    the_paper_s_study_at_its_budget_begins_with_its_settings: "study_h200.toml" => study,
     replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
     },

@@ -134,5 +134,5 @@ def core(description: dict[str, Any], inputs: int) -> nn.Module:
 
 def options(description: dict[str, Any]) -> dict[str, str]:
     """The frame model's options, with defaults for those that `model.toml` omits."""
-    defaults = {"pooling": "mean", "activation": "elu", "material": "one-hot", "scaling": "min-max"}
+    defaults = {"pooling": "mean", "activation": "elu", "material": "one-hot", "scaling": "min-max", "output": "displacement"}
     return defaults | description.get("frame", {})

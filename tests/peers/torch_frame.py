@@ -19,7 +19,7 @@ class FrameModel(nn.Module):
         super().__init__()
         sizes = description["sizes"]
         chosen = options(description)
-        self.particles, self.dt = sizes["particles"], description["dt"]
+        self.particles, self.dt, self.output = sizes["particles"], description["dt"], chosen["output"]
         self.pooling, self.one_hot = chosen["pooling"], chosen["material"] == "one-hot"
         self.activation = ACTIVATIONS[chosen["activation"]]
         features, width, hidden = 4 + (len(MATERIALS) if self.one_hot else 1), sizes["encoder"], sizes["hidden"]
@@ -34,6 +34,15 @@ class FrameModel(nn.Module):
             offset, unit = scale["minimum"], scale["maximum"] - scale["minimum"]
         else:
             offset, unit = scale["mean"], scale["standard_deviation"]
+        gravity = torch.tensor(description["gravity"])
+        for name, values in {
+            "fall": gravity * self.dt,
+            "lower": scale["minimum"][:2],
+            "upper": scale["maximum"][:2],
+            "mean": scale["mean"][:2],
+            "deviation": scale["standard_deviation"][:2],
+        }.items():
+            self.register_buffer(name, values, persistent=False)
         self.register_buffer("offset", offset, persistent=False)
         self.register_buffer("unit", unit, persistent=False)
 
@@ -47,9 +56,22 @@ class FrameModel(nn.Module):
         """The frame after each of T frames, and the state after the last one; `matter` comes from `matter()`."""
         position, velocity = bodies
         signal, state = self.core(self.encode(position, velocity, matter), state)
-        change = self.decoder(self.activation(self.mixer(signal)))  # [T, B, 2 N]
-        velocity = velocity + change.unflatten(-1, (self.particles, 2))
-        return (position + velocity * self.dt, velocity), state
+        output = self.decoder(self.activation(self.mixer(signal)))  # [T, B, 2 N]
+        return self.advance(position, velocity, output.unflatten(-1, (self.particles, 2))), state
+
+    def advance(self, position: Tensor, velocity: Tensor, output: Tensor) -> Bodies:
+        """The next state from the decoder's output, [T, B, N, 2] each."""
+        if self.output == "position":
+            following = self.mean + self.deviation * output
+            return following, (following - position) / self.dt
+        if self.output == "residual":
+            fallen = velocity + self.fall
+            free = position + (velocity + fallen) / 2 * self.dt
+            ballistic = free.maximum(self.lower).minimum(self.upper)
+            moving = (ballistic == free).detach()
+            return ballistic + output * self.dt / 2, fallen * moving + output
+        velocity = velocity + output
+        return position + velocity * self.dt, velocity
 
     def encode(self, position: Tensor, velocity: Tensor, matter: Tensor) -> Tensor:
         """[T, B, H], or [T, B, 2 H] with both poolings."""

@@ -4,12 +4,13 @@
 use std::{error::Error, fs, path::PathBuf};
 
 use eddy_cuda::{
+    dense,
     gpu::{Target, compile},
     kernels::{Constants, Program},
     particle, solver,
 };
 use eddy_inference::checkpoint::{
-    Activation, Architecture, Core, Description, Form, Pooling, Sizes,
+    Activation, Architecture, Core, Description, Form, FrameOutput, Pooling, Sizes,
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -25,6 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         hidden: 1250,
         activation: Activation::Elu,
         pooling: Pooling::Mean,
+        output: FrameOutput::Displacement,
         form: Form::Plain,
         normalized: true,
     };
@@ -33,6 +35,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let variants = [("paper", paper.clone()), ("log", log), ("maximum", maximum)];
     let variants = variants.into_iter().chain(
         Activation::ALL.map(|kind| (kind.name(), Constants { activation: kind, ..paper.clone() })),
+    );
+    let variants = variants.chain(
+        FrameOutput::ALL.map(|kind| (kind.name(), Constants { output: kind, ..paper.clone() })),
     );
     let frame = variants
         .map(|(name, constants)| (name.to_owned(), Box::new(constants) as Box<dyn Program>));
@@ -47,7 +52,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
     let solver = ("solver".to_owned(), Box::new(solver::Constants) as Box<dyn Program>);
-    for (name, program) in frame.chain(particle).chain([solver]) {
+    let dense = Activation::ALL.map(|activation| {
+        let constants = dense::Constants { width: 200, activation };
+        (format!("dense-{}", activation.name()), Box::new(constants) as Box<dyn Program>)
+    });
+    for (name, program) in frame.chain(particle).chain([solver]).chain(dense) {
         for &capability in &capabilities {
             for (target, extension) in
                 [(Target::Ptx(capability), "ptx"), (Target::Machine(capability), "cubin")]

@@ -144,18 +144,21 @@ impl Rank {
     pub const ALONE: Self = Self { number: 0, count: 1 };
 }
 
-/// A value passed to a kernel: a number, an address, or a struct of C of at most 32 bytes.
+/// Largest value passed to a kernel (bytes): `struct Frames` has 76.
+const ARGUMENT_BYTES: usize = 80;
+
+/// A value passed to a kernel: a number, an address, or a struct of C.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(8))]
-pub struct Argument([u8; 32]);
+pub struct Argument([u8; ARGUMENT_BYTES]);
 
 impl Argument {
     /// From the bytes of a value as C has it.
     ///
     /// # Panics
-    /// When there are more than 32.
+    /// When there are more than 80.
     pub fn from_bytes(bytes: &[u8]) -> Self {
-        let mut all = [0; 32];
+        let mut all = [0; ARGUMENT_BYTES];
         all[..bytes.len()].copy_from_slice(bytes);
         Self(all)
     }

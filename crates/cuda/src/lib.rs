@@ -3,10 +3,12 @@
 //! 1. [`device`]: what the networks need of a device; [`gpu`] is one; tests have another, that of the
 //!    crate `eddy-cuda-emulator`.
 //! 2. [`kernels`]: the kernels' text and the constants they are compiled for.
-//! 3. [`frame`]: the frame model. [`particle`]: the particle model. [`solver`]: the MPM solver.
+//! 3. [`frame`]: the frame model. [`particle`]: the particle model. [`dense`]: the small network of the comparison of
+//!    activations. [`solver`]: the MPM solver.
 //!
 //! No CUDA toolkit is needed to build: the driver, NVRTC and cuBLASLt are loaded at run time.
 
+pub mod dense;
 pub mod device;
 pub mod frame;
 pub mod gpu;

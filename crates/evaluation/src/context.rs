@@ -1,6 +1,6 @@
 //! The evaluation context: settings, walls and units, the same for all predictors.
 
-use super::{EvalError, Units, window::starts};
+use super::{Baseline, EvalError, LinearFit, Predictor, Units, window::starts};
 use crate::dataset::{Bounds, State};
 use eddy_frames::Domain;
 use eddy_inference::{
@@ -58,6 +58,8 @@ pub struct Context {
     pub units: Units,
     /// Mean x, y, vx, vy of the first model's training data (domain lengths, domain lengths per second).
     pub mean: [f32; 4],
+    /// The fit to the first model's training data, if its checkpoint has one.
+    pub linear_fit: Option<LinearFit>,
 }
 
 impl Context {
@@ -81,7 +83,14 @@ impl Context {
             spacing,
             units: units(&first.normalization),
             mean: first.normalization.mean,
+            linear_fit: first.training.linear_fit.map(|rows| LinearFit { rows }),
         }
+    }
+
+    /// The predictors that every evaluation has beside its models: the baselines of skill first.
+    pub(super) fn simple_predictors<'a>(&self) -> impl Iterator<Item = Predictor<'a>> + use<'a> {
+        let fit = self.linear_fit.map(Predictor::LinearFit);
+        Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]).chain(fit)
     }
 
     /// `particles` particles, all in the mean state of the training data.

@@ -105,6 +105,13 @@ fn add_times(
                 true
             });
         }
+        Predictor::LinearFit(fit) => {
+            let mut state = observed.clone();
+            run(times, || {
+                fit.step(&mut state, context.ballistic.dt);
+                true
+            });
+        }
         Predictor::Restart(restart) => {
             if let Ok(mut restarted) = restart.begin(scene()?, stream, observed) {
                 run(times, || restarted.next_state().is_some());

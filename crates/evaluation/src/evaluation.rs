@@ -6,8 +6,8 @@ use std::{collections::BTreeMap, num::NonZeroUsize, path::PathBuf};
 use rayon::{ThreadPoolBuildError, prelude::*};
 
 use super::{
-    Baseline, Cost, EvalError, EvaluationResults, Kind, Origin, Predictor, PredictorInfo, Report,
-    Role, SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
+    Cost, EvalError, EvaluationResults, Kind, Origin, Predictor, PredictorInfo, Report, Role,
+    SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
     references::{Reference, References},
     selection::Selection,
     snapshot::snapshot,
@@ -290,9 +290,9 @@ impl Evaluation {
     fn predictors(&self) -> Vec<Predictor<'_>> {
         let late = self.models.iter().filter(|_| self.join_late).map(Predictor::JoinedLate);
         let references = self.references.predictors.iter().copied();
-        let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
         let models = self.models.iter().map(Predictor::Model).chain(late);
-        models.chain(baselines).chain(references).chain([Predictor::Truth]).collect()
+        let simple = self.selection.context.simple_predictors();
+        models.chain(simple).chain(references).chain([Predictor::Truth]).collect()
     }
 
     fn report(
@@ -337,9 +337,8 @@ pub fn evaluate_model(
     let Selection { streams, context, digest, remarks } =
         Selection::new(settings, &[surrogate.description()], streams)?;
     remarks.iter().for_each(|remark| progress.message(remark));
-    let baselines = Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]);
     let predictors: Vec<_> =
-        std::iter::once(Predictor::Model(surrogate)).chain(baselines).collect();
+        std::iter::once(Predictor::Model(surrogate)).chain(context.simple_predictors()).collect();
     progress.begin(streams.len() as u64, "scenes");
     let evaluate = |stream: &Trajectory| -> Result<SceneResult, EvaluationError> {
         let result = evaluate_scene(&context, &predictors, &stream.cut(0..stream.frames)?, None)?;
@@ -380,6 +379,7 @@ fn info(predictor: &Predictor<'_>, short: &str, path: &str) -> PredictorInfo {
         }
         Predictor::Baseline(baseline) => (baseline.name().to_owned(), Role::Baseline, None),
         Predictor::Mean => ("mean of the training".to_owned(), Role::Mean, None),
+        Predictor::LinearFit(_) => ("linear fit".to_owned(), Role::LinearFit, None),
         Predictor::Restart(restart) => (restart.name().to_owned(), Role::Solver, None),
         Predictor::Chaos => (chaos::NAME.to_owned(), Role::Chaos, None),
         Predictor::Truth => ("truth".to_owned(), Role::Truth, None),
@@ -427,7 +427,7 @@ mod tests {
             device: None,
             threads: None,
         };
-        simulate(&request, folder.path(), &Silent).unwrap().complete().unwrap();
+        simulate(&request, folder.path(), &Silent, None).unwrap().complete().unwrap();
         let streams = load(folder.path());
         (folder, streams)
     }

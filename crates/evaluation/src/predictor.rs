@@ -1,13 +1,13 @@
 //! Everything that predicts: models, baselines, reference solvers, and the truth itself.
 
 use super::{
-    Baseline, Context, EvalError, Restart, Rollout, chaos,
+    Baseline, Context, EvalError, LinearFit, Restart, Rollout, chaos,
     model_rollout::{roll_out_from_first, roll_out_joined_late},
     steps::StepResults,
     task::RolloutTask,
 };
 use crate::dataset::State;
-use eddy_inference::engine::{Ballistic, ModelError, Surrogate};
+use eddy_inference::engine::{ModelError, Surrogate};
 use eddy_mpm::MpmError;
 
 /// A predictor.
@@ -21,6 +21,8 @@ pub enum Predictor<'a> {
     Baseline(Baseline),
     /// All particles in the mean state of the training data: the reference of z-score errors.
     Mean,
+    /// Ten numbers fitted to the training data.
+    LinearFit(LinearFit),
     /// The solver, restarted from the observed frame.
     Restart(Restart),
     /// The true simulation, slightly displaced.
@@ -59,7 +61,15 @@ impl Predictor<'_> {
                 None
             }
             Self::Baseline(baseline) => {
-                Some(roll_out_baseline(baseline, &context.ballistic, task, each))
+                let step = |state: &State, horizon: usize| {
+                    baseline.roll_out(state, horizon, &context.ballistic)
+                };
+                Some(roll_out_simple(step, task, each))
+            }
+            Self::LinearFit(fit) => {
+                let dt = context.ballistic.dt;
+                let step = |state: &State, horizon: usize| fit.roll_out(state, horizon, dt);
+                Some(roll_out_simple(step, task, each))
             }
             Self::Mean => {
                 let state = context.mean_state(stream.material.len());
@@ -86,19 +96,17 @@ impl Predictor<'_> {
     }
 }
 
-fn roll_out_baseline(
-    baseline: Baseline,
-    ballistic: &Ballistic,
+/// A predictor without a memory, which gives the states up to so many frames after one.
+fn roll_out_simple(
+    ahead: impl Fn(&State, usize) -> Vec<State>,
     task: &RolloutTask<'_>,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> StepResults {
     for (number, &start) in task.starts.iter().enumerate() {
-        let states = baseline.roll_out(&task.stream.states[start], task.reach, ballistic);
+        let states = ahead(&task.stream.states[start], task.reach);
         each(number, Rollout { states, diverged: false });
     }
-    observe_steps(task, |index| {
-        baseline.roll_out(&task.stream.states[index], 1, ballistic).swap_remove(0)
-    })
+    observe_steps(task, |index| ahead(&task.stream.states[index], 1).swap_remove(0))
 }
 
 fn roll_out_truth(task: &RolloutTask<'_>, each: &mut dyn FnMut(usize, Rollout)) -> StepResults {

@@ -15,18 +15,19 @@ const MIN_PARTICLES: usize = 250;
 /// Maximum number of cells along x.
 const MAX_COLUMNS: usize = 65_535;
 
-/// Number of particles of a random scene, and its domain: height 1, width 1 for up to 2,500 particles and proportional
+/// Number of particles of a random scene, whether all scenes have the same bodies, and the domain: height 1, width 1 for up to 2,500 particles and proportional
 /// to their number above, rounded up to whole cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     preset: Preset,
     particles: usize,
+    same_bodies: bool,
 }
 
 impl Extent {
     /// The default: 2,500 particles in the unit square.
     pub fn usual(preset: Preset) -> Self {
-        Self { preset, particles: PARTICLES }
+        Self { preset, particles: PARTICLES, same_bodies: false }
     }
 
     /// The extent for a number of particles.
@@ -36,13 +37,25 @@ impl Extent {
     pub fn of(preset: Preset, particles: usize) -> Result<Self, MpmError> {
         let most = MAX_COLUMNS / preset.cells() as usize * PARTICLES;
         if (MIN_PARTICLES..=most).contains(&particles) {
-            return Ok(Self { preset, particles });
+            return Ok(Self { preset, particles, same_bodies: false });
         }
         Err(MpmError::Field {
             field: "particles".into(),
             found: particles.to_string(),
             expected: format!("{MIN_PARTICLES} to {most} in a scene of {preset}"),
         })
+    }
+
+    /// The same, with the materials, shapes, places and angles of bodies that scene 0 has; only their velocities and the
+    /// attractor differ.
+    #[must_use]
+    pub fn with_same_bodies(self) -> Self {
+        Self { same_bodies: true, ..self }
+    }
+
+    /// Whether all scenes have the same bodies, at the same places.
+    pub fn same_bodies(&self) -> bool {
+        self.same_bodies
     }
 
     /// The preset.

@@ -60,20 +60,18 @@ impl Scene {
 
     /// As [`Scene::generate`], with the number of particles of `extent`.
     pub fn generate_in(extent: &Extent, seed: u64, id: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(id);
-        let mut placement = Placement::new(extent.grid());
-        let bodies = (0..extent.sets())
-            .flat_map(|set| {
-                // Bodies fill at most a fifth of the region between the walls, so this terminates: none of the
-                // first thousand scenes needs more than a few draws.
-                loop {
-                    if let Some(found) = arrange(extent, set, id, &mut placement, &mut rng) {
-                        break found;
-                    }
-                }
-            })
-            .collect();
+        let random = |id: u64| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(id);
+            rng
+        };
+        let mut rng = random(id);
+        let bodies = if extent.same_bodies() {
+            let bodies = arrange_all(extent, 0, &mut random(0));
+            bodies.into_iter().map(|body| Body { velocity: velocity(&mut rng), ..body }).collect()
+        } else {
+            arrange_all(extent, id, &mut rng)
+        };
         let width = extent.width_of_a_set();
         let attractor = rng.random_bool(0.5).then(|| Attractor {
             centre: [width * rng.random_range(0.2..0.8), rng.random_range(0.2..0.8)],
@@ -84,6 +82,27 @@ impl Scene {
         let domain = extent.grid().size();
         Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() }
     }
+}
+
+/// Draws the bodies of all sets.
+fn arrange_all(extent: &Extent, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
+    let mut placement = Placement::new(extent.grid());
+    (0..extent.sets())
+        .flat_map(|set| {
+            // Bodies fill at most a fifth of the region between the walls, so this terminates: none of the first thousand
+            // scenes needs more than a few draws.
+            loop {
+                if let Some(found) = arrange(extent, set, id, &mut placement, rng) {
+                    break found;
+                }
+            }
+        })
+        .collect()
+}
+
+/// A random velocity of a body.
+fn velocity(rng: &mut ChaCha8Rng) -> [f32; 2] {
+    [rng.random_range(-SPEED..SPEED), rng.random_range(-SPEED..SPEED)]
 }
 
 /// Draws the bodies of a set and places them, with their centres in the set's part of the domain. If they do not fit,
@@ -181,7 +200,7 @@ fn bodies_of(
                 shape: shape_of(material, particles, spacing, rng),
                 position: [0.5; 2],
                 angle_degrees: 0.0,
-                velocity: [rng.random_range(-SPEED..SPEED), rng.random_range(-SPEED..SPEED)],
+                velocity: velocity(rng),
                 particles: Some(particles),
             }
         })
@@ -249,6 +268,19 @@ mod tests {
             }
             assert_eq!(format!("{:x}", found.finalize()), digest, "{preset}");
         }
+    }
+
+    #[test]
+    fn scenes_with_the_same_bodies_differ_in_their_velocities_only() {
+        let extent = Extent::usual(Preset::Fluid).with_same_bodies();
+        let scenes: Vec<Scene> = (0..4).map(|id| Scene::generate_in(&extent, 1, id)).collect();
+        let still = |scene: &Scene| -> Vec<Body> {
+            let bodies = scene.bodies.iter();
+            bodies.map(|body| Body { velocity: [0.0; 2], ..body.clone() }).collect()
+        };
+        assert!(scenes.iter().all(|scene| still(scene) == still(&scenes[0])));
+        assert!(scenes.windows(2).all(|pair| pair[0].bodies != pair[1].bodies));
+        assert_eq!(still(&scenes[0]), still(&Scene::generate(Preset::Fluid, 1, 0)));
     }
 
     /// Checks the number of particles, their distances, the walls of a domain of this width, and that bodies do not

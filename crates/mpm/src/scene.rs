@@ -10,6 +10,7 @@ use super::{
     flow::{Drain, Emitter},
     grid::{GridShape, WALL_CELLS},
     material::Materials,
+    order::{self, ParticleOrder},
     particle::Particle,
     placement, plane,
 };
@@ -56,6 +57,9 @@ pub struct Scene {
     /// An attractor that acts before the recording; none by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub attractor: Option<Attractor>,
+    /// The order in which the bodies' particles are numbered; body by body by default.
+    #[serde(skip_serializing_if = "order::is_usual")]
+    pub order: ParticleOrder,
     /// Bodies, in the order of their particles.
     pub bodies: Vec<Body>,
     /// Emitters of particles; none by default.
@@ -104,6 +108,7 @@ impl Default for Scene {
             frames: Frames::default(),
             materials: Materials::default(),
             attractor: None,
+            order: ParticleOrder::Bodies,
             bodies: Vec::new(),
             emitters: Vec::new(),
             drains: Vec::new(),
@@ -263,6 +268,7 @@ impl Scene {
             }));
         }
         placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
+        self.order.sort(&mut particles, self.spacing());
         Ok(particles)
     }
 

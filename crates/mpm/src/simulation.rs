@@ -9,6 +9,7 @@ use super::{
     flow::Flow,
     grid::GridShape,
     material::Law,
+    order::ParticleOrder,
     particle::Particle,
     scene::Scene,
     solver::{Solver, SolverSettings},
@@ -34,17 +35,21 @@ pub struct Settings {
     pub substeps: Option<u32>,
     /// Simulated time (s); the scene then does not end earlier.
     pub duration: Option<f64>,
+    /// The order in which particles are numbered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub order: Option<ParticleOrder>,
 }
 
 impl Settings {
     /// The scene with these overrides.
     pub fn over(&self, mut scene: Scene) -> Scene {
-        let Self { stiffness, law, viscosity, substeps, duration } = *self;
+        let Self { stiffness, law, viscosity, substeps, duration, order } = *self;
         let materials = &mut scene.materials;
         materials.stiffness = stiffness.unwrap_or(materials.stiffness);
         materials.law = law.unwrap_or(materials.law);
         materials.viscosity = viscosity.unwrap_or(materials.viscosity);
         scene.solver.substeps = substeps.or(scene.solver.substeps);
+        scene.order = order.unwrap_or(scene.order);
         if let Some(duration) = duration {
             (scene.frames.duration, scene.frames.shortest) = (duration, None);
         }

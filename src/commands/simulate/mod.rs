@@ -78,7 +78,7 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
         ComputeDevice::Cuda(number) => {
             use eddy_cuda::solver::{Constants, Solvers};
             let number = number.into();
-            let gpu = super::devices::open_gpu(number, &Constants)?;
+            let gpu = eddy_learning::model::open_gpu(number, &Constants)?;
             Ok(Some(Box::new(Solvers::new(gpu, number))))
         }
     }
@@ -103,14 +103,16 @@ fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
         Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         None => args.preset.clone(),
     };
-    let SimulateArgs { stiffness, law, viscosity, substeps, duration, .. } = *args;
+    let SimulateArgs {
+        stiffness, law, viscosity, substeps, duration, particle_order: order, ..
+    } = *args;
     Ok(SimulationRequest {
         source,
         name,
         scene_name,
         scenes: args.scenes,
         seed: args.seed,
-        settings: Settings { stiffness, law, viscosity, substeps, duration },
+        settings: Settings { stiffness, law, viscosity, substeps, duration, order },
         fields: args.fields,
         device: (args.device != ComputeDevice::Cpu).then_some("cuda"),
         threads: args.threads,

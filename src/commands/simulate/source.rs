@@ -41,7 +41,19 @@ pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
     if let Ok(preset) = Preset::from_str(&args.preset, false) {
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
         let extent = extent.transpose().map_err(|error| Usage::new(format_args!("--{error}")))?;
-        return Ok(Source::Random(extent.unwrap_or(Extent::usual(preset))));
+        let extent = extent.unwrap_or(Extent::usual(preset));
+        return Ok(Source::Random(if args.same_bodies {
+            extent.with_same_bodies()
+        } else {
+            extent
+        }));
+    }
+    if args.same_bodies {
+        return Err(Usage::new(format_args!(
+            "--same-bodies: preset {} is a single scene",
+            args.preset
+        ))
+        .into());
     }
     if args.particles.is_some() {
         return Err(Usage::new(format_args!(

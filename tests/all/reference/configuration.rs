@@ -55,7 +55,7 @@ fn values(source: &Source, kind: &str) -> String {
         return format!("list of {}", values(source, inside));
     }
     if let Some((inside, length)) =
-        kind.strip_prefix('[').and_then(|kind| kind.strip_suffix(']')?.split_once("; "))
+        kind.strip_prefix('[').and_then(|kind| kind.strip_suffix(']')?.rsplit_once("; "))
     {
         return format!("{length} of {}", values(source, inside));
     }
@@ -134,9 +134,11 @@ fn training() -> String {
                 let stages = table[list].as_array().unwrap();
                 stages.iter().map(|stage| shown(&stage[field])).collect::<Vec<_>>().join(", ")
             }
-            None => at(table, &key).map_or_else(|| panic!("{key} has no default"), shown),
+            // The usual value of some options is omitted.
+            None => at(table, &key).map_or_else(|| "-".to_owned(), shown),
         };
         let (particle, frame) = (default(&particle), default(&frame));
+        assert_ne!([&particle, &frame], ["-"; 2], "{key} has no default");
         text.push_str(&format!(
             "| `{key}` | {values} | {particle} | {frame} | {} |\n",
             cell(&docs)
@@ -163,6 +165,7 @@ pub fn page() -> String {
     let scene = Source::of(&[
         "crates/mpm/src/scene.rs",
         "crates/mpm/src/material.rs",
+        "crates/mpm/src/order.rs",
         "crates/mpm/src/attractor.rs",
         "crates/mpm/src/body.rs",
         "crates/mpm/src/shape.rs",

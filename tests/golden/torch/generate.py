@@ -61,6 +61,8 @@ ROWS: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
     ("mlp_relu", "mlp", {"frame": {"activation": "relu"}}, UNROLL),
     ("mingru_scalar", "mingru", {"frame": {"material": "scalar"}}, UNROLL),
     ("mingru_z_score", "mingru", {"frame": {"scaling": "z-score"}}, UNROLL),
+    ("mingru_residual", "mingru", {"frame": {"output": "residual"}}, UNROLL),
+    ("mingru_position", "mingru", {"frame": {"output": "position"}}, UNROLL),
 ]
 
 # Cells and spacing large enough for a few particles to fill the grid.

@@ -23,7 +23,7 @@ use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Shape},
     error::Result,
     graphs::Graphs,
-    kernels::{Constants, Kernel, scaling},
+    kernels::{AXES, Constants, Kernel, motion, scaling},
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
 };
 
@@ -55,7 +55,8 @@ pub struct Inference {
     constants: Constants,
     core: Core,
     layout: Layout,
-    dt: f32,
+    /// `struct Motion` of the kernels.
+    motion: [[f32; AXES]; 6],
     weights: Buffer,
     scaling: Buffer,
     rows: Buffer,
@@ -122,7 +123,7 @@ impl Inference {
             idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
             threads: copy_threads(None, COPY_THREADS),
             graphs: Graphs::new(SIZES.len()),
-            dt: description.dt,
+            motion: motion(description),
             constants,
             core,
             layout,
@@ -348,7 +349,7 @@ impl Inference {
                 self.frames.address().into(),
                 self.host_next.address().into(),
                 count.into(),
-                self.dt.into(),
+                Argument::from_bytes(bytemuck::cast_slice(&self.motion)),
             ],
         )
     }

@@ -31,7 +31,7 @@ use crate::{
     device::{Buffer, Device, Queue, Shape},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::{AXES, Constants, Kernel, MATERIALS, gates, scaling},
+    kernels::{AXES, Constants, Kernel, MATERIALS, gates, motion, scaling},
 };
 use maximum::Maximum;
 
@@ -84,7 +84,8 @@ pub struct Training {
     constants: Constants,
     core: Core,
     layout: Layout,
-    dt: f32,
+    /// `struct Motion` of the kernels.
+    motion: [[f32; AXES]; 6],
     /// Left plus right wall (domain lengths).
     sides: f32,
     /// The density grid's first node and nodes per domain length, for each axis.
@@ -241,7 +242,7 @@ impl Training {
             tensor_scales: numbers(layout.tensors)?,
             tensor_totals: numbers(layout.tensors)?,
             graph: Graphs::new(1),
-            dt: description.dt,
+            motion: motion(description),
             sides: description.domain.lower[0] + description.domain.upper[0],
             grid: [description.domain.lower, [cell(0), cell(1)]],
             chunks,

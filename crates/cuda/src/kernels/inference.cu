@@ -179,16 +179,13 @@ extern "C" __global__ void lstm_streams(const float* __restrict__ parts, const f
   signal[at] = rows[b].state[layer * HP + j] = padded(j, sigmoid(gates[3]) * hyperbolic_tangent(c));
 }
 
-// The next frames, to the memory of the host: v' = v + dv, x' = x + v' dt. grid (ceil(N / 256), B), block 256
+// The next frames, to the memory of the host. grid (ceil(N / 256), B), block 256
 extern "C" __global__ void __launch_bounds__(256) predict_streams(const float* __restrict__ parts, const Body* __restrict__ frames,
-    Body* __restrict__ host_frames, int count, float dt) {
+    Body* __restrict__ host_frames, int count, Motion motion) {
   const int p = blockIdx.x * 256 + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
   if (p >= N) return;
-  Body body = frames[(size_t)b * N + p];
+  float output[DIM];
 #pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    body.v[a] += product_sum(parts, count, batch, b, OP, DIM * p + a);
-    body.x[a] = fmaf(body.v[a], dt, body.x[a]);
-  }
-  host_frames[(size_t)b * N + p] = body;
+  for (int a = 0; a < DIM; a++) output[a] = product_sum(parts, count, batch, b, OP, DIM * p + a);
+  host_frames[(size_t)b * N + p] = next_body(frames[(size_t)b * N + p], output, motion);
 }

@@ -1,5 +1,4 @@
-// From the decoder's output dv to predicted frames: v' = v + dv, x' = x + v' dt; what they cost, and the
-// gradient by dv. Frame t predicts frame t + 1. Frames from warm_up - 1 on predict freely ("free"), earlier
+// From the decoder's output to predicted frames, what they cost, and the gradient by the output. Frame t predicts frame t + 1. Frames from warm_up - 1 on predict freely ("free"), earlier
 // ones predict the warm-up's own frames ("observed").
 //
 // weights: [unroll, B, MATERIALS] bodies, of squared errors; observed frames have those of the first free one,
@@ -9,18 +8,13 @@ struct Frames {
   int batch, warm_up, unroll;
   int decoded;      // the first frame that the decoder runs on
   int weights_step; // bodies of `weights` from a step to the next one, 0 if all have the same
-  float dt, sides, even;
+  float sides, even;
+  Motion motion;
 };
 
 __device__ __forceinline__ Body predict(const Body* states, const float* output, const Frames& f, int t, int b, int p) {
-  Body body = states[((size_t)t * f.batch + b) * N + p];
-  const float* dv = output + ((size_t)(t - f.decoded) * f.batch + b) * OP + DIM * p;
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    body.v[a] += dv[a];
-    body.x[a] = fmaf(body.v[a], f.dt, body.x[a]);
-  }
-  return body;
+  const float* row = output + ((size_t)(t - f.decoded) * f.batch + b) * OP;
+  return next_body(states[((size_t)t * f.batch + b) * N + p], row + DIM * p, f.motion);
 }
 // What frame t is to predict; of an observed frame, what the network is shown.
 __device__ __forceinline__ Body truth_of(const Body* states, const Body* store, const Window& window, const Frames& f, int t, int b, int p) {
@@ -111,7 +105,7 @@ extern "C" __global__ void __launch_bounds__(256) loss_gradient(const Body* __re
   float* row = output + ((size_t)(t - f.decoded) * f.batch + b) * OP;
   if (p >= N) return;
   const Window& window = windows[(size_t)progress->step * f.batch + b];
-  const Body found = predict(states, output, f, t, b, p);
+  const Body before = states[((size_t)t * f.batch + b) * N + p], found = next_body(before, row + DIM * p, f.motion);
   const Body truth = truth_of(states, store, window, f, t, b, p);
   const Body weight = weight_of(weights, f, progress->step, t, b, material[(size_t)window.stream * N + p]);
   const bool free = t >= f.warm_up - 1, goes_on = free && t + 1 < f.warm_up + f.unroll - 1;
@@ -125,8 +119,7 @@ extern "C" __global__ void __launch_bounds__(256) loss_gradient(const Body* __re
       gx += carry.x[a];
       gv += carry.v[a];
     }
-    gv = fmaf(f.dt, gx, gv);
-    row[DIM * p + a] = gv;
+    row[DIM * p + a] = gradient_of_next(before, gx, gv, f.motion, a);
     if (t >= f.warm_up) {
       carry.x[a] = gx;
       carry.v[a] = gv;

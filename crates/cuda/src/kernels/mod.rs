@@ -1,7 +1,10 @@
 //! The kernels' text, their names, and the constants they are compiled for.
 
-use eddy_inference::checkpoint::{
-    Activation, Core, Description, FeatureScaling, Form, MaterialInput, Pooling,
+use eddy_inference::{
+    checkpoint::{
+        Activation, Core, Description, FeatureScaling, Form, FrameOutput, MaterialInput, Pooling,
+    },
+    engine::Decoded,
 };
 
 use crate::error::{CudaError, Result};
@@ -11,6 +14,7 @@ pub const SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("windows.cu"),
+    include_str!("motion.cu"),
     include_str!("encoder.cu"),
     include_str!("cells.cu"),
     include_str!("loss.cu"),
@@ -164,6 +168,14 @@ kernels! {
     MaximumSlopes = "maximum_slopes",
     /// Their sums for each particle.
     MaximumPointsGradient = "maximum_points_gradient",
+    /// Dense layers: the activation in place.
+    DenseForward = "dense_forward",
+    /// Its gradient.
+    DenseBackward = "dense_backward",
+    /// Squared errors and their gradient.
+    DenseError = "dense_error",
+    /// Adam over one matrix.
+    DenseAdam = "dense_adam",
     /// Particle model: frames from the memory of the host, and the particles of each cell.
     ParticleLoad = "particle_load",
     /// Sums of parts of maps.
@@ -246,6 +258,8 @@ pub struct Constants {
     pub activation: Activation,
     /// How the particles are pooled.
     pub pooling: Pooling,
+    /// What the decoder predicts.
+    pub output: FrameOutput,
     /// Form of the minimal recurrences.
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum.
@@ -269,6 +283,7 @@ impl Constants {
             hidden: description.sizes.hidden,
             activation: description.frame.activation,
             pooling: description.frame.pooling,
+            output: description.frame.output,
             form: description.form,
             normalized: description.normalize_gates,
         })
@@ -327,6 +342,7 @@ impl Program for Constants {
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
         let activation = Activation::ALL.iter().position(|&kind| kind == self.activation);
+        let output = FrameOutput::ALL.iter().position(|&kind| kind == self.output);
         vec![
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
@@ -342,6 +358,7 @@ impl Program for Constants {
             ("IP", self.input_columns()),
             ("OP", self.output_columns()),
             ("ACTIVATION", activation.unwrap_or_default()),
+            ("OUTPUT", output.unwrap_or_default()),
             ("LOG_FORM", usize::from(self.form == Form::Log)),
             ("NORMALIZED", usize::from(self.normalized)),
         ]
@@ -357,6 +374,13 @@ pub(crate) fn scaling(description: &Description) -> [[f32; 4]; 2] {
         }
         FeatureScaling::ZScore => [scale.mean, scale.standard_deviation.map(|d| 1.0 / d)],
     }
+}
+
+/// `struct Motion` of the kernels.
+pub(crate) fn motion(description: &Description) -> [[f32; AXES]; 6] {
+    let Decoded { ballistic, mean, deviation, .. } = Decoded::new(description);
+    let fall = ballistic.gravity.map(|gravity| gravity * ballistic.dt);
+    [[ballistic.dt; AXES], fall, ballistic.lower, ballistic.upper, mean, deviation]
 }
 
 /// Gates that a layer of the core computes from its input, side by side in one matrix.

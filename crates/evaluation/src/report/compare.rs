@@ -111,7 +111,7 @@ impl Comparison {
 
     /// The predictors of all reports, then the trivial ones, which are the same in all.
     fn rows(&self) -> Vec<Row<'_>> {
-        let is_trivial = |role: Role| matches!(role, Role::Baseline | Role::Mean);
+        let is_trivial = |role: Role| matches!(role, Role::Baseline | Role::Mean | Role::LinearFit);
         let mut rows = Vec::new();
         for (name, report) in &self.reports {
             for (number, entry) in report.predictors.iter().enumerate() {

@@ -34,6 +34,8 @@ pub enum Role {
     /// The mean of the training data: the reference of z-score errors. Not a baseline of skill, because it ignores the
     /// observed frames.
     Mean,
+    /// Ten numbers fitted to the training data. Not a baseline of skill, because it has learned.
+    LinearFit,
     /// A reference solver that observes what a model observes.
     #[serde(rename = "rival")]
     Solver,

@@ -54,6 +54,10 @@ pub struct TrainingSummary {
     /// empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub seen: Vec<String>,
+    /// A baseline fitted by least squares to the training part: the change of a particle's velocity within a frame along x and
+    /// along y as a + A (x, y, vx, vy), `[a, A]` each (domain lengths, domain lengths per second).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub linear_fit: Option<[[f32; 5]; 2]>,
 }
 
 /// Everything needed to run a network but its weights.

@@ -25,8 +25,8 @@ pub use files::{parse_weights, render_weights};
 pub use initial::initial_weights;
 pub use layout::tensor_shapes;
 pub use network::{
-    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, GridOptions, MaterialInput,
-    Pooling, Sizes,
+    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
+    MaterialInput, Pooling, Sizes,
 };
 pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
 

@@ -141,6 +141,36 @@ pub enum FeatureScaling {
     ZScore,
 }
 
+/// What the frame model's decoder predicts of each particle: o, two numbers. x, v: position and velocity (domain lengths,
+/// domain lengths per second); dt: time between two frames (s).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FrameOutput {
+    /// The change of the velocity: v' = v + o, x' = x + v' dt. Zeros are constant velocity.
+    #[default]
+    Displacement,
+    /// The change of the velocity after the ballistic step to (xb, vb): v' = vb + o, x' = xb + o dt / 2. Zeros are free fall
+    /// between walls.
+    Residual,
+    /// The next position in standard deviations from the mean of the training split: x' = mean + deviation o,
+    /// v' = (x' - x) / dt. Zeros are the mean.
+    Position,
+}
+
+impl FrameOutput {
+    /// All outputs.
+    pub const ALL: [Self; 3] = [Self::Displacement, Self::Residual, Self::Position];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Displacement => "displacement",
+            Self::Residual => "residual",
+            Self::Position => "position",
+        }
+    }
+}
+
 /// Options of the frame model that the paper leaves open or compares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -153,6 +183,15 @@ pub struct FrameOptions {
     pub material: MaterialInput,
     /// How the other features are normalised.
     pub scaling: FeatureScaling,
+    /// What the decoder predicts.
+    #[serde(skip_serializing_if = "is_displacement")]
+    pub output: FrameOutput,
+}
+
+/// Omitted from the file: checkpoints without other outputs keep their digests.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_displacement(output: &FrameOutput) -> bool {
+    *output == FrameOutput::Displacement
 }
 
 impl FrameOptions {

@@ -36,6 +36,7 @@ fn checkpoint() -> Checkpoint {
             validation_loss: 0.5,
             samples: 4096,
             seen: vec!["0123456789abcdef".to_owned()],
+            linear_fit: Some([[0.5, -0.25, 0.125, 1.0, 2.0], [0.0, 0.1, 0.2, 0.3, -0.4]]),
         },
     };
     let mut next = 0.0;

@@ -10,6 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::{CoreLayer, activate},
+    decoded::Decoded,
     encoder::{BLOCK, Encoder},
     hidden_state::HiddenState,
     linear::{Linear, add_products, outputs},
@@ -41,7 +42,7 @@ enum Stage {
     Core(usize),
     /// Linear, activation.
     Mix,
-    /// Linear: the change of each velocity.
+    /// Linear: the output of each particle.
     Decode,
 }
 
@@ -62,8 +63,7 @@ pub(super) struct FrameModel {
     particles: usize,
     /// H.
     hidden: usize,
-    /// Time between two frames (s).
-    dt: f32,
+    decoded: Decoded,
 }
 
 /// Buffers between the stages of a frame.
@@ -81,8 +81,8 @@ pub(super) struct Scratch {
     cell: Vec<f32>,
     /// `[H]`.
     mixed: Vec<f32>,
-    /// `[2 N]` (domain lengths per second).
-    change: Vec<f32>,
+    /// `[2 N]`.
+    output: Vec<f32>,
     /// Maximum pooling: a block of points for each thread, `[thread, BLOCK, E]`.
     points: Vec<f32>,
     /// Maximum pooling: the maxima over each thread's particles, `[thread, H]`.
@@ -122,7 +122,7 @@ impl FrameModel {
             particles: decoder.output() / 2,
             decoder,
             hidden: description.sizes.hidden,
-            dt: description.dt,
+            decoded: Decoded::new(description),
         }
     }
 
@@ -156,7 +156,7 @@ impl FrameModel {
             hidden: vec![0.0; states],
             cell: vec![0.0; if self.core[0].has_cell() { states } else { 0 }],
             mixed: vec![0.0; self.hidden],
-            change: vec![0.0; 2 * self.particles],
+            output: vec![0.0; 2 * self.particles],
             points: vec![0.0; maxima * BLOCK * self.encoder.width()],
             maxima: vec![0.0; maxima * self.hidden],
         }
@@ -183,7 +183,7 @@ impl FrameModel {
             hidden: DisjointSlice::new(&mut scratch.hidden),
             cell: DisjointSlice::new(&mut scratch.cell),
             mixed: DisjointSlice::new(&mut scratch.mixed),
-            change: DisjointSlice::new(&mut scratch.change),
+            output: DisjointSlice::new(&mut scratch.output),
             points: DisjointSlice::new(&mut scratch.points),
             maxima: DisjointSlice::new(&mut scratch.maxima),
         };
@@ -192,14 +192,11 @@ impl FrameModel {
         hidden_state.hidden.copy_from_slice(&scratch.hidden);
         hidden_state.cell.copy_from_slice(&scratch.cell);
 
-        let changes = scratch.change.as_chunks::<2>().0;
+        let outputs = scratch.output.as_chunks::<2>().0;
         let after = next.position.iter_mut().zip(&mut next.velocity);
-        for (particle, ((position, velocity), change)) in after.zip(changes).enumerate() {
+        for (particle, ((position, velocity), &output)) in after.zip(outputs).enumerate() {
             let (x, v) = frame.particles.motion(particle);
-            for axis in 0..2 {
-                velocity[axis] = v[axis] + change[axis];
-                position[axis] = x[axis] + velocity[axis] * self.dt;
-            }
+            (*position, *velocity) = self.decoded.next(x, v, output);
         }
     }
 
@@ -231,7 +228,7 @@ struct StepContext<'a> {
     hidden: DisjointSlice<'a, f32>,
     cell: DisjointSlice<'a, f32>,
     mixed: DisjointSlice<'a, f32>,
-    change: DisjointSlice<'a, f32>,
+    output: DisjointSlice<'a, f32>,
     points: DisjointSlice<'a, f32>,
     maxima: DisjointSlice<'a, f32>,
 }
@@ -248,7 +245,7 @@ impl WithSimd for Item<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { context, task: Task { stage, item, thread } } = self;
-        let StepContext { model, pooled, encoded, hidden, mixed, change, .. } = context;
+        let StepContext { model, pooled, encoded, hidden, mixed, output, .. } = context;
         match model.stages[stage] {
             Stage::PoolMean => context.pool_mean(simd, item),
             Stage::Encode => {
@@ -264,7 +261,7 @@ impl WithSimd for Item<'_> {
             }
             Stage::Decode => {
                 let input = (mixed, 0..model.hidden);
-                context.linear(simd, &model.decoder, item, input, None, change);
+                context.linear(simd, &model.decoder, item, input, None, output);
             }
         }
     }

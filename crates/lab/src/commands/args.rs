@@ -233,12 +233,16 @@ pub struct StudyArgs {
     #[arg(value_enum)]
     pub comparison: Comparison,
     /// Use few short scenes, narrow networks and two seeds: minutes on two cores (the default).
-    #[arg(long, conflicts_with = "paper")]
+    #[arg(long, conflicts_with_all = ["paper", "mended"])]
     pub quick: bool,
-    /// Use the paper's setup: 60 scenes per preset, its network widths, three seeds; many hours on two cores.
-    #[arg(long)]
+    /// Use the paper's setup and training as published: 60 scenes per preset, its network widths, three seeds, at least 600
+    /// steps of 4,096 windows; minutes per network on an NVIDIA GPU.
+    #[arg(long, conflicts_with = "mended")]
     pub paper: bool,
-    /// Read settings from a TOML file; it overrides --quick or --paper.
+    /// Use the paper's networks with a training that lets them learn, on 600 scenes per preset.
+    #[arg(long)]
+    pub mended: bool,
+    /// Read settings from a TOML file; it overrides --quick, --paper or --mended.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Directory of data, networks, evaluations and reports. Comparisons with the same output share data and networks;
@@ -248,9 +252,12 @@ pub struct StudyArgs {
     /// Number of networks to train in parallel.
     #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
     pub jobs: NonZeroUsize,
-    /// Device for training and for the timed steps (comparisons cores, loss and window).
+    /// Device for training and for the timed steps; with cuda also for the simulation of the scenes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
+    /// NVIDIA GPUs that networks are spread over, from that of --device on: each is trained on one of them.
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub gpus: NonZeroUsize,
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
     #[arg(long, value_enum, default_value_t = Precision::Tf32)]
     pub precision: Precision,

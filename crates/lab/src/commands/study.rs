@@ -32,13 +32,19 @@ pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
 
 /// The settings of the preset, overridden by the file.
 fn request(args: StudyArgs) -> anyhow::Result<StudyRequest> {
-    let StudyArgs { comparison, paper, config, output, jobs, device, precision, .. } = args;
-    let defaults = if paper { StudyConfig::paper() } else { StudyConfig::quick() };
+    let StudyArgs {
+        comparison, paper, mended, config, output, jobs, device, gpus, precision, ..
+    } = args;
+    let defaults = match (paper, mended) {
+        (true, _) => StudyConfig::paper(),
+        (_, true) => StudyConfig::mended(),
+        _ => StudyConfig::quick(),
+    };
     let study = match &config {
         Some(file) => Overrides::read(file)?.over(&defaults)?,
         None => defaults,
     };
-    let request = StudyRequest { comparison, study, output, jobs, device, precision };
+    let request = StudyRequest { comparison, study, output, jobs, device, gpus, precision };
     match &config {
         Some(file) => request.check().with_context(|| file.display().to_string())?,
         None => {

@@ -3,9 +3,10 @@
 
 use std::path::Path;
 
-use super::{Comparison, Folders, StudyConfig, Variant, plan::runs};
+use super::{Comparison, DataSet, Folders, SceneChoice, StudyConfig, Variant, plan::runs};
 use eddy_evaluation::page::command_line;
 use eddy_learning::model::{DeviceKind, Precision};
+use eddy_mpm::ParticleOrder;
 
 /// Builds command lines.
 pub(super) struct CommandLines<'a> {
@@ -13,7 +14,7 @@ pub(super) struct CommandLines<'a> {
     pub(super) comparison: Comparison,
     pub(super) study: &'a StudyConfig,
     pub(super) variants: &'a [Variant],
-    pub(super) presets: &'a [String],
+    pub(super) data_sets: &'a [DataSet],
     /// The device that trains.
     pub(super) device: DeviceKind,
     /// Precision of products on a GPU.
@@ -21,25 +22,35 @@ pub(super) struct CommandLines<'a> {
 }
 
 impl CommandLines<'_> {
-    /// The command that simulates a preset's scenes.
-    pub(super) fn simulation(&self, preset: &str) -> Vec<String> {
+    /// The command that simulates the scenes of a data set.
+    pub(super) fn simulation(&self, set: &DataSet) -> Vec<String> {
         let data = &self.study.data;
+        let SceneChoice { scenes, same_bodies, order } = set.scenes;
         let mut words = command("simulate");
-        words.extend(["--preset".into(), preset.to_owned()]);
-        words.extend(["--scenes".into(), data.scenes.to_string()]);
+        words.extend(["--preset".into(), set.preset.clone()]);
+        words.extend(["--scenes".into(), scenes.to_string()]);
+        if same_bodies {
+            words.push("--same-bodies".into());
+        }
+        if order == ParticleOrder::Curve {
+            words.extend(["--particle-order".into(), "curve".into()]);
+        }
         words.extend(["--seed".into(), data.seed.to_string()]);
         if let Some(duration) = data.duration {
             words.extend(["--duration".into(), duration.to_string()]);
         }
-        words.extend(["--output".into(), shown(&self.folders.data(preset))]);
+        if self.device != self.device.through_burn() {
+            words.extend(["--device".into(), self.device.name().into()]);
+        }
+        words.extend(["--output".into(), shown(&self.folders.data(&set.name))]);
         words
     }
 
     /// The command that trains a network with a seed. Its settings are in a file beside its folder.
-    pub(super) fn training(&self, preset: &str, variant: &Variant, seed: u64) -> Vec<String> {
-        let output = self.folders.run(preset, &variant.name, seed);
+    pub(super) fn training(&self, set: &str, variant: &Variant, seed: u64) -> Vec<String> {
+        let output = self.folders.run(set, &variant.name, seed);
         let mut words = command("train");
-        words.extend(["--data".into(), shown(&self.folders.data(preset))]);
+        words.extend(["--data".into(), shown(&self.folders.data(set))]);
         words.extend(["--config".into(), shown(&output.with_extension("toml"))]);
         words.extend(["--output".into(), shown(&output), "--resume".into()]);
         if self.device != DeviceKind::default() {
@@ -51,18 +62,20 @@ impl CommandLines<'_> {
         words
     }
 
-    /// The command that evaluates a preset's networks.
-    pub(super) fn evaluation(&self, preset: &str) -> Vec<String> {
+    /// The command that evaluates the networks of a data set.
+    pub(super) fn evaluation(&self, set: &str) -> Vec<String> {
         let mut words = command("eval");
         words.push("--checkpoint".into());
-        let run = |(variant, seed): (&Variant, u64)| {
-            shown(&self.folders.run(preset, &variant.name, seed))
-        };
+        let run =
+            |(variant, seed): (&Variant, u64)| shown(&self.folders.run(set, &variant.name, seed));
         words.extend(runs(self.study, self.variants).map(run));
-        words.extend(["--data".into(), shown(&self.folders.data(preset))]);
+        words.extend(["--data".into(), shown(&self.folders.data(set))]);
         words.extend(["--horizon".into(), self.study.evaluation.horizon.to_string()]);
         words.extend(["--starts".into(), self.study.evaluation.starts.to_string()]);
-        let folder = self.folders.evaluation(self.comparison, preset);
+        if self.device != self.device.through_burn() {
+            words.extend(["--device".into(), self.device.name().into()]);
+        }
+        let folder = self.folders.evaluation(self.comparison, set);
         words.extend(["--output".into(), shown(&folder)]);
         words
     }
@@ -70,13 +83,13 @@ impl CommandLines<'_> {
     /// All equivalent commands in order; learning curves have none.
     pub(super) fn all(&self) -> Vec<String> {
         let mut lines = Vec::new();
-        for preset in self.presets {
-            lines.push(command_line(&self.simulation(preset)));
+        for set in self.data_sets {
+            lines.push(command_line(&self.simulation(set)));
             for (variant, seed) in runs(self.study, self.variants) {
-                lines.push(command_line(&self.training(preset, variant, seed)));
+                lines.push(command_line(&self.training(&set.name, variant, seed)));
             }
             if !self.variants.is_empty() {
-                lines.push(command_line(&self.evaluation(preset)));
+                lines.push(command_line(&self.evaluation(&set.name)));
             }
         }
         lines

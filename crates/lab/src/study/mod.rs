@@ -22,9 +22,9 @@ mod tests;
 mod training;
 mod write;
 
-pub use config::{DataConfig, EvaluationConfig, InvalidStudy, StudyConfig};
+pub use config::{DataConfig, DataSet, EvaluationConfig, InvalidStudy, SceneChoice, StudyConfig};
 pub use networks::Networks;
 pub use page::StudyReport;
 pub use plan::{Comparison, Folders, Variant};
-pub use results::{Curve, ResultError, Speed, Trained};
+pub use results::{Curve, Losses, ResultError, Speed, Trained};
 pub use run::{StudyOutcome, StudyRequest, run};

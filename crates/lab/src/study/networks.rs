@@ -34,8 +34,9 @@ impl Networks<'_> {
 
     /// The trivial predictors.
     fn trivial(&self) -> impl Iterator<Item = (usize, &Entry)> {
-        let trivial =
-            |(_, entry): &(usize, &Entry)| matches!(entry.role, Role::Baseline | Role::Mean);
+        let trivial = |(_, entry): &(usize, &Entry)| {
+            matches!(entry.role, Role::Baseline | Role::Mean | Role::LinearFit)
+        };
         self.report.predictors.iter().enumerate().filter(trivial)
     }
 
@@ -88,8 +89,8 @@ impl Networks<'_> {
             table.row(variant.setting.as_str(), cells);
         }
         for (place, entry) in self.trivial() {
-            let is_baseline = entry.role == Role::Baseline;
-            let skill = |skill: f64| if is_baseline { format!("{skill:+.3}") } else { "-".into() };
+            let has_skill = entry.role != Role::Mean;
+            let skill = |skill: f64| if has_skill { format!("{skill:+.3}") } else { "-".into() };
             let cells = [
                 "-".to_owned(),
                 scientific(mean(self.by_scene(place).into_iter())),
@@ -172,6 +173,7 @@ impl Networks<'_> {
                 "time per sample (ms)",
                 "time per epoch (s)",
                 "validation loss",
+                "on training scenes",
             ],
         );
         for (number, variant) in self.variants.iter().enumerate() {
@@ -191,8 +193,16 @@ impl Networks<'_> {
                     "{:.4}",
                     of(|run| run.best().map_or(f64::NAN, |best| best.validation_loss))
                 ),
+                format!("{:.4}", of(|run| run.losses.seen)),
             ];
             table.row(variant.setting.as_str(), cells);
+        }
+        // The same for all networks with as long a warm-up.
+        if let Some(loss) = self.trained.first().and_then(|trained| trained.losses.linear_fit) {
+            let [epochs, best, seconds, sample, epoch] = [(); 5].map(|()| "-".to_owned());
+            let cells =
+                [epochs, best, seconds, sample, epoch, format!("{loss:.4}"), "-".to_owned()];
+            table.row("linear fit", cells);
         }
         table
     }

@@ -23,22 +23,29 @@ impl StudyReport {
             Comparison::Activations => "Activations",
             Comparison::Loss => "With and without the density loss",
             Comparison::Window => "Number of observed frames",
+            Comparison::Output => "What the network predicts",
+            Comparison::Data => "Scenes to train on",
         };
         let data = &study.data;
         let warning = study.warning().map_or(String::new(), |warning| warning + " ");
         let lead = format!(
-            "{warning}{} scenes per preset ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
+            "{warning}{} scenes per data set ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
              test. Seeds {}.",
             data.scenes,
-            comparison.presets(study).join(", "),
+            comparison
+                .data_sets(study)
+                .iter()
+                .map(|set| set.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", "),
             data.seed,
             study.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", "),
         );
         Self { page: Page::new(title, lead), tables: Vec::new() }
     }
 
-    /// Adds the networks of a preset.
-    pub fn networks(&mut self, preset: &str, study: &StudyConfig, networks: &Networks) {
+    /// Adds the networks of a data set.
+    pub fn networks(&mut self, set: &str, study: &StudyConfig, networks: &Networks) {
         let windows = &study.training.windows;
         let budget = format!(
             "Each network was trained for at most {} steps of Adam with {} windows each.",
@@ -47,7 +54,7 @@ impl StudyReport {
         );
         let [errors, ends] = networks.by_scenes();
         let tables = [networks.summary(), networks.ratios(), errors, ends, networks.training()];
-        let section = self.page.section(preset.to_owned());
+        let section = self.page.section(set.to_owned());
         section.paragraph(&budget);
         section.plots(&networks.plots());
         tables.iter().for_each(|table| _ = section.table(table));
@@ -57,11 +64,11 @@ impl StudyReport {
              ballistic). Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of scenes and seeds; with \
              fewer than five scenes there is none.",
         );
-        self.tables.extend(tables.into_iter().map(|table| (preset.to_owned(), table)));
+        self.tables.extend(tables.into_iter().map(|table| (set.to_owned(), table)));
     }
 
-    /// Adds the learning curves of a preset.
-    pub fn curves(&mut self, preset: &str, study: &StudyConfig, curves: &[Curve]) {
+    /// Adds the learning curves of a data set.
+    pub fn curves(&mut self, set: &str, study: &StudyConfig, curves: &[Curve]) {
         let dense = &study.dense;
         let about = format!(
             "A dense network of {} layers of {} and an output layer predicts the next frame's x, y, vx, vy of all \
@@ -120,9 +127,9 @@ impl StudyReport {
             plot("Training", |c| c.curve.epochs.iter().map(|e| e.training_loss).collect()),
             plot("Validation", |c| c.curve.epochs.iter().map(|e| e.validation_loss).collect()),
         ];
-        let section = self.page.section(preset.to_owned());
+        let section = self.page.section(set.to_owned());
         section.paragraph(&about).plots(&plots).table(&table);
-        self.tables.push((preset.to_owned(), table));
+        self.tables.push((set.to_owned(), table));
     }
 
     /// Adds the times of training steps.

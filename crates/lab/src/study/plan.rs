@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::StudyConfig;
-use eddy_inference::checkpoint::Core;
+use super::{DataSet, StudyConfig};
+use eddy_inference::checkpoint::{Core, FrameOutput};
 use eddy_learning::train::TrainConfig;
 
 /// A comparison of the paper.
@@ -17,6 +17,10 @@ pub enum Comparison {
     Loss,
     /// Compare numbers of observed frames.
     Window,
+    /// Compare what the network predicts: position, displacement, or residual on the ballistic step.
+    Output,
+    /// Compare scenes to train on: their number, whether they have the same bodies, how particles are numbered.
+    Data,
 }
 
 /// A network that is trained once per seed.
@@ -38,6 +42,8 @@ impl Comparison {
             Self::Activations => "activations",
             Self::Loss => "loss",
             Self::Window => "window",
+            Self::Output => "output",
+            Self::Data => "data",
         }
     }
 
@@ -68,15 +74,38 @@ impl Comparison {
                     .flat_map(|&core| study.windows.iter().map(move |&t| observing(core, t)))
                     .collect()
             }
+            Self::Output => {
+                let predicting = |&output: &FrameOutput| {
+                    let mut config = base.clone();
+                    config.network.frame.output = output;
+                    config
+                };
+                study.outputs.iter().map(predicting).collect()
+            }
+            Self::Data => {
+                let of = |&core: &Core| TrainConfig { core, ..base.clone() };
+                study.windowed_cores.iter().map(of).collect()
+            }
         };
         all.into_iter().map(|config| Variant::new(self, config, base)).collect()
     }
 
-    /// Its presets: all for the cores, the first for the others.
-    pub fn presets(self, study: &StudyConfig) -> &[String] {
+    /// Its data: all presets for the cores, the first for the others.
+    pub fn data_sets(self, study: &StudyConfig) -> Vec<DataSet> {
+        let data = &study.data;
+        let all = data.presets.iter();
         match self {
-            Self::Cores => &study.data.presets,
-            Self::Activations | Self::Loss | Self::Window => &study.data.presets[..1],
+            Self::Cores => all.map(|preset| data.set(preset, None)).collect(),
+            Self::Activations | Self::Loss | Self::Window | Self::Output => {
+                all.take(1).map(|preset| data.set(preset, None)).collect()
+            }
+            Self::Data => {
+                let choices = |preset: &String| -> Vec<DataSet> {
+                    let sets = study.data_sets.iter();
+                    sets.map(|&scenes| data.set(preset, Some(scenes))).collect()
+                };
+                all.take(1).flat_map(choices).collect()
+            }
         }
     }
 }
@@ -86,10 +115,12 @@ impl Variant {
         let core = config.core.name();
         let density = config.loss.density_weight;
         let frames = config.windows.warm_up;
+        let output = config.network.frame.output;
         let setting = match comparison {
             Comparison::Loss => format!("density weight {density}"),
             Comparison::Window => format!("{core}, T = {frames}"),
-            Comparison::Cores | Comparison::Activations => core.to_owned(),
+            Comparison::Output => format!("{core}, {}", output.name()),
+            Comparison::Cores | Comparison::Activations | Comparison::Data => core.to_owned(),
         };
         let mut name = core.to_owned();
         if density != base.loss.density_weight {
@@ -97,6 +128,9 @@ impl Variant {
         }
         if frames != base.windows.warm_up {
             name.push_str(&format!("-window-{frames}"));
+        }
+        if output != base.network.frame.output {
+            name.push_str(&format!("-{}", output.name()));
         }
         Self { name, setting, config }
     }
@@ -122,25 +156,25 @@ impl Folders {
         Self { root: root.to_owned() }
     }
 
-    /// The bags of a preset.
-    pub fn data(&self, preset: &str) -> PathBuf {
-        self.root.join("data").join(preset)
+    /// The bags of a data set.
+    pub fn data(&self, set: &str) -> PathBuf {
+        self.root.join("data").join(set)
     }
 
     /// A network trained with one seed.
-    pub fn run(&self, preset: &str, variant: &str, seed: u64) -> PathBuf {
-        self.root.join("runs").join(preset).join(variant).join(format!("seed-{seed}"))
+    pub fn run(&self, set: &str, variant: &str, seed: u64) -> PathBuf {
+        self.root.join("runs").join(set).join(variant).join(format!("seed-{seed}"))
     }
 
     /// The learning curve of a dense network.
-    pub fn curve(&self, preset: &str, activation: &str, seed: u64) -> PathBuf {
+    pub fn curve(&self, set: &str, activation: &str, seed: u64) -> PathBuf {
         let name = format!("{activation}-{seed}.toml");
-        self.root.join("curves").join(preset).join(name)
+        self.root.join("curves").join(set).join(name)
     }
 
-    /// The evaluation of a comparison's networks on a preset.
-    pub fn evaluation(&self, comparison: Comparison, preset: &str) -> PathBuf {
-        self.report(comparison).join(preset)
+    /// The evaluation of a comparison's networks on a data set.
+    pub fn evaluation(&self, comparison: Comparison, set: &str) -> PathBuf {
+        self.report(comparison).join(set)
     }
 
     /// The report of a comparison.
@@ -162,13 +196,13 @@ mod tests {
     fn a_network_has_one_name_in_every_comparison() {
         assert_eq!(names(Comparison::Cores), ["mingru", "minlstm", "lstm", "gru", "mlp"]);
         assert_eq!(names(Comparison::Loss), ["mingru-density-0", "mingru", "mingru-density-0.01"]);
-        assert_eq!(names(Comparison::Window), ["mingru-window-1", "mingru", "mingru-window-4"]);
+        assert_eq!(names(Comparison::Window), ["mingru", "mingru-window-4", "mingru-window-16"]);
     }
 
     #[test]
     fn networks_with_the_same_name_have_the_same_settings() {
         let study = StudyConfig::paper();
-        let all = [Comparison::Cores, Comparison::Loss, Comparison::Window];
+        let all = [Comparison::Cores, Comparison::Loss, Comparison::Window, Comparison::Output];
         let all: Vec<Variant> = all.iter().flat_map(|one| one.variants(&study)).collect();
         for one in &all {
             for other in all.iter().filter(|other| other.name == one.name) {

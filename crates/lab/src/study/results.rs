@@ -39,6 +39,18 @@ pub struct Trained {
     pub config: TrainConfig,
     /// All epochs.
     pub epochs: Vec<Epoch>,
+    /// Losses of the best checkpoint in free rollouts.
+    pub losses: Losses,
+}
+
+/// Losses in free rollouts, as that of the validation: 1 - skill, averaged over frames ahead and kinds of scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Losses {
+    /// On as many training scenes as there are for validation.
+    pub seen: f64,
+    /// Of the linear fit to the training scenes, on the validation scenes; absent if the data determine none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub linear_fit: Option<f64>,
 }
 
 /// The learning curve of a dense network.
@@ -48,6 +60,12 @@ pub struct Curve {
     pub activation: Activation,
     /// Seed of its weights and of the order of the data.
     pub seed: u64,
+    /// Device.
+    #[serde(default)]
+    pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU, otherwise empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub precision: String,
     /// Training settings.
     pub config: DenseConfig,
     /// Losses by epoch.
@@ -119,9 +137,16 @@ impl Curve {
     /// The curve in a file, if it has finished.
     ///
     /// # Errors
-    /// [`ResultError`], also for a training with other settings.
-    pub fn find(file: &Path, config: &DenseConfig) -> Result<Option<Self>, ResultError> {
-        find(file.to_owned(), |curve: &Self| curve.config == *config)
+    /// [`ResultError`], also for a training with other settings, on another device or of another precision.
+    pub fn find(
+        file: &Path,
+        config: &DenseConfig,
+        device: DeviceKind,
+        precision: &str,
+    ) -> Result<Option<Self>, ResultError> {
+        find(file.to_owned(), |curve: &Self| {
+            (&curve.config, curve.device, curve.precision.as_str()) == (config, device, precision)
+        })
     }
 
     /// Writes it to a file.

@@ -1,6 +1,7 @@
 //! Runs a comparison. Finished parts are not repeated.
 
 use std::{
+    cell::Cell,
     collections::VecDeque,
     fs,
     num::NonZeroUsize,
@@ -15,21 +16,30 @@ use std::{
 use anyhow::{Context, bail, ensure};
 
 use super::{
-    Comparison, Folders, StudyConfig, Trained, Variant,
+    Comparison, DataSet, Folders, StudyConfig, Trained, Variant,
     command_lines::{CommandLines, shown},
     learning_curves, step_times, training, write,
 };
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Report, Settings,
-    dataset::{self, simulate::simulate},
+    dataset::{
+        self,
+        simulate::{SimulationRequest, simulate},
+    },
     page::{Table, command_line},
 };
 use eddy_frames::progress::Progress;
-use eddy_inference::checkpoint::Checkpoint;
+use eddy_inference::{
+    checkpoint::Checkpoint,
+    engine::{ModelError, Surrogate},
+};
+#[cfg(feature = "cuda")]
+use eddy_learning::model::{load_on_gpu, open_gpu};
 use eddy_learning::{
     model::{DeviceKind, Precision},
     train::TrainConfig,
 };
+use eddy_mpm::Accelerator;
 
 /// A comparison to run.
 #[derive(Clone, Debug)]
@@ -45,6 +55,8 @@ pub struct StudyRequest {
     pub jobs: NonZeroUsize,
     /// The device that trains the networks of cores, losses and windows, and takes the timed steps.
     pub device: DeviceKind,
+    /// GPUs that networks are spread over, from that device on.
+    pub gpus: NonZeroUsize,
     /// Precision of products on a GPU.
     pub precision: Precision,
 }
@@ -80,24 +92,30 @@ impl StudyRequest {
 /// The error of the part that failed, or cancellation. Finished parts are kept.
 pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<StudyOutcome> {
     request.check()?;
-    let StudyRequest { comparison, study, output, jobs, device, precision } = request;
+    let StudyRequest { comparison, study, output, jobs, device, gpus, precision } = request;
+    let device = device.resolve(study.training.runs_on_gpus());
     if *comparison == Comparison::Activations {
         ensure!(
-            *device == DeviceKind::Flex,
-            "--device: found {}, expected flex: dense networks are trained on it",
+            device == DeviceKind::Flex || device != device.through_burn(),
+            "--device: found {}, expected flex or cuda: dense networks are trained on these",
             device.name()
         );
     }
-    let device = device.resolve(study.training.runs_on_gpus());
-    device.check()?;
+    ensure!(
+        gpus.get() == 1 || device != device.through_burn(),
+        "--gpus: found {gpus} with --device {}, expected --device cuda",
+        device.name()
+    );
+    (0..gpus.get()).try_for_each(|number| device.plus(number).check())?;
     let work = Work {
         folders: Folders::new(output),
         comparison: *comparison,
         variants: comparison.variants(study),
-        presets: comparison.presets(study),
+        data_sets: comparison.data_sets(study),
         study,
         jobs: jobs.get(),
         device,
+        gpus: gpus.get(),
         precision: *precision,
         progress,
         failed: AtomicBool::new(false),
@@ -105,7 +123,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
     work.simulate()?;
     match comparison {
         Comparison::Activations => learning_curves::run(&work)?,
-        Comparison::Cores | Comparison::Loss | Comparison::Window => training::run(&work)?,
+        _ => training::run(&work)?,
     }
     if progress.cancelled() {
         bail!("interrupted: run the same command again to resume");
@@ -120,17 +138,32 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
     write::write(&work)
 }
 
+/// What simulates on a device; `None` for the processor.
+fn solvers(device: DeviceKind) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
+    match device {
+        #[cfg(feature = "cuda")]
+        DeviceKind::Cuda(number) => {
+            use eddy_cuda::solver::{Constants, Solvers};
+            let gpu = open_gpu(number.into(), &Constants)?;
+            Ok(Some(Box::new(Solvers::new(gpu, number.into()))))
+        }
+        _ => Ok(None),
+    }
+}
+
 /// A running comparison.
 pub(super) struct Work<'a> {
     pub(super) folders: Folders,
     pub(super) comparison: Comparison,
     pub(super) study: &'a StudyConfig,
     pub(super) variants: Vec<Variant>,
-    pub(super) presets: &'a [String],
+    pub(super) data_sets: Vec<DataSet>,
     /// Number of networks to train in parallel.
     pub(super) jobs: usize,
     /// The device that trains the networks whose cores, losses or windows are compared.
     pub(super) device: DeviceKind,
+    /// GPUs that networks are spread over, from that device on.
+    pub(super) gpus: usize,
     /// Precision of products on a GPU.
     pub(super) precision: Precision,
     pub(super) progress: &'a dyn Progress,
@@ -142,6 +175,11 @@ impl Work<'_> {
     /// The precision of products on an NVIDIA GPU; empty on other devices.
     pub(super) fn gpu_precision(&self) -> &'static str {
         if self.device == self.device.through_burn() { "" } else { self.precision.name() }
+    }
+
+    /// The device of a network or curve by its number, always the same.
+    pub(super) fn device_of(&self, number: usize) -> DeviceKind {
+        self.device.plus(number % self.gpus)
     }
 
     /// Whether tasks should stop.
@@ -156,32 +194,37 @@ impl Work<'_> {
             comparison: self.comparison,
             study: self.study,
             variants: &self.variants,
-            presets: self.presets,
+            data_sets: &self.data_sets,
             device: self.device,
             precision: self.precision,
         }
     }
 
-    /// Simulates the missing scenes of every preset.
+    /// Simulates the missing scenes of every data set, on an NVIDIA GPU if that is the device.
     fn simulate(&self) -> anyhow::Result<()> {
-        for preset in self.presets {
-            let request = self.study.data.simulation(preset)?;
-            self.tell(&command_line(&self.command_lines().simulation(preset)));
-            simulate(&request, &self.folders.data(preset), self.progress)?.complete()?;
+        let mut device = solvers(self.device)?;
+        for set in &self.data_sets {
+            let request = set.simulation(&self.study.data)?;
+            let request = SimulationRequest { device: device.as_ref().map(|_| "cuda"), ..request };
+            self.tell(&command_line(&self.command_lines().simulation(set)));
+            let device = device.as_mut().map(|device| &mut **device as &mut dyn Accelerator);
+            simulate(&request, &self.folders.data(&set.name), self.progress, device)?.complete()?;
         }
         Ok(())
     }
 
-    /// Evaluates every network on each preset, unless already done.
+    /// Evaluates every network on the scenes of its data set, unless already done.
     fn evaluate(&self) -> anyhow::Result<()> {
-        for preset in self.presets {
-            let folder = self.folders.evaluation(self.comparison, preset);
-            if self.variants.is_empty() || self.is_evaluated(preset, &folder)? {
+        for set in &self.data_sets {
+            let set = set.name.as_str();
+            let folder = self.folders.evaluation(self.comparison, set);
+            if self.variants.is_empty() || self.is_evaluated(set, &folder)? {
                 continue;
             }
-            let command = command_line(&self.command_lines().evaluation(preset));
+            let command = command_line(&self.command_lines().evaluation(set));
             self.tell(&command);
-            let evaluation = Evaluation::new(self.evaluation(preset)?, self.progress)?;
+            let evaluation =
+                Evaluation::with_models(self.evaluation(set)?, &self.loader(), self.progress)?;
             evaluation.remarks().iter().for_each(|remark| self.tell(remark));
             let mut report = evaluation.run(self.progress)?;
             report.made.command = command;
@@ -190,19 +233,30 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// The evaluation of all networks on the scenes of a preset.
-    fn evaluation(&self, preset: &str) -> anyhow::Result<EvaluationRequest> {
+    /// Loads networks for their evaluation: on the GPUs in turn, if the device is one, otherwise with one thread each.
+    fn loader(&self) -> impl Fn(&Checkpoint) -> Result<Surrogate, ModelError> {
+        let next = Cell::new(0);
+        move |checkpoint| match self.device_of(next.replace(next.get() + 1)) {
+            #[cfg(feature = "cuda")]
+            DeviceKind::Cuda(number) => load_on_gpu(checkpoint, None, number.into()),
+            _ => Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)),
+        }
+    }
+
+    /// The evaluation of all networks on the scenes of a data set.
+    fn evaluation(&self, set: &str) -> anyhow::Result<EvaluationRequest> {
         let load = |(variant, seed): (&Variant, u64)| {
-            let path = self.folders.run(preset, &variant.name, seed);
+            let path = self.folders.run(set, &variant.name, seed);
             Ok((shown(&path), Checkpoint::load(&path)?))
         };
         let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
-        let (data, memory) = (self.folders.data(preset), dataset::available_memory() / 2);
+        let (data, memory) = (self.folders.data(set), dataset::available_memory() / 2);
         let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
             checkpoints,
             streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
-            settings: Settings::full(evaluation.horizon, evaluation.starts),
+            // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
+            settings: Settings::errors_only(evaluation.horizon, evaluation.starts),
             references: Vec::new(),
             join_late: false,
             threads: None,
@@ -210,24 +264,24 @@ impl Work<'_> {
     }
 
     /// Whether `folder` has the report of this evaluation.
-    fn is_evaluated(&self, preset: &str, folder: &Path) -> anyhow::Result<bool> {
+    fn is_evaluated(&self, set: &str, folder: &Path) -> anyhow::Result<bool> {
         if !folder.exists() {
             return Ok(false);
         }
         let report = Report::load(folder)?;
         let evaluated: Vec<_> =
             report.predictors.iter().filter_map(|p| p.digest.as_ref()).collect();
-        let networks = self.trained(preset)?;
+        let networks = self.trained(set)?;
         let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
-        Ok(report.made.command == command_line(&self.command_lines().evaluation(preset))
+        Ok(report.made.command == command_line(&self.command_lines().evaluation(set))
             && evaluated == networks)
     }
 
     /// Results of the networks' training, in the order of [`Work::runs`].
-    pub(super) fn trained(&self, preset: &str) -> anyhow::Result<Vec<(&Variant, Trained)>> {
+    pub(super) fn trained(&self, set: &str) -> anyhow::Result<Vec<(&Variant, Trained)>> {
         let mut all = Vec::new();
         for (variant, seed) in self.runs() {
-            let folder = self.folders.run(preset, &variant.name, seed);
+            let folder = self.folders.run(set, &variant.name, seed);
             let config = TrainConfig { seed, ..variant.config.clone() };
             let trained = Trained::find(&folder, &config, self.device)?
                 .with_context(|| format!("{}: no trained network found", folder.display()))?;

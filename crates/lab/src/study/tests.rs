@@ -32,8 +32,8 @@ fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     (study.evaluation.horizon, study.evaluation.starts) = (3, 1);
     (study.step_frames, study.step_seconds) = (vec![2], 0.01);
     let (output, device) = (output.to_owned(), DeviceKind::Flex);
-    let (jobs, precision) = (NonZeroUsize::MIN, Precision::default());
-    StudyRequest { comparison, study, output, jobs, device, precision }
+    let (jobs, gpus, precision) = (NonZeroUsize::MIN, NonZeroUsize::MIN, Precision::default());
+    StudyRequest { comparison, study, output, jobs, device, gpus, precision }
 }
 
 /// Collects messages; cancels after the first that contains the given text.
@@ -152,10 +152,13 @@ fn an_invalid_request_is_rejected_before_anything_is_written() {
     narrow.study.training.network.hidden = 0;
     let mut elsewhere = request(Comparison::Activations, &output);
     elsewhere.device = DeviceKind::Ndarray;
+    let mut two_gpus = usual;
+    two_gpus.gpus = NonZeroUsize::new(2).unwrap();
     for (request, words) in [
         (unknown, "data.presets: found gas, expected multi-material, fluid, stiff or kinds"),
         (narrow, "network.hidden: found 0, expected at least 1"),
-        (elsewhere, "--device: found ndarray, expected flex"),
+        (two_gpus, "--gpus: found 2 with --device flex, expected --device cuda"),
+        (elsewhere, "--device: found ndarray, expected flex or cuda"),
     ] {
         let error = run(&request, &Lines::default()).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");

@@ -5,17 +5,18 @@ use std::{collections::VecDeque, fs, path::PathBuf};
 use anyhow::{Context, bail};
 
 use super::{
-    Trained,
+    Losses, Trained,
     run::{Work, write_settings},
 };
 use eddy_evaluation::{
-    dataset::{Dataset, available_memory},
+    dataset::{Dataset, Trajectory, available_memory},
     page::command_line,
 };
 use eddy_frames::progress::Progress;
+use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
-    model::{GpuOptions, kernel_cache},
-    train::{LAST_FOLDER, Machine, Run, TrainConfig, train},
+    model::{DeviceKind, GpuOptions, kernel_cache},
+    train::{LAST_FOLDER, Machine, Run, TrainConfig, rollout_loss, train},
 };
 
 /// A network with one seed.
@@ -23,6 +24,7 @@ struct Task {
     /// Its name in messages.
     name: String,
     config: TrainConfig,
+    device: DeviceKind,
     output: PathBuf,
     /// The equivalent command.
     command: String,
@@ -30,21 +32,23 @@ struct Task {
 
 /// Trains the missing networks.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
-    for preset in work.presets {
+    for set in &work.data_sets {
+        let set = set.name.as_str();
         let mut tasks = VecDeque::new();
-        for (variant, seed) in work.runs() {
+        for (number, (variant, seed)) in work.runs().enumerate() {
             let config = TrainConfig { seed, ..variant.config.clone() };
-            let output = work.folders.run(preset, &variant.name, seed);
+            let output = work.folders.run(set, &variant.name, seed);
             if Trained::find(&output, &config, work.device)?.is_none() {
-                let name = format!("{preset} {} seed {seed}", variant.name);
-                let command = command_line(&work.command_lines().training(preset, variant, seed));
-                tasks.push_back(Task { name, config, output, command });
+                let name = format!("{set} {} seed {seed}", variant.name);
+                let command = command_line(&work.command_lines().training(set, variant, seed));
+                let device = work.device_of(number);
+                tasks.push_back(Task { name, config, device, output, command });
             }
         }
         if tasks.is_empty() {
             continue;
         }
-        let data = work.folders.data(preset);
+        let data = work.folders.data(set);
         let dataset = Dataset::load(&[data], available_memory() / 2, &mut |_, _| ())?;
         let at_once = work.jobs.min(tasks.len());
         let memory = available_memory() / at_once as u64;
@@ -54,6 +58,16 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The losses of a checkpoint on training scenes, and of the linear fit on those for validation.
+fn losses(config: &TrainConfig, dataset: &Dataset, best: &Checkpoint) -> anyhow::Result<Losses> {
+    let (validation, train) = (&dataset.validation, &dataset.train);
+    // Spread over all of them: kinds of scenes come in turn.
+    let stride = train.len().div_ceil(validation.len().max(1)).max(1);
+    let seen: Vec<_> = train.iter().step_by(stride).cloned().collect();
+    let of = |streams: &[Trajectory]| rollout_loss(best, &config.validation, streams);
+    Ok(Losses { seen: of(&seen)?.model, linear_fit: of(validation)?.linear_fit })
 }
 
 /// Trains without output, as several networks are trained at once.
@@ -74,12 +88,12 @@ impl Task {
         memory: u64,
         at_once: usize,
     ) -> anyhow::Result<Option<String>> {
-        let Self { name, config, output, command } = self;
+        let Self { name, config, device, output, command } = self;
         // Beside the folder, which `train` creates.
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let cache = kernel_cache();
         let run = Run {
-            device: work.device,
+            device: *device,
             gpu: GpuOptions {
                 precision: work.precision,
                 kernel_cache: cache.as_deref(),
@@ -106,6 +120,7 @@ impl Task {
             device: work.device,
             config: config.clone(),
             epochs: outcome.epochs,
+            losses: losses(config, dataset, &best)?,
         };
         trained.save(output)?;
         // The state for resuming is three times as large as the network and no longer needed.

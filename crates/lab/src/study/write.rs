@@ -13,21 +13,22 @@ use eddy_evaluation::{Report, page::Provenance};
 pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     let folder = work.folders.report(work.comparison);
     let mut report = StudyReport::new(work.comparison, work.study);
-    for preset in work.presets {
+    for set in &work.data_sets {
+        let set = set.name.as_str();
         match work.comparison {
             Comparison::Activations => {
-                report.curves(preset, work.study, &curves(work, preset)?);
+                report.curves(set, work.study, &curves(work, set)?);
             }
             comparison => {
-                let trained = work.trained(preset)?.into_iter().map(|(_, trained)| trained);
+                let trained = work.trained(set)?.into_iter().map(|(_, trained)| trained);
                 let networks = Networks {
                     comparison,
                     variants: &work.variants,
                     seeds: &work.study.seeds,
                     trained: trained.collect(),
-                    report: Report::load(&work.folders.evaluation(comparison, preset))?,
+                    report: Report::load(&work.folders.evaluation(comparison, set))?,
                 };
-                report.networks(preset, work.study, &networks);
+                report.networks(set, work.study, &networks);
             }
         }
     }
@@ -43,13 +44,13 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     Ok(StudyOutcome { summaries, page: html })
 }
 
-/// The learning curves of a preset.
-fn curves(work: &Work, preset: &str) -> anyhow::Result<Vec<Curve>> {
+/// The learning curves of a data set.
+fn curves(work: &Work, set: &str) -> anyhow::Result<Vec<Curve>> {
     let mut curves = Vec::new();
     for &seed in &work.study.seeds {
         for activation in &work.study.activations {
-            let file = work.folders.curve(preset, activation.name(), seed);
-            let curve = Curve::find(&file, &work.study.dense)?;
+            let file = work.folders.curve(set, activation.name(), seed);
+            let curve = Curve::find(&file, &work.study.dense, work.device, work.gpu_precision())?;
             curves.push(
                 curve.with_context(|| format!("{}: no learning curve found", file.display()))?,
             );

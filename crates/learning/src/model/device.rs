@@ -1,5 +1,7 @@
 //! The compute devices.
 
+#[cfg(feature = "cuda")]
+use std::sync::Arc;
 use std::{
     num::NonZeroUsize,
     panic,
@@ -7,6 +9,17 @@ use std::{
 };
 
 use burn::tensor::{Device, Tensor};
+#[cfg(feature = "cuda")]
+use eddy_cuda::{
+    frame,
+    gpu::{self, Gpu},
+    kernels, particle,
+};
+#[cfg(feature = "cuda")]
+use eddy_inference::{
+    checkpoint::{Architecture, Checkpoint},
+    engine::{Accelerator, ModelError, Surrogate},
+};
 use serde::{Deserialize, Serialize};
 
 use crate::ranks::ProcessOptions;
@@ -105,6 +118,22 @@ impl DeviceKind {
         }
     }
 
+    /// The GPU `ahead` places after this one; other devices stay the same.
+    #[must_use]
+    pub fn plus(self, ahead: usize) -> Self {
+        match self {
+            #[cfg(feature = "cuda")]
+            Self::Cuda(number) => {
+                let last = CUDA_NAMES.len() - 1;
+                Self::Cuda((usize::from(number) + ahead).min(last) as u8)
+            }
+            other => {
+                let _ = ahead;
+                other
+            }
+        }
+    }
+
     /// The device that is meant, for a network that can be trained on an NVIDIA GPU or not: never [`DeviceKind::Auto`].
     #[must_use]
     pub fn resolve(self, runs_on_gpus: bool) -> Self {
@@ -137,7 +166,7 @@ impl DeviceKind {
     pub fn check(self) -> Result<(), NoDevice> {
         #[cfg(feature = "cuda")]
         if let Self::Cuda(number) = self {
-            return eddy_cuda::gpu::check(number.into()).map_err(NoDevice::Cuda);
+            return gpu::check(number.into()).map_err(NoDevice::Cuda);
         }
         // burn reports a missing device by a panic, also on its own threads.
         let hook = panic::take_hook();
@@ -267,6 +296,45 @@ impl Default for GpuOptions<'_> {
 /// The folder that eddy's commands keep compiled kernels in: in the user's cache folder, if there is one.
 pub fn kernel_cache() -> Option<PathBuf> {
     Some(dirs::cache_dir()?.join("eddy").join("kernels"))
+}
+
+/// The GPU of this number with the kernels of a program, all products in FP32; compiled kernels are kept in [`kernel_cache`].
+///
+/// # Errors
+/// [`CudaError`](eddy_cuda::CudaError) when the GPU or a library is not there.
+#[cfg(feature = "cuda")]
+pub fn open_gpu(number: usize, program: &dyn kernels::Program) -> eddy_cuda::Result<Arc<Gpu>> {
+    let cache = kernel_cache();
+    Gpu::new(number, program, gpu::Precision::Fp32, cache.as_deref()).map(Into::into)
+}
+
+/// A checkpoint on the GPU of this number, with so many threads that copy frames to it and back, by default one per core.
+///
+/// # Errors
+/// [`ModelError`] of the checkpoint, or [`ModelError::Device`].
+#[cfg(feature = "cuda")]
+pub fn load_on_gpu(
+    checkpoint: &Checkpoint,
+    threads: Option<NonZeroUsize>,
+    number: usize,
+) -> Result<Surrogate, ModelError> {
+    let Checkpoint { description, tensors } = checkpoint;
+    let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
+        Ok(match description.architecture {
+            Architecture::Frame => {
+                let gpu = open_gpu(number, &kernels::Constants::of(description)?)?;
+                let inference = frame::Inference::new(gpu, description, tensors)?;
+                Arc::new(frame::Streams::new(inference.with_threads(threads)))
+            }
+            Architecture::Particle => {
+                let gpu = open_gpu(number, &particle::Constants::of(description)?)?;
+                let inference = particle::Inference::new(gpu, description, tensors)?;
+                Arc::new(particle::Streams::new(inference.with_threads(threads)))
+            }
+        })
+    };
+    let streams = streams().map_err(|reason| ModelError::Device(reason.to_string()))?;
+    Surrogate::on_device(checkpoint, streams)
 }
 
 /// The device is not available.

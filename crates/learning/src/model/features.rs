@@ -67,6 +67,13 @@ impl Scaling {
         }
     }
 
+    /// Positions (domain lengths) from standard deviations off the mean, `[R, 2]`.
+    pub(crate) fn position(&self, scaled: Tensor<2>) -> Tensor<2> {
+        let [mean, deviation] =
+            [&self.mean, &self.deviation].map(|t| t.clone().slice([0..1, 0..2]));
+        mean + scaled * deviation
+    }
+
     /// Input of the frame model, `[R, F]`. `material` is one-hot, `[R, 4]`.
     pub(crate) fn frame(
         &self,

@@ -13,12 +13,13 @@
 //! Table 1 pools after the encoder's second Linear. A mean commutes with a linear map, so that pooling first gives the same
 //! values for a fortieth of the work (a test compares the two orders). A maximum does not commute and keeps the order of the
 //! table. Both poolings together are `[B, 2500]`, mean first. The table does not say whether the "MLP(1250 -> 1250)" has an
-//! activation; without one it would be redundant before the decoder, so it has that of the encoder (ELU by default). The
-//! decoder's output is dv in domain lengths per second: v' = v + dv, x' = x + v' dt.
+//! activation; without one it would be redundant before the decoder, so it has that of the encoder (ELU by default). What
+//! the decoder's output means is a choice of the network's ([`FrameOutput`]).
 
 use burn::tensor::{Device, Tensor};
 
 use super::{
+    ballistic::BallisticTensors,
     dropout::Dropout,
     features::Scaling,
     fused, fused_layers,
@@ -27,7 +28,10 @@ use super::{
     mlp::activate,
     state::{ParticleState, RecurrentState, StaticInputs, TrajectoryBatch},
 };
-use eddy_inference::checkpoint::{Description, FrameOptions, Pooling};
+use eddy_inference::{
+    checkpoint::{Description, FrameOptions, FrameOutput, Pooling},
+    engine::Ballistic,
+};
 
 /// The frame model with its normalisation.
 #[derive(Clone, Debug)]
@@ -37,8 +41,8 @@ pub(crate) struct FrameModel {
     options: FrameOptions,
     /// N.
     particles: usize,
-    /// Time between two frames (s).
-    dt: f32,
+    /// The step to which a residual is added.
+    ballistic: BallisticTensors,
 }
 
 impl FrameModel {
@@ -48,7 +52,7 @@ impl FrameModel {
             options: description.frame,
             particles: layers.decoder.weight.dims()[1] / 2,
             layers,
-            dt: description.dt,
+            ballistic: BallisticTensors::new(Ballistic::new(description), device),
         }
     }
 
@@ -64,11 +68,15 @@ impl FrameModel {
         let encoded = (0..frames).map(|t| self.encode(&trajectory.at(t), &fixed.material));
         let signal = Tensor::stack(encoded.collect(), 0); // [T, B, H]
         let (signal, layers) = self.layers.observe_core(signal, &hidden.layers, dropout);
-        let change = self.decode(signal.flatten(0, 1)).reshape([frames, rows, 2]);
-        let velocity = trajectory.velocity.clone() + change;
-        let position = trajectory.position.clone() + velocity.clone().mul_scalar(self.dt);
-        let hidden = RecurrentState { layers, expected_velocity: None };
-        (TrajectoryBatch { position, velocity }, hidden)
+        let flat = |t: &Tensor<3>| t.clone().reshape([frames * rows, 2]);
+        let state = ParticleState {
+            position: flat(&trajectory.position),
+            velocity: flat(&trajectory.velocity),
+        };
+        let ParticleState { position, velocity } = self.decode(signal.flatten(0, 1), &state);
+        let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
+        let predicted = TrajectoryBatch { position: cube(position), velocity: cube(velocity) };
+        (predicted, RecurrentState { layers, expected_velocity: None })
     }
 
     /// As [`Network::step`](super::network::Network::step).
@@ -81,10 +89,8 @@ impl FrameModel {
     ) -> (ParticleState, RecurrentState) {
         let signal = self.encode(state, &fixed.material);
         let (signal, layers) = self.layers.step_core(signal, &hidden.layers, dropout);
-        let velocity = state.velocity.clone() + self.decode(signal);
-        let position = state.position.clone() + velocity.clone().mul_scalar(self.dt);
         let hidden = RecurrentState { layers, expected_velocity: None };
-        (ParticleState { position, velocity }, hidden)
+        (self.decode(signal, state), hidden)
     }
 
     /// One frame of B windows, `[B N, ..]`, to `[B, H]` (`[B, 2 H]` with both poolings).
@@ -116,11 +122,31 @@ impl FrameModel {
         }
     }
 
-    /// `[B, H]` to dv, `[B N, 2]`.
-    fn decode(&self, signal: Tensor<2>) -> Tensor<2> {
+    /// The state after this one, from the core's output `[B, H]`.
+    fn decode(&self, signal: Tensor<2>, state: &ParticleState) -> ParticleState {
         let mixed = activate(self.options.activation, self.layers.mixer.forward(signal));
-        let change = self.layers.decoder.forward(mixed); // [B, 2 N]
-        let [windows, _] = change.dims();
-        change.reshape([windows * self.particles, 2])
+        let output = self.layers.decoder.forward(mixed); // [B, 2 N]
+        let [windows, _] = output.dims();
+        let output = output.reshape([windows * self.particles, 2]);
+        let ParticleState { position, velocity } = state.clone();
+        let dt = self.ballistic.plain.dt;
+        match self.options.output {
+            FrameOutput::Displacement => {
+                let velocity = velocity + output;
+                ParticleState { position: position + velocity.clone().mul_scalar(dt), velocity }
+            }
+            FrameOutput::Residual => {
+                let motion = self.ballistic.step(position, velocity);
+                ParticleState {
+                    position: motion.position + output.clone().mul_scalar(0.5 * dt),
+                    velocity: motion.velocity + output,
+                }
+            }
+            FrameOutput::Position => {
+                let next = self.scaling.position(output);
+                let velocity = (next.clone() - position).div_scalar(dt);
+                ParticleState { position: next, velocity }
+            }
+        }
     }
 }

@@ -15,7 +15,6 @@ use eddy_inference::checkpoint::{Architecture, Description, Weights};
 
 /// A network.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "there are few of them")]
 pub(crate) enum Network {
     Frame(FrameModel),
     Particle(ParticleModel),

@@ -24,7 +24,7 @@ use eddy_evaluation::dataset::{State, Stream, Trajectory};
 use eddy_frames::{Domain, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
+        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, FrameOutput,
         MaterialInput, Pooling, Weights, layout::linear_layers,
     },
     engine::{Ballistic, Surrogate},
@@ -59,7 +59,9 @@ pub(super) fn streams() -> Vec<Trajectory> {
 
 /// A small network, with everything that a training may ask for switched on.
 pub(super) fn config(core: Core) -> TrainConfig {
-    let mut config = TrainConfig::defaults(Architecture::Frame);
+    let mut config = TrainConfig::paper();
+    config.network.frame.material = MaterialInput::OneHot;
+    config.windows.mirror = true;
     config.core = core;
     config.network.encoder = 13;
     config.network.hidden = 10;
@@ -83,6 +85,7 @@ pub(super) fn description(config: &TrainConfig) -> Description {
     description.frame = config.network.frame;
     description.form = config.network.form;
     description.normalize_gates = config.network.normalize_gates;
+    description.gravity = config.gravity;
     description.warm_up = config.windows.warm_up as u32;
     description
 }
@@ -241,6 +244,17 @@ fn every_pooling_takes_the_steps_of_the_cpu() {
     {
         let mut config = config(core);
         config.network.frame.pooling = pooling;
+        compare(&config, FeatureScaling::MinMax);
+    }
+}
+
+#[test]
+fn every_output_takes_the_steps_of_the_cpu() {
+    for output in [FrameOutput::Residual, FrameOutput::Position] {
+        let mut config = config(Core::MinGru);
+        config.network.frame.output = output;
+        // Some particles hit a wall, where a ballistic step has no gradient.
+        config.gravity = [0.0, -200.0];
         compare(&config, FeatureScaling::MinMax);
     }
 }

@@ -1,21 +1,34 @@
 //! The network of the paper's comparison of activations (supplement B, Fig. 5): dense layers that predict the next frame from
 //! one frame. Each feature of each particle is a separate input and output: no pooling, no recurrence, no ballistic step.
 
+#[cfg(feature = "cuda")]
+use std::sync::Arc;
+
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "cuda")]
+use super::adam::Correction;
 use super::{
-    NoiseConfig, OptimizerConfig, TrainConfig, TrainError, WindowConfig,
+    NoiseConfig, TrainConfig, TrainError, WindowConfig,
     adam::{Adam, AdamStep},
     config::{at_least_one, positive},
     description::{no_constant_feature, same_particles},
     window::{self, Sampler, Window},
 };
-use crate::model::{DeviceKind, linear::Linear, mlp::activate};
+#[cfg(feature = "cuda")]
+use crate::model::Precision;
+use crate::model::{DeviceKind, GpuOptions, linear::Linear, mlp::activate};
+#[cfg(feature = "cuda")]
+use eddy_cuda::{
+    dense::Move,
+    gpu::{self, Gpu},
+    kernels::Program,
+};
 use eddy_evaluation::dataset::{Dataset, State};
-use eddy_inference::checkpoint::{Activation, Architecture, Normalization};
+use eddy_inference::checkpoint::{Activation, Normalization};
 
 /// Pairs of frames for the validation loss.
 const VALIDATION_PAIRS: usize = 512;
@@ -82,8 +95,8 @@ impl DenseConfig {
     }
 }
 
-/// Trains the network with one activation, on burn-flex. The same arguments give the same curve. Returns none if
-/// `interrupted`, which is called before every batch, returns true.
+/// Trains the network with one activation, on an NVIDIA GPU if that is the device, otherwise on burn-flex. The same arguments
+/// give the same curve. Returns none if `interrupted`, which is called before every batch, returns true.
 ///
 /// # Errors
 /// [`TrainError`]: settings out of range, streams that differ in the number of particles or are too short, a loss that is not
@@ -93,6 +106,39 @@ pub fn train_dense(
     activation: Activation,
     seed: u64,
     dataset: &Dataset,
+    (device, gpu): (DeviceKind, GpuOptions),
+    interrupted: &dyn Fn() -> bool,
+) -> Result<Option<DenseCurve>, TrainError> {
+    let options = gpu;
+    let open = |weights: Vec<[Vec<f32>; 2]>| {
+        Ok(match device {
+            #[cfg(feature = "cuda")]
+            DeviceKind::Cuda(number) => {
+                let open = |constants: &dyn Program| {
+                    let precision = match options.precision {
+                        Precision::Tf32 => gpu::Precision::Tf32,
+                        Precision::Fp32 => gpu::Precision::Fp32,
+                    };
+                    let cache = options.kernel_cache;
+                    let gpu = Gpu::new(number.into(), constants, precision, cache)?;
+                    Ok(Arc::new(gpu) as Arc<dyn eddy_cuda::device::Device>)
+                };
+                Trainer::on_device(config, activation, &weights, &open)?
+            }
+            _ => {
+                let _ = options;
+                Trainer::through_burn(activation, weights)
+            }
+        })
+    };
+    train_with(config, seed, dataset, &open, interrupted)
+}
+
+fn train_with(
+    config: &DenseConfig,
+    seed: u64,
+    dataset: &Dataset,
+    open: &dyn Fn(Vec<[Vec<f32>; 2]>) -> Result<Trainer, TrainError>,
     interrupted: &dyn Fn() -> bool,
 ) -> Result<Option<DenseCurve>, TrainError> {
     config.check()?;
@@ -104,26 +150,15 @@ pub fn train_dense(
     let validation = Sampler::new(&dataset.validation, &windows, 1)?
         .draw(VALIDATION_PAIRS, &mut ChaCha8Rng::seed_from_u64(VALIDATION_SEED))?;
 
-    let plain = DeviceKind::Flex.device();
     let scale = Scaling::new(&dataset.normalization);
-    let validation = scale.frames(&validation, &plain);
+    let validation = scale.frames(&validation);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let features = FEATURES * particles;
-    let mut network =
-        Dense::new(config, activation, features, &mut random, &plain.clone().autodiff());
-    let mut adam = Adam::default();
-    let optimizer = OptimizerConfig {
-        clip: f32::INFINITY,
-        ..TrainConfig::defaults(Architecture::Frame).optimizer
-    };
+    let mut trainer = open(initial_weights(config, features, &mut random))?;
     let batches = config.per_epoch.div_ceil(config.batch);
     let mut curve = DenseCurve {
-        persistence: f64::from(
-            error(validation[0].clone(), validation[1].clone()).into_scalar::<f32>(),
-        ),
-        mean: f64::from(
-            error(scale.mean(&validation[1]), validation[1].clone()).into_scalar::<f32>(),
-        ),
+        persistence: error(&validation[0], &validation[1]),
+        mean: error(&scale.mean(validation[1].len()), &validation[1]),
         epochs: Vec::new(),
     };
     for epoch in 1..=config.epochs {
@@ -134,26 +169,111 @@ pub fn train_dense(
             }
             let left = || (config.epochs - epoch) as usize * batches + batches - batch + 1;
             let windows = sampler.batch(config.batch, left, &mut random)?;
-            let [input, target] = scale.frames(&windows, &plain); // [B, 4 N]
-            let loss =
-                error(network.forward(Tensor::from_inner(input)), Tensor::from_inner(target));
-            let found: f32 = loss.clone().inner().into_scalar();
-            if !found.is_finite() {
+            let loss = trainer.step(scale.frames(&windows), features, config.learning_rate)?;
+            if !loss.is_finite() {
                 let origins: Vec<_> = windows.iter().map(Window::origin).collect();
-                let windows = window::names(&origins);
+                let (windows, found) = (window::names(&origins), loss as f32);
                 return Err(TrainError::NotFinite { epoch, batch, windows, found });
             }
-            let mut step = adam.step(config.learning_rate, &optimizer);
-            network.update(&mut loss.backward(), &mut step);
-            losses += f64::from(found);
+            losses += loss;
         }
-        let predicted = network.forward(Tensor::from_inner(validation[0].clone())).inner();
-        let validation_loss =
-            f64::from(error(predicted, validation[1].clone()).into_scalar::<f32>());
+        let validation_loss = trainer.loss(&validation, features)?;
         let training_loss = losses / batches as f64;
         curve.epochs.push(DenseEpoch { epoch, training_loss, validation_loss });
     }
     Ok(Some(curve))
+}
+
+/// What takes the steps.
+enum Trainer {
+    /// burn-flex.
+    Burn { network: Dense, adam: Adam },
+    /// An NVIDIA GPU.
+    #[cfg(feature = "cuda")]
+    Cuda { network: Box<eddy_cuda::dense::Dense>, steps: u32 },
+}
+
+/// Frames and the ones that follow, `[B, 4 N]` each.
+type Pairs = [Vec<f32>; 2];
+
+/// Opens a device with the kernels of a program.
+#[cfg(feature = "cuda")]
+type OpenDevice<'a> =
+    dyn Fn(&dyn Program) -> Result<Arc<dyn eddy_cuda::device::Device>, TrainError> + 'a;
+
+impl Trainer {
+    fn through_burn(activation: Activation, weights: Vec<[Vec<f32>; 2]>) -> Self {
+        let device = DeviceKind::Flex.device().autodiff();
+        Self::Burn { network: Dense::new(activation, weights, &device), adam: Adam::default() }
+    }
+
+    #[cfg(feature = "cuda")]
+    fn on_device(
+        config: &DenseConfig,
+        activation: Activation,
+        weights: &[[Vec<f32>; 2]],
+        open: &OpenDevice<'_>,
+    ) -> Result<Self, TrainError> {
+        let constants = eddy_cuda::dense::Constants { width: config.width, activation };
+        let rows = config.batch.max(VALIDATION_PAIRS);
+        let features = weights.last().map_or(0, |[_, bias]| bias.len());
+        let device = open(&constants)?;
+        let network = eddy_cuda::dense::Dense::new(device, constants, features, weights, rows)?;
+        Ok(Self::Cuda { network: Box::new(network), steps: 0 })
+    }
+
+    /// A step of Adam without clipping; the loss before it.
+    fn step(
+        &mut self,
+        [input, truth]: Pairs,
+        features: usize,
+        rate: f64,
+    ) -> Result<f64, TrainError> {
+        let optimizer = TrainConfig::paper().optimizer;
+        Ok(match self {
+            Self::Burn { network, adam } => {
+                let [input, target] = [&input, &truth].map(|frames| tensor(frames, features));
+                let predicted = network.forward(Tensor::from_inner(input));
+                let loss = error(&numbers(predicted.clone().inner()), &truth);
+                if loss.is_finite() {
+                    let mean = (predicted - Tensor::from_inner(target)).square().mean();
+                    let mut step = adam.step(rate, &optimizer);
+                    network.update(&mut mean.backward(), &mut step);
+                }
+                loss
+            }
+            #[cfg(feature = "cuda")]
+            Self::Cuda { network, steps } => {
+                *steps += 1;
+                let Correction { rate, root, .. } = Correction::new(*steps, rate, &optimizer);
+                let (correction, epsilon) = (1.0 / root, optimizer.epsilon);
+                network.step(&input, &truth, Move { rate, correction, epsilon })?
+            }
+        })
+    }
+
+    /// The mean squared error of predictions.
+    #[cfg_attr(not(feature = "cuda"), expect(clippy::unnecessary_wraps, reason = "a GPU can fail"))]
+    fn loss(&mut self, [input, truth]: &Pairs, features: usize) -> Result<f64, TrainError> {
+        Ok(match self {
+            Self::Burn { network, .. } => {
+                let predicted = network.forward(Tensor::from_inner(tensor(input, features)));
+                error(&numbers(predicted.inner()), truth)
+            }
+            #[cfg(feature = "cuda")]
+            Self::Cuda { network, .. } => network.loss(input, truth)?,
+        })
+    }
+}
+
+/// `[B, 4 N]` on burn-flex.
+fn tensor(frames: &[f32], features: usize) -> Tensor<2> {
+    let shape = [frames.len() / features, features];
+    Tensor::from_data(TensorData::new(frames.to_vec(), shape), &DeviceKind::Flex.device())
+}
+
+fn numbers(tensor: Tensor<2>) -> Vec<f32> {
+    tensor.into_data().try_into_vec().expect("networks compute in f32")
 }
 
 /// Features of a particle: x, y, vx, vy.
@@ -170,9 +290,10 @@ fn pairs(config: &DenseConfig) -> WindowConfig {
     }
 }
 
-/// Mean squared difference.
-fn error(predicted: Tensor<2>, truth: Tensor<2>) -> Tensor<1> {
-    (predicted - truth).square().mean()
+/// Mean squared difference, summed in the order of the numbers: the same with any number of threads.
+fn error(predicted: &[f32], truth: &[f32]) -> f64 {
+    let squares = predicted.iter().zip(truth).map(|(a, b)| f64::from(a - b).powi(2));
+    squares.sum::<f64>() / truth.len() as f64
 }
 
 /// Normalisation of features to 0..1 by their range in the training split.
@@ -192,12 +313,10 @@ impl Scaling {
     }
 
     /// First and second frames of windows, each `[B, 4 N]`.
-    fn frames(&self, windows: &[Window], device: &Device) -> [Tensor<2>; 2] {
+    fn frames(&self, windows: &[Window]) -> Pairs {
         [0, 1].map(|frame| {
             let states = windows.iter().map(|window| &window.states[frame]);
-            let values: Vec<f32> = states.flat_map(|state| self.scaled(state)).collect();
-            let width = values.len() / windows.len().max(1);
-            Tensor::from_data(TensorData::new(values, [windows.len(), width]), device)
+            states.flat_map(|state| self.scaled(state)).collect()
         })
     }
 
@@ -208,12 +327,29 @@ impl Scaling {
         })
     }
 
-    /// Frames with mean features for all particles, of the shape of `like`.
-    fn mean(&self, like: &Tensor<2>) -> Tensor<2> {
-        let [rows, width] = like.dims();
-        let values: Vec<f32> = self.mean.iter().copied().cycle().take(rows * width).collect();
-        Tensor::from_data(TensorData::new(values, [rows, width]), &like.device())
+    /// Frames with mean features for all particles, so many numbers.
+    fn mean(&self, numbers: usize) -> Vec<f32> {
+        self.mean.iter().copied().cycle().take(numbers).collect()
     }
+}
+
+/// Weights `[in, out]` and bias of each layer, uniform in +-1 / sqrt(in), as in PyTorch's layers.
+fn initial_weights(
+    config: &DenseConfig,
+    features: usize,
+    random: &mut ChaCha8Rng,
+) -> Vec<[Vec<f32>; 2]> {
+    let hidden = std::iter::repeat_n(config.width, config.layers);
+    let widths: Vec<usize> = [features].into_iter().chain(hidden).chain([features]).collect();
+    let layers = widths.windows(2).map(|ends| {
+        let [input, output] = [ends[0], ends[1]];
+        let bound = 1.0 / (input as f32).sqrt();
+        let mut drawn = |count: usize| -> Vec<f32> {
+            (0..count).map(|_| bound * (2.0 * random.random::<f32>() - 1.0)).collect()
+        };
+        [drawn(input * output), drawn(output)]
+    });
+    layers.collect()
 }
 
 /// The network.
@@ -223,24 +359,11 @@ struct Dense {
 }
 
 impl Dense {
-    /// Weights and biases uniform in +-1 / sqrt(in), as in PyTorch's layers.
-    fn new(
-        config: &DenseConfig,
-        activation: Activation,
-        features: usize,
-        random: &mut ChaCha8Rng,
-        device: &Device,
-    ) -> Self {
-        let hidden = std::iter::repeat_n(config.width, config.layers);
-        let widths: Vec<usize> = [features].into_iter().chain(hidden).chain([features]).collect();
-        let layers = widths.windows(2).map(|ends| {
-            let [input, output] = [ends[0], ends[1]];
-            let bound = 1.0 / (input as f32).sqrt();
-            let mut drawn = |count: usize| -> Vec<f32> {
-                (0..count).map(|_| bound * (2.0 * random.random::<f32>() - 1.0)).collect()
-            };
-            let weight = TensorData::new(drawn(input * output), [input, output]);
-            let bias = TensorData::new(drawn(output), [output]);
+    fn new(activation: Activation, weights: Vec<[Vec<f32>; 2]>, device: &Device) -> Self {
+        let layers = weights.into_iter().map(|[weight, bias]| {
+            let (input, output) = (weight.len() / bias.len(), bias.len());
+            let weight = TensorData::new(weight, [input, output]);
+            let bias = TensorData::new(bias, [output]);
             Linear {
                 weight: Tensor::from_data(weight, device).require_grad(),
                 bias: Tensor::from_data(bias, device).require_grad(),
@@ -266,6 +389,54 @@ impl Dense {
             layer.update(index, gradients, &mut |tensor, values, by| {
                 step.change(tensor, values, by);
             });
+        }
+    }
+}
+
+#[cfg(test)]
+#[cfg(feature = "cuda")]
+mod tests {
+    use super::*;
+    use crate::train::cuda_tests;
+    use eddy_cuda_emulator::Emulator;
+    use eddy_inference::checkpoint::Normalization;
+
+    #[test]
+    fn every_activation_has_the_same_curve_on_a_gpu() {
+        let normalization = Normalization {
+            minimum: [0.0, 0.0, -1.0, -1.0],
+            maximum: [1.0, 1.0, 1.0, 1.0],
+            mean: [0.5, 0.5, 0.0, 0.0],
+            standard_deviation: [1.0; 4],
+        };
+        let dataset = Dataset {
+            train: cuda_tests::streams(),
+            validation: cuda_tests::streams(),
+            test: Vec::new(),
+            normalization,
+            spacing: 0.1,
+            digest: "streams of a test".to_owned(),
+        };
+        let mut config = DenseConfig::paper(2, 12);
+        (config.width, config.batch) = (13, 4);
+        for activation in Activation::ALL {
+            let burn = |weights| Ok(Trainer::through_burn(activation, weights));
+            let cuda = |weights: Vec<[Vec<f32>; 2]>| {
+                Trainer::on_device(&config, activation, &weights, &|program| {
+                    Ok(Arc::new(Emulator::new(program)?))
+                })
+            };
+            let expected = train_with(&config, 3, &dataset, &burn, &|| false).unwrap().unwrap();
+            let found = train_with(&config, 3, &dataset, &cuda, &|| false).unwrap().unwrap();
+            assert_eq!((found.mean, found.persistence), (expected.mean, expected.persistence));
+            let first = expected.epochs[0].validation_loss;
+            assert!(expected.epochs[1].validation_loss < first, "it learns");
+            for (found, expected) in found.epochs.iter().zip(&expected.epochs) {
+                let apart = |a: f64, b: f64| (a / b - 1.0).abs();
+                let training = apart(found.training_loss, expected.training_loss);
+                let validation = apart(found.validation_loss, expected.validation_loss);
+                assert!(training.max(validation) < 2e-5, "{found:?}, expected {expected:?}");
+            }
         }
     }
 }

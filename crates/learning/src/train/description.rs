@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{TrainConfig, TrainError};
-use eddy_evaluation::dataset::Dataset;
+use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
     Architecture, Description, FORMAT_VERSION, Rules, TrainingSummary,
@@ -51,6 +51,7 @@ pub(super) fn describe(
             seed: config.seed,
             validation_loss: f64::MAX,
             seen: dataset.seen()?,
+            linear_fit: LinearFit::of(&dataset.train)?.map(|fit| fit.rows),
             ..TrainingSummary::default()
         },
     })

@@ -20,7 +20,7 @@ use crate::model::{
 use eddy_evaluation::dataset::State;
 use eddy_frames::Material;
 use eddy_inference::{
-    checkpoint::{Architecture, Description, Weights},
+    checkpoint::{Description, Weights},
     engine::Ballistic,
 };
 
@@ -72,7 +72,7 @@ impl Golden {
         let words = header.metadata().as_ref().unwrap();
         let Row { description, training } = serde_json::from_str(&words["row"]).unwrap();
         // Mean squared errors, also of the particle model.
-        let mut config = TrainConfig::defaults(Architecture::Frame);
+        let mut config = TrainConfig::paper();
         config.windows.warm_up = training.warm_up;
         config.loss.observed_weight = training.observed_weight;
         config.loss.density_weight = 0.0;
@@ -203,7 +203,7 @@ fn networks() -> Vec<Golden> {
     let files: Vec<_> = files
         .filter(|file| file.extension().is_some_and(|extension| extension == "safetensors"))
         .collect();
-    assert_eq!(files.len(), 27, "the rows of generate.py");
+    assert_eq!(files.len(), 29, "the rows of generate.py");
     files.iter().map(|file| Golden::read(file)).collect()
 }
 

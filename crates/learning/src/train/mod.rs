@@ -9,7 +9,7 @@
 //! 7. `adam`: the optimizer. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
 //! 8. `schedule`: learning rate and length of unroll over the run.
 //! 9. `validate`: free rollouts over streams that are not trained on.
-//! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file.
+//! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
 //! 11. `state`, `resume`, `record`, `moments`: the state of a run between batches, and how it is saved and resumed.
 //! 12. `together`: several processes that train together.
 //! 13. `footprint`: the memory and disk space that a run needs, estimated before it starts.
@@ -38,6 +38,7 @@ mod loss;
 mod loss_weights;
 mod moments;
 mod monitor;
+mod movement;
 mod record;
 mod resume;
 mod schedule;
@@ -52,15 +53,15 @@ mod validate;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Schedule, TrainConfig,
-    UnrollStage, ValidationConfig, WindowConfig,
+    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Recipe, Schedule,
+    TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
-pub use validate::test_skill;
+pub use validate::{RolloutLoss, rollout_loss, test_skill};
 
-use std::{mem::swap, path::Path, time::Duration};
+use std::{collections::BTreeMap, mem::swap, path::Path, time::Duration};
 
 use rand_chacha::ChaCha8Rng;
 
@@ -71,13 +72,14 @@ use crate::{
 use eddy_evaluation::dataset::Dataset;
 use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::{
-    checkpoint::{Checkpoint, Description},
+    checkpoint::{Checkpoint, Description, Weights},
     engine::Ballistic,
 };
 use gradients::GradientTask;
 use loss_weights::{LossScale, TrivialErrors, TrivialSums};
 use monitor::{BatchMetrics, Monitor};
-use state::RunState;
+use movement::Movement;
+use state::{RunState, weights_at_start};
 use steps::{Learner, Step};
 use window::Sampler;
 
@@ -272,6 +274,7 @@ fn take_epochs(
         scale,
         monitor,
         learner,
+        initial: if run.leads() { weights_at_start(config, description) } else { BTreeMap::new() },
         saved: None,
         has_unsaved_best: false,
         unsaved: None,
@@ -321,6 +324,8 @@ struct Trainer<'a> {
     scale: LossScale<'a>,
     monitor: Monitor<'a>,
     learner: Learner,
+    /// The weights before the first step; empty where another process writes the metrics.
+    initial: BTreeMap<String, Weights>,
     /// When the run was saved last, since its start.
     saved: Option<Duration>,
     /// Whether the best checkpoint is yet to be saved.
@@ -470,8 +475,9 @@ impl Trainer<'_> {
 
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
-        let Self { config, dataset, run, group, state, monitor, learner, .. } = self;
+        let Self { config, dataset, run, group, state, monitor, learner, initial, .. } = self;
         let tensors = state.tensors(self.description);
+        let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
         let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
         let surrogate = learner.surrogate(&checkpoint)?;
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
@@ -485,6 +491,8 @@ impl Trainer<'_> {
             first_skill: score.first_skill,
             last_skill: score.last_skill,
             learning_rate: means.learning_rate,
+            weight_distance: movement.distance,
+            epsilon_share: movement.lost,
             best,
         };
         epoch.summarize(&mut checkpoint.description.training);
@@ -514,6 +522,11 @@ impl Trainer<'_> {
         }
         (self.run.on_epoch)(&epoch);
         self.monitor.epoch(&epoch)?;
+        if epoch.epoch == 1
+            && let Some(warning) = movement.warning(&self.config.optimizer)
+        {
+            self.run.progress.message(&warning);
+        }
         if saves {
             self.save_best()?;
             self.saved = Some(self.monitor.elapsed());

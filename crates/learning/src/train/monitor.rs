@@ -41,6 +41,12 @@ pub struct Epoch {
     pub last_skill: f64,
     /// Learning rate at the end of the epoch.
     pub learning_rate: f64,
+    /// Distance of the weights from the initial ones, relative to the norm of these.
+    #[serde(default)]
+    pub weight_distance: f64,
+    /// Share of Adam's steps that its epsilon takes away: the mean of epsilon / (root of the second moment + epsilon).
+    #[serde(default)]
+    pub epsilon_share: f64,
     /// Whether its weights are the best so far.
     pub best: bool,
 }
@@ -58,9 +64,10 @@ impl Epoch {
     /// Its row of `metrics.csv`.
     fn row(&self) -> String {
         let Self { epoch, samples, unroll, training_loss, validation_loss, .. } = self;
-        let Self { first_skill, last_skill, learning_rate, .. } = self;
+        let Self { first_skill, last_skill, learning_rate, weight_distance, epsilon_share, .. } =
+            self;
         format!(
-            "{epoch},{samples},{unroll},{training_loss:.5e},{validation_loss:.6},{first_skill:.4},{last_skill:.4},{learning_rate:.3e}\n"
+            "{epoch},{samples},{unroll},{training_loss:.5e},{validation_loss:.6},{first_skill:.4},{last_skill:.4},{learning_rate:.3e},{weight_distance:.4e},{epsilon_share:.4}\n"
         )
     }
 }
@@ -121,7 +128,7 @@ impl Files {
         let path = output.join(METRICS_FILE);
         let mut file = File::create(&path).map_err(failed(&path))?;
         let mut table = String::from(
-            "epoch,samples,unroll,training_loss,validation_loss,first_skill,last_skill,learning_rate\n",
+            "epoch,samples,unroll,training_loss,validation_loss,first_skill,last_skill,learning_rate,weight_distance,epsilon_share\n",
         );
         table.extend(state.epochs.iter().map(Epoch::row));
         file.write_all(table.as_bytes()).map_err(failed(&path))?;
@@ -198,6 +205,8 @@ impl<'a> Monitor<'a> {
             ("loss/validation", epoch.validation_loss),
             ("skill/first_frame", epoch.first_skill),
             ("skill/last_frame", epoch.last_skill),
+            ("weights/distance", epoch.weight_distance),
+            ("weights/epsilon_share", epoch.epsilon_share),
         ];
         self.scalars(epoch.samples, &scalars)?;
         self.epoch_start = (self.elapsed(), epoch.samples);

@@ -195,10 +195,18 @@ mod tests {
 
     fn epoch() -> impl Strategy<Value = Epoch> {
         let counts = (any::<u32>(), 0..u64::MAX / 2, 0..1000usize, any::<bool>());
-        (counts, prop::array::uniform5(number())).prop_map(
+        (counts, prop::array::uniform7(number())).prop_map(
             |(
                 (epoch, samples, unroll, best),
-                [training_loss, validation_loss, first_skill, last_skill, learning_rate],
+                [
+                    training_loss,
+                    validation_loss,
+                    first_skill,
+                    last_skill,
+                    learning_rate,
+                    weight_distance,
+                    epsilon_share,
+                ],
             )| {
                 Epoch {
                     epoch,
@@ -209,6 +217,8 @@ mod tests {
                     first_skill,
                     last_skill,
                     learning_rate,
+                    weight_distance,
+                    epsilon_share,
                     best,
                 }
             },

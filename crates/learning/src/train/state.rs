@@ -37,13 +37,27 @@ pub(super) struct RunState {
     pub(super) seconds: f64,
 }
 
+/// Seeds of the order of the windows, of dropout and of the initial weights.
+fn seeds(config: &TrainConfig) -> [u64; 3] {
+    let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
+    [(); 3].map(|()| seeds.next_u64())
+}
+
+/// The weights before the first step of a run.
+pub(super) fn weights_at_start(
+    config: &TrainConfig,
+    description: &Description,
+) -> BTreeMap<String, Weights> {
+    let [.., weights] = seeds(config);
+    initial_weights(description, weights)
+}
+
 impl RunState {
     /// The state before the first batch.
     pub(super) fn new(config: &TrainConfig, description: &Description, device: DeviceKind) -> Self {
-        let mut seeds = ChaCha8Rng::seed_from_u64(config.seed);
-        let order = ChaCha8Rng::seed_from_u64(seeds.next_u64());
-        let dropout = ChaCha8Rng::seed_from_u64(seeds.next_u64());
-        let initial = initial_weights(description, seeds.next_u64());
+        let [order, dropout, weights] = seeds(config);
+        let initial = initial_weights(description, weights);
+        let [order, dropout] = [order, dropout].map(ChaCha8Rng::seed_from_u64);
         Self {
             network: Network::new(description, &initial, &device.device().autodiff()),
             adam: Adam::default(),

@@ -19,7 +19,7 @@ use eddy_evaluation::dataset::State;
 use eddy_evaluation::dataset::Trajectory;
 use eddy_frames::{Domain, Material};
 use eddy_inference::{
-    checkpoint::{Architecture, Core, Description, Weights, initial_weights},
+    checkpoint::{Architecture, Core, Description, MaterialInput, Weights, initial_weights},
     engine::Ballistic,
 };
 
@@ -68,7 +68,8 @@ enum Task {
 
 /// The paper's network, with the plain mean squared error of the frame after `frames` observed ones.
 fn config(core: Core, frames: usize, windows: usize) -> TrainConfig {
-    let mut config = TrainConfig::defaults(Architecture::Frame);
+    let mut config = TrainConfig::paper();
+    config.network.frame.material = MaterialInput::OneHot;
     config.core = core;
     config.windows.warm_up = frames;
     config.windows.batch = windows;

@@ -26,6 +26,35 @@ pub(super) struct Score {
     pub(super) last_skill: f64,
 }
 
+/// 1 - skill, averaged over kinds of scenes and frames ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RolloutLoss {
+    /// Of a checkpoint.
+    pub model: f64,
+    /// Of the linear fit to its training data, if the checkpoint has one.
+    pub linear_fit: Option<f64>,
+}
+
+/// The validation loss of a checkpoint on any streams, seen in training or not, beside that of the linear fit.
+///
+/// # Errors
+/// [`TrainError`] when a stream cannot be read or predicted, or all are too short.
+pub fn rollout_loss(
+    checkpoint: &Checkpoint,
+    config: &ValidationConfig,
+    streams: &[Trajectory],
+) -> Result<RolloutLoss, TrainError> {
+    let settings = Settings::errors_only(config.horizon, config.starts);
+    let surrogate = one_thread(checkpoint)?;
+    let scenes = roll_out(settings, &surrogate, streams, streams)?;
+    let loss = |predictor: usize| {
+        let skill = mean_skill(&scenes, predictor, config.horizon);
+        1.0 - skill.iter().sum::<f64>() / skill.len() as f64
+    };
+    let fit = checkpoint.description.training.linear_fit;
+    Ok(RolloutLoss { model: loss(0), linear_fit: fit.map(|_| loss(1 + Baseline::ALL.len())) })
+}
+
 /// Rolls out over every stream; each thread has one stream in memory at a time.
 pub(super) fn validate(
     config: &ValidationConfig,
@@ -34,7 +63,7 @@ pub(super) fn validate(
 ) -> Result<Score, TrainError> {
     let settings = Settings::errors_only(config.horizon, config.starts);
     let scenes = roll_out(settings, surrogate, streams, streams)?;
-    let skill = mean_skill(&scenes, config.horizon);
+    let skill = mean_skill(&scenes, 0, config.horizon);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
     // A diverged rollout repeats its last finite frame; it must lose against any finite one.
@@ -66,10 +95,10 @@ pub fn test_skill(
         .collect();
     let surrogate = one_thread(checkpoint)?;
     let scenes = roll_out(settings, &surrogate, &dataset.test, &all)?;
-    Ok(Some(mean_skill(&scenes, horizon)))
+    Ok(Some(mean_skill(&scenes, 0, horizon)))
 }
 
-/// The results of the model and of every baseline over `streams`. The walls of baselines are those of `all` streams.
+/// The results of the model, of every baseline, and of the linear fit, if there is one, over `streams`. The walls of baselines are those of `all` streams.
 fn roll_out(
     settings: Settings,
     surrogate: &Surrogate,
@@ -78,10 +107,11 @@ fn roll_out(
 ) -> Result<Vec<SceneResult>, TrainError> {
     let context = context(settings, surrogate.description(), all);
     context.check(longest(streams)).map_err(TrainError::Validation)?;
-    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    let fit = context.linear_fit.map(Predictor::LinearFit);
+    let simple: Vec<_> = Baseline::ALL.map(Predictor::Baseline).into_iter().chain(fit).collect();
     let scenes = streams.par_iter().map(|stream| {
         let model = Predictor::Model(surrogate);
-        let predictors: Vec<_> = std::iter::once(model).chain(baselines).collect();
+        let predictors: Vec<_> = std::iter::once(model).chain(simple.iter().copied()).collect();
         let whole = stream.cut(0..stream.frames)?;
         evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
     });
@@ -93,9 +123,9 @@ pub(super) fn one_thread(checkpoint: &Checkpoint) -> Result<Surrogate, TrainErro
     Ok(Surrogate::load(checkpoint, NonZeroUsize::new(1))?)
 }
 
-/// Skill of the model, which is the first predictor, averaged over kinds of scenes.
-fn mean_skill(scenes: &[SceneResult], horizon: usize) -> Vec<f64> {
-    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(0)
+/// Skill of a predictor, averaged over kinds of scenes. The model is number 0.
+fn mean_skill(scenes: &[SceneResult], predictor: usize, horizon: usize) -> Vec<f64> {
+    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(predictor)
 }
 
 /// The context of the comparison, without measures that use the spacing of particles.

@@ -28,8 +28,8 @@ impl Training {
         let step = if relative { unroll * batch * MATERIALS } else { 0 };
         let counts =
             [batch, warm_up, unroll, self.settings.first_decoded(), step].map(|count| count as u32);
-        let numbers = [self.dt, self.sides, even].map(f32::to_bits);
-        let words: Vec<u32> = counts.into_iter().chain(numbers).collect();
+        let numbers = [self.sides, even].into_iter().chain(self.motion.into_iter().flatten());
+        let words: Vec<u32> = counts.into_iter().chain(numbers.map(f32::to_bits)).collect();
         Argument::from_bytes(bytemuck::cast_slice(&words))
     }
 

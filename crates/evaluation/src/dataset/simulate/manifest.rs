@@ -31,6 +31,9 @@ pub(super) struct RecordedRequest {
     /// Particles of random scenes, unless the default of 2,500.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) particles: Option<usize>,
+    /// Whether all random scenes have the same bodies.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) same_bodies: bool,
     /// Overrides of the scenes' own settings.
     pub(super) settings: Settings,
     /// Whether pressure and energy of every particle are recorded.

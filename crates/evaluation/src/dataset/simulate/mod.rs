@@ -86,6 +86,7 @@ impl SimulationRequest {
             scene: self.name.clone(),
             seed: self.seed,
             particles: self.source.unusual_particles(),
+            same_bodies: self.source.same_bodies(),
             settings: self.settings,
             fields: self.fields,
             device: self.device.map(Into::into),
@@ -103,8 +104,8 @@ impl SimulationRequest {
     }
 }
 
-/// Simulates the scenes that are not in `output` yet, each into a bag. [`Summary::complete`] tells whether all scenes are
-/// there.
+/// Simulates the scenes that are not in `output` yet, each into a bag, on the processor or on the device of the request.
+/// [`Summary::complete`] tells whether all scenes are there.
 ///
 /// # Errors
 /// [`SimulateError`] when the request is invalid or `output` belongs to another request; nothing is written then.
@@ -112,13 +113,14 @@ pub fn simulate(
     request: &SimulationRequest,
     output: &Path,
     progress: &dyn Progress,
+    device: Option<&mut dyn Accelerator>,
 ) -> Result<Summary, SimulateError> {
-    let job = Job::plan(request, Some(output), None)?;
+    let job = Job::plan(request, Some(output), device.as_ref().map(|_| MOST_SCENES))?;
     if job.present() > 0 {
         progress.message(&job.present_scenes(output));
     }
     let store = job.open_store(output)?;
-    let summary = job.write(&store, progress, None);
+    let summary = job.write(&store, progress, device);
     store.close();
     if !job.planned.is_empty() {
         progress.message(&summary.to_string());

@@ -15,11 +15,17 @@ impl Source {
     /// The number of particles of random scenes, unless it is the preset's default.
     pub(super) fn unusual_particles(&self) -> Option<usize> {
         match self {
-            Self::Random(extent) if *extent != Extent::usual(extent.preset()) => {
-                Some(extent.particles())
+            Self::Random(extent) => {
+                let particles = extent.particles();
+                (particles != Extent::usual(extent.preset()).particles()).then_some(particles)
             }
-            Self::Random(_) | Self::Written(_) => None,
+            Self::Written(_) => None,
         }
+    }
+
+    /// Whether all random scenes have the same bodies.
+    pub(super) fn same_bodies(&self) -> bool {
+        matches!(self, Self::Random(extent) if extent.same_bodies())
     }
 
     /// Scene `index` of the request; a scene from a file keeps its own id.

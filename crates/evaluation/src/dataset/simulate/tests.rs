@@ -70,7 +70,7 @@ fn a_cancelled_request_is_resumed_with_the_remaining_scenes() {
     let (_folder, output) = output();
     // In the middle of the second scene.
     let progress = CancelAfter(3, AtomicU64::new(0));
-    let summary = simulate(&request(3), &output, &progress).unwrap();
+    let summary = simulate(&request(3), &output, &progress, None).unwrap();
     let [first] = &summary.finished[..] else { panic!("{summary:?}") };
     let first = first.start.id;
     let error = summary.complete().unwrap_err();
@@ -78,7 +78,7 @@ fn a_cancelled_request_is_resumed_with_the_remaining_scenes() {
     assert_eq!(names(&output), ["manifest.json".to_owned(), directory(first)]);
 
     let before = changed(&output, first);
-    let summary = simulate(&request(3), &output, &Silent).unwrap();
+    let summary = simulate(&request(3), &output, &Silent, None).unwrap();
     let ids: Vec<u64> = summary.finished.iter().map(|scene| scene.start.id).collect();
     assert_eq!((summary.present, summary.frames()), (1, 4));
     assert_eq!(ids, (0..3).filter(|&id| id != first).collect::<Vec<_>>());
@@ -91,13 +91,13 @@ fn a_cancelled_request_is_resumed_with_the_remaining_scenes() {
 #[test]
 fn a_finished_request_and_a_longer_one_keep_what_is_there() {
     let (_folder, output) = output();
-    simulate(&request(1), &output, &Silent).unwrap();
+    simulate(&request(1), &output, &Silent, None).unwrap();
     let (before, manifest) = (changed(&output, 0), fs::read(output.join("manifest.json")).unwrap());
-    let summary = simulate(&request(1), &output, &Silent).unwrap();
+    let summary = simulate(&request(1), &output, &Silent, None).unwrap();
     assert_eq!((summary.present, summary.finished.len()), (1, 0));
     summary.complete().unwrap();
     assert_eq!(fs::read(output.join("manifest.json")).unwrap(), manifest);
-    assert_eq!(simulate(&request(2), &output, &Silent).unwrap().finished.len(), 1);
+    assert_eq!(simulate(&request(2), &output, &Silent, None).unwrap().finished.len(), 1);
     assert_eq!(changed(&output, 0), before);
     assert_eq!(recorded_scenes(&output).unwrap().unwrap().len(), 2);
 }
@@ -105,7 +105,7 @@ fn a_finished_request_and_a_longer_one_keep_what_is_there() {
 #[test]
 fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
     let (_folder, output) = output();
-    simulate(&request(1), &output, &Silent).unwrap();
+    simulate(&request(1), &output, &Silent, None).unwrap();
     let longer = Settings { duration: Some(0.048), ..request(1).settings };
     let more = Source::Random(Extent::of(Preset::Kinds, 2600).unwrap());
     for (other, expected) in [
@@ -123,7 +123,7 @@ fn a_folder_of_another_request_is_rejected_with_the_fields_that_differ() {
             vec!["particles the default instead of 2600", "scene \"kinds\" instead of \"other\""],
         ),
     ] {
-        let error = simulate(&other, &output, &Silent).unwrap_err();
+        let error = simulate(&other, &output, &Silent, None).unwrap_err();
         assert!(error.to_string().contains("manifest.json: the scenes there have "));
         let SimulateError::OtherRequest { fields, .. } = error else { panic!("{error}") };
         assert_eq!(fields, expected);
@@ -148,12 +148,12 @@ fn an_output_directory_is_used_by_one_job_at_a_time() {
 #[test]
 fn the_leftovers_of_a_killed_process_are_simulated_again_with_the_same_frames() {
     let (_folder, output) = output();
-    let before = simulate(&request(2), &output, &Silent).unwrap().finished;
+    let before = simulate(&request(2), &output, &Silent, None).unwrap().finished;
     // Killed after the entry in the manifest and before the bag was moved.
     let staging = output.join(".incomplete");
     fs::create_dir(&staging).unwrap();
     fs::rename(output.join(directory(1)), staging.join(directory(1))).unwrap();
-    let again = simulate(&request(2), &output, &Silent).unwrap().finished;
+    let again = simulate(&request(2), &output, &Silent, None).unwrap().finished;
     assert_eq!(again, before[1..]);
     assert_eq!(names(&output), ["manifest.json".to_owned(), directory(0), directory(1)]);
 }
@@ -162,7 +162,7 @@ fn the_leftovers_of_a_killed_process_are_simulated_again_with_the_same_frames() 
 fn a_bag_that_is_not_in_the_manifest_is_not_replaced() {
     let (_folder, output) = output();
     fs::create_dir_all(output.join(directory(0))).unwrap();
-    let error = simulate(&request(1), &output, &Silent).unwrap_err();
+    let error = simulate(&request(1), &output, &Silent, None).unwrap_err();
     assert!(matches!(error, SimulateError::OtherScene { .. }), "{error}");
     assert_eq!(names(&output), [directory(0)]);
 }
@@ -187,7 +187,7 @@ fn an_invalid_request_is_rejected_before_anything_is_written() {
             "scene 0: substeps: found 1, expected at least",
         ),
     ] {
-        let error = simulate(&request, &output, &Silent).unwrap_err();
+        let error = simulate(&request, &output, &Silent, None).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
         assert!(!output.exists());
     }
@@ -233,7 +233,7 @@ fn emulated() -> Solvers {
 fn scenes_side_by_side_on_a_device_are_those_of_the_processor() {
     let ((_a, here), (_b, there)) = (output(), output());
     let request = request(3);
-    simulate(&request, &here, &Silent).unwrap().complete().unwrap();
+    simulate(&request, &here, &Silent, None).unwrap().complete().unwrap();
     let job = Job::plan(&request, Some(&there), Some(MOST_SCENES)).unwrap();
     let store = job.open_store(&there).unwrap();
     let summary = job.write(&store, &Silent, Some(&mut emulated()));

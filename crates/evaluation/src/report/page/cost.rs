@@ -39,7 +39,7 @@ impl Report {
     pub(in super::super) fn cost_plot(&self) -> LinePlot {
         let ahead = AHEAD.min(self.horizon);
         let series = self.predictors.iter().map(|entry| {
-            let shown = !matches!(entry.role, Role::Baseline | Role::Truth);
+            let shown = !matches!(entry.role, Role::Baseline | Role::LinearFit | Role::Truth);
             let cost = entry.cost.as_ref().filter(|_| shown);
             let point = cost.map(|cost| [cost.p50, 1.0 - at(&entry.skill, ahead)]);
             Series {

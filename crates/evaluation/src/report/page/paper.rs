@@ -86,7 +86,10 @@ impl Report {
     fn columns(&self) -> Vec<(usize, &str)> {
         let all = self.predictors.iter().enumerate();
         all.filter(|(_, entry)| {
-            matches!(entry.role, Role::Model | Role::Baseline | Role::Mean | Role::Solver)
+            matches!(
+                entry.role,
+                Role::Model | Role::Baseline | Role::Mean | Role::LinearFit | Role::Solver
+            )
         })
         .map(|(number, entry)| (number, entry.name.as_str()))
         .collect()
