@@ -110,6 +110,34 @@ fn scenes_of_more_particles_are_wider_and_the_same_command_goes_on_with_them() {
 }
 
 #[test]
+fn scenes_with_the_same_bodies_and_particles_along_a_curve_are_what_they_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let asked = |more: &[&str]| {
+        let usual = ["--preset", "fluid", "--scenes", "2", "--duration", "0.1"];
+        simulate(output, &[&usual[..], more].concat())
+    };
+    let curve = ["--same-bodies", "--particle-order", "curve"];
+    succeed(asked(&curve));
+    let firsts = ["scene_0000", "scene_0001"].map(|bag| frames(&output.join(bag)).remove(0));
+    let near = |pair: &[[f32; 2]]| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]) < 0.02;
+    for frame in &firsts {
+        let near = frame.position.windows(2).filter(|pair| near(pair)).count();
+        assert!(near > frame.len() * 9 / 10, "{near} of {} are near the one before", frame.len());
+    }
+    assert_ne!(firsts[0].velocity, firsts[1].velocity);
+    let request = &manifest(output)["request"];
+    assert_eq!(
+        (&request["same_bodies"], &request["settings"]["order"]),
+        (&true.into(), &"curve".into())
+    );
+    let said = fail(1, asked(&curve[1..]));
+    assert!(said.contains("same_bodies"), "{said}");
+    let said = fail(2, simulate(output, &["--preset", "dam-break", "--same-bodies"]));
+    assert!(said.contains("--same-bodies: preset dam-break is a single scene"), "{said}");
+}
+
+#[test]
 fn asking_for_2500_particles_is_asking_for_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();

@@ -17,6 +17,8 @@ cores = ["mingru", "gru", "mlp"]
 windows = [1, 2]
 density_weights = [0.001, 0.0]
 activations = ["tanh", "elu"]
+outputs = ["residual", "position"]
+data_sets = [{ scenes = 3 }, { scenes = 4, same_bodies = true, order = "curve" }]
 step_seconds = 0.01
 step_frames = [2]
 
@@ -93,6 +95,8 @@ fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
         "## Training speed",
         "| mingru / gru |",
         "| gru / mingru |",
+        "| linear fit |",
+        "| time to loss ",
     ] {
         assert!(tables.contains(words), "{words}: {tables}");
     }
@@ -162,6 +166,24 @@ fn activations_have_learning_curves_that_a_seed_gives_again() {
     fs::remove_file(study.folder.path().join("out").join(&curve)).unwrap();
     study.run("activations");
     assert_eq!(study.read(&curve), first);
+}
+
+#[test]
+fn outputs_and_scenes_are_compared() {
+    let study = Study::new();
+    study.run("output");
+    let tables = study.read("output/tables.md");
+    assert!(tables.contains("| mingru, position / mingru, residual |"), "{tables}");
+
+    let printed = study.run("scenes");
+    let tables = study.read("scenes/tables.md");
+    let other = "fluid-4-same-bodies-curve";
+    assert!(tables.contains("## fluid\n") && tables.contains(&format!("## {other}\n")), "{tables}");
+    assert!(printed.contains(other), "{printed}");
+    let manifest = study.read(&format!("data/{other}/manifest.json"));
+    assert!(manifest.contains("\"same_bodies\":true"), "{manifest}");
+    // The scenes of the other comparisons are not simulated again, nor is their network trained again.
+    assert!(study.folder.path().join("out/runs/fluid/mingru/seed-1").is_dir());
 }
 
 #[test]

@@ -95,6 +95,9 @@ fn an_unknown_core_or_option_is_named_with_those_there_are() {
     let usage = |more: &[&str]| fail(2, [&begin[..], more].concat());
     says(&usage(&["--core", "transformer"]), &["transformer", "mingru", "minlstm", "gru", "mlp"]);
     says(&usage(&["--architecture", "graph"]), &["graph", "frame", "particle"]);
+    says(&usage(&["--recipe", "secret"]), &["secret", "default", "paper"]);
+    let both = ["--recipe", "paper", "--architecture", "particle"];
+    says(&usage(&both), &["--recipe: found paper for architecture particle"]);
     says(&usage(&["--learning-rate", "1"]), &["--learning-rate"]);
     says(&usage(&["--seed", "-1"]), &["-1"]);
 

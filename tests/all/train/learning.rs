@@ -1,11 +1,12 @@
 //! What a run learns, and what it keeps.
 
-use std::fs;
+use std::{fs, sync::Mutex};
 
+use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
-use eddy_learning::train::{LossKind, TrainConfig};
+use eddy_learning::train::{LossKind, METRICS_FILE, TrainConfig, train};
 
-use super::{FRAMES, dataset, interrupted, run, small, stream};
+use super::{FRAMES, dataset, interrupted, run, settings, small, stream};
 
 #[test]
 fn every_network_learns_what_no_trivial_predictor_knows() {
@@ -110,6 +111,44 @@ fn a_learning_rate_that_is_far_too_large_ends_with_the_batch_named() {
     // Where the first step after the warm-up of the rate ends.
     assert!(message.starts_with("epoch 1, batch "), "{message}");
     assert!(message.contains("expected a finite number"), "{message}");
+}
+
+/// Collects messages.
+#[derive(Default)]
+struct Lines(Mutex<Vec<String>>);
+
+impl Progress for Lines {
+    fn message(&self, line: &str) {
+        self.0.lock().unwrap().push(line.to_owned());
+    }
+}
+
+#[test]
+fn weights_that_hardly_move_are_said_after_the_first_epoch_and_in_the_metrics() {
+    let metrics = |epsilon: f32| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = small(Architecture::Frame, Core::MinGru);
+        config.epochs = 2;
+        config.optimizer.epsilon = epsilon;
+        let lines = Lines::default();
+        let outcome = train(&config, &dataset(), &settings(folder.path(), &lines)).unwrap();
+        let last = outcome.epochs[1];
+        let table = fs::read_to_string(folder.path().join(METRICS_FILE)).unwrap();
+        assert!(
+            table.lines().next().unwrap().ends_with(",weight_distance,epsilon_share"),
+            "{table}"
+        );
+        let row = format!(",{:.4e},{:.4}", last.weight_distance, last.epsilon_share);
+        assert!(table.trim_end().ends_with(&row), "{row}: {table}");
+        let lines = lines.0.into_inner().unwrap();
+        let said = lines.iter().filter(|line| line.contains("the weights hardly move")).count();
+        (last.weight_distance, last.epsilon_share, said)
+    };
+    let (far, little, silent) = metrics(1e-8);
+    let (near, most, said) = metrics(1e3);
+    assert!(far > 0.05 && near < 1e-3, "{far} and {near} from the start");
+    assert!(little < 0.5 && most > 0.99, "{little} and {most} of the steps lost");
+    assert_eq!((silent, said), (0, 1));
 }
 
 #[test]

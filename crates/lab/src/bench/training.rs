@@ -137,10 +137,10 @@ impl Step {
     }
 }
 
-/// The steps of the paper's table: the whole network with the paper's window, then the core alone by `frames`.
-pub fn paper_steps(frames: &[usize]) -> Vec<Step> {
+/// The steps of the paper's table: the whole network by `whole`, then the core alone by `frames`.
+pub fn paper_steps(whole: &[usize], frames: &[usize]) -> Vec<Step> {
     let alone = frames.iter().map(|&t| (Part::Core, t));
-    let kinds = [(Part::Frame, FRAMES[0])].into_iter().chain(alone);
+    let kinds = whole.iter().map(|&t| (Part::Frame, t)).chain(alone);
     kinds
         .flat_map(|(part, frames)| CORES.map(|core| Step { part, core, frames, windows: None }))
         .collect()

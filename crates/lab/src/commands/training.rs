@@ -41,7 +41,8 @@ pub fn run(
         kernel_cache: cache.as_deref(),
         ..GpuOptions::default()
     };
-    let steps = if args.step.is_empty() { paper_steps(&FRAMES) } else { args.step.clone() };
+    let steps =
+        if args.step.is_empty() { paper_steps(&FRAMES[..1], &FRAMES) } else { args.step.clone() };
     progress.begin(steps.len() as u64, "steps");
     let mut timings = Vec::new();
     for step in &steps {

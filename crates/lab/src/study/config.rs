@@ -30,7 +30,7 @@ pub struct StudyConfig {
     pub windowed_cores: Vec<Core>,
     /// What the networks of `study output` predict.
     pub outputs: Vec<FrameOutput>,
-    /// The scenes of `study data`, each with the other settings of `data`.
+    /// The scenes of `study scenes`, each with the other settings of `data`.
     pub data_sets: Vec<SceneChoice>,
     /// The activations of `study activations`.
     pub activations: Vec<Activation>,

@@ -163,6 +163,10 @@ impl Networks<'_> {
     /// The paper's Table 4 for these trainings: means over the seeds.
     pub fn training(&self) -> Table {
         let at_once = self.trained.iter().map(|trained| trained.at_once).max().unwrap_or(1);
+        // Reached by every network.
+        let best = self.trained.iter().filter_map(Trained::best);
+        let common = best.map(|best| best.validation_loss).fold(f64::NAN, f64::max);
+        let common = (1e3 * common).ceil() / 1e3;
         let mut table = Table::new(
             format!("Training, up to {at_once} in parallel: means over seeds"),
             [
@@ -174,6 +178,7 @@ impl Networks<'_> {
                 "time per epoch (s)",
                 "validation loss",
                 "on training scenes",
+                &format!("time to loss {common:.3} (s)"),
             ],
         );
         for (number, variant) in self.variants.iter().enumerate() {
@@ -194,14 +199,14 @@ impl Networks<'_> {
                     of(|run| run.best().map_or(f64::NAN, |best| best.validation_loss))
                 ),
                 format!("{:.4}", of(|run| run.losses.seen)),
+                seconds(mean(runs.iter().filter_map(|run| run.time_to(common)))),
             ];
             table.row(variant.setting.as_str(), cells);
         }
         // The same for all networks with as long a warm-up.
         if let Some(loss) = self.trained.first().and_then(|trained| trained.losses.linear_fit) {
-            let [epochs, best, seconds, sample, epoch] = [(); 5].map(|()| "-".to_owned());
-            let cells =
-                [epochs, best, seconds, sample, epoch, format!("{loss:.4}"), "-".to_owned()];
+            let mut cells = [(); 8].map(|()| "-".to_owned());
+            cells[5] = format!("{loss:.4}");
             table.row("linear fit", cells);
         }
         table
@@ -308,6 +313,11 @@ pub(super) fn extremes(numbers: &[f64]) -> [f64; 2] {
 
 pub(super) fn scientific(number: f64) -> String {
     format!("{number:.2e}")
+}
+
+/// A time (s); none for NaN.
+fn seconds(number: f64) -> String {
+    if number.is_nan() { "-".to_owned() } else { format!("{number:.0}") }
 }
 
 fn milliseconds(number: f64) -> String {

@@ -24,7 +24,7 @@ impl StudyReport {
             Comparison::Loss => "With and without the density loss",
             Comparison::Window => "Number of observed frames",
             Comparison::Output => "What the network predicts",
-            Comparison::Data => "Scenes to train on",
+            Comparison::Scenes => "Scenes to train on",
         };
         let data = &study.data;
         let warning = study.warning().map_or(String::new(), |warning| warning + " ");

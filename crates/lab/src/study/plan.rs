@@ -20,7 +20,7 @@ pub enum Comparison {
     /// Compare what the network predicts: position, displacement, or residual on the ballistic step.
     Output,
     /// Compare scenes to train on: their number, whether they have the same bodies, how particles are numbered.
-    Data,
+    Scenes,
 }
 
 /// A network that is trained once per seed.
@@ -43,7 +43,7 @@ impl Comparison {
             Self::Loss => "loss",
             Self::Window => "window",
             Self::Output => "output",
-            Self::Data => "data",
+            Self::Scenes => "scenes",
         }
     }
 
@@ -82,7 +82,7 @@ impl Comparison {
                 };
                 study.outputs.iter().map(predicting).collect()
             }
-            Self::Data => {
+            Self::Scenes => {
                 let of = |&core: &Core| TrainConfig { core, ..base.clone() };
                 study.windowed_cores.iter().map(of).collect()
             }
@@ -99,7 +99,7 @@ impl Comparison {
             Self::Activations | Self::Loss | Self::Window | Self::Output => {
                 all.take(1).map(|preset| data.set(preset, None)).collect()
             }
-            Self::Data => {
+            Self::Scenes => {
                 let choices = |preset: &String| -> Vec<DataSet> {
                     let sets = study.data_sets.iter();
                     sets.map(|&scenes| data.set(preset, Some(scenes))).collect()
@@ -120,7 +120,7 @@ impl Variant {
             Comparison::Loss => format!("density weight {density}"),
             Comparison::Window => format!("{core}, T = {frames}"),
             Comparison::Output => format!("{core}, {}", output.name()),
-            Comparison::Cores | Comparison::Activations | Comparison::Data => core.to_owned(),
+            Comparison::Cores | Comparison::Activations | Comparison::Scenes => core.to_owned(),
         };
         let mut name = core.to_owned();
         if density != base.loss.density_weight {

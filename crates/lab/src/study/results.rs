@@ -39,6 +39,9 @@ pub struct Trained {
     pub config: TrainConfig,
     /// All epochs.
     pub epochs: Vec<Epoch>,
+    /// Time from the start of the training to the end of each epoch (s); empty if the training was resumed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub epoch_ends: Vec<f64>,
     /// Losses of the best checkpoint in free rollouts.
     pub losses: Losses,
 }
@@ -117,6 +120,12 @@ impl Trained {
         find(folder.join(TRAINED_FILE), |trained: &Self| {
             trained.config == *config && trained.device == device
         })
+    }
+
+    /// Time until the validation loss was at most `loss` (s), if it was and the times are known.
+    pub fn time_to(&self, loss: f64) -> Option<f64> {
+        let mut ends = self.epochs.iter().zip(&self.epoch_ends);
+        ends.find(|(epoch, _)| epoch.validation_loss <= loss).map(|(_, &end)| end)
     }
 
     /// The epoch of the checkpoint.

@@ -1,6 +1,11 @@
 //! Trains every network with every seed.
 
-use std::{collections::VecDeque, fs, path::PathBuf};
+use std::{
+    collections::VecDeque,
+    fs,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+};
 
 use anyhow::{Context, bail};
 
@@ -12,11 +17,11 @@ use eddy_evaluation::{
     dataset::{Dataset, Trajectory, available_memory},
     page::command_line,
 };
-use eddy_frames::progress::Progress;
+use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
     model::{DeviceKind, GpuOptions, kernel_cache},
-    train::{LAST_FOLDER, Machine, Run, TrainConfig, rollout_loss, train},
+    train::{Epoch, LAST_FOLDER, Machine, Run, TrainConfig, rollout_loss, train},
 };
 
 /// A network with one seed.
@@ -92,6 +97,12 @@ impl Task {
         // Beside the folder, which `train` creates.
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
         let cache = kernel_cache();
+        let clock = Clock::start();
+        let ends = Mutex::new(Vec::new());
+        let note = |_: &Epoch| {
+            let mut ends = ends.lock().unwrap_or_else(PoisonError::into_inner);
+            ends.push(clock.now().as_secs_f64());
+        };
         let run = Run {
             device: *device,
             gpu: GpuOptions {
@@ -104,14 +115,19 @@ impl Task {
             machine: Machine::with_free_disk(memory, output)?,
             command: command.clone(),
             progress: &StopSignal(work),
-            on_epoch: &|_| (),
+            on_epoch: &note,
         };
         let outcome = train(config, dataset, &run).with_context(|| name.clone())?;
         if outcome.interrupted {
             return Ok(None);
         }
         let Some(best) = outcome.best else { bail!("{name}: training finished without an epoch") };
+        let mut epoch_ends = ends.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if epoch_ends.len() < outcome.epochs.len() {
+            epoch_ends.clear(); // resumed
+        }
         let trained = Trained {
+            epoch_ends,
             checkpoint: best.digest().to_owned(),
             parameters: best.parameters(),
             seconds: outcome.seconds,
