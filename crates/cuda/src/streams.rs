@@ -1,7 +1,13 @@
 //! Streams predicted on a device, as the streaming engine uses them.
+//!
+//! A step of many streams takes little longer than one of a single stream. Threads that step streams of their own, as in an
+//! evaluation, therefore leave their steps in a queue while the device is busy; who has it next takes all of them together.
+
+#![expect(unsafe_code, reason = "steps of threads that wait for them")]
 
 use std::{
     any::Any,
+    collections::VecDeque,
     num::NonZeroUsize,
     sync::{Arc, Mutex, MutexGuard},
     thread,
@@ -57,42 +63,71 @@ pub trait StreamMemory: Send + Sync + Sized + 'static {
     fn numbers(&self) -> Result<Vec<f32>>;
 }
 
-/// A network on a device, as the streaming engine uses it. Steps from several threads follow each other. After a failure of
-/// the device every step fails with it.
-pub struct Streams<M>(Arc<Mutex<Shared<M>>>);
+/// A network on a device, as the streaming engine uses it. Steps that come from several threads at the same time are taken
+/// together. After a failure of the device every step fails with it.
+pub struct Streams<M: StreamModel>(Arc<Inner<M>>);
+
+struct Inner<M: StreamModel> {
+    device: Mutex<Shared<M>>,
+    /// Steps of threads that wait for the device.
+    waiting: Mutex<VecDeque<Arc<Waiting<M>>>>,
+}
 
 struct Shared<M> {
     model: M,
     failure: Option<String>,
 }
 
-impl<M> Clone for Streams<M> {
+/// The steps of a thread that waits until they are done.
+struct Waiting<M: StreamModel> {
+    /// Rows of the waiting thread, as long as there is no outcome.
+    rows: *mut [Step<'static, M::Memory>],
+    outcome: Mutex<Option<std::result::Result<(), ModelError>>>,
+}
+
+// SAFETY: the rows are used by the thread that has the device, while their own thread waits; memories are `Sync`, frames `Send`.
+unsafe impl<M: StreamModel> Send for Waiting<M> {}
+// SAFETY: as above.
+unsafe impl<M: StreamModel> Sync for Waiting<M> {}
+
+impl<M: StreamModel> Waiting<M> {
+    /// The outcome, once there is one.
+    fn take_outcome(&self) -> Option<std::result::Result<(), ModelError>> {
+        lock(&self.outcome).take()
+    }
+
+    fn finish(&self, outcome: std::result::Result<(), ModelError>) {
+        *lock(&self.outcome) = Some(outcome);
+    }
+
+    /// The rows.
+    ///
+    /// # Safety
+    /// The device must be this thread's, and the steps must have no outcome.
+    unsafe fn rows(&self) -> impl Iterator<Item = Step<'_, M::Memory>> {
+        // SAFETY: their thread waits for an outcome, and no other has the device.
+        let rows = unsafe { &mut *self.rows };
+        rows.iter_mut().map(|(memory, frame, next)| (*memory, *frame, &mut **next))
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|broken| broken.into_inner())
+}
+
+impl<M: StreamModel> Clone for Streams<M> {
     fn clone(&self) -> Self {
         Self(Arc::clone(&self.0))
     }
 }
 
-impl<M> Streams<M> {
-    /// Of a network on a device.
-    pub fn new(model: M) -> Self {
-        Self(Arc::new(Mutex::new(Shared { model, failure: None })))
-    }
-
-    fn shared(&self) -> MutexGuard<'_, Shared<M>> {
-        self.0.lock().unwrap_or_else(|broken| broken.into_inner())
-    }
-
-    /// Runs `work` beside no other work.
-    pub(crate) fn alone<T>(&self, work: impl FnOnce(&mut M) -> T) -> T {
-        work(&mut self.shared().model)
-    }
-
+impl<M: StreamModel> Shared<M> {
     /// Runs `work`, unless the device has failed; keeps its failure.
     fn attempt<T>(
-        &self,
+        &mut self,
         work: impl FnOnce(&mut M) -> Result<T>,
     ) -> std::result::Result<T, ModelError> {
-        let Shared { model, failure } = &mut *self.shared();
+        let Self { model, failure } = self;
         if failure.is_none() {
             match work(model) {
                 Ok(value) => return Ok(value),
@@ -104,6 +139,87 @@ impl<M> Streams<M> {
             }
         }
         Err(ModelError::Device(failure.clone().unwrap_or_default()))
+    }
+
+    /// One frame of each row, as many together as the network takes. Returns the rows that failed, in order.
+    fn step(&mut self, rows: &mut [Step<'_, M::Memory>]) -> Vec<(usize, ModelError)> {
+        let mut failed = Vec::new();
+        let mut first = 0;
+        while first < rows.len() {
+            let end = rows.len().min(first + M::MOST);
+            let count = self.model.batch(&rows[first..end]);
+            let now = &mut rows[first..first + count];
+            match self.attempt(|model| model.step(now)) {
+                Ok(()) => {}
+                Err(reason) if count == 1 => failed.push((first, reason)),
+                // Too large together, perhaps, but not one by one.
+                Err(_) => failed.extend(now.chunks_mut(1).zip(first..).filter_map(|(one, row)| {
+                    Some((row, self.attempt(|model| model.step(one)).err()?))
+                })),
+            }
+            first += count;
+        }
+        failed
+    }
+}
+
+impl<M: StreamModel> Streams<M> {
+    /// Of a network on a device.
+    pub fn new(model: M) -> Self {
+        let device = Mutex::new(Shared { model, failure: None });
+        Self(Arc::new(Inner { device, waiting: Mutex::new(VecDeque::new()) }))
+    }
+
+    fn shared(&self) -> MutexGuard<'_, Shared<M>> {
+        lock(&self.0.device)
+    }
+
+    /// The first of the waiting steps, and as many after them as fit beside them.
+    fn take_waiting(&self) -> Vec<Arc<Waiting<M>>> {
+        let mut waiting = lock(&self.0.waiting);
+        let mut taken = Vec::new();
+        let mut rows = 0;
+        while let Some(next) = waiting.front() {
+            rows += next.rows.len();
+            if rows > M::MOST && !taken.is_empty() {
+                break;
+            }
+            taken.extend(waiting.pop_front());
+        }
+        taken
+    }
+
+    /// Takes the steps of several threads together.
+    fn step_waiting(device: &mut Shared<M>, all: &[Arc<Waiting<M>>]) {
+        // Should the step panic, no thread waits for ever.
+        let lost = || Err(ModelError::Device("a step of another stream has panicked".to_owned()));
+        all.iter().for_each(|waiting| waiting.finish(lost()));
+        // SAFETY: the device is this thread's, and the others see their outcomes only after it.
+        let rows_of = |waiting: &Arc<Waiting<M>>| unsafe { (*Arc::as_ptr(waiting)).rows() };
+        let mut together: Vec<_> = all.iter().flat_map(rows_of).collect();
+        let mut failed = device.step(&mut together).into_iter().peekable();
+        let mut end = 0;
+        for waiting in all {
+            end += waiting.rows.len();
+            let mut outcome = Ok(());
+            while let Some((_, reason)) = failed.next_if(|&(row, _)| row < end) {
+                outcome = outcome.and(Err(reason));
+            }
+            waiting.finish(outcome);
+        }
+    }
+
+    /// Runs `work` beside no other work.
+    pub(crate) fn alone<T>(&self, work: impl FnOnce(&mut M) -> T) -> T {
+        work(&mut self.shared().model)
+    }
+
+    /// As [`Shared::attempt`].
+    fn attempt<T>(
+        &self,
+        work: impl FnOnce(&mut M) -> Result<T>,
+    ) -> std::result::Result<T, ModelError> {
+        self.shared().attempt(work)
     }
 }
 
@@ -127,24 +243,20 @@ impl<M: StreamModel> Accelerator for Streams<M> {
             let memory = memory.map_err(|reason| ModelError::Device(reason.to_owned()))?;
             rows.push((memory, *frame, &mut **next));
         }
-        let mut rows = rows.as_mut_slice();
-        while !rows.is_empty() {
-            let most = rows.len().min(M::MOST);
-            let count = self.alone(|model| model.batch(&rows[..most]));
-            let (now, later) = rows.split_at_mut(count);
-            match self.attempt(|model| model.step(now)) {
-                Err(reason) if now.len() == 1 => return Err(reason),
-                // Too large together, perhaps, but not one by one.
-                Err(_) => {
-                    for one in now.chunks_mut(1) {
-                        self.attempt(|model| model.step(one))?;
-                    }
-                }
-                Ok(()) => {}
+        let rows: *mut [Step<'_, M::Memory>] = rows.as_mut_slice();
+        // The rows outlive their use: this function returns once they have an outcome.
+        let rows = rows as *mut [Step<'static, M::Memory>];
+        let own = Arc::new(Waiting::<M> { rows, outcome: Mutex::new(None) });
+        lock(&self.0.waiting).push_back(Arc::clone(&own));
+        loop {
+            let mut device = self.shared();
+            // Another thread may have taken these steps with its own.
+            if let Some(outcome) = own.take_outcome() {
+                return outcome;
             }
-            rows = later;
+            let taken = self.take_waiting();
+            Self::step_waiting(&mut device, &taken);
         }
-        Ok(())
     }
 }
 

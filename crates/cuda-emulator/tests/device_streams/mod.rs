@@ -30,6 +30,15 @@ pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams
         assert!(predicted.iter().eq(expected), "frame {number}");
     }
     stepper.check().unwrap();
+
+    // Threads that step streams of their own, which the device takes together.
+    let predict_own = |frames: &Vec<Frame>| predict(surrogate, frames);
+    let found: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> =
+            streams.iter().map(|frames| scope.spawn(move || predict_own(frames))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    assert!(found == alone, "other bits beside steps of other threads");
 }
 
 /// A copied state evolves independently of the original; a cleared state predicts as at the start.
