@@ -245,6 +245,7 @@ impl<M: StreamModel> Accelerator for Streams<M> {
         }
         let rows: *mut [Step<'_, M::Memory>] = rows.as_mut_slice();
         // The rows outlive their use: this function returns once they have an outcome.
+        #[expect(clippy::unnecessary_cast, reason = "it changes the lifetime")]
         let rows = rows as *mut [Step<'static, M::Memory>];
         let own = Arc::new(Waiting::<M> { rows, outcome: Mutex::new(None) });
         lock(&self.0.waiting).push_back(Arc::clone(&own));

@@ -108,6 +108,8 @@ pub(super) fn hear_epoch(group: &Group) -> Result<Epoch, TrainError> {
 /// The error, or that another process is gone, which shows as an error of the GPU that waited for it. `done` epochs are
 /// complete.
 pub(super) fn explain(group: &Group, error: TrainError, done: u32, run: &Run) -> TrainError {
+    #[cfg(not(feature = "cuda"))]
+    let _ = group;
     let reason = match error {
         TrainError::Ranks(reason @ (RankError::Lost { .. } | RankError::Failed { .. })) => reason,
         #[cfg(feature = "cuda")]
