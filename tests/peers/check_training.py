@@ -33,6 +33,8 @@ OF_EPOCHS = {
     "loss/validation": ("validation_loss", lambda x: 1e-6 + 1e-6 * abs(x)),
     "skill/first_frame": ("first_skill", lambda x: 1e-4 + 1e-6 * abs(x)),
     "skill/last_frame": ("last_skill", lambda x: 1e-4 + 1e-6 * abs(x)),
+    "weights/distance": ("weight_distance", lambda x: 1e-4 * abs(x)),
+    "weights/epsilon_share": ("epsilon_share", lambda x: 1e-4),
 }
 OF_BATCHES = ["loss/batch", "learning_rate", "gradient_norm", "samples_per_second"]
 
