@@ -265,6 +265,8 @@ class _Epoch(TypedDict):
     first_skill: float
     last_skill: float
     learning_rate: float
+    weight_distance: float
+    epsilon_share: float
     best: bool
 
 class _Outcome(TypedDict):
@@ -294,6 +296,7 @@ def train(
     output: _Path,
     config: dict[str, Any] | _Path | None = None,
     *,
+    recipe: Literal["default", "paper"] = "default",
     device: str = "auto",
     precision: Literal["tf32", "fp32"] = "tf32",
     resume: bool = False,

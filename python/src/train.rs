@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use eddy_evaluation::dataset::{Dataset, available_memory};
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, Precision},
-    train::{self, Epoch, Machine, Run, TrainConfig},
+    train::{self, Epoch, Machine, Recipe, Run, TrainConfig},
 };
 use eddy_settings::Overrides;
 use pyo3::{
@@ -20,24 +20,26 @@ use crate::{
 };
 
 /// Trains a network on the bags at `data` and writes the best checkpoint to `output`. `config` is a dictionary or a file with the
-/// keys of `eddy train --config`; what it leaves out has the defaults of its `architecture`. `callback` is called after each
+/// keys of `eddy train --config`; what it leaves out has the defaults of its `architecture`, or, with the `recipe` "paper", those of the
+/// paper's training. `callback` is called after each
 /// epoch with a dictionary (`epoch`, `samples`, `training_loss`, `validation_loss`, `first_skill`, `last_skill`, ..); an exception of
 /// it ends the run, as Ctrl-C does, after the last whole epoch was saved. Returns a dictionary with `epochs` (a list
 /// of these), `seconds`, `samples` and `digest` (of the best checkpoint).
 #[pyfunction(name = "train")]
-#[pyo3(signature = (data, output, config=None, *, device="auto", precision="tf32", resume=false, callback=None))]
+#[pyo3(signature = (data, output, config=None, *, recipe="default", device="auto", precision="tf32", resume=false, callback=None))]
 #[expect(clippy::too_many_arguments, reason = "the options of a run")]
 pub(crate) fn train_network<'py>(
     py: Python<'py>,
     data: Paths,
     output: PathBuf,
     config: Option<&Bound<'py, PyAny>>,
+    recipe: &str,
     device: &str,
     precision: &str,
     resume: bool,
     callback: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let config = settings(config)?;
+    let config = settings(config, values::word("recipe", recipe)?)?;
     let device: DeviceKind = values::word("device", device)?;
     let device = device.resolve(config.runs_on_gpus());
     let precision: Precision = values::word("precision", precision)?;
@@ -75,8 +77,8 @@ pub(crate) fn train_network<'py>(
     Ok(result)
 }
 
-/// The defaults of the architecture, overridden by a file or a dictionary.
-fn settings(config: Option<&Bound<'_, PyAny>>) -> PyResult<TrainConfig> {
+/// The recipe's defaults, overridden by a file or a dictionary.
+fn settings(config: Option<&Bound<'_, PyAny>>, recipe: Recipe) -> PyResult<TrainConfig> {
     let overrides = match config {
         None => Overrides::default(),
         Some(config) if config.is_instance_of::<PyDict>() => {
@@ -96,10 +98,9 @@ fn settings(config: Option<&Bound<'_, PyAny>>) -> PyResult<TrainConfig> {
     };
     let architecture: Option<Architecture> =
         overrides.get("architecture").map_err(raise::<TrainError>)?;
-    let architecture = architecture.unwrap_or_default();
-    let mut config =
-        overrides.over(&TrainConfig::defaults(architecture)).map_err(raise::<TrainError>)?;
-    config.architecture = architecture;
+    let defaults = recipe.defaults(architecture).map_err(raise::<TrainError>)?;
+    let mut config = overrides.over(&defaults).map_err(raise::<TrainError>)?;
+    config.architecture = defaults.architecture;
     config.check().map_err(raise::<TrainError>)?;
     Ok(config)
 }

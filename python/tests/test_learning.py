@@ -87,6 +87,13 @@ def test_wrong_settings_are_named(tmp_path: Path, bags: Path, config: dict[str, 
         eddy.train(bags, tmp_path / "model", config)
 
 
+def test_the_papers_recipe_is_for_its_network(tmp_path: Path, bags: Path) -> None:
+    with pytest.raises(eddy.TrainError, match="recipe: found paper for architecture particle"):
+        eddy.train(bags, tmp_path / "model", {"architecture": "particle"}, recipe="paper")
+    with pytest.raises(ValueError, match="recipe"):
+        eddy.train(bags, tmp_path / "model", recipe="secret")  # type: ignore[arg-type]
+
+
 def test_evaluation_names_what_is_wrong(tmp_path: Path, bags: Path) -> None:
     with pytest.raises(eddy.EvaluationError, match="model.toml"):
         eddy.evaluate(bags, tmp_path)

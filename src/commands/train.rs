@@ -16,7 +16,7 @@ use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
     ranks::{Process, ProcessOptions, Timing},
     train::{
-        Epoch, LAST_FOLDER, Machine, Outcome, Recipe, Run, TrainConfig, TrainError, check_output,
+        Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         test_skill, train,
     },
 };
@@ -187,15 +187,8 @@ fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
         Some(architecture) => Some(architecture),
         None => overrides.get("architecture")?,
     };
-    let defaults = match (args.recipe, architecture) {
-        (Recipe::Default, architecture) => TrainConfig::defaults(architecture.unwrap_or_default()),
-        (Recipe::Paper, None | Some(Architecture::Frame)) => TrainConfig::paper(),
-        (Recipe::Paper, Some(Architecture::Particle)) => {
-            let error =
-                "--recipe: found paper for architecture particle, expected architecture frame";
-            return Err(Usage::new(error).into());
-        }
-    };
+    let defaults = args.recipe.defaults(architecture);
+    let defaults = defaults.map_err(|error| Usage::new(format_args!("--{error}")))?;
     let mut config = overrides.over(&defaults)?;
     config.architecture = defaults.architecture;
     config.core = args.core.unwrap_or(config.core);

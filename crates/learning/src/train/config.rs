@@ -196,14 +196,33 @@ impl NetworkConfig {
 }
 
 /// A set of defaults for a training run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
 pub enum Recipe {
     /// What eddy has found to work best.
     #[default]
     Default,
     /// The paper's network, loss and optimizer as published; batches of 4,096 windows, for a GPU.
     Paper,
+}
+
+impl Recipe {
+    /// The defaults, for an architecture if one is asked for.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] for the paper's recipe of another network than the paper's.
+    pub fn defaults(self, architecture: Option<Architecture>) -> Result<TrainConfig, TrainError> {
+        match (self, architecture) {
+            (Self::Default, architecture) => {
+                Ok(TrainConfig::defaults(architecture.unwrap_or_default()))
+            }
+            (Self::Paper, None | Some(Architecture::Frame)) => Ok(TrainConfig::paper()),
+            (Self::Paper, Some(Architecture::Particle)) => {
+                Err(setting("recipe", "paper for architecture particle", "architecture frame"))
+            }
+        }
+    }
 }
 
 impl TrainConfig {
