@@ -80,7 +80,7 @@ struct Shared<M> {
 
 /// The steps of a thread that waits until they are done.
 struct Waiting<M: StreamModel> {
-    /// Rows of the waiting thread, as long as there is no outcome.
+    /// Rows of the waiting thread, which are there as long as this is in the queue or in the hands of the one who has the device.
     rows: *mut [Step<'static, M::Memory>],
     outcome: Mutex<Option<std::result::Result<(), ModelError>>>,
 }
@@ -103,11 +103,28 @@ impl<M: StreamModel> Waiting<M> {
     /// The rows.
     ///
     /// # Safety
-    /// The device must be this thread's, and the steps must have no outcome.
+    /// The device must be this thread's, since before these steps were taken from the queue.
     unsafe fn rows(&self) -> impl Iterator<Item = Step<'_, M::Memory>> {
-        // SAFETY: their thread waits for an outcome, and no other has the device.
+        // SAFETY: their thread waits for the device, and no other has it.
         let rows = unsafe { &mut *self.rows };
         rows.iter_mut().map(|(memory, frame, next)| (*memory, *frame, &mut **next))
+    }
+}
+
+/// Takes steps out of the queue when their thread leaves, as it does when a step panics.
+struct Queued<'a, M: StreamModel> {
+    streams: &'a Streams<M>,
+    own: &'a Arc<Waiting<M>>,
+}
+
+impl<M: StreamModel> Drop for Queued<'_, M> {
+    fn drop(&mut self) {
+        if !thread::panicking() {
+            return; // it has left the queue with its outcome
+        }
+        // Whoever has taken these steps meanwhile is done with them before.
+        let _device = self.streams.shared();
+        lock(&self.streams.0.waiting).retain(|waiting| !Arc::ptr_eq(waiting, self.own));
     }
 }
 
@@ -249,6 +266,7 @@ impl<M: StreamModel> Accelerator for Streams<M> {
         let rows = rows as *mut [Step<'static, M::Memory>];
         let own = Arc::new(Waiting::<M> { rows, outcome: Mutex::new(None) });
         lock(&self.0.waiting).push_back(Arc::clone(&own));
+        let _queued = Queued { streams: self, own: &own };
         loop {
             let mut device = self.shared();
             // Another thread may have taken these steps with its own.
@@ -348,5 +366,153 @@ pub(crate) fn copy_bodies(frame: &FrameView<'_>, first: usize, bodies: &mut [Bod
 pub(crate) fn copy_motion(bodies: &[Body], position: &mut [[f32; 2]], velocity: &mut [[f32; 2]]) {
     for ((position, velocity), &[x, y, vx, vy]) in position.iter_mut().zip(velocity).zip(bodies) {
         (*position, *velocity) = ([x, y], [vx, vy]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        sync::mpsc::{Receiver, Sender, channel},
+        time::{Duration, Instant},
+    };
+
+    use super::*;
+    use eddy_frames::{Domain, Material, Stamp};
+
+    /// Remembers nothing.
+    struct Nothing;
+
+    impl StreamMemory for Nothing {
+        fn duplicate(&self) -> Result<Self> {
+            Ok(Self)
+        }
+
+        fn resembles(&self, _: &Self) -> bool {
+            true
+        }
+
+        fn copy_from(&self, _: &Self) -> Result<()> {
+            Ok(())
+        }
+
+        fn clear(&self) -> Result<()> {
+            Ok(())
+        }
+
+        fn numbers(&self) -> Result<Vec<f32>> {
+            Ok(Vec::new())
+        }
+    }
+
+    /// Adds 1 to positions. A step tells how many rows it has, and then waits for a word; without one it panics.
+    struct Counter {
+        rows: Sender<usize>,
+        go: Receiver<()>,
+    }
+
+    impl StreamModel for Counter {
+        type Memory = Nothing;
+
+        const MOST: usize = 3;
+
+        fn memory(&mut self, _: &StreamStart<'_>) -> Result<Nothing> {
+            Ok(Nothing)
+        }
+
+        fn step(&mut self, steps: &mut [Step<'_, Nothing>]) -> Result<()> {
+            self.rows.send(steps.len()).unwrap();
+            self.go.recv().unwrap();
+            for (_, frame, next) in steps {
+                next.position[0] = frame.particles.motion(0).0.map(|x| x + 1.0);
+            }
+            Ok(())
+        }
+    }
+
+    fn frame(x: f32) -> Frame {
+        Frame {
+            stream: 1,
+            sequence: 0,
+            stamp: Stamp::default(),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            position: vec![[x; 2]],
+            velocity: vec![[0.0; 2]],
+            material: vec![Material::Liquid],
+        }
+    }
+
+    /// One step of a stream at x.
+    fn step(streams: &Streams<Counter>, x: f32) -> std::result::Result<f32, ModelError> {
+        // Without the device, which another step may have.
+        let mut state = State::<Counter> { owner: streams.clone(), memory: Ok(Nothing) };
+        let (frame, mut next) = (frame(x), frame(x));
+        let mut steps = [DeviceStep { state: &mut state, frame: (&frame).into(), next: &mut next }];
+        let outcome = streams.step(&mut steps);
+        // Nothing is given back to the device.
+        std::mem::forget(state);
+        outcome.map(|()| next.position[0][0])
+    }
+
+    /// Waits until so many steps are in the queue.
+    fn wait_for(streams: &Streams<Counter>, queued: usize) {
+        let deadline = Instant::now() + Duration::from_secs(30);
+        while lock(&streams.0.waiting).len() != queued {
+            assert!(Instant::now() < deadline, "{queued} steps are not in the queue");
+            thread::yield_now();
+        }
+    }
+
+    fn counter() -> (Streams<Counter>, Receiver<usize>, Sender<()>) {
+        let ((rows, counts), (word, go)) = (channel(), channel());
+        (Streams::new(Counter { rows, go }), counts, word)
+    }
+
+    #[test]
+    fn steps_that_come_while_the_device_is_busy_are_taken_together() {
+        let (streams, counts, word) = counter();
+        thread::scope(|scope| {
+            let asked = |x: f32| {
+                let streams = &streams;
+                scope.spawn(move || step(streams, x))
+            };
+            let first = asked(0.0);
+            assert_eq!(counts.recv().unwrap(), 1);
+            let others: Vec<_> = (1..6).map(|x| asked(x as f32)).collect();
+            wait_for(&streams, 5);
+            (0..3).for_each(|_| word.send(()).unwrap());
+            assert_eq!(first.join().unwrap().unwrap(), 1.0);
+            for (x, other) in (1..6).zip(others) {
+                assert_eq!(other.join().unwrap().unwrap(), (x + 1) as f32);
+            }
+            // Three at most.
+            assert_eq!(counts.try_iter().collect::<Vec<_>>(), [3, 2]);
+        });
+    }
+
+    #[test]
+    fn a_step_that_panics_fails_those_beside_it_and_lets_nobody_wait() {
+        let (streams, counts, word) = counter();
+        thread::scope(|scope| {
+            let asked = |x: f32| {
+                let streams = &streams;
+                scope.spawn(move || step(streams, x))
+            };
+            let first = asked(0.0);
+            assert_eq!(counts.recv().unwrap(), 1);
+            let others: Vec<_> = (1..4).map(|x| asked(x as f32)).collect();
+            wait_for(&streams, 3);
+            word.send(()).unwrap();
+            drop(word);
+            assert_eq!(first.join().unwrap().unwrap(), 1.0);
+            let outcomes: Vec<_> = others.into_iter().map(thread::ScopedJoinHandle::join).collect();
+            let panicked = outcomes.iter().filter(|outcome| outcome.is_err()).count();
+            let said = |outcome: &std::result::Result<f32, ModelError>| {
+                outcome.as_ref().unwrap_err().to_string().contains("has panicked")
+            };
+            assert_eq!(panicked, 1);
+            assert!(outcomes.iter().flatten().all(said));
+            assert!(lock(&streams.0.waiting).is_empty());
+        });
     }
 }
