@@ -2,10 +2,13 @@
 //! certainly have failed.
 
 use super::{Machine, Run, TrainConfig, TrainError};
+use crate::model::DeviceKind;
 use eddy_inference::checkpoint::{
     Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
 };
 
+/// Numbers of a particle's state: x, y, vx, vy.
+const STATE: usize = 4;
 /// Size of a value (bytes).
 const NUMBER: usize = 4;
 
@@ -32,7 +35,10 @@ pub(super) fn check(
     let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
     // On an NVIDIA GPU, the batch is in the memory of the GPU.
     let here = run.device == run.device.through_burn();
-    let batch = if here { bytes(batch_numbers(config, description, particles)) } else { 0 };
+    // eddy's kernels take the mean of the encoder's points without keeping them.
+    let keeps_points = run.device != DeviceKind::Flex || description.frame.pooling != Pooling::Mean;
+    let numbers_of_batch = || batch_numbers(config, description, particles, keeps_points);
+    let batch = if here { bytes(numbers_of_batch()) } else { 0 };
     let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
     let batch = if training.saturating_add(batch) < validation { 0 } else { batch };
     let weights = if batch == 0 { validation } else { training };
@@ -47,8 +53,14 @@ pub(super) fn check(
     Ok(())
 }
 
-/// The windows of a batch, and the output of every layer with its gradient.
-fn batch_numbers(config: &TrainConfig, description: &Description, particles: usize) -> usize {
+/// The windows of a batch, and the output of every layer with its gradient; of the frame model's points, if they are not kept,
+/// the inputs.
+fn batch_numbers(
+    config: &TrainConfig,
+    description: &Description,
+    particles: usize,
+    keeps_points: bool,
+) -> usize {
     let sizes = &description.sizes;
     let (encoder, hidden) = (sizes.encoder, sizes.hidden);
     let gates: usize = tensor_shapes(description)
@@ -66,7 +78,8 @@ fn batch_numbers(config: &TrainConfig, description: &Description, particles: usi
                 Pooling::Mean => 0,
                 Pooling::Max | Pooling::MeanMax => hidden,
             };
-            (particles, encoder + pooled, 2 * hidden + gates + 2 * particles)
+            let points = if keeps_points { encoder } else { STATE };
+            (particles, points + pooled, 2 * hidden + gates + 2 * particles)
         }
         // Without nodes: there are fewer than particles.
         Architecture::Particle => (particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0),
