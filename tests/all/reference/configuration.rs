@@ -134,11 +134,9 @@ fn training() -> String {
                 let stages = table[list].as_array().unwrap();
                 stages.iter().map(|stage| shown(&stage[field])).collect::<Vec<_>>().join(", ")
             }
-            // The usual value of some options is omitted.
-            None => at(table, &key).map_or_else(|| "-".to_owned(), shown),
+            None => at(table, &key).map_or_else(|| panic!("{key} has no default"), shown),
         };
         let (particle, frame) = (default(&particle), default(&frame));
-        assert_ne!([&particle, &frame], ["-"; 2], "{key} has no default");
         text.push_str(&format!(
             "| `{key}` | {values} | {particle} | {frame} | {} |\n",
             cell(&docs)

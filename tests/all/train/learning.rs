@@ -3,8 +3,9 @@
 use std::{fs, sync::Mutex};
 
 use eddy_frames::progress::Progress;
-use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, FrameOutput};
 use eddy_learning::train::{LossKind, METRICS_FILE, TrainConfig, train};
+use eddy_settings::Overrides;
 
 use super::{FRAMES, dataset, interrupted, run, settings, small, stream};
 
@@ -160,6 +161,18 @@ fn an_interrupted_run_keeps_the_best_and_the_last_epoch() {
     assert_eq!(outcome.epochs.len(), 1);
     for kept in [folder.path(), &folder.path().join("last")] {
         assert_eq!(Checkpoint::load(kept).unwrap().description.training.best_epoch, 1);
+    }
+}
+
+#[test]
+fn settings_in_a_file_are_read_as_they_were_written() {
+    for output in FrameOutput::ALL {
+        let mut config = TrainConfig::paper();
+        config.network.frame.output = output;
+        let file = Overrides::parse("a.toml".as_ref(), &toml::to_string(&config).unwrap()).unwrap();
+        let defaults = TrainConfig::defaults(Architecture::Frame);
+        assert_ne!(config, defaults);
+        assert_eq!(file.over(&defaults).unwrap(), config, "{}", output.name());
     }
 }
 

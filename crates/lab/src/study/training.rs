@@ -68,11 +68,10 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
 /// The losses of a checkpoint on training scenes, and of the linear fit on those for validation.
 fn losses(config: &TrainConfig, dataset: &Dataset, best: &Checkpoint) -> anyhow::Result<Losses> {
     let (validation, train) = (&dataset.validation, &dataset.train);
-    // Spread over all of them: kinds of scenes come in turn.
-    let stride = train.len().div_ceil(validation.len().max(1)).max(1);
-    let seen: Vec<_> = train.iter().step_by(stride).cloned().collect();
+    // Consecutive ones, as those for validation: kinds of scenes come in turn.
+    let seen = &train[..validation.len().min(train.len())];
     let of = |streams: &[Trajectory]| rollout_loss(best, &config.validation, streams);
-    Ok(Losses { seen: of(&seen)?.model, linear_fit: of(validation)?.linear_fit })
+    Ok(Losses { seen: of(seen)?.model, linear_fit: of(validation)?.linear_fit })
 }
 
 /// Trains without output, as several networks are trained at once.

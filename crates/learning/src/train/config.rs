@@ -1,10 +1,11 @@
 //! The settings of a training run, with defaults for each architecture.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::TrainError;
 use eddy_inference::checkpoint::{
-    Architecture, Core, Form, FrameOptions, FrameOutput, GridOptions, MaterialInput, Sizes,
+    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
+    MaterialInput, Pooling, Sizes,
 };
 
 /// Largest width in a checkpoint.
@@ -68,11 +69,26 @@ pub struct NetworkConfig {
     /// Whether minLSTM's gates are divided by their sum.
     pub normalize_gates: bool,
     /// Options of the frame model.
+    #[serde(serialize_with = "every_option")]
     pub frame: FrameOptions,
     /// Particle model: cell width of the grid's finest level (domain lengths).
     pub cell_width: f32,
     /// Particle model: channels of each level of the grid, finest first.
     pub channels: [usize; 3],
+}
+
+/// Writes options that a checkpoint omits too: a settings file is read over the defaults, which are others.
+fn every_option<S: Serializer>(options: &FrameOptions, to: S) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    struct Every {
+        pooling: Pooling,
+        activation: Activation,
+        material: MaterialInput,
+        scaling: FeatureScaling,
+        output: FrameOutput,
+    }
+    let FrameOptions { pooling, activation, material, scaling, output } = *options;
+    Every { pooling, activation, material, scaling, output }.serialize(to)
 }
 
 /// Training windows.
