@@ -58,7 +58,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     }
     device.check()?;
     ensure_usage!(
-        args.gpus.get() == 1 || device != device.through_burn(),
+        args.gpus.get() == 1 || device.is_cuda(),
         "--gpus: found {} with --device {}, expected --device cuda",
         args.gpus,
         device.name()
@@ -145,7 +145,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
 /// of their own.
 fn process(args: &TrainArgs, device: DeviceKind) -> anyhow::Result<Option<Process>> {
     let process = Process::from_environment();
-    if device == device.through_burn() {
+    if !device.is_cuda() {
         if let Ok(Some(process)) = process {
             let (count, variable) = (process.count, process.count_variable);
             let is_meant = variable == "WORLD_SIZE" || args.device != device;

@@ -10,6 +10,7 @@ use super::{
     SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
     references::{Reference, References},
     selection::Selection,
+    side_by_side::rollout_threads,
     snapshot::snapshot,
 };
 use crate::{
@@ -41,7 +42,7 @@ pub struct EvaluationRequest {
     pub references: Vec<Reference>,
     /// Whether each checkpoint is also evaluated on streams that it joins in the middle.
     pub join_late: bool,
-    /// Streams evaluated in parallel; by default one per core.
+    /// Streams evaluated in parallel; by default one per core, or more with models on a device.
     pub threads: Option<NonZeroUsize>,
 }
 
@@ -174,9 +175,6 @@ impl Evaluation {
             request;
         let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
         let selection = Selection::new(settings, &descriptions, streams)?;
-        // Zero means one per core.
-        let threads = threads.map_or(0, NonZeroUsize::get);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
             load(checkpoint).map_err(|reason| EvaluationError::Checkpoint {
                 checkpoint: name.clone(),
@@ -185,6 +183,9 @@ impl Evaluation {
         };
         let models: Vec<Surrogate> = checkpoints.iter().map(load).collect::<Result<_, _>>()?;
         let names: Vec<String> = checkpoints.into_iter().map(|(name, _)| name).collect();
+        let threads =
+            threads.map_or_else(|| rollout_threads(&models, &selection.streams), NonZeroUsize::get);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let mut counted = BTreeMap::new();
         for stream in &selection.streams {
             let first = stream.cut(0..1)?.frame(0);
@@ -239,7 +240,7 @@ impl Evaluation {
         };
         let pairs: Vec<_> = streams.iter().zip(&self.references.scenes).collect();
         let scenes: Result<Vec<_>, EvaluationError> =
-            self.pool.install(|| pairs.into_par_iter().map(evaluate).collect());
+            self.pool.install(|| pairs.into_par_iter().with_max_len(1).map(evaluate).collect());
         progress.finish();
         let scenes = scenes?;
         let samples = self.samples()?;

@@ -16,7 +16,8 @@
 //! 10. [`evaluation`]: from a request (checkpoints, streams) to the report; [`selection`]: the streams that no
 //!     checkpoint was trained on; [`references`]: solvers that predict from the same frames.
 //!
-//! A thread evaluates one scene at a time, so at most one scene per thread is in memory.
+//! A thread evaluates one scene at a time, so at most one scene per thread is in memory; [`side_by_side`] says how many threads
+//! there are.
 
 mod baseline;
 pub mod bootstrap;
@@ -40,6 +41,7 @@ mod restart;
 mod rollout;
 mod scene;
 mod selection;
+mod side_by_side;
 mod skill;
 mod snapshot;
 mod steps;
@@ -63,6 +65,7 @@ pub use report::{
 pub use restart::{Restart, Restarted};
 pub use rollout::Rollout;
 pub use scene::{Accumulator, SceneResult, evaluate_scene};
+pub use side_by_side::rollout_threads;
 pub use skill::{Interval, Skills, position_skill, skill_text};
 pub use snapshot::{Snapshot, snapshot};
 pub use steps::{StepResults, StepSums};

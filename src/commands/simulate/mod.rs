@@ -76,10 +76,7 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
         ComputeDevice::Cpu => Ok(None),
         #[cfg(feature = "cuda")]
         ComputeDevice::Cuda(number) => {
-            use eddy_cuda::solver::{Constants, Solvers};
-            let number = number.into();
-            let gpu = eddy_learning::model::open_gpu(number, &Constants)?;
-            Ok(Some(Box::new(Solvers::new(gpu, number))))
+            Ok(Some(Box::new(eddy_learning::model::open_solver(number.into())?)))
         }
     }
 }

@@ -79,6 +79,11 @@ impl Trajectory {
         }
     }
 
+    /// Memory that its positions and velocities take (bytes).
+    pub fn bytes(&self) -> u64 {
+        (self.frames * self.material.len() * size_of::<[[f32; 2]; 2]>()) as u64
+    }
+
     /// The store of its frames, unless they are in memory.
     pub fn frame_store(&self) -> Option<&Arc<FrameStore>> {
         match &self.storage {

@@ -114,6 +114,14 @@ impl Surrogate {
         Stepper::new(&self.network, interval, self.threads)
     }
 
+    /// Number of streams from which on stepping more at once gains nothing: 1 on the processor.
+    pub fn streams_at_once(&self) -> usize {
+        match &*self.network {
+            Network::Device(device) => device.streams(),
+            _ => 1,
+        }
+    }
+
     /// The checkpoint's description.
     pub fn description(&self) -> &Description {
         &self.description

@@ -53,7 +53,7 @@ pub fn run(
     progress.finish();
     let threads = std::thread::available_parallelism()?.get();
     let mut tables = vec![times(&timings)];
-    let place = if device == device.through_burn() {
+    let place = if !device.is_cuda() {
         format!("{threads} threads")
     } else {
         format!(

@@ -39,9 +39,7 @@ impl CommandLines<'_> {
         if let Some(duration) = data.duration {
             words.extend(["--duration".into(), duration.to_string()]);
         }
-        if self.device != self.device.through_burn() {
-            words.extend(["--device".into(), self.device.name().into()]);
-        }
+        words.extend(self.gpu());
         words.extend(["--output".into(), shown(&self.folders.data(&set.name))]);
         words
     }
@@ -72,12 +70,18 @@ impl CommandLines<'_> {
         words.extend(["--data".into(), shown(&self.folders.data(set))]);
         words.extend(["--horizon".into(), self.study.evaluation.horizon.to_string()]);
         words.extend(["--starts".into(), self.study.evaluation.starts.to_string()]);
-        if self.device != self.device.through_burn() {
-            words.extend(["--device".into(), self.device.name().into()]);
-        }
+        words.push("--join-late".into());
+        words.extend(self.gpu());
         let folder = self.folders.evaluation(self.comparison, set);
         words.extend(["--output".into(), shown(&folder)]);
         words
+    }
+
+    /// The option for an NVIDIA GPU, if that is the device: without it, scenes are simulated and networks evaluated on the
+    /// processor.
+    fn gpu(&self) -> Vec<String> {
+        let option = || vec!["--device".to_owned(), self.device.name().to_owned()];
+        self.device.is_cuda().then(option).unwrap_or_default()
     }
 
     /// All equivalent commands in order; learning curves have none.

@@ -9,7 +9,7 @@ use eddy_evaluation::{
     dataset::simulate::{SimulationRequest, Source},
 };
 use eddy_inference::checkpoint::{Activation, Architecture, Core, FrameOutput};
-use eddy_learning::train::{TrainConfig, dense::DenseConfig};
+use eddy_learning::train::{Observed, TrainConfig, dense::DenseConfig};
 use eddy_mpm::{Extent, ParticleOrder, Preset, Settings};
 
 /// Settings of a study: data, networks and training budget.
@@ -151,11 +151,13 @@ impl StudyConfig {
     }
 
     /// The same comparisons with a training that lets every core learn: eddy's defaults for the frame model
-    /// ([`TrainConfig::defaults`]) on ten times as many scenes, at one budget for all cores.
+    /// ([`TrainConfig::defaults`], but validated after windows as in training) on ten times as many scenes, at one budget for all cores.
     pub fn mended() -> Self {
         let mut mended = Self::paper();
         mended.data.scenes = 600;
+        mended.windowed_cores.clone_from(&mended.cores);
         mended.training = TrainConfig::defaults(Architecture::Frame);
+        mended.training.validation.observed = Observed::Window;
         mended
     }
 

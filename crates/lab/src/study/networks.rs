@@ -6,6 +6,7 @@ use eddy_evaluation::{
     bootstrap::{MIN_SCENES, bootstrap},
     page::{Axis, Cell, LinePlot, Series, Table},
 };
+use eddy_inference::checkpoint::Core;
 
 /// Networks on one preset: every variant with every seed, evaluated on the same scenes.
 pub struct Networks<'a> {
@@ -17,7 +18,7 @@ pub struct Networks<'a> {
     pub seeds: &'a [u64],
     /// Trainings: all variants with the first seed, then all with the second, and so on.
     pub trained: Vec<Trained>,
-    /// The evaluation report, with the networks first and in the same order.
+    /// The evaluation report, with the networks first and in the same order, and then all of them again, joined late.
     pub report: Report,
 }
 
@@ -28,7 +29,18 @@ impl Networks<'_> {
         (0..self.seeds.len()).map(move |seed| seed * count + variant)
     }
 
+    /// Indices of a variant's networks among the predictors of the report, one per seed: each has observed as many frames as in
+    /// training, as in the paper.
+    fn predictors(&self, variant: usize) -> impl Iterator<Item = usize> {
+        self.places(variant).map(|place| self.trained.len() + place)
+    }
+
     fn entries(&self, variant: usize) -> impl Iterator<Item = &Entry> {
+        self.predictors(variant).map(|place| &self.report.predictors[place])
+    }
+
+    /// The same networks after all frames of the stream up to the start of the rollout.
+    fn after_stream(&self, variant: usize) -> impl Iterator<Item = &Entry> {
         self.places(variant).map(|place| &self.report.predictors[place])
     }
 
@@ -69,12 +81,13 @@ impl Networks<'_> {
                 &end,
                 "skill at 1",
                 &format!("skill at {horizon}"),
+                &format!("skill at {horizon} after the whole stream"),
                 "ms per frame",
             ],
         );
         for (number, variant) in self.variants.iter().enumerate() {
             let errors: Vec<f64> =
-                self.places(number).map(|place| mean(self.by_scene(place).into_iter())).collect();
+                self.predictors(number).map(|at| mean(self.by_scene(at).into_iter())).collect();
             let [lowest, highest] = extremes(&errors);
             let of = |value: fn(&Entry) -> f64| mean(self.entries(number).map(value));
             let cells = [
@@ -84,6 +97,7 @@ impl Networks<'_> {
                 format!("{:.4}", of(|entry| last(&entry.curves.position_rmse))),
                 format!("{:+.3}", of(|entry| entry.skill[0])),
                 format!("{:+.3}", of(|entry| last(&entry.skill))),
+                format!("{:+.3}", mean(self.after_stream(number).map(|entry| last(&entry.skill)))),
                 milliseconds(of(|entry| entry.cost.as_ref().map_or(f64::NAN, |cost| cost.p50))),
             ];
             table.row(variant.setting.as_str(), cells);
@@ -99,8 +113,35 @@ impl Networks<'_> {
                 skill(entry.skill[0]),
                 skill(last(&entry.skill)),
                 "-".to_owned(),
+                "-".to_owned(),
             ];
             table.row(entry.name.as_str(), cells);
+        }
+        table
+    }
+
+    /// A row per frame ahead: the skill of every variant, and of the predictors beside them.
+    pub fn skills(&self) -> Table {
+        let beside: Vec<&Entry> = self.trivial().map(|(_, entry)| entry).collect();
+        let beside = beside.into_iter().filter(|entry| entry.role != Role::Mean);
+        let names = self.variants.iter().map(|variant| variant.setting.clone());
+        let mut table = Table::new(
+            "Skill by frames ahead: mean over seeds (lowest to highest seed)",
+            std::iter::once("frames ahead".to_owned())
+                .chain(names)
+                .chain(beside.clone().map(|entry| entry.name.clone())),
+        );
+        for frame in 0..self.report.horizon {
+            let networks = (0..self.variants.len()).map(|variant| {
+                let seeds: Vec<f64> =
+                    self.entries(variant).map(|entry| entry.skill[frame]).collect();
+                let [lowest, highest] = extremes(&seeds);
+                let mean = mean(seeds.into_iter());
+                format!("{mean:+.3} ({lowest:+.3} to {highest:+.3})")
+            });
+            let beside = beside.clone().map(|entry| format!("{:+.3}", entry.skill[frame]));
+            let cells: Vec<String> = networks.chain(beside).collect();
+            table.row((frame + 1).to_string(), cells);
         }
         table
     }
@@ -123,7 +164,7 @@ impl Networks<'_> {
         );
         let networks = (0..self.variants.len()).map(|variant| {
             let seeds: Vec<Vec<f64>> =
-                self.places(variant).map(|place| errors(self, place)).collect();
+                self.predictors(variant).map(|place| errors(self, place)).collect();
             (0..self.report.scenes.len())
                 .map(|scene| mean(seeds.iter().map(|s| s[scene])))
                 .collect()
@@ -148,7 +189,7 @@ impl Networks<'_> {
         for [mine, other] in self.comparison.pairs(self.variants) {
             let cells = [Self::by_scene, Self::at_the_end].into_iter().flat_map(|errors| {
                 let of = |variant| -> Vec<Vec<f64>> {
-                    self.places(variant).map(|place| errors(self, place)).collect()
+                    self.predictors(variant).map(|place| errors(self, place)).collect()
                 };
                 let (ratio, interval) = ratio(&of(mine), &of(other));
                 let words = |Interval { lower, upper }| format!("{lower:.3} to {upper:.3}");
@@ -214,18 +255,21 @@ impl Networks<'_> {
 
     /// Errors over the frames ahead (the paper's Figs. 4, 8 and 9), and validation losses over the epochs.
     pub fn plots(&self) -> [LinePlot; 2] {
-        let seeds = |variant: usize, curve: &dyn Fn(usize) -> Vec<f64>| {
-            let curves: Vec<Vec<f64>> = self.places(variant).map(curve).collect();
+        let seeds = |variant: usize, curves: Vec<Vec<f64>>| {
             spread(&self.variants[variant].setting, &curves)
         };
         let variants = 0..self.variants.len();
-        let mse = |place: usize| self.report.predictors[place].curves.minmax_mse.clone();
+        let errors = |variant: usize| {
+            let entries = self.entries(variant);
+            seeds(variant, entries.map(|entry| entry.curves.minmax_mse.clone()).collect())
+        };
         let trivial =
             self.trivial().map(|(_, entry)| Series::ahead(&entry.name, &entry.curves.minmax_mse));
-        let errors = variants.clone().map(|variant| seeds(variant, &mse)).chain(trivial);
+        let errors = variants.clone().map(errors).chain(trivial);
         let loss = |place: usize| -> Vec<f64> {
             self.trained[place].epochs.iter().map(|epoch| epoch.validation_loss).collect()
         };
+        let losses = |variant: usize| seeds(variant, self.places(variant).map(loss).collect());
         [
             LinePlot {
                 title: "Free rollouts, all scenes; bands: lowest to highest seed".into(),
@@ -237,7 +281,7 @@ impl Networks<'_> {
                 title: "Validation".into(),
                 x: Axis::linear("epoch"),
                 y: Axis::linear("error / best baseline error"),
-                series: variants.map(|variant| seeds(variant, &loss)).collect(),
+                series: variants.map(losses).collect(),
             },
         ]
     }
@@ -259,17 +303,48 @@ pub(super) fn spread(name: &str, curves: &[Vec<f64>]) -> Series {
 impl Comparison {
     /// Pairs of variants whose errors are compared as ratios.
     fn pairs(self, variants: &[Variant]) -> Vec<[usize; 2]> {
-        let named = |name: &str| variants.iter().position(|variant| variant.name == name);
+        let all = 0..variants.len();
+        let of = |number: usize| (variants[number].config.core, frames(&variants[number]));
+        // The paper's questions: each minimal core beside its model, and every core beside none, after as many frames.
+        let cores = || {
+            let pair = |[mine, other]: [Core; 2], number: usize| {
+                let (core, frames) = of(number);
+                let mut others = all.clone();
+                let beside = others.find(|&beside| {
+                    other == of(beside).0 && (other == Core::Mlp || frames == of(beside).1)
+                });
+                beside.filter(|_| core == mine).map(|beside| [number, beside])
+            };
+            all.clone()
+                .flat_map(move |number| PAIRS.into_iter().filter_map(move |p| pair(p, number)))
+        };
         match self {
-            Self::Cores => {
-                [["minlstm", "lstm"], ["mingru", "gru"], ["minlstm", "mlp"], ["mingru", "mlp"]]
-                    .into_iter()
-                    .filter_map(|[mine, other]| Some([named(mine)?, named(other)?]))
-                    .collect()
+            Self::Cores => cores().collect(),
+            Self::Window => {
+                let shortest = |number: usize| {
+                    let first = all.clone().find(|&first| of(first).0 == of(number).0)?;
+                    (first != number).then_some([number, first])
+                };
+                cores().chain(all.clone().filter_map(shortest)).collect()
             }
-            _ => (1..variants.len()).map(|number| [number, 0]).collect(),
+            _ => all.skip(1).map(|number| [number, 0]).collect(),
         }
     }
+}
+
+/// Cores that are compared with each other.
+const PAIRS: [[Core; 2]; 6] = [
+    [Core::MinLstm, Core::Lstm],
+    [Core::MinGru, Core::Gru],
+    [Core::MinLstm, Core::Mlp],
+    [Core::MinGru, Core::Mlp],
+    [Core::Lstm, Core::Mlp],
+    [Core::Gru, Core::Mlp],
+];
+
+/// Observed frames of a training window.
+fn frames(variant: &Variant) -> usize {
+    variant.config.windows.warm_up
 }
 
 /// Ratio of two variants' means over seeds and scenes, and its bootstrap interval over scenes (the same for both) and seeds;

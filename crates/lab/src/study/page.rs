@@ -53,13 +53,21 @@ impl StudyReport {
             windows.batch,
         );
         let [errors, ends] = networks.by_scenes();
-        let tables = [networks.summary(), networks.ratios(), errors, ends, networks.training()];
+        let tables = [
+            networks.summary(),
+            networks.skills(),
+            networks.ratios(),
+            errors,
+            ends,
+            networks.training(),
+        ];
         let section = self.page.section(set.to_owned());
         section.paragraph(&budget);
         section.plots(&networks.plots());
         tables.iter().for_each(|table| _ = section.table(table));
         section.paragraph(
-            "Errors are mean squared errors of x, y, vx, vy, each divided by its range in the training part. Skill is 1 - \
+            "Before a rollout, a network observes as many frames as in its training windows; in the column that says so, all \
+             frames of the stream, as in a node. Errors are mean squared errors of x, y, vx, vy, each divided by its range in the training part. Skill is 1 - \
              squared position error / squared position error of the best baseline (persistence, constant velocity, \
              ballistic). Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of scenes and seeds; with \
              fewer than five scenes there is none.",

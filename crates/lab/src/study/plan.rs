@@ -69,10 +69,12 @@ impl Comparison {
                     config.windows.warm_up = frames;
                     config
                 };
-                let cores = study.windowed_cores.iter();
-                cores
-                    .flat_map(|&core| study.windows.iter().map(move |&t| observing(core, t)))
-                    .collect()
+                let of = |&core: &Core| {
+                    // Without memory, only the last frame counts.
+                    let lengths = if core == Core::Mlp { 1 } else { study.windows.len() };
+                    study.windows.iter().take(lengths).map(move |&frames| observing(core, frames))
+                };
+                study.windowed_cores.iter().flat_map(of).collect()
             }
             Self::Output => {
                 let predicting = |&output: &FrameOutput| {
@@ -82,10 +84,7 @@ impl Comparison {
                 };
                 study.outputs.iter().map(predicting).collect()
             }
-            Self::Scenes => {
-                let of = |&core: &Core| TrainConfig { core, ..base.clone() };
-                study.windowed_cores.iter().map(of).collect()
-            }
+            Self::Scenes => vec![base.clone()],
         };
         all.into_iter().map(|config| Variant::new(self, config, base)).collect()
     }

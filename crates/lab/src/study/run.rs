@@ -21,7 +21,7 @@ use super::{
     learning_curves, step_times, training, write,
 };
 use eddy_evaluation::{
-    Evaluation, EvaluationRequest, Report, Settings,
+    Evaluation, EvaluationRequest, Report, Role, Settings,
     dataset::{
         self,
         simulate::{SimulationRequest, simulate},
@@ -34,9 +34,9 @@ use eddy_inference::{
     engine::{ModelError, Surrogate},
 };
 #[cfg(feature = "cuda")]
-use eddy_learning::model::{load_on_gpu, open_gpu};
+use eddy_learning::model::{load_on_gpu, open_solver};
 use eddy_learning::{
-    model::{DeviceKind, Precision},
+    model::{DeviceKind, GpuOptions, Precision, kernel_cache},
     train::TrainConfig,
 };
 use eddy_mpm::Accelerator;
@@ -96,13 +96,13 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
     let device = device.resolve(study.training.runs_on_gpus());
     if *comparison == Comparison::Activations {
         ensure!(
-            device == DeviceKind::Flex || device != device.through_burn(),
+            device == DeviceKind::Flex || device.is_cuda(),
             "--device: found {}, expected flex or cuda: dense networks are trained on these",
             device.name()
         );
     }
     ensure!(
-        gpus.get() == 1 || device != device.through_burn(),
+        gpus.get() == 1 || device.is_cuda(),
         "--gpus: found {gpus} with --device {}, expected --device cuda",
         device.name()
     );
@@ -117,6 +117,7 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
         device,
         gpus: gpus.get(),
         precision: *precision,
+        kernel_cache: kernel_cache(),
         progress,
         failed: AtomicBool::new(false),
     };
@@ -142,12 +143,17 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
 fn solvers(device: DeviceKind) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
     match device {
         #[cfg(feature = "cuda")]
-        DeviceKind::Cuda(number) => {
-            use eddy_cuda::solver::{Constants, Solvers};
-            let gpu = open_gpu(number.into(), &Constants)?;
-            Ok(Some(Box::new(Solvers::new(gpu, number.into()))))
-        }
+        DeviceKind::Cuda(number) => Ok(Some(Box::new(open_solver(number.into())?))),
         _ => Ok(None),
+    }
+}
+
+/// Loads a network on a GPU, or with one thread for rollouts over many streams side by side.
+pub(super) fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Surrogate, ModelError> {
+    match device {
+        #[cfg(feature = "cuda")]
+        DeviceKind::Cuda(number) => load_on_gpu(checkpoint, None, number.into()),
+        _ => Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)),
     }
 }
 
@@ -166,6 +172,8 @@ pub(super) struct Work<'a> {
     pub(super) gpus: usize,
     /// Precision of products on a GPU.
     pub(super) precision: Precision,
+    /// Folder of compiled kernels.
+    kernel_cache: Option<PathBuf>,
     pub(super) progress: &'a dyn Progress,
     /// Set when a task has failed, to stop the others.
     failed: AtomicBool,
@@ -174,7 +182,16 @@ pub(super) struct Work<'a> {
 impl Work<'_> {
     /// The precision of products on an NVIDIA GPU; empty on other devices.
     pub(super) fn gpu_precision(&self) -> &'static str {
-        if self.device == self.device.through_burn() { "" } else { self.precision.name() }
+        if self.device.is_cuda() { self.precision.name() } else { "" }
+    }
+
+    /// How a single GPU is used.
+    pub(super) fn gpu(&self) -> GpuOptions<'_> {
+        GpuOptions {
+            precision: self.precision,
+            kernel_cache: self.kernel_cache.as_deref(),
+            ..GpuOptions::default()
+        }
     }
 
     /// The device of a network or curve by its number, always the same.
@@ -233,14 +250,10 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Loads networks for their evaluation: on the GPUs in turn, if the device is one, otherwise with one thread each.
+    /// Loads networks for their evaluation, on the GPUs in turn.
     fn loader(&self) -> impl Fn(&Checkpoint) -> Result<Surrogate, ModelError> {
         let next = Cell::new(0);
-        move |checkpoint| match self.device_of(next.replace(next.get() + 1)) {
-            #[cfg(feature = "cuda")]
-            DeviceKind::Cuda(number) => load_on_gpu(checkpoint, None, number.into()),
-            _ => Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)),
-        }
+        move |checkpoint| load(checkpoint, self.device_of(next.replace(next.get() + 1)))
     }
 
     /// The evaluation of all networks on the scenes of a data set.
@@ -258,7 +271,7 @@ impl Work<'_> {
             // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
             settings: Settings::errors_only(evaluation.horizon, evaluation.starts),
             references: Vec::new(),
-            join_late: false,
+            join_late: true,
             threads: None,
         })
     }
@@ -269,8 +282,8 @@ impl Work<'_> {
             return Ok(false);
         }
         let report = Report::load(folder)?;
-        let evaluated: Vec<_> =
-            report.predictors.iter().filter_map(|p| p.digest.as_ref()).collect();
+        let models = report.predictors.iter().filter(|entry| entry.role == Role::Model);
+        let evaluated: Vec<_> = models.filter_map(|entry| entry.digest.as_ref()).collect();
         let networks = self.trained(set)?;
         let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
         Ok(report.made.command == command_line(&self.command_lines().evaluation(set))

@@ -3,7 +3,6 @@
 use super::{Speed, run::Work};
 use crate::bench::training::{FRAMES, paper_steps};
 use eddy_evaluation::page::Machine;
-use eddy_learning::model::{GpuOptions, kernel_cache};
 
 /// Windows per batch.
 const WINDOWS: usize = 16;
@@ -16,12 +15,6 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     if Speed::find(&folder, device, precision)?.is_some() {
         return Ok(());
     }
-    let cache = kernel_cache();
-    let gpu = GpuOptions {
-        precision: work.precision,
-        kernel_cache: cache.as_deref(),
-        ..GpuOptions::default()
-    };
     // Long windows of the whole network take minutes on a processor.
     let all = &work.study.step_frames;
     let whole = if precision.is_empty() { &FRAMES[..1] } else { all };
@@ -33,7 +26,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             work.progress.finish();
             return Ok(());
         }
-        steps.push(step.time(WINDOWS, work.study.step_seconds, device, gpu)?);
+        steps.push(step.time(WINDOWS, work.study.step_seconds, device, work.gpu())?);
         work.progress.advance(1);
     }
     work.progress.finish();

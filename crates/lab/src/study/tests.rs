@@ -116,7 +116,7 @@ fn the_evaluation_of_a_study_records_the_equivalent_command() {
     let networks =
         ["seed-1", "seed-2"].map(|seed| format!("{root}/runs/fluid/mingru-density-0/{seed}"));
     let expected = format!(
-        "eddy eval --checkpoint {} {} --data {root}/data/fluid --horizon 3 --starts 1 --output {root}/loss/fluid",
+        "eddy eval --checkpoint {} {} --data {root}/data/fluid --horizon 3 --starts 1 --join-late --output {root}/loss/fluid",
         networks[0], networks[1]
     );
     assert_eq!(command, expected);

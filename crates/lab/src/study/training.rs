@@ -11,17 +11,17 @@ use anyhow::{Context, bail};
 
 use super::{
     Losses, Trained,
-    run::{Work, write_settings},
+    run::{Work, load, write_settings},
 };
 use eddy_evaluation::{
-    dataset::{Dataset, Trajectory, available_memory},
+    dataset::{Dataset, available_memory},
     page::command_line,
 };
 use eddy_frames::{clock::Clock, progress::Progress};
-use eddy_inference::checkpoint::Checkpoint;
+use eddy_inference::{checkpoint::Description, engine::Surrogate};
 use eddy_learning::{
-    model::{DeviceKind, GpuOptions, kernel_cache},
-    train::{Epoch, LAST_FOLDER, Machine, Run, TrainConfig, rollout_loss, train},
+    model::DeviceKind,
+    train::{Epoch, LAST_FOLDER, Machine, Run, TrainConfig, linear_fit_loss, rollout_loss, train},
 };
 
 /// A network with one seed.
@@ -66,12 +66,19 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
 }
 
 /// The losses of a checkpoint on training scenes, and of the linear fit on those for validation.
-fn losses(config: &TrainConfig, dataset: &Dataset, best: &Checkpoint) -> anyhow::Result<Losses> {
+fn losses(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    description: &Description,
+    model: &Surrogate,
+) -> anyhow::Result<Losses> {
     let (validation, train) = (&dataset.validation, &dataset.train);
     // Consecutive ones, as those for validation: kinds of scenes come in turn.
     let seen = &train[..validation.len().min(train.len())];
-    let of = |streams: &[Trajectory]| rollout_loss(best, &config.validation, streams);
-    Ok(Losses { seen: of(seen)?.model, linear_fit: of(validation)?.linear_fit })
+    Ok(Losses {
+        seen: rollout_loss(model, &config.validation, seen)?,
+        linear_fit: linear_fit_loss(description, &config.validation, validation)?,
+    })
 }
 
 /// Trains without output, as several networks are trained at once.
@@ -95,7 +102,6 @@ impl Task {
         let Self { name, config, device, output, command } = self;
         // Beside the folder, which `train` creates.
         write_settings(&output.with_extension("toml"), &toml::to_string(config)?)?;
-        let cache = kernel_cache();
         let clock = Clock::start();
         let ends = Mutex::new(Vec::new());
         let note = |_: &Epoch| {
@@ -104,11 +110,7 @@ impl Task {
         };
         let run = Run {
             device: *device,
-            gpu: GpuOptions {
-                precision: work.precision,
-                kernel_cache: cache.as_deref(),
-                ..GpuOptions::default()
-            },
+            gpu: work.gpu(),
             output,
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,
@@ -135,7 +137,7 @@ impl Task {
             device: work.device,
             config: config.clone(),
             epochs: outcome.epochs,
-            losses: losses(config, dataset, &best)?,
+            losses: losses(config, dataset, &best.description, &load(&best, *device)?)?,
         };
         trained.save(output)?;
         // The state for resuming is three times as large as the network and no longer needed.

@@ -14,6 +14,7 @@ use eddy_cuda::{
     frame,
     gpu::{self, Gpu},
     kernels, particle,
+    solver::{self, Solvers},
 };
 #[cfg(feature = "cuda")]
 use eddy_inference::{
@@ -148,6 +149,15 @@ impl DeviceKind {
         }
     }
 
+    /// Whether it is an NVIDIA GPU, which is not used through burn.
+    pub fn is_cuda(self) -> bool {
+        match self {
+            #[cfg(feature = "cuda")]
+            Self::Cuda(_) => true,
+            _ => false,
+        }
+    }
+
     /// The device whose steps burn takes: that of the CPU in the place of an NVIDIA GPU, which is not used through burn.
     #[must_use]
     pub fn through_burn(self) -> Self {
@@ -260,6 +270,16 @@ impl Precision {
     }
 }
 
+#[cfg(feature = "cuda")]
+impl From<Precision> for gpu::Precision {
+    fn from(precision: Precision) -> Self {
+        match precision {
+            Precision::Tf32 => Self::Tf32,
+            Precision::Fp32 => Self::Fp32,
+        }
+    }
+}
+
 /// How GPUs are used.
 #[derive(Clone, Copy, Debug)]
 pub struct GpuOptions<'a> {
@@ -306,6 +326,15 @@ pub fn kernel_cache() -> Option<PathBuf> {
 pub fn open_gpu(number: usize, program: &dyn kernels::Program) -> eddy_cuda::Result<Arc<Gpu>> {
     let cache = kernel_cache();
     Gpu::new(number, program, gpu::Precision::Fp32, cache.as_deref()).map(Into::into)
+}
+
+/// The MPM solver on the GPU of this number.
+///
+/// # Errors
+/// As [`open_gpu`].
+#[cfg(feature = "cuda")]
+pub fn open_solver(number: usize) -> eddy_cuda::Result<Solvers> {
+    Ok(Solvers::new(open_gpu(number, &solver::Constants)?, number))
 }
 
 /// A checkpoint on the GPU of this number, with so many threads that copy frames to it and back, by default one per core.

@@ -52,7 +52,7 @@ pub use device::{DeviceKind, GpuOptions, NoDevice, Precision, kernel_cache};
 #[cfg(feature = "cuda")]
 pub use device::{MOST_GPUS, gpu_number};
 #[cfg(feature = "cuda")]
-pub use device::{load_on_gpu, open_gpu};
+pub use device::{load_on_gpu, open_gpu, open_solver};
 pub use reference::Reference;
 
 pub use eddy_inference::checkpoint::{Architecture, Core};

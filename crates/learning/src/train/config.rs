@@ -184,6 +184,11 @@ pub struct NoiseConfig {
     pub share: f32,
 }
 
+impl NoiseConfig {
+    /// No noise.
+    pub const NONE: Self = Self { position: 0.0, velocity: 0.0, share: 0.0 };
+}
+
 /// Validation by free rollouts, which selects the best epoch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -192,6 +197,21 @@ pub struct ValidationConfig {
     pub horizon: usize,
     /// Rollouts per validation stream.
     pub starts: usize,
+    /// What the network has observed when a rollout begins.
+    #[serde(default)]
+    pub observed: Observed,
+}
+
+/// What a network has observed of a stream when a rollout begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Observed {
+    /// All frames of the stream so far, as a node has.
+    #[default]
+    Stream,
+    /// As many frames as in the training windows, as in the paper. A network that has never seen a longer stream may predict
+    /// these well, and streams badly.
+    Window,
 }
 
 impl NetworkConfig {
@@ -287,7 +307,7 @@ impl TrainConfig {
                 epsilon: 1e-5,
                 average: 0.997,
             },
-            validation: ValidationConfig { horizon: 20, starts: 3 },
+            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
         }
     }
 
@@ -306,7 +326,7 @@ impl TrainConfig {
                 warm_up: 2,
                 batch: 4096,
                 per_epoch: 30 * 4096,
-                noise: NoiseConfig { position: 0.0, velocity: 0.0, share: 0.0 },
+                noise: NoiseConfig::NONE,
                 mirror: false,
             },
             loss: LossConfig {
@@ -327,6 +347,7 @@ impl TrainConfig {
                 epsilon: 1e-8,
                 average: 0.0,
             },
+            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Window },
             ..Self::frame()
         }
     }
@@ -351,7 +372,7 @@ impl TrainConfig {
                 warm_up: 2,
                 batch: 256,
                 per_epoch: 600 * 256,
-                noise: NoiseConfig { position: 0.0, velocity: 0.0, share: 0.0 },
+                noise: NoiseConfig::NONE,
                 mirror: true,
             },
             loss: LossConfig {
@@ -373,7 +394,7 @@ impl TrainConfig {
                 epsilon: 1e-8,
                 average: 0.99,
             },
-            validation: ValidationConfig { horizon: 20, starts: 3 },
+            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
         }
     }
 

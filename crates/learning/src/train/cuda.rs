@@ -15,7 +15,7 @@ use super::{
     window::{Draw, Sampler},
 };
 use crate::{
-    model::{GpuOptions, Precision},
+    model::GpuOptions,
     ranks::{Group, Process},
 };
 use eddy_cuda::{
@@ -199,10 +199,7 @@ impl Learner {
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
         let constants = Constants::of(description)?;
-        let precision = match options.precision {
-            Precision::Tf32 => gpu::Precision::Tf32,
-            Precision::Fp32 => gpu::Precision::Fp32,
-        };
+        let precision = options.precision.into();
         let (count, cache) = (options.total(), options.kernel_cache);
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {

@@ -18,15 +18,9 @@ use super::{
     description::{no_constant_feature, same_particles},
     window::{self, Sampler, Window},
 };
-#[cfg(feature = "cuda")]
-use crate::model::Precision;
 use crate::model::{DeviceKind, GpuOptions, linear::Linear, mlp::activate};
 #[cfg(feature = "cuda")]
-use eddy_cuda::{
-    dense::Move,
-    gpu::{self, Gpu},
-    kernels::Program,
-};
+use eddy_cuda::{dense::Move, gpu::Gpu, kernels::Program};
 use eddy_evaluation::dataset::{Dataset, State};
 use eddy_inference::checkpoint::{Activation, Normalization};
 
@@ -106,30 +100,22 @@ pub fn train_dense(
     activation: Activation,
     seed: u64,
     dataset: &Dataset,
-    (device, gpu): (DeviceKind, GpuOptions),
+    device: DeviceKind,
+    #[cfg_attr(not(feature = "cuda"), expect(unused_variables, reason = "for GPUs"))]
+    gpu: GpuOptions,
     interrupted: &dyn Fn() -> bool,
 ) -> Result<Option<DenseCurve>, TrainError> {
-    let options = gpu;
-    let open = |weights: Vec<[Vec<f32>; 2]>| {
-        Ok(match device {
-            #[cfg(feature = "cuda")]
-            DeviceKind::Cuda(number) => {
-                let open = |constants: &dyn Program| {
-                    let precision = match options.precision {
-                        Precision::Tf32 => gpu::Precision::Tf32,
-                        Precision::Fp32 => gpu::Precision::Fp32,
-                    };
-                    let cache = options.kernel_cache;
-                    let gpu = Gpu::new(number.into(), constants, precision, cache)?;
-                    Ok(Arc::new(gpu) as Arc<dyn eddy_cuda::device::Device>)
-                };
-                Trainer::on_device(config, activation, &weights, &open)?
-            }
-            _ => {
-                let _ = options;
-                Trainer::through_burn(activation, weights)
-            }
-        })
+    let open = |weights: Vec<[Vec<f32>; 2]>| match device {
+        #[cfg(feature = "cuda")]
+        DeviceKind::Cuda(number) => {
+            let open = |constants: &dyn Program| {
+                let (precision, cache) = (gpu.precision.into(), gpu.kernel_cache);
+                let gpu = Gpu::new(number.into(), constants, precision, cache)?;
+                Ok(Arc::new(gpu) as Arc<dyn eddy_cuda::device::Device>)
+            };
+            Trainer::on_device(config, activation, &weights, &open)
+        }
+        _ => Ok(Trainer::through_burn(activation, weights)),
     };
     train_with(config, seed, dataset, &open, interrupted)
 }
@@ -285,7 +271,7 @@ fn pairs(config: &DenseConfig) -> WindowConfig {
         warm_up: 1,
         batch: config.batch,
         per_epoch: config.per_epoch,
-        noise: NoiseConfig { position: 0.0, velocity: 0.0, share: 0.0 },
+        noise: NoiseConfig::NONE,
         mirror: false,
     }
 }

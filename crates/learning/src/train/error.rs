@@ -40,6 +40,9 @@ pub enum TrainError {
         /// Stream and first frame of each window.
         windows: String,
     },
+    /// The threads of the validation cannot be started.
+    #[error("threads: {0}")]
+    Threads(rayon::ThreadPoolBuildError),
     /// A setting is out of range.
     #[error("{field}: found {found}, expected {expected}")]
     Setting {

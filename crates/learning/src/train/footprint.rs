@@ -34,7 +34,7 @@ pub(super) fn check(
         tensor_shapes(description).values().map(|shape| shape.iter().product::<usize>()).sum();
     let bytes = |numbers: usize| (numbers as u64).saturating_mul(NUMBER as u64);
     // On an NVIDIA GPU, the batch is in the memory of the GPU.
-    let here = run.device == run.device.through_burn();
+    let here = !run.device.is_cuda();
     // eddy's kernels take the mean of the encoder's points without keeping them.
     let keeps_points = run.device != DeviceKind::Flex || description.frame.pooling != Pooling::Mean;
     let numbers_of_batch = || batch_numbers(config, description, particles, keeps_points);

@@ -53,13 +53,13 @@ mod validate;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, NoiseConfig, OptimizerConfig, Recipe, Schedule,
+    LossConfig, LossKind, NetworkConfig, NoiseConfig, Observed, OptimizerConfig, Recipe, Schedule,
     TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
-pub use validate::{RolloutLoss, rollout_loss, test_skill};
+pub use validate::{linear_fit_loss, rollout_loss, test_skill};
 
 use std::{collections::BTreeMap, mem::swap, path::Path, time::Duration};
 
@@ -113,7 +113,7 @@ impl Run<'_> {
     /// The device as it is recorded: of NVIDIA GPUs with the precision and their number, since results depend on both.
     fn device_name(&self) -> String {
         let name = self.device.name();
-        if self.device == self.device.through_burn() {
+        if !self.device.is_cuda() {
             name.to_owned()
         } else {
             let precision = self.gpu.precision.name();
@@ -476,11 +476,14 @@ impl Trainer<'_> {
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
         let Self { config, dataset, run, group, state, monitor, learner, initial, .. } = self;
+        let begun = monitor.elapsed();
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
         let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
         let surrogate = learner.surrogate(&checkpoint)?;
+        let loaded = monitor.elapsed();
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
+        let validated = monitor.elapsed();
         let best = state.best_loss().is_none_or(|best| score.loss < best);
         let epoch = Epoch {
             epoch: state.epoch() + 1,
@@ -492,7 +495,7 @@ impl Trainer<'_> {
             last_skill: score.last_skill,
             learning_rate: means.learning_rate,
             weight_distance: movement.distance,
-            epsilon_share: movement.lost,
+            epsilon_share: movement.epsilon_share,
             best,
         };
         epoch.summarize(&mut checkpoint.description.training);
@@ -531,6 +534,13 @@ impl Trainer<'_> {
             self.save_best()?;
             self.saved = Some(self.monitor.elapsed());
         }
+        tracing::debug!(
+            "epoch {}: {:.2} s to read the weights, {:.2} s of rollouts, {:.2} s to save",
+            epoch.epoch,
+            (loaded - begun).as_secs_f64(),
+            (validated - loaded).as_secs_f64(),
+            (self.monitor.elapsed() - validated).as_secs_f64()
+        );
         Ok(())
     }
 

@@ -2,14 +2,16 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use super::{
     OptimizerConfig,
     adam::{Adam, Correction},
 };
 use eddy_inference::checkpoint::Weights;
 
-/// Share of the steps that epsilon takes away from which on a run is said not to move.
-const LOST: f64 = 0.9;
+/// Warn if epsilon reduces the steps by more than this share.
+const MOST_EPSILON_SHARE: f64 = 0.9;
 
 /// How far weights have moved, and what holds them back.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,7 +20,7 @@ pub(super) struct Movement {
     pub(super) distance: f64,
     /// Mean of epsilon / (root + epsilon) over all weights, root being that of the corrected second moment: the share of a step
     /// of Adam that its epsilon takes away. 0 before the first step.
-    pub(super) lost: f64,
+    pub(super) epsilon_share: f64,
 }
 
 impl Movement {
@@ -32,36 +34,43 @@ impl Movement {
         let pairs = initial.iter().filter_map(|(name, before)| Some((before, weights.get(name)?)));
         let [mut moved, mut all] = [0.0; 2];
         for (before, after) in pairs {
-            for (&before, &after) in before.values.iter().zip(&after.values) {
-                let (before, after) = (f64::from(before), f64::from(after));
-                moved += (after - before).powi(2);
-                all += before.powi(2);
-            }
+            moved += sum(&before.values, &after.values, |before, after| (after - before).powi(2));
+            all += sum(&before.values, &before.values, |before, _| before.powi(2));
         }
         let root = f64::from(Correction::new(adam.steps.max(1), 0.0, config).root);
         let epsilon = f64::from(config.epsilon);
-        let second = adam.moments.iter().flat_map(|moments| &moments.second);
-        let (mut lost, mut count) = (0.0, 0.0);
-        for &second in second {
-            lost += epsilon / (f64::from(second).sqrt() / root + epsilon);
-            count += 1.0;
-        }
-        Self { distance: (moved / all).sqrt(), lost: if count > 0.0 { lost / count } else { 0.0 } }
+        let share = |second: f64, _| epsilon / (second.sqrt() / root + epsilon);
+        let second = || adam.moments.iter().map(|moments| moments.second.as_slice());
+        let shares: f64 = second().map(|second| sum(second, second, share)).sum();
+        let count = second().map(<[f32]>::len).sum::<usize>();
+        let epsilon_share = if count > 0 { shares / count as f64 } else { 0.0 };
+        Self { distance: (moved / all).sqrt(), epsilon_share }
     }
 
     /// What to do if the weights hardly move.
     pub(super) fn warning(&self, config: &OptimizerConfig) -> Option<String> {
-        (self.lost > LOST).then(|| {
+        (self.epsilon_share > MOST_EPSILON_SHARE).then(|| {
             format!(
                 "the weights hardly move: optimizer.epsilon = {:e} takes {:.1} % of each step away, because gradients are \
                  smaller (distance from the start {:.1e}); choose a loss with larger gradients (loss.kind = \"relative\") or a \
                  smaller epsilon",
                 config.epsilon,
-                100.0 * self.lost,
+                100.0 * self.epsilon_share,
                 self.distance
             )
         })
     }
+}
+
+/// Numbers of a part of [`sum`].
+const PART: usize = 1 << 16;
+
+/// The sum of `of` over pairs of numbers, in parts of fixed size: the same bits with any number of threads.
+fn sum(left: &[f32], right: &[f32], of: impl Fn(f64, f64) -> f64 + Sync) -> f64 {
+    let parts = left.par_chunks(PART).zip(right.par_chunks(PART)).map(|(left, right)| {
+        left.iter().zip(right).map(|(&a, &b)| of(a.into(), b.into())).sum::<f64>()
+    });
+    parts.collect::<Vec<f64>>().iter().sum()
 }
 
 #[cfg(test)]
@@ -89,13 +98,13 @@ mod tests {
             Movement::of(&weights(&[3.0, 4.0]), &weights(&[3.0, 4.5]), &adam, &config)
         };
         let small = of(1e-12);
-        assert!((small.distance - 0.1).abs() < 1e-9 && small.lost > 0.9998, "{small:?}");
+        assert!((small.distance - 0.1).abs() < 1e-9 && small.epsilon_share > 0.9998, "{small:?}");
         let said = small.warning(&config).unwrap();
         assert!(said.contains("optimizer.epsilon = 1e-8 takes 100.0 %"), "{said}");
         let even = of(1e-8);
-        assert!((even.lost - 0.5).abs() < 1e-6, "{even:?}");
+        assert!((even.epsilon_share - 0.5).abs() < 1e-6, "{even:?}");
         assert_eq!(even.warning(&config), None);
         let before = Movement::of(&weights(&[1.0]), &weights(&[1.0]), &Adam::default(), &config);
-        assert_eq!(before, Movement { distance: 0.0, lost: 0.0 });
+        assert_eq!(before, Movement { distance: 0.0, epsilon_share: 0.0 });
     }
 }

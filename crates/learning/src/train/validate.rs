@@ -2,13 +2,14 @@
 
 use std::num::NonZeroUsize;
 
-use rayon::prelude::*;
+use rayon::{ThreadPoolBuilder, prelude::*};
 
-use super::{TrainError, ValidationConfig};
+use super::{Observed, TrainError, ValidationConfig};
 use eddy_evaluation::{
-    Baseline, Context, DEFAULT_STARTS, EvalError, Predictor, SceneResult, Settings, Skills,
+    Baseline, Context, DEFAULT_STARTS, EvalError, LinearFit, Predictor, SceneResult, Settings,
+    Skills,
     dataset::{Bounds, Dataset, Trajectory},
-    evaluate_scene, starts,
+    evaluate_scene, rollout_threads, starts,
 };
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
@@ -26,33 +27,34 @@ pub(super) struct Score {
     pub(super) last_skill: f64,
 }
 
-/// 1 - skill, averaged over kinds of scenes and frames ahead.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RolloutLoss {
-    /// Of a checkpoint.
-    pub model: f64,
-    /// Of the linear fit to its training data, if the checkpoint has one.
-    pub linear_fit: Option<f64>,
-}
-
-/// The validation loss of a checkpoint on any streams, seen in training or not, beside that of the linear fit.
+/// The validation loss of a model on any streams, seen in training or not: 1 - skill, averaged over kinds of scenes and
+/// frames ahead.
 ///
 /// # Errors
 /// [`TrainError`] when a stream cannot be read or predicted, or all are too short.
 pub fn rollout_loss(
-    checkpoint: &Checkpoint,
+    surrogate: &Surrogate,
     config: &ValidationConfig,
     streams: &[Trajectory],
-) -> Result<RolloutLoss, TrainError> {
+) -> Result<f64, TrainError> {
+    Ok(validate(config, surrogate, streams)?.loss)
+}
+
+/// The validation loss of the linear fit to a checkpoint's training data; `None` if it has none.
+///
+/// # Errors
+/// As [`rollout_loss`].
+pub fn linear_fit_loss(
+    description: &Description,
+    config: &ValidationConfig,
+    streams: &[Trajectory],
+) -> Result<Option<f64>, TrainError> {
+    let Some(fit) = description.training.linear_fit else { return Ok(None) };
     let settings = Settings::errors_only(config.horizon, config.starts);
-    let surrogate = one_thread(checkpoint)?;
-    let scenes = roll_out(settings, &surrogate, streams, streams)?;
-    let loss = |predictor: usize| {
-        let skill = mean_skill(&scenes, predictor, config.horizon);
-        1.0 - skill.iter().sum::<f64>() / skill.len() as f64
-    };
-    let fit = checkpoint.description.training.linear_fit;
-    Ok(RolloutLoss { model: loss(0), linear_fit: fit.map(|_| loss(1 + Baseline::ALL.len())) })
+    let context = context(settings, description, streams);
+    let fit = Predictor::LinearFit(LinearFit { rows: fit });
+    let scenes = roll_out(&context, fit, None, streams)?;
+    Ok(Some(loss(&scenes, &mean_skill(&scenes, config.horizon))))
 }
 
 /// Rolls out over every stream; each thread has one stream in memory at a time.
@@ -62,15 +64,24 @@ pub(super) fn validate(
     streams: &[Trajectory],
 ) -> Result<Score, TrainError> {
     let settings = Settings::errors_only(config.horizon, config.starts);
-    let scenes = roll_out(settings, surrogate, streams, streams)?;
-    let skill = mean_skill(&scenes, 0, config.horizon);
+    let context = context(settings, surrogate.description(), streams);
+    let predictor = match config.observed {
+        Observed::Stream => Predictor::Model(surrogate),
+        Observed::Window => Predictor::JoinedLate(surrogate),
+    };
+    let scenes = roll_out(&context, predictor, Some(surrogate), streams)?;
+    let skill = mean_skill(&scenes, config.horizon);
     let end = |skill: Option<&f64>| skill.copied().unwrap_or(f64::NAN);
     let (first_skill, last_skill) = (end(skill.first()), end(skill.last()));
-    // A diverged rollout repeats its last finite frame; it must lose against any finite one.
+    Ok(Score { loss: loss(&scenes, &skill), first_skill, last_skill })
+}
+
+/// 1 - the mean of the skills; infinite where a rollout diverged, since it repeats its last finite frame and must lose against
+/// any finite one.
+fn loss(scenes: &[SceneResult], skill: &[f64]) -> f64 {
     let diverged = scenes.iter().any(|scene| scene.accumulators[0].blow_ups.diverged > 0);
     let mean = skill.iter().sum::<f64>() / skill.len() as f64;
-    let loss = if mean.is_finite() && !diverged { 1.0 - mean } else { f64::INFINITY };
-    Ok(Score { loss, first_skill, last_skill })
+    if mean.is_finite() && !diverged { 1.0 - mean } else { f64::INFINITY }
 }
 
 /// Skill of a checkpoint on the test part of the data set that it was trained on, one number per frame ahead: the same
@@ -94,28 +105,33 @@ pub fn test_skill(
         .cloned()
         .collect();
     let surrogate = one_thread(checkpoint)?;
-    let scenes = roll_out(settings, &surrogate, &dataset.test, &all)?;
-    Ok(Some(mean_skill(&scenes, 0, horizon)))
+    let context = context(settings, &checkpoint.description, &all);
+    let model = Predictor::Model(&surrogate);
+    let scenes = roll_out(&context, model, Some(&surrogate), &dataset.test)?;
+    Ok(Some(mean_skill(&scenes, horizon)))
 }
 
-/// The results of the model, of every baseline, and of the linear fit, if there is one, over `streams`. The walls of baselines are those of `all` streams.
+/// The results of a predictor, number 0, and of every baseline.
 fn roll_out(
-    settings: Settings,
-    surrogate: &Surrogate,
+    context: &Context,
+    predictor: Predictor<'_>,
+    model: Option<&Surrogate>,
     streams: &[Trajectory],
-    all: &[Trajectory],
 ) -> Result<Vec<SceneResult>, TrainError> {
-    let context = context(settings, surrogate.description(), all);
     context.check(longest(streams)).map_err(TrainError::Validation)?;
-    let fit = context.linear_fit.map(Predictor::LinearFit);
-    let simple: Vec<_> = Baseline::ALL.map(Predictor::Baseline).into_iter().chain(fit).collect();
-    let scenes = streams.par_iter().map(|stream| {
-        let model = Predictor::Model(surrogate);
-        let predictors: Vec<_> = std::iter::once(model).chain(simple.iter().copied()).collect();
+    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    let predictors: Vec<_> = std::iter::once(predictor).chain(baselines).collect();
+    let evaluate = |stream: &Trajectory| {
         let whole = stream.cut(0..stream.frames)?;
-        evaluate_scene(&context, &predictors, &whole, None).map_err(TrainError::Validation)
-    });
-    scenes.collect()
+        evaluate_scene(context, &predictors, &whole, None).map_err(TrainError::Validation)
+    };
+    let all = || streams.par_iter().with_max_len(1).map(evaluate).collect();
+    let threads = rollout_threads(model, streams);
+    if threads <= rayon::current_num_threads() {
+        return all();
+    }
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(TrainError::Threads)?.install(all)
 }
 
 /// A model for rollouts of streams side by side: one thread for each stream is more efficient than several for each frame.
@@ -123,12 +139,13 @@ pub(super) fn one_thread(checkpoint: &Checkpoint) -> Result<Surrogate, TrainErro
     Ok(Surrogate::load(checkpoint, NonZeroUsize::new(1))?)
 }
 
-/// Skill of a predictor, averaged over kinds of scenes. The model is number 0.
-fn mean_skill(scenes: &[SceneResult], predictor: usize, horizon: usize) -> Vec<f64> {
-    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(predictor)
+/// Skill of predictor 0, averaged over kinds of scenes.
+fn mean_skill(scenes: &[SceneResult], horizon: usize) -> Vec<f64> {
+    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(0)
 }
 
-/// The context of the comparison, without measures that use the spacing of particles.
+/// The context of the comparison, without measures that use the spacing of particles. The walls of baselines are those of
+/// `streams`.
 fn context(settings: Settings, description: &Description, streams: &[Trajectory]) -> Context {
     let mut walls = Bounds::default();
     streams.iter().for_each(|stream| walls.join(&stream.bounds));
