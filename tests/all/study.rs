@@ -24,6 +24,7 @@ step_frames = [2]
 
 [data]
 scenes = 3
+test_scenes = 2
 duration = 0.6
 
 [training]
@@ -87,7 +88,7 @@ fn changed(file: &Path) -> SystemTime {
 fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
     let study = Study::new();
     let printed = study.run("cores");
-    assert!(printed.contains("fluid: Free rollouts"), "{printed}");
+    assert!(printed.contains("fluid-3: Free rollouts"), "{printed}");
     let tables = study.read("cores/tables.md");
     for words in [
         "## fluid",
@@ -101,7 +102,7 @@ fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
         assert!(tables.contains(words), "{words}: {tables}");
     }
     is_a_page_of_its_own(&study.read("cores/report.html"));
-    let report = study.folder.path().join("out/cores/fluid");
+    let report = study.folder.path().join("out/cores/fluid-3");
     let judged = Report::load(&report).unwrap();
     // Three cores with two seeds, then who learns nothing; of three scenes one judges.
     let names: Vec<&str> = judged.predictors.iter().map(|p| p.name.as_str()).collect();
@@ -109,7 +110,7 @@ fn cores_are_trained_judged_and_reported_and_a_second_run_only_reports() {
     assert_eq!((judged.streams, judged.horizon), (1, 5));
     assert!(judged.made.command.starts_with("eddy eval --checkpoint "), "{}", judged.made.command);
 
-    let network = study.folder.path().join("out/runs/fluid/gru/seed-2/model.safetensors");
+    let network = study.folder.path().join("out/runs/fluid-3/gru/seed-2/model.safetensors");
     let before = (changed(&network), changed(&report.join("report.json")));
     study.run("cores");
     assert_eq!((changed(&network), changed(&report.join("report.json"))), before);
@@ -132,7 +133,7 @@ fn what_was_trained_otherwise_or_is_damaged_is_not_taken_for_ours() {
     study.run("loss");
     assert!(study.read("loss/tables.md").contains("1 scenes, 2 rollouts"));
     fs::write(&file, SETTINGS).unwrap();
-    study.write("runs/fluid/mingru/seed-1/trained.toml", "epochs = 1");
+    study.write("runs/fluid-3/mingru/seed-1/trained.toml", "epochs = 1");
     let error = fail(1, study.arguments("loss"));
     assert!(error.contains("trained.toml: found TOML parse error"), "{error}");
 }
@@ -143,7 +144,7 @@ fn a_study_that_was_stopped_goes_on() {
     let mut command = talking_eddy();
     command.args(study.arguments("window"));
     // The first network's line: some are trained, others not.
-    let mut process = Process::start_until(&mut command, "fluid mingru");
+    let mut process = Process::start_until(&mut command, "fluid-3 mingru");
     process.interrupt();
     assert!(!process.wait().success());
     assert!(!study.folder.path().join("out/window").exists());
@@ -160,7 +161,7 @@ fn activations_have_learning_curves_that_a_seed_gives_again() {
     for words in ["| tanh |", "| elu |", "| next frame = this frame |"] {
         assert!(tables.contains(words), "{words}: {tables}");
     }
-    let [curve, other] = ["elu-1", "elu-2"].map(|name| format!("curves/fluid/{name}.toml"));
+    let [curve, other] = ["elu-1", "elu-2"].map(|name| format!("curves/fluid-3/{name}.toml"));
     let first = study.read(&curve);
     assert_ne!(first, study.read(&other));
     fs::remove_file(study.folder.path().join("out").join(&curve)).unwrap();
@@ -178,12 +179,24 @@ fn outputs_and_scenes_are_compared() {
     let printed = study.run("scenes");
     let tables = study.read("scenes/tables.md");
     let other = "fluid-4-same-bodies-curve";
-    assert!(tables.contains("## fluid\n") && tables.contains(&format!("## {other}\n")), "{tables}");
+    assert!(
+        tables.contains("## fluid-3\n") && tables.contains(&format!("## {other}\n")),
+        "{tables}"
+    );
     assert!(printed.contains(other), "{printed}");
     let manifest = study.read(&format!("data/{other}/manifest.json"));
     assert!(manifest.contains("\"same_bodies\":true"), "{manifest}");
-    // The scenes of the other comparisons are not simulated again, nor is their network trained again.
-    assert!(study.folder.path().join("out/runs/fluid/mingru/seed-1").is_dir());
+    // All are evaluated on the same scenes, but for the order of the particles.
+    for (set, test) in [("fluid-3", "fluid-test-2"), (other, "fluid-test-2-curve")] {
+        let report = Report::load(&study.folder.path().join("out/scenes").join(set)).unwrap();
+        assert!(report.made.command.contains(&format!("data/{test} ")), "{}", report.made.command);
+        assert_eq!(report.streams, 2);
+    }
+    // Other comparisons take the network from there.
+    let network = study.folder.path().join("out/runs/fluid-3/mingru/seed-1/model.safetensors");
+    let before = changed(&network);
+    study.run("loss");
+    assert_eq!(changed(&network), before);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Context, EvalError, Kind, Predictor, chaos};
-use crate::dataset::Stream;
+use crate::dataset::{State, Stream};
 use eddy_frames::clock::Clock;
 use eddy_inference::engine::Surrogate;
 use eddy_mpm::Scene;
@@ -99,18 +99,10 @@ fn add_times(
             time_model(surrogate, stream, start, times)?;
         }
         Predictor::Baseline(baseline) => {
-            let mut state = observed.clone();
-            run(times, || {
-                baseline.step(&mut state, &context.ballistic);
-                true
-            });
+            time_simple(observed, |state| baseline.step(state, &context.ballistic), times);
         }
         Predictor::LinearFit(fit) => {
-            let mut state = observed.clone();
-            run(times, || {
-                fit.step(&mut state, context.ballistic.dt);
-                true
-            });
+            time_simple(observed, |state| fit.step(state, context.ballistic.dt), times);
         }
         Predictor::Restart(restart) => {
             if let Ok(mut restarted) = restart.begin(scene()?, stream, observed) {
@@ -140,6 +132,15 @@ fn run(times: &mut Vec<f64>, mut step: impl FnMut() -> bool) {
             times.push(taken);
         }
     }
+}
+
+/// Times a predictor without a memory.
+fn time_simple(observed: &State, step: impl Fn(&mut State), times: &mut Vec<f64>) {
+    let mut state = observed.clone();
+    run(times, || {
+        step(&mut state);
+        true
+    });
 }
 
 fn time_model(

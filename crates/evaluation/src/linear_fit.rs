@@ -50,16 +50,6 @@ impl LinearFit {
             *x = [x[0] + dt * v[0], x[1] + dt * v[1]];
         }
     }
-
-    /// The states 1 to `horizon` frames after `state`.
-    pub fn roll_out(&self, state: &State, horizon: usize, dt: f32) -> Vec<State> {
-        let mut state = state.clone();
-        let next = |_| {
-            self.step(&mut state, dt);
-            state.clone()
-        };
-        (0..horizon).map(next).collect()
-    }
 }
 
 /// The normal equations.
@@ -120,15 +110,19 @@ mod tests {
     use eddy_frames::{Domain, Material, Stamp};
 
     /// A stream whose particles move by `fit`, from places that differ.
-    fn stream(fit: &LinearFit, id: u64) -> Trajectory {
+    fn stream(fit: &LinearFit, id: u64, frames: usize) -> Trajectory {
         const DT: f32 = 0.25;
         let place = |k: usize| ((k * 7 + id as usize * 3) % 11) as f32 / 11.0;
         let start = State {
             position: (0..9).map(|k| [place(k), place(k + 4)]).collect(),
             velocity: (0..9).map(|k| [place(2 * k) - 0.5, place(3 * k + 1)]).collect(),
         };
-        let states =
-            std::iter::once(start.clone()).chain(fit.roll_out(&start, 5, DT)).collect::<Vec<_>>();
+        let after = |state: &State| {
+            let mut state = state.clone();
+            fit.step(&mut state, DT);
+            Some(state)
+        };
+        let states = std::iter::successors(Some(start), after).take(frames).collect();
         Trajectory::from(Stream {
             id,
             source: "memory".into(),
@@ -144,17 +138,20 @@ mod tests {
     #[test]
     fn the_numbers_that_moved_the_particles_are_found() {
         let fit = LinearFit { rows: [[0.1, 0.0, -0.2, 0.05, 0.0], [-0.4, 0.3, 0.1, 0.0, -0.25]] };
-        let streams = [stream(&fit, 0), stream(&fit, 1)];
-        let found = LinearFit::of(&streams).unwrap().unwrap();
-        for (found, expected) in found.rows.as_flattened().iter().zip(fit.rows.as_flattened()) {
-            assert!((found - expected).abs() < 1e-5, "{found} for {expected}");
+        // More pairs than are used, too.
+        for frames in [6, PAIRS] {
+            let streams = [stream(&fit, 0, frames), stream(&fit, 1, frames)];
+            let found = LinearFit::of(&streams).unwrap().unwrap();
+            for (found, expected) in found.rows.as_flattened().iter().zip(fit.rows.as_flattened()) {
+                assert!((found - expected).abs() < 1e-5, "{frames}: {found} for {expected}");
+            }
         }
     }
 
     #[test]
     fn particles_that_stand_still_determine_nothing() {
         let fit = LinearFit { rows: [[0.0; 5]; 2] };
-        let Ok(states) = stream(&fit, 0).cut(0..1) else { panic!("a stream in memory") };
+        let Ok(states) = stream(&fit, 0, 1).cut(0..1) else { panic!("a stream in memory") };
         let mut still = states;
         still.states[0].velocity.fill([0.0; 2]);
         still.states = vec![still.states[0].clone(); 4];

@@ -61,14 +61,11 @@ impl Predictor<'_> {
                 None
             }
             Self::Baseline(baseline) => {
-                let step = |state: &State, horizon: usize| {
-                    baseline.roll_out(state, horizon, &context.ballistic)
-                };
+                let step = |state: &mut State| baseline.step(state, &context.ballistic);
                 Some(roll_out_simple(step, task, each))
             }
             Self::LinearFit(fit) => {
-                let dt = context.ballistic.dt;
-                let step = |state: &State, horizon: usize| fit.roll_out(state, horizon, dt);
+                let step = |state: &mut State| fit.step(state, context.ballistic.dt);
                 Some(roll_out_simple(step, task, each))
             }
             Self::Mean => {
@@ -96,17 +93,26 @@ impl Predictor<'_> {
     }
 }
 
-/// A predictor without a memory, which gives the states up to so many frames after one.
+/// A predictor without a memory, which advances a state by a frame.
 fn roll_out_simple(
-    ahead: impl Fn(&State, usize) -> Vec<State>,
+    step: impl Fn(&mut State),
     task: &RolloutTask<'_>,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> StepResults {
+    let states = &task.stream.states;
     for (number, &start) in task.starts.iter().enumerate() {
-        let states = ahead(&task.stream.states[start], task.reach);
-        each(number, Rollout { states, diverged: false });
+        let mut state = states[start].clone();
+        let next = || {
+            step(&mut state);
+            Some(state.clone())
+        };
+        each(number, Rollout::collect(&states[start], task.reach, next));
     }
-    observe_steps(task, |index| ahead(&task.stream.states[index], 1).swap_remove(0))
+    observe_steps(task, |index| {
+        let mut state = states[index].clone();
+        step(&mut state);
+        state
+    })
 }
 
 fn roll_out_truth(task: &RolloutTask<'_>, each: &mut dyn FnMut(usize, Rollout)) -> StepResults {

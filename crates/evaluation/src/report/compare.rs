@@ -109,9 +109,10 @@ impl Comparison {
         Ok(Self { reports, notes, horizon, same_units: !other_units, same_scenes })
     }
 
-    /// The predictors of all reports, then the trivial ones, which are the same in all.
+    /// The predictors of all reports, then the trivial ones, which are the same in all. Linear fits are not: each report has one
+    /// to the training data of its first model.
     fn rows(&self) -> Vec<Row<'_>> {
-        let is_trivial = |role: Role| matches!(role, Role::Baseline | Role::Mean | Role::LinearFit);
+        let is_trivial = |role: Role| matches!(role, Role::Baseline | Role::Mean);
         let mut rows = Vec::new();
         for (name, report) in &self.reports {
             for (number, entry) in report.predictors.iter().enumerate() {

@@ -16,7 +16,7 @@ use eddy_settings::{Overrides, usage::Usage};
 /// Settings out of range; errors of the comparison.
 pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
     let request = request(args)?;
-    let warning = request.study.warning();
+    let warning = request.study.warning(request.comparison);
     if let Some(warning) = &warning {
         progress.message(warning);
     }

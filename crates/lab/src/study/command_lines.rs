@@ -35,7 +35,7 @@ impl CommandLines<'_> {
         if order == ParticleOrder::Curve {
             words.extend(["--particle-order".into(), "curve".into()]);
         }
-        words.extend(["--seed".into(), data.seed.to_string()]);
+        words.extend(["--seed".into(), set.seed.to_string()]);
         if let Some(duration) = data.duration {
             words.extend(["--duration".into(), duration.to_string()]);
         }
@@ -61,13 +61,16 @@ impl CommandLines<'_> {
     }
 
     /// The command that evaluates the networks of a data set.
-    pub(super) fn evaluation(&self, set: &str) -> Vec<String> {
+    pub(super) fn evaluation(&self, data_set: &DataSet) -> Vec<String> {
+        let set = data_set.name.as_str();
         let mut words = command("eval");
         words.push("--checkpoint".into());
         let run =
             |(variant, seed): (&Variant, u64)| shown(&self.folders.run(set, &variant.name, seed));
         words.extend(runs(self.study, self.variants).map(run));
-        words.extend(["--data".into(), shown(&self.folders.data(set))]);
+        let test_set = self.comparison.test_set(self.study, data_set);
+        let data = test_set.map_or_else(|| set.to_owned(), |test| test.name);
+        words.extend(["--data".into(), shown(&self.folders.data(&data))]);
         words.extend(["--horizon".into(), self.study.evaluation.horizon.to_string()]);
         words.extend(["--starts".into(), self.study.evaluation.starts.to_string()]);
         words.push("--join-late".into());
@@ -92,8 +95,11 @@ impl CommandLines<'_> {
             for (variant, seed) in runs(self.study, self.variants) {
                 lines.push(command_line(&self.training(&set.name, variant, seed)));
             }
+            if let Some(test_set) = self.comparison.test_set(self.study, set) {
+                lines.push(command_line(&self.simulation(&test_set)));
+            }
             if !self.variants.is_empty() {
-                lines.push(command_line(&self.evaluation(&set.name)));
+                lines.push(command_line(&self.evaluation(set)));
             }
         }
         lines

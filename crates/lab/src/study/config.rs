@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Comparison;
 use crate::bench::training::FRAMES;
 use eddy_evaluation::{
     SCENE_FRAMES,
@@ -11,6 +12,9 @@ use eddy_evaluation::{
 use eddy_inference::checkpoint::{Activation, Architecture, Core, FrameOutput};
 use eddy_learning::train::{Observed, TrainConfig, dense::DenseConfig};
 use eddy_mpm::{Extent, ParticleOrder, Preset, Settings};
+
+/// What the seed of `study scenes`'s test scenes is larger by.
+const TEST_SEEDS: u64 = 1000;
 
 /// Settings of a study: data, networks and training budget.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,6 +70,8 @@ pub struct DataConfig {
     /// The order in which particles are numbered.
     #[serde(default)]
     pub order: ParticleOrder,
+    /// Scenes of a seed that is larger by 1,000, on which `study scenes` evaluates all its networks.
+    pub test_scenes: u32,
 }
 
 /// Scenes that differ from those of a study's other comparisons.
@@ -85,12 +91,14 @@ pub struct SceneChoice {
 /// Scenes of a preset, simulated into a folder of their own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DataSet {
-    /// The preset, and what differs from the scenes of the study's other comparisons.
+    /// The preset, the number of scenes, and what is special about them.
     pub name: String,
     /// The preset.
     pub preset: String,
     /// The scenes.
     pub scenes: SceneChoice,
+    /// Their seed.
+    pub seed: u64,
 }
 
 /// Evaluation of networks by free rollouts on the test scenes.
@@ -129,6 +137,7 @@ impl StudyConfig {
                 duration: None,
                 same_bodies: false,
                 order: ParticleOrder::Bodies,
+                test_scenes: 60,
             },
             cores: vec![Core::MinGru, Core::MinLstm, Core::Lstm, Core::Gru, Core::Mlp],
             density_weights: vec![0.0, 1e-3, 1e-2],
@@ -167,6 +176,7 @@ impl StudyConfig {
         let mut quick = Self::paper();
         quick.seeds = vec![1, 2];
         (quick.data.scenes, quick.data.duration) = (10, Some(1.5));
+        quick.data.test_scenes = 3;
         (quick.density_weights, quick.windows) = (vec![0.0, 1e-3], vec![1, 2, 4]);
         quick.data_sets =
             [SceneChoice::of(10), SceneChoice { same_bodies: true, ..SceneChoice::of(10) }]
@@ -182,9 +192,12 @@ impl StudyConfig {
     }
 
     /// What to know before reading the results; `None` for a study that can rank its networks.
-    pub fn warning(&self) -> Option<String> {
-        // The last tenth of the scenes, rounded up.
-        let test = self.data.scenes.div_ceil(10);
+    pub fn warning(&self, comparison: Comparison) -> Option<String> {
+        let test = match comparison {
+            Comparison::Scenes => self.data.test_scenes,
+            // The last tenth of the scenes, rounded up.
+            _ => self.data.scenes.div_ceil(10),
+        };
         ((test as usize) < MIN_SCENES).then(|| {
             let scenes = if test == 1 { "scene" } else { "scenes" };
             format!(
@@ -202,7 +215,7 @@ impl StudyConfig {
         different("seeds", &self.seeds)?;
         different("data.presets", &self.data.presets)?;
         for preset in &self.data.presets {
-            self.data.set(preset, None).simulation(&self.data)?;
+            self.data.set(preset, self.data.usual()).simulation(&self.data)?;
         }
         different("cores", &self.cores)?;
         different("density_weights", &self.density_weights)?;
@@ -226,6 +239,7 @@ impl StudyConfig {
                 "at least 3: for training, validation and test",
             ),
             ("judging.horizon", self.evaluation.horizon, 1, "at least 1"),
+            ("data.test_scenes", self.data.test_scenes as usize, 1, "at least 1"),
             (
                 "step_frames",
                 self.step_frames.iter().copied().min().unwrap_or(0),
@@ -266,33 +280,43 @@ impl SceneChoice {
     pub fn of(scenes: u32) -> Self {
         Self { scenes, same_bodies: false, order: ParticleOrder::Bodies }
     }
+
+    /// What its name says of bodies and order.
+    fn suffix(self) -> String {
+        let bodies = if self.same_bodies { "-same-bodies" } else { "" };
+        let order = match self.order {
+            ParticleOrder::Curve => "-curve",
+            ParticleOrder::Bodies => "",
+        };
+        format!("{bodies}{order}")
+    }
 }
 
 impl DataConfig {
-    /// Scenes of a preset: these, or others.
-    pub fn set(&self, preset: &str, scenes: Option<SceneChoice>) -> DataSet {
-        let &Self { scenes: count, same_bodies, order, .. } = self;
-        let usual = SceneChoice { scenes: count, same_bodies, order };
-        let scenes = scenes.unwrap_or(usual);
-        let mut name = preset.to_owned();
-        if scenes.scenes != usual.scenes {
-            name.push_str(&format!("-{}", scenes.scenes));
-        }
-        if scenes.same_bodies != usual.same_bodies {
-            name.push_str(if scenes.same_bodies { "-same-bodies" } else { "-other-bodies" });
-        }
-        if scenes.order != usual.order {
-            name.push_str(match scenes.order {
-                ParticleOrder::Curve => "-curve",
-                ParticleOrder::Bodies => "-bodies",
-            });
-        }
-        DataSet { name, preset: preset.to_owned(), scenes }
+    /// The scenes of all comparisons but `study scenes`.
+    pub fn usual(&self) -> SceneChoice {
+        let &Self { scenes, same_bodies, order, .. } = self;
+        SceneChoice { scenes, same_bodies, order }
+    }
+
+    /// Scenes of a preset.
+    pub fn set(&self, preset: &str, scenes: SceneChoice) -> DataSet {
+        let name = format!("{preset}-{}{}", scenes.scenes, scenes.suffix());
+        DataSet { name, preset: preset.to_owned(), scenes, seed: self.seed }
+    }
+
+    /// The scenes on which `study scenes` evaluates networks that learned from such scenes: of another seed, with bodies that
+    /// differ, and in the same order of particles.
+    pub fn test_set(&self, preset: &str, order: ParticleOrder) -> DataSet {
+        let scenes = SceneChoice { order, ..SceneChoice::of(self.test_scenes) };
+        let name = format!("{preset}-test-{}{}", self.test_scenes, scenes.suffix());
+        let seed = self.seed.wrapping_add(TEST_SEEDS);
+        DataSet { name, preset: preset.to_owned(), scenes, seed }
     }
 }
 
 impl DataSet {
-    /// The scenes as `eddy simulate` makes them, with the study's seed and duration.
+    /// The scenes as `eddy simulate` makes them, with the study's duration.
     ///
     /// # Errors
     /// [`InvalidStudy`] for an unknown preset.
@@ -313,7 +337,7 @@ impl DataSet {
             name: self.preset.clone(),
             scene_name: None,
             scenes,
-            seed: data.seed,
+            seed: self.seed,
             settings: Settings { duration: data.duration, order, ..Settings::default() },
             fields: false,
             device: None,

@@ -26,20 +26,20 @@ impl StudyReport {
             Comparison::Output => "What the network predicts",
             Comparison::Scenes => "Scenes to train on",
         };
-        let data = &study.data;
-        let warning = study.warning().map_or(String::new(), |warning| warning + " ");
+        let warning = study.warning(comparison).map_or(String::new(), |warning| warning + " ");
+        let sets = comparison.data_sets(study);
+        let test_sets = sets.iter().filter_map(|set| comparison.test_set(study, set)).next();
+        let test = test_sets.map_or_else(
+            || "the rest for the test".to_owned(),
+            |set| format!("the test has {} other scenes of seed {}", set.scenes.scenes, set.seed),
+        );
+        let list = |words: Vec<String>| words.join(", ");
         let lead = format!(
-            "{warning}{} scenes per data set ({}, seed {}): the first 80 % for training, the next 10 % for validation, the rest for the \
-             test. Seeds {}.",
-            data.scenes,
-            comparison
-                .data_sets(study)
-                .iter()
-                .map(|set| set.name.as_str())
-                .collect::<Vec<_>>()
-                .join(", "),
-            data.seed,
-            study.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", "),
+            "{warning}Scenes of seed {}, their number in the name: {}. The first 80 % of each data set for training, the next 10 % \
+             for validation; {test}. Seeds of the networks: {}.",
+            study.data.seed,
+            list(sets.iter().map(|set| set.name.clone()).collect()),
+            list(study.seeds.iter().map(u64::to_string).collect()),
         );
         Self { page: Page::new(title, lead), tables: Vec::new() }
     }

@@ -93,19 +93,26 @@ impl Comparison {
     pub fn data_sets(self, study: &StudyConfig) -> Vec<DataSet> {
         let data = &study.data;
         let all = data.presets.iter();
+        let usual = |preset: &String| data.set(preset, data.usual());
         match self {
-            Self::Cores => all.map(|preset| data.set(preset, None)).collect(),
+            Self::Cores => all.map(usual).collect(),
             Self::Activations | Self::Loss | Self::Window | Self::Output => {
-                all.take(1).map(|preset| data.set(preset, None)).collect()
+                all.take(1).map(usual).collect()
             }
             Self::Scenes => {
                 let choices = |preset: &String| -> Vec<DataSet> {
                     let sets = study.data_sets.iter();
-                    sets.map(|&scenes| data.set(preset, Some(scenes))).collect()
+                    sets.map(|&scenes| data.set(preset, scenes)).collect()
                 };
                 all.take(1).flat_map(choices).collect()
             }
         }
+    }
+
+    /// The scenes on which the networks of a data set are evaluated, if not on its test part.
+    pub fn test_set(self, study: &StudyConfig, set: &DataSet) -> Option<DataSet> {
+        let test_set = || study.data.test_set(&set.preset, set.scenes.order);
+        (self == Self::Scenes).then(test_set)
     }
 }
 

@@ -35,6 +35,9 @@ pub struct Trained {
     /// Device.
     #[serde(default)]
     pub device: DeviceKind,
+    /// Precision of products on an NVIDIA GPU, otherwise empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub precision: String,
     /// Training settings.
     pub config: TrainConfig,
     /// All epochs.
@@ -96,7 +99,7 @@ pub enum ResultError {
     },
     /// The file belongs to another study.
     #[error(
-        "{}: result of a training with other settings or on another device; choose another --output",
+        "{}: result of a training with other settings, on another device or of another precision; choose another --output",
         file.display()
     )]
     Other {
@@ -111,14 +114,16 @@ impl Trained {
     /// The result in the folder of a run, if it has finished.
     ///
     /// # Errors
-    /// [`ResultError`], also for a training with other settings or on another device.
+    /// [`ResultError`], also for a training with other settings, on another device or of another precision.
     pub fn find(
         folder: &Path,
         config: &TrainConfig,
         device: DeviceKind,
+        precision: &str,
     ) -> Result<Option<Self>, ResultError> {
         find(folder.join(TRAINED_FILE), |trained: &Self| {
-            trained.config == *config && trained.device == device
+            (&trained.config, trained.device, trained.precision.as_str())
+                == (config, device, precision)
         })
     }
 
@@ -188,13 +193,17 @@ impl Speed {
     /// The times in the folder of a comparison, if measured.
     ///
     /// # Errors
-    /// [`ResultError`], also for times of another device or precision.
+    /// [`ResultError`], also for times of another device, another precision or other windows.
     pub fn find(
         folder: &Path,
         device: DeviceKind,
         precision: &str,
+        frames: &[usize],
     ) -> Result<Option<Self>, ResultError> {
-        let is_ours = |speed: &Self| speed.device == device && speed.precision == precision;
+        let is_ours = |speed: &Self| {
+            let timed = |&frames: &usize| speed.steps.iter().any(|step| step.frames == frames);
+            speed.device == device && speed.precision == precision && frames.iter().all(timed)
+        };
         find(folder.join(SPEED_FILE), is_ours)
     }
 

@@ -217,10 +217,15 @@ impl Work<'_> {
         }
     }
 
-    /// Simulates the missing scenes of every data set, on an NVIDIA GPU if that is the device.
+    /// Simulates the missing scenes of every data set, and those for the evaluation, on an NVIDIA GPU if that is the device.
     fn simulate(&self) -> anyhow::Result<()> {
         let mut device = solvers(self.device)?;
+        let mut sets = self.data_sets.clone();
         for set in &self.data_sets {
+            let test_set = self.comparison.test_set(self.study, set);
+            sets.extend(test_set.filter(|test_set| !sets.contains(test_set)));
+        }
+        for set in &sets {
             let request = set.simulation(&self.study.data)?;
             let request = SimulationRequest { device: device.as_ref().map(|_| "cuda"), ..request };
             self.tell(&command_line(&self.command_lines().simulation(set)));
@@ -233,8 +238,7 @@ impl Work<'_> {
     /// Evaluates every network on the scenes of its data set, unless already done.
     fn evaluate(&self) -> anyhow::Result<()> {
         for set in &self.data_sets {
-            let set = set.name.as_str();
-            let folder = self.folders.evaluation(self.comparison, set);
+            let folder = self.folders.evaluation(self.comparison, &set.name);
             if self.variants.is_empty() || self.is_evaluated(set, &folder)? {
                 continue;
             }
@@ -256,14 +260,16 @@ impl Work<'_> {
         move |checkpoint| load(checkpoint, self.device_of(next.replace(next.get() + 1)))
     }
 
-    /// The evaluation of all networks on the scenes of a data set.
-    fn evaluation(&self, set: &str) -> anyhow::Result<EvaluationRequest> {
+    /// The evaluation of all networks of a data set.
+    fn evaluation(&self, set: &DataSet) -> anyhow::Result<EvaluationRequest> {
         let load = |(variant, seed): (&Variant, u64)| {
-            let path = self.folders.run(set, &variant.name, seed);
+            let path = self.folders.run(&set.name, &variant.name, seed);
             Ok((shown(&path), Checkpoint::load(&path)?))
         };
         let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
-        let (data, memory) = (self.folders.data(set), dataset::available_memory() / 2);
+        let test_set = self.comparison.test_set(self.study, set);
+        let data = self.folders.data(&test_set.as_ref().unwrap_or(set).name);
+        let memory = dataset::available_memory() / 2;
         let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
             checkpoints,
@@ -277,14 +283,14 @@ impl Work<'_> {
     }
 
     /// Whether `folder` has the report of this evaluation.
-    fn is_evaluated(&self, set: &str, folder: &Path) -> anyhow::Result<bool> {
+    fn is_evaluated(&self, set: &DataSet, folder: &Path) -> anyhow::Result<bool> {
         if !folder.exists() {
             return Ok(false);
         }
         let report = Report::load(folder)?;
         let models = report.predictors.iter().filter(|entry| entry.role == Role::Model);
         let evaluated: Vec<_> = models.filter_map(|entry| entry.digest.as_ref()).collect();
-        let networks = self.trained(set)?;
+        let networks = self.trained(&set.name)?;
         let networks: Vec<_> = networks.iter().map(|(_, trained)| &trained.checkpoint).collect();
         Ok(report.made.command == command_line(&self.command_lines().evaluation(set))
             && evaluated == networks)
@@ -296,7 +302,7 @@ impl Work<'_> {
         for (variant, seed) in self.runs() {
             let folder = self.folders.run(set, &variant.name, seed);
             let config = TrainConfig { seed, ..variant.config.clone() };
-            let trained = Trained::find(&folder, &config, self.device)?
+            let trained = Trained::find(&folder, &config, self.device, self.gpu_precision())?
                 .with_context(|| format!("{}: no trained network found", folder.display()))?;
             all.push((variant, trained));
         }

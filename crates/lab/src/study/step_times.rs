@@ -12,7 +12,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let folder = work.folders.report(work.comparison);
     let device = work.device;
     let precision = work.gpu_precision();
-    if Speed::find(&folder, device, precision)?.is_some() {
+    if Speed::find(&folder, device, precision, &work.study.step_frames)?.is_some() {
         return Ok(());
     }
     // Long windows of the whole network take minutes on a processor.

@@ -83,7 +83,8 @@ fn a_cancelled_study_resumes_without_repeating_finished_parts() {
     let folders = Folders::new(folder.path());
     assert!(!folders.report(Comparison::Loss).exists());
     let name = &Comparison::Loss.variants(&request.study)[0].name;
-    let [network, other] = [1, 2].map(|seed| folders.run("fluid", name, seed).join("trained.toml"));
+    let [network, other] =
+        [1, 2].map(|seed| folders.run("fluid-3", name, seed).join("trained.toml"));
     let before = changed(&network);
     assert!(!other.exists());
 
@@ -95,7 +96,7 @@ fn a_cancelled_study_resumes_without_repeating_finished_parts() {
     assert_eq!(outcome.summaries.len(), 1);
 
     // Nothing is simulated, trained or evaluated again.
-    let folder = folders.evaluation(Comparison::Loss, "fluid");
+    let folder = folders.evaluation(Comparison::Loss, "fluid-3");
     let before = changed(&folder.join("report.json"));
     let third = Lines::default();
     run(&request, &third).unwrap();
@@ -110,13 +111,13 @@ fn the_evaluation_of_a_study_records_the_equivalent_command() {
     let request = request(Comparison::Loss, folder.path());
     let lines = Lines::default();
     run(&request, &lines).unwrap();
-    let report = Folders::new(folder.path()).evaluation(Comparison::Loss, "fluid");
+    let report = Folders::new(folder.path()).evaluation(Comparison::Loss, "fluid-3");
     let command = Report::load(&report).unwrap().made.command;
     let root = folder.path().display();
     let networks =
-        ["seed-1", "seed-2"].map(|seed| format!("{root}/runs/fluid/mingru-density-0/{seed}"));
+        ["seed-1", "seed-2"].map(|seed| format!("{root}/runs/fluid-3/mingru-density-0/{seed}"));
     let expected = format!(
-        "eddy eval --checkpoint {} {} --data {root}/data/fluid --horizon 3 --starts 1 --join-late --output {root}/loss/fluid",
+        "eddy eval --checkpoint {} {} --data {root}/data/fluid-3 --horizon 3 --starts 1 --join-late --output {root}/loss/fluid-3",
         networks[0], networks[1]
     );
     assert_eq!(command, expected);

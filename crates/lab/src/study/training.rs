@@ -43,7 +43,8 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         for (number, (variant, seed)) in work.runs().enumerate() {
             let config = TrainConfig { seed, ..variant.config.clone() };
             let output = work.folders.run(set, &variant.name, seed);
-            if Trained::find(&output, &config, work.device)?.is_none() {
+            let precision = work.gpu_precision();
+            if Trained::find(&output, &config, work.device, precision)?.is_none() {
                 let name = format!("{set} {} seed {seed}", variant.name);
                 let command = command_line(&work.command_lines().training(set, variant, seed));
                 let device = work.device_of(number);
@@ -135,6 +136,7 @@ impl Task {
             at_once,
             samples: outcome.samples,
             device: work.device,
+            precision: work.gpu_precision().to_owned(),
             config: config.clone(),
             epochs: outcome.epochs,
             losses: losses(config, dataset, &best.description, &load(&best, *device)?)?,

@@ -32,7 +32,9 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
             }
         }
     }
-    if let Some(speed) = Speed::find(&folder, work.device, work.gpu_precision())? {
+    if let Some(speed) =
+        Speed::find(&folder, work.device, work.gpu_precision(), &work.study.step_frames)?
+    {
         report.speed(&speed);
     }
     let summaries = report.summaries();
