@@ -137,12 +137,15 @@ mod tests {
 
     #[test]
     fn the_numbers_that_moved_the_particles_are_found() {
-        let fit = LinearFit { rows: [[0.1, 0.0, -0.2, 0.05, 0.0], [-0.4, 0.3, 0.1, 0.0, -0.25]] };
-        // More pairs than are used, too.
-        for frames in [6, PAIRS] {
+        let any = [[0.1, 0.0, -0.2, 0.05, 0.0], [-0.4, 0.3, 0.1, 0.0, -0.25]];
+        // Bounded, however many frames there are.
+        let swinging = [[0.1, -0.2, 0.0, 0.0, 0.0], [-0.4, 0.0, -0.3, 0.0, 0.0]];
+        // With more pairs of frames than are used, too.
+        for (rows, frames) in [(any, 6), (swinging, PAIRS)] {
+            let fit = LinearFit { rows };
             let streams = [stream(&fit, 0, frames), stream(&fit, 1, frames)];
             let found = LinearFit::of(&streams).unwrap().unwrap();
-            for (found, expected) in found.rows.as_flattened().iter().zip(fit.rows.as_flattened()) {
+            for (found, expected) in found.rows.as_flattened().iter().zip(rows.as_flattened()) {
                 assert!((found - expected).abs() < 1e-5, "{frames}: {found} for {expected}");
             }
         }

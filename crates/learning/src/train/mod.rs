@@ -12,9 +12,10 @@
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
 //! 11. `state`, `resume`, `record`, `moments`: the state of a run between batches, and how it is saved and resumed.
 //! 12. `together`: several processes that train together.
-//! 13. `footprint`: the memory and disk space that a run needs, estimated before it starts.
+//! 13. `trainer`: the training loop, which all of these serve.
+//! 14. `footprint`: the memory and disk space that a run needs, estimated before it starts.
 //!
-//! [`train`] is the training loop. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
+//! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
 //! network for the paper's comparison of activations.
 
 mod adam;
@@ -49,6 +50,7 @@ mod together;
 #[cfg(test)]
 #[cfg(feature = "cuda")]
 mod together_tests;
+mod trainer;
 mod validate;
 mod window;
 
@@ -61,32 +63,17 @@ pub use monitor::{Epoch, METRICS_FILE};
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::{linear_fit_loss, rollout_loss, test_skill};
 
-use std::{collections::BTreeMap, mem::swap, path::Path, time::Duration};
-
-use rand_chacha::ChaCha8Rng;
+use std::{path::Path, time::Duration};
 
 use crate::{
-    model::{DeviceKind, GpuOptions, dropout::Dropout},
+    model::{DeviceKind, GpuOptions},
     ranks::Group,
 };
 use eddy_evaluation::dataset::Dataset;
 use eddy_frames::{clock::Clock, progress::Progress};
-use eddy_inference::{
-    checkpoint::{Checkpoint, Description, Weights},
-    engine::Ballistic,
-};
-use gradients::GradientTask;
-use loss_weights::{LossScale, TrivialErrors, TrivialSums};
-use monitor::{BatchMetrics, Monitor};
-use movement::Movement;
-use state::{RunState, weights_at_start};
-use steps::{Learner, Step};
+use eddy_inference::checkpoint::{Checkpoint, Description};
+use steps::Learner;
 use window::Sampler;
-
-/// Windows over which trivial errors are averaged at the start of an unroll stage.
-const COMMON_WINDOWS: usize = 512;
-/// Number of these that are in memory at the same time.
-const COMMON_GROUP: usize = 32;
 
 /// A training run, apart from its settings and data.
 pub struct Run<'a> {
@@ -224,383 +211,18 @@ fn train_with(
         None => resume::follow(config, &mut description, run),
     };
     let outcome = outcome.and_then(|state| {
-        take_epochs(config, dataset, run, &description, state, group.as_ref(), dependencies)
+        trainer::take_epochs(
+            config,
+            dataset,
+            run,
+            &description,
+            state,
+            group.as_ref(),
+            dependencies,
+        )
     });
     together::part(group.as_ref(), &outcome);
     outcome
-}
-
-/// Trains from `state` on.
-fn take_epochs(
-    config: &TrainConfig,
-    dataset: &Dataset,
-    run: &Run,
-    description: &Description,
-    state: RunState,
-    group: Option<&Group>,
-    dependencies: &Dependencies<'_>,
-) -> Result<Outcome, TrainError> {
-    let done = state.epoch();
-    let explained = |error| match group {
-        Some(group) => together::explain(group, error, done, run),
-        None => error,
-    };
-    if let (Some(group), Some(options)) = (group, &run.gpu.process) {
-        together::same_state(group, options.process.rank, &state, description)
-            .map_err(explained)?;
-    }
-    if state.is_over(config) {
-        let RunState { epochs, best, seconds, samples, .. } = state;
-        return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
-    }
-    let sampler = sampler(config, dataset, state.unroll.max(1))?;
-    let scale = LossScale {
-        loss: &config.loss,
-        normalization: &dataset.normalization,
-        ballistic: Ballistic::new(description),
-        common: state.common.clone(),
-    };
-    let output = run.leads().then_some(run.output);
-    let monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
-    let learner = (dependencies.learner)(description, group).map_err(explained)?;
-    let mut trainer = Trainer {
-        config,
-        dataset,
-        run,
-        group,
-        description,
-        state,
-        sampler,
-        scale,
-        monitor,
-        learner,
-        initial: if run.leads() { weights_at_start(config, description) } else { BTreeMap::new() },
-        saved: None,
-        has_unsaved_best: false,
-        unsaved: None,
-        asked_to_stop: false,
-    };
-    if trainer.state.unroll > 0 {
-        trainer.begin_stage().map_err(explained)?;
-    }
-    let mut interrupted = false;
-    while !interrupted && !trainer.state.is_over(config) {
-        let outcome = match trainer.epoch() {
-            Ok(Some(means)) if trainer.leads() => trainer.validate_and_save(&means),
-            Ok(Some(_)) => trainer.hear_epoch(),
-            Ok(None) => {
-                interrupted = true;
-                Ok(())
-            }
-            Err(error) => Err(error),
-        };
-        if let Err(error) = outcome {
-            let error = match group {
-                Some(group) => together::explain(group, error, trainer.state.epoch(), run),
-                None => error,
-            };
-            if let Err(second) = trainer.save_last_epoch().and_then(|()| trainer.save_best()) {
-                tracing::warn!("the last and the best epoch are not saved: {second}");
-            }
-            return Err(error);
-        }
-    }
-    trainer.finish(interrupted)
-}
-
-/// Shortest time between two saves of a run on a GPU, whose epochs may take less time than a save.
-const SAVE_INTERVAL: Duration = Duration::from_secs(10);
-
-/// The training loop.
-struct Trainer<'a> {
-    config: &'a TrainConfig,
-    dataset: &'a Dataset,
-    run: &'a Run<'a>,
-    /// The processes that train together, if there are several.
-    group: Option<&'a Group>,
-    description: &'a Description,
-    state: RunState,
-    sampler: Sampler<'a>,
-    scale: LossScale<'a>,
-    monitor: Monitor<'a>,
-    learner: Learner,
-    /// The weights before the first step; empty where another process writes the metrics.
-    initial: BTreeMap<String, Weights>,
-    /// When the run was saved last, since its start.
-    saved: Option<Duration>,
-    /// Whether the best checkpoint is yet to be saved.
-    has_unsaved_best: bool,
-    /// Of the last epoch, if it is yet to be saved.
-    unsaved: Option<Boundary>,
-    /// Whether rank 0 knows that this process wants to stop.
-    asked_to_stop: bool,
-}
-
-/// What changes in the state of a run on a GPU between the end of an epoch and that of the next one.
-struct Boundary {
-    order: ChaCha8Rng,
-    dropout: Dropout,
-    steps: u32,
-    samples: u64,
-}
-
-impl Boundary {
-    fn of(state: &RunState) -> Self {
-        let RunState { order, dropout, adam, samples, .. } = state;
-        Self {
-            order: order.clone(),
-            dropout: dropout.clone(),
-            steps: adam.steps,
-            samples: *samples,
-        }
-    }
-
-    /// Puts it into the state, and takes what was there.
-    fn swap(&mut self, state: &mut RunState) {
-        swap(&mut self.order, &mut state.order);
-        swap(&mut self.dropout, &mut state.dropout);
-        swap(&mut self.steps, &mut state.adam.steps);
-        swap(&mut self.samples, &mut state.samples);
-    }
-}
-
-/// Training loss and learning rate of an epoch.
-struct EpochMeans {
-    loss: f64,
-    /// Learning rate of the last batch.
-    learning_rate: f64,
-}
-
-impl Trainer<'_> {
-    /// Whether this process decides for all, and writes the files.
-    fn leads(&self) -> bool {
-        self.run.leads()
-    }
-
-    /// Whether to stop before the next batches.
-    fn stops(&mut self) -> Result<bool, TrainError> {
-        let wants = self.run.progress.cancelled();
-        // Epochs that are not yet saved take less time than saving: the one at hand is finished, and saved.
-        let may = self.unsaved.is_none();
-        match self.group {
-            Some(group) => together::stops(group, wants, may, &mut self.asked_to_stop),
-            None => Ok(wants && may),
-        }
-    }
-
-    /// Trains for an epoch; none if it was interrupted.
-    fn epoch(&mut self) -> Result<Option<EpochMeans>, TrainError> {
-        let (config, epoch) = (self.config, self.state.epoch() + 1);
-        let (mut losses, mut learning_rate, mut number) = (0.0, 0.0, 1);
-        while number <= config.batches() {
-            if self.stops()? {
-                return Ok(None);
-            }
-            let progress = |number| schedule::progress(config, epoch, number);
-            let stage = schedule::stage(&config.unroll, progress(number));
-            self.set_unroll(config.unroll[stage].frames)?;
-
-            let left = schedule::batches_of_stage(config, epoch, number);
-            let count = self.learner.group().min(left);
-            let rate = |number| schedule::learning_rate(&config.optimizer, progress(number));
-            let rates: Vec<f64> = (number..number + count).map(rate).collect();
-            let task = GradientTask {
-                config,
-                description: self.description,
-                scale: &self.scale,
-                device: self.run.device,
-            };
-            let steps =
-                self.learner.steps(&task, &mut self.sampler, left, &rates, &mut self.state)?;
-            for (step, rate) in steps.into_iter().zip(rates) {
-                let Step { loss, gradient_norm, finite, windows } = step;
-                let batch = number;
-                if !loss.is_finite() {
-                    let windows = window::names(&windows);
-                    return Err(TrainError::NotFinite { epoch, batch, windows, found: loss });
-                }
-                if !finite {
-                    let windows = window::names(&windows);
-                    return Err(TrainError::GradientNotFinite { epoch, batch, windows });
-                }
-                learning_rate = rate;
-                losses += f64::from(loss);
-                self.state.samples += windows.len() as u64;
-                let samples = self.state.samples;
-                let metrics = BatchMetrics { epoch, samples, loss, learning_rate, gradient_norm };
-                self.monitor.batch(&metrics)?;
-                number += 1;
-            }
-        }
-        // The weights of the epoch before are no longer there.
-        self.unsaved = None;
-        self.learner.sync(&mut self.state)?;
-        Ok(Some(EpochMeans { loss: losses / config.batches() as f64, learning_rate }))
-    }
-
-    /// Changes the number of frames that are predicted freely.
-    fn set_unroll(&mut self, frames: usize) -> Result<(), TrainError> {
-        if frames == self.state.unroll {
-            return Ok(());
-        }
-        self.save_last_epoch()?;
-        self.learner.sync(&mut self.state)?;
-        self.state.unroll = frames;
-        self.sampler = sampler(self.config, self.dataset, frames)?;
-        self.state.common = self.trivial_errors()?;
-        self.scale.common = self.state.common.clone();
-        self.begin_stage()
-    }
-
-    /// Copies the weights to the device that computes the steps of a stage.
-    fn begin_stage(&mut self) -> Result<(), TrainError> {
-        let Self { config, description, scale, run, learner, state, .. } = self;
-        let task = GradientTask { config, description, scale, device: run.device };
-        learner.begin(&task, state)
-    }
-
-    /// Errors of the best trivial predictor over many windows; empty if the loss does not use them.
-    fn trivial_errors(&mut self) -> Result<TrivialErrors, TrainError> {
-        if self.config.loss.kind == LossKind::Mse {
-            return Ok(Vec::new());
-        }
-        let mut sums = TrivialSums::new(self.state.unroll);
-        for _ in 0..COMMON_WINDOWS / COMMON_GROUP {
-            for window in self.sampler.draw(COMMON_GROUP, &mut self.state.order)? {
-                sums.add(&window, &self.scale.ballistic);
-            }
-        }
-        Ok(sums.best())
-    }
-
-    /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
-    fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
-        let Self { config, dataset, run, group, state, monitor, learner, initial, .. } = self;
-        let begun = monitor.elapsed();
-        let tensors = state.tensors(self.description);
-        let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
-        let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
-        let surrogate = learner.surrogate(&checkpoint)?;
-        let loaded = monitor.elapsed();
-        let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
-        let validated = monitor.elapsed();
-        let best = state.best_loss().is_none_or(|best| score.loss < best);
-        let epoch = Epoch {
-            epoch: state.epoch() + 1,
-            samples: state.samples,
-            unroll: state.unroll,
-            training_loss: means.loss,
-            validation_loss: score.loss,
-            first_skill: score.first_skill,
-            last_skill: score.last_skill,
-            learning_rate: means.learning_rate,
-            weight_distance: movement.distance,
-            epsilon_share: movement.epsilon_share,
-            best,
-        };
-        epoch.summarize(&mut checkpoint.description.training);
-        state.epochs.push(epoch);
-        state.since_best = if best { 0 } else { state.since_best + 1 };
-        let elapsed = monitor.elapsed();
-        let saves = !learner.is_fast()
-            || self.saved.is_none_or(|saved| elapsed >= saved + SAVE_INTERVAL)
-            || run.progress.cancelled()
-            || group.is_some_and(Group::asked_to_stop)
-            || state.is_over(config);
-        if saves {
-            // The record names the best epoch: an earlier one must be there before it; this one is in it.
-            if !best {
-                self.save_best()?;
-            }
-            let seconds = self.state.seconds + elapsed.as_secs_f64();
-            resume::save(self.run, self.config, &self.state, &checkpoint, seconds)?;
-        }
-        if best {
-            self.state.best = Some(checkpoint);
-            self.has_unsaved_best = true;
-        }
-        self.unsaved = (!saves).then(|| Boundary::of(&self.state));
-        if let Some(group) = self.group {
-            together::tell_epoch(group, &epoch);
-        }
-        (self.run.on_epoch)(&epoch);
-        self.monitor.epoch(&epoch)?;
-        if epoch.epoch == 1
-            && let Some(warning) = movement.warning(&self.config.optimizer)
-        {
-            self.run.progress.message(&warning);
-        }
-        if saves {
-            self.save_best()?;
-            self.saved = Some(self.monitor.elapsed());
-        }
-        tracing::debug!(
-            "epoch {}: {:.2} s to read the weights, {:.2} s of rollouts, {:.2} s to save",
-            epoch.epoch,
-            (loaded - begun).as_secs_f64(),
-            (validated - loaded).as_secs_f64(),
-            (self.monitor.elapsed() - validated).as_secs_f64()
-        );
-        Ok(())
-    }
-
-    /// Takes over rank 0's result of an epoch.
-    fn hear_epoch(&mut self) -> Result<(), TrainError> {
-        let Some(group) = self.group else { return Ok(()) };
-        let epoch = together::hear_epoch(group)?;
-        self.state.epochs.push(epoch);
-        self.state.since_best = if epoch.best { 0 } else { self.state.since_best + 1 };
-        (self.run.on_epoch)(&epoch);
-        self.monitor.epoch(&epoch)
-    }
-
-    /// Saves the last epoch, if it is not yet saved, as long as its weights are those of the state.
-    fn save_last_epoch(&mut self) -> Result<(), TrainError> {
-        let Some(mut boundary) = self.unsaved.take() else { return Ok(()) };
-        let Some(epoch) = self.state.epochs.last().copied() else { return Ok(()) };
-        if !epoch.best {
-            self.save_best()?;
-        }
-        let tensors = self.state.tensors(self.description);
-        let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
-        epoch.summarize(&mut checkpoint.description.training);
-        let now = self.monitor.elapsed();
-        let seconds = self.state.seconds + now.as_secs_f64();
-        boundary.swap(&mut self.state);
-        let outcome = resume::save(self.run, self.config, &self.state, &checkpoint, seconds);
-        boundary.swap(&mut self.state);
-        outcome?;
-        self.saved = Some(now);
-        self.save_best()
-    }
-
-    /// Saves the best checkpoint, if it is not yet saved.
-    fn save_best(&mut self) -> Result<(), TrainError> {
-        if self.has_unsaved_best
-            && let Some(best) = &self.state.best
-        {
-            best.save(self.run.output)?;
-            self.has_unsaved_best = false;
-        }
-        Ok(())
-    }
-
-    /// Enters the number of epochs in the best checkpoint.
-    fn finish(self, interrupted: bool) -> Result<Outcome, TrainError> {
-        self.monitor.finish();
-        let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
-        let done = self.state.epoch();
-        let leads = self.run.leads();
-        let RunState { epochs, mut best, samples, .. } = self.state;
-        if leads
-            && let Some(best) = &mut best
-            && best.description.training.epochs != done
-        {
-            best.description.training.epochs = done;
-            best.save(self.run.output)?;
-        }
-        Ok(Outcome { epochs, best, interrupted, seconds, samples })
-    }
 }
 
 /// Rejects streams that are too short for any stage of the run, before it starts.
