@@ -28,8 +28,8 @@ impl StudyReport {
         };
         let warning = study.warning(comparison).map_or(String::new(), |warning| warning + " ");
         let sets = comparison.data_sets(study);
-        let test_sets = sets.iter().filter_map(|set| comparison.test_set(study, set)).next();
-        let test = test_sets.map_or_else(
+        let test_set = sets.iter().find_map(|set| comparison.test_set(study, set));
+        let test = test_set.map_or_else(
             || "the rest for the test".to_owned(),
             |set| format!("the test has {} other scenes of seed {}", set.scenes.scenes, set.seed),
         );
