@@ -16,7 +16,11 @@ pub use compile::{Target, compile};
 pub use library::{GpuDescription, check, list};
 pub use peers::GroupId;
 
-use std::{collections::HashMap, path::Path, sync::Arc};
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::Path,
+    sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
+};
 
 use cudarc::{
     driver::{
@@ -55,6 +59,33 @@ impl Precision {
     }
 }
 
+/// Keeps apart, on one device, the recording of graphs from calls that get memory, modules or handles, or give them back.
+///
+/// All GPUs of this type that a process has on a device are in one context. A call that waits for the whole context, or for
+/// a stream that is recorded, spoils the recordings of all threads (CUDA Programming Guide, "Prohibited and Unhandled
+/// Operations").
+#[derive(Clone)]
+struct Recordings(Arc<RwLock<()>>);
+
+impl Recordings {
+    /// Those of a device.
+    fn of(device: usize) -> Self {
+        static ALL: Mutex<BTreeMap<usize, Recordings>> = Mutex::new(BTreeMap::new());
+        let mut all = ALL.lock().unwrap_or_else(PoisonError::into_inner);
+        all.entry(device).or_insert_with(|| Self(Arc::default())).clone()
+    }
+
+    /// Waits until none is made; none is begun before the guard is dropped. Not for work that may itself be recorded.
+    fn wait(&self) -> RwLockReadGuard<'_, ()> {
+        self.0.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until no thread has a guard of [`Self::wait`].
+    fn begin(&self) -> RwLockWriteGuard<'_, ()> {
+        self.0.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// A GPU, ready to compute with the kernels of a program.
 pub struct Gpu {
     number: usize,
@@ -65,6 +96,15 @@ pub struct Gpu {
     streams: [Arc<CudaStream>; 4],
     kernels: HashMap<Kernel, CudaFunction>,
     products: Products,
+    recordings: Recordings,
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        let _guard = self.recordings.wait();
+        // The last use of the module.
+        self.kernels.clear();
+    }
 }
 
 impl Gpu {
@@ -79,7 +119,11 @@ impl Gpu {
         cache: Option<&Path>,
     ) -> Result<Self> {
         check(device)?;
-        let context = CudaContext::new(device).context("cuCtxCreate")?;
+        let recordings = Recordings::of(device);
+        let context = {
+            let _guard = recordings.wait();
+            CudaContext::new(device).context("cuCtxCreate")?
+        };
         // SAFETY: memory is used in the streams of this struct only, which wait for each other by hand;
         // tracking would record events into graphs.
         unsafe { context.disable_event_tracking() };
@@ -88,7 +132,10 @@ impl Gpu {
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
         let (source, definitions) = (program.source(), program.definitions());
-        let load = |image| context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData");
+        let load = |image| {
+            let _guard = recordings.wait();
+            context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData")
+        };
         let module = match load(compile::cached(source, &definitions, target, cache)?) {
             Ok(module) => module,
             // A damaged file, or one of another compiler of the same version.
@@ -102,8 +149,17 @@ impl Gpu {
             let function = module.load_function(kernel.name()).context("cuModuleGetFunction")?;
             kernels.insert(kernel, function);
         }
-        let products = Products::new(&streams[0], precision)?;
-        Ok(Self { number: device, precision, peers: None, context, streams, kernels, products })
+        let products = Products::new(&streams[0], precision, &recordings)?;
+        Ok(Self {
+            number: device,
+            precision,
+            peers: None,
+            context,
+            streams,
+            kernels,
+            products,
+            recordings,
+        })
     }
 
     /// GPUs of these numbers as a group that trains together.
@@ -181,6 +237,7 @@ const STATIC_SHARED: usize = 1 << 10;
 impl Device for Gpu {
     fn allocate(&self, bytes: usize) -> Result<Buffer> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        let _guard = self.recordings.wait();
         let memory: CudaSlice<u8> = match self.streams[0].alloc_zeros(bytes.max(16)) {
             Err(cudarc::driver::DriverError(sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY)) => {
                 return Err(CudaError::Memory {
@@ -194,15 +251,20 @@ impl Device for Gpu {
         };
         let address = Address(memory.device_ptr(&self.streams[0]).0);
         // SAFETY: the driver has given as many bytes, which are freed with their owner.
-        Ok(unsafe { Buffer::new(address, bytes, memory) })
+        Ok(unsafe { Buffer::new(address, bytes, Memory::new(memory, &self.recordings)) })
     }
 
     fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        let guard = self.recordings.wait();
         // SAFETY: memory is read only after it is cleared.
         let memory = unsafe { result::malloc_host(bytes.max(16), sys::CU_MEMHOSTALLOC_DEVICEMAP) };
-        let memory =
-            Pinned { memory: memory.context("cuMemHostAlloc")?, context: self.context.clone() };
+        let memory = Pinned {
+            memory: memory.context("cuMemHostAlloc")?,
+            context: self.context.clone(),
+            recordings: self.recordings.clone(),
+        };
+        drop(guard);
         // SAFETY: the driver has given as many bytes, aligned to a page, which are freed with their owner. In the unified
         // address space of 64-bit systems the device has them at the same address.
         unsafe {
@@ -233,9 +295,10 @@ impl Device for Gpu {
     fn read(&self, from: &Buffer, offset: usize, bytes: &mut [u8]) -> Result<()> {
         let from = from.part(offset, bytes.len());
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
-        self.streams[0].synchronize().context("cuStreamSynchronize")?;
         // SAFETY: as above.
-        unsafe { result::memcpy_dtoh_sync(bytes, from.0) }.context("cuMemcpyDtoH")
+        unsafe { result::memcpy_dtoh_async(bytes, from.0, self.streams[0].cu_stream()) }
+            .context("cuMemcpyDtoHAsync")?;
+        self.streams[0].synchronize().context("cuStreamSynchronize")
     }
 
     fn copy(&self, to: &Buffer, from: &Buffer) -> Result<()> {
@@ -323,6 +386,7 @@ impl Device for Gpu {
     ) -> Result<Option<Box<dyn Recording + Send>>> {
         // `work` has run once before: products have their algorithms, kernels are loaded.
         self.finish()?;
+        let guard = self.recordings.begin();
         let stream = &self.streams[0];
         stream
             .begin_capture(sys::CUstreamCaptureMode::CU_STREAM_CAPTURE_MODE_THREAD_LOCAL)
@@ -330,6 +394,7 @@ impl Device for Gpu {
         let outcome = work();
         let graph =
             stream.end_capture(sys::CUgraphInstantiate_flags(0)).context("cuStreamEndCapture");
+        drop(guard);
         outcome?;
         Ok(graph?.map(|graph| Box::new(Graph(graph)) as Box<dyn Recording + Send>))
     }
@@ -342,10 +407,30 @@ impl Device for Gpu {
     }
 }
 
+/// Memory of the device, until it is dropped.
+struct Memory {
+    slice: Option<CudaSlice<u8>>,
+    recordings: Recordings,
+}
+
+impl Memory {
+    fn new(slice: CudaSlice<u8>, recordings: &Recordings) -> Self {
+        Self { slice: Some(slice), recordings: recordings.clone() }
+    }
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        let _guard = self.recordings.wait();
+        self.slice = None;
+    }
+}
+
 /// Memory of the host that the driver has pinned.
 struct Pinned {
     memory: *mut std::ffi::c_void,
     context: Arc<CudaContext>,
+    recordings: Recordings,
 }
 
 // SAFETY: the memory belongs to no thread.
@@ -355,6 +440,7 @@ unsafe impl Sync for Pinned {}
 
 impl Drop for Pinned {
     fn drop(&mut self) {
+        let _guard = self.recordings.wait();
         // A failure here has no remedy.
         let _ = self.context.bind_to_thread();
         // SAFETY: it was allocated so, and nobody uses it any more.

@@ -9,7 +9,7 @@ use cudarc::{
     driver::{CudaSlice, CudaStream, DevicePtr as _},
 };
 
-use super::Precision;
+use super::{Memory, Precision, Recordings};
 use crate::{
     device::{Address, Factor, Product},
     error::{Context as _, CudaError, Result},
@@ -43,7 +43,8 @@ pub(super) struct Products {
     precision: Precision,
     /// One for each stream.
     workspaces: [Address; 2],
-    _memory: [CudaSlice<u8>; 2],
+    _memory: [Memory; 2],
+    recordings: Recordings,
     plans: Mutex<HashMap<Key, Plan>>,
 }
 
@@ -54,6 +55,7 @@ unsafe impl Sync for Products {}
 
 impl Drop for Products {
     fn drop(&mut self) {
+        let _guard = self.recordings.wait();
         let plans = self.plans.get_mut().unwrap_or_else(|broken| broken.into_inner());
         for plan in plans.values() {
             // SAFETY: nothing of this handle is used after this. A failure here has no remedy.
@@ -70,14 +72,20 @@ impl Drop for Products {
 }
 
 impl Products {
-    pub(super) fn new(stream: &std::sync::Arc<CudaStream>, precision: Precision) -> Result<Self> {
+    pub(super) fn new(
+        stream: &std::sync::Arc<CudaStream>,
+        precision: Precision,
+        recordings: &Recordings,
+    ) -> Result<Self> {
+        let _guard = recordings.wait();
         let memory = || stream.alloc_zeros(WORKSPACE).context("cuMemAlloc");
         let memory: [CudaSlice<u8>; 2] = [memory()?, memory()?];
         Ok(Self {
             handle: lt::create_handle().context("cublasLtCreate")?,
             precision,
             workspaces: memory.each_ref().map(|slice| Address(slice.device_ptr(stream).0)),
-            _memory: memory,
+            _memory: memory.map(|slice| Memory::new(slice, recordings)),
+            recordings: recordings.clone(),
             plans: Mutex::default(),
         })
     }
