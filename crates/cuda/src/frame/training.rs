@@ -46,6 +46,9 @@ const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
 const MOST_NODES: usize = 110;
 
+/// Blocks of a grid along y and z, at most: the windows of a batch, and the observed frames' parts of the encoder.
+const MOST_BLOCKS: usize = 65_535;
+
 /// A layer of the core in the memory of the device; `T` frames of `B` windows.
 struct LayerMemory {
     /// Gates, later gradients by them, `[T, B, gates * HP]`.
@@ -149,15 +152,19 @@ impl Training {
             let setting = format!("loss.density_grid = {}", settings.density_nodes);
             return Err(CudaError::Unsupported { setting, expected: "at most 110" });
         }
-        // Blocks of a grid along y.
-        if settings.warm_up * settings.batch > 65_535 {
-            let setting =
-                format!("windows.warm_up x windows.batch = {}", settings.warm_up * settings.batch);
-            return Err(CudaError::Unsupported { setting, expected: "at most 65535" });
+        let Settings { batch, warm_up, unroll, .. } = *settings;
+        let along_z = warm_up * constants.encoder.div_ceil(256);
+        for (setting, found) in [
+            ("windows.batch", batch),
+            ("windows.warm_up x (network.encoder / 256, rounded up)", along_z),
+        ] {
+            if found > MOST_BLOCKS {
+                let setting = format!("{setting} = {found}");
+                return Err(CudaError::Unsupported { setting, expected: "at most 65535" });
+            }
         }
         assert_eq!(store.particles(), constants.particles, "particles of the store");
         let layout = Layout::new(description, &constants);
-        let Settings { batch, warm_up, unroll, .. } = *settings;
         let frames = warm_up + unroll - 1;
         let decoded = settings.first_decoded();
         let (rows, decoded_rows) = (frames * batch, (frames - decoded) * batch);
@@ -451,7 +458,7 @@ impl Training {
         }
         self.launch(
             Kernel::Observe,
-            self.particles(warm_up * batch),
+            self.particles(warm_up),
             &[
                 self.bodies().into(),
                 self.windows.address().into(),
@@ -465,7 +472,7 @@ impl Training {
         if positions > 0.0 || velocities > 0.0 {
             self.launch(
                 Kernel::Disturb,
-                self.particles(batch),
+                self.particles(1),
                 &[
                     self.windows.address().into(),
                     self.progress.address().into(),

@@ -160,17 +160,17 @@ extern "C" __global__ void lstm_backward(float* __restrict__ sums, const float* 
   carried_cell[at] = dc * f;
 }
 
-// The activation in place, and its gradient. grid (ceil(HP / 128), rows), block 128
+// The activation in place, and its gradient. grid (ceil(HP / 128), batch, frames), block 128
 extern "C" __global__ void activation_forward(float* __restrict__ y) {
   const int j = blockIdx.x * blockDim.x + threadIdx.x;
   if (j >= HP) return;
-  const size_t i = (size_t)blockIdx.y * HP + j;
+  const size_t i = ((size_t)blockIdx.z * gridDim.y + blockIdx.y) * HP + j;
   y[i] = padded(j, activate(y[i]));
 }
 extern "C" __global__ void activation_backward(float* __restrict__ d, const float* __restrict__ y) {
   const int j = blockIdx.x * blockDim.x + threadIdx.x;
   if (j >= HP) return;
-  const size_t i = (size_t)blockIdx.y * HP + j;
+  const size_t i = ((size_t)blockIdx.z * gridDim.y + blockIdx.y) * HP + j;
   d[i] = j < H ? d[i] * activation_slope(y[i]) : 0.0f;
 }
 // No gradient where the ones are. grid ceil(rows / 128), block 128

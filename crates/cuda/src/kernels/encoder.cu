@@ -46,13 +46,18 @@ __device__ __forceinline__ void activate_scaled(float a, float& y, float& s) {
 #endif
 }
 
-// grid (chunks, rows, ceil(E / 256)), block 256: 128 pairs of units j, j + 128, twice for half of the particles
+// A block has 256 units of a window's frame.
+#define UNIT_BLOCKS ((E + 255) / 256)
+#define ENCODED const int row = (blockIdx.z / UNIT_BLOCKS) * batch + blockIdx.y, units_from = (blockIdx.z % UNIT_BLOCKS) * 256;
+
+// grid (chunks, batch, frames * UNIT_BLOCKS), block 256: 128 pairs of units j, j + 128, twice for half of the particles
 extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restrict__ states, const u32* __restrict__ order,
     const u32* __restrict__ segments, const Window* __restrict__ windows, const Progress* __restrict__ progress,
     const float* __restrict__ w, const Scaling* __restrict__ scaling, float* __restrict__ sums, int batch) {
   __shared__ float tile[TILE][FEATURES];
   __shared__ float other[(FEATURES + 2) * 256];
-  const int tid = threadIdx.x, lane = tid & 127, half = tid >> 7, row = blockIdx.y, chunk = blockIdx.x;
+  const int tid = threadIdx.x, lane = tid & 127, half = tid >> 7, chunk = blockIdx.x;
+  ENCODED
   const int size = (N + gridDim.x - 1) / gridDim.x, first = chunk * size, last = min(N, first + size);
   const u32 stream = windows[(size_t)progress->step * batch + row % batch].stream;
   const u32* sorted = order + (size_t)stream * N;
@@ -63,7 +68,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
   float weight[2][FEATURES], slope[2][FEATURES], value[2];
 #pragma unroll
   for (int q = 0; q < 2; q++) {
-    unit[q] = blockIdx.z * 256 + lane + 128 * q;
+    unit[q] = units_from + lane + 128 * q;
     is[q] = unit[q] < E;
     value[q] = 0.0f;
 #pragma unroll
@@ -139,8 +144,8 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
 // The same with both products on tensor cores, factors rounded to TF32: units x particles from the inputs (features, and
 // one for the particle's material, whose weight is that material's bias), then with the slopes in the place of the sums
 // units x inputs. Taking the 8 particles of a group in the order 0 2 4 6 1 3 5 7 makes the first product's registers the
-// second one's left factor as they are. grid (chunks, rows, ceil(E / 256)), block 256: a warp has 64 units, and half of
-// the particles
+// second one's left factor as they are. grid (chunks, batch, frames * UNIT_BLOCKS), block 256: a warp has 64 units, and
+// half of the particles
 #define COLUMNS (FEATURES + MATERIALS)
 #define GROUPS ((COLUMNS + 7) / 8)
 #define TENSOR_TILE 512
@@ -149,7 +154,8 @@ extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* _
     const Scaling* __restrict__ scaling, float* __restrict__ sums, int batch) {
   __shared__ float4 tile[TENSOR_TILE * 2 * GROUPS];
   const int tid = threadIdx.x, lane = tid & 31, warp = tid >> 5, half = warp >> 2, g = lane >> 2, q = lane & 3;
-  const int row = blockIdx.y, size = (N + gridDim.x - 1) / gridDim.x, first = blockIdx.x * size, last = min(N, first + size);
+  ENCODED
+  const int size = (N + gridDim.x - 1) / gridDim.x, first = blockIdx.x * size, last = min(N, first + size);
   const u32 stream = windows[(size_t)progress->step * batch + row % batch].stream;
   const int local = (warp & 3) * 64 + g;
   float weight[4][GROUPS][4], slope[4][GROUPS][4], value[4][2];
@@ -160,7 +166,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* _
       value[t][i & 1] = 0.0f;
 #pragma unroll
       for (int group = 0; group < GROUPS; group++) {
-        const int k = 8 * group + q + 4 * (i >> 1), j = blockIdx.z * 256 + local + 16 * t + 8 * (i & 1);
+        const int k = 8 * group + q + 4 * (i >> 1), j = units_from + local + 16 * t + 8 * (i & 1);
         float number = 0.0f;
         if (j < E && k < COLUMNS) number = k < FEATURES ? w[k * EL + j] : material_bias(w, k - FEATURES, j);
         weight[t][group][i] = round_tf32(number * LOG2E);
@@ -226,7 +232,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* _
       for (int m = 1; m < 4; m *= 2) value[t][r] += shuffle_xor(value[t][r], m);
   // The sums of both halves.
   float* other = (float*)tile;
-  float* to = sums + ((size_t)row * gridDim.x + blockIdx.x) * SUMS * E + blockIdx.z * 256;
+  float* to = sums + ((size_t)row * gridDim.x + blockIdx.x) * SUMS * E + units_from;
 #pragma unroll
   for (int pass = 0; pass < 2; pass++) {
     __syncthreads();
@@ -236,7 +242,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* _
 #pragma unroll
         for (int r = 0; r < 2; r++) {
           const int unit = local + 16 * t + 8 * r;
-          if (blockIdx.z * 256 + unit >= E) continue;
+          if (units_from + unit >= E) continue;
 #pragma unroll
           for (int group = 0; group < GROUPS; group++)
 #pragma unroll

@@ -34,11 +34,11 @@ __device__ __forceinline__ Body weight_of(const Body* weights, const Frames& f, 
 }
 
 // Predictions of frames from `first` on: sums of weighted squares, [T, B, gridDim.x], and the next frame's state where
-// the network goes on from it. grid (ceil(N / 256), frames * B), block 256
+// the network goes on from it. grid (ceil(N / 256), B, frames), block 256
 extern "C" __global__ void __launch_bounds__(256) advance(Body* __restrict__ states, const float* __restrict__ output, const Body* __restrict__ store,
     const Window* __restrict__ windows, const Progress* __restrict__ progress, const unsigned char* __restrict__ material,
     const Body* __restrict__ weights, float* __restrict__ squares, Frames f, int first) {
-  const int p = blockIdx.x * 256 + threadIdx.x, t = first + blockIdx.y / f.batch, b = blockIdx.y % f.batch;
+  const int p = blockIdx.x * 256 + threadIdx.x, t = first + blockIdx.z, b = blockIdx.y;
   float sum = 0.0f;
   if (p < N) {
     const Window& window = windows[(size_t)progress->step * f.batch + b];
@@ -96,12 +96,12 @@ extern "C" __global__ void __launch_bounds__(256) loss(const float* __restrict__
 // Gradient by the output of frames from `first` on, in its place. `carried` [B, N] is the gradient by the state of frame
 // t + 1, where the network went on from it; it leaves as the one by the state of frame t, but for the part through the
 // network, where that was predicted as well. `density` is [unroll, B, N, DIM] or null.
-// grid (ceil(N / 256), frames * B), block 256
+// grid (ceil(N / 256), B, frames), block 256
 extern "C" __global__ void __launch_bounds__(256) loss_gradient(const Body* __restrict__ states, float* __restrict__ output, const Body* __restrict__ store,
     const Window* __restrict__ windows, const Progress* __restrict__ progress, const unsigned char* __restrict__ material,
     const Body* __restrict__ weights, const float* __restrict__ scales, const float* __restrict__ density,
     Body* __restrict__ carried, Frames f, int first) {
-  const int p = blockIdx.x * 256 + threadIdx.x, t = first + blockIdx.y / f.batch, b = blockIdx.y % f.batch;
+  const int p = blockIdx.x * 256 + threadIdx.x, t = first + blockIdx.z, b = blockIdx.y;
   float* row = output + ((size_t)(t - f.decoded) * f.batch + b) * OP;
   if (p >= N) return;
   const Window& window = windows[(size_t)progress->step * f.batch + b];

@@ -104,10 +104,10 @@ extern "C" __global__ void __launch_bounds__(256) largest(const float* __restric
   if (which) which[(size_t)row * H + h] = particle;
 }
 
-// Gradient of the means' part of the core's input, for the product with the second Linear: `mean` [rows, HP].
-// grid (ceil(HP / 128), rows), block 128
+// Gradient of the means' part of the core's input, for the product with the second Linear: `mean` [frames, batch, HP].
+// grid (ceil(HP / 128), batch, frames), block 128
 extern "C" __global__ void mean_part(const float* __restrict__ input, float* __restrict__ mean) {
-  const int j = blockIdx.x * 128 + threadIdx.x, row = blockIdx.y;
+  const int j = blockIdx.x * 128 + threadIdx.x, row = blockIdx.z * gridDim.y + blockIdx.y;
   if (j < HP) mean[(size_t)row * HP + j] = j < H ? input[(size_t)row * IP + j] : 0.0f;
 }
 

@@ -23,10 +23,10 @@ extern "C" __global__ void __launch_bounds__(256) fetch(const Body* __restrict__
   }
 }
 
-// The observed frames. grid (ceil(N / 256), warm_up * batch), block 256
+// The observed frames. grid (ceil(N / 256), batch, warm_up), block 256
 extern "C" __global__ void __launch_bounds__(256) observe(const Body* __restrict__ store, const Window* __restrict__ windows,
     const Progress* __restrict__ progress, Body* __restrict__ states, int batch, float sides) {
-  const int p = blockIdx.x * 256 + threadIdx.x, row = blockIdx.y, t = row / batch, b = row % batch;
+  const int p = blockIdx.x * 256 + threadIdx.x, b = blockIdx.y, t = blockIdx.z, row = t * batch + b;
   if (p >= N) return;
   const Window& window = windows[(size_t)progress->step * batch + b];
   states[(size_t)row * N + p] = mirror(store[window.first + (u64)t * N + p], window, sides);

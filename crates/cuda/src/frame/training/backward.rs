@@ -16,13 +16,14 @@ impl Training {
         let batch = self.settings.batch;
         let wide = self.constants.hidden_columns();
         let decoded = self.settings.first_decoded();
-        let Decoded { from, rows, mixed, d_mixed, output } = self.decoded(first, frames);
+        let Decoded { from, frames: found, rows, mixed, d_mixed, output } =
+            self.decoded(first, frames);
         let last = first == 0;
         let density =
             self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
         self.launch(
             Kernel::LossGradient,
-            self.particles(rows),
+            self.particles(found),
             &[
                 self.states.address().into(),
                 self.output.address().into(),
@@ -47,7 +48,11 @@ impl Training {
             all_decoded,
         )?;
         self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
-        self.launch(Kernel::ActivationBackward, self.units(rows), &[d_mixed.into(), mixed.into()])?;
+        self.launch(
+            Kernel::ActivationBackward,
+            self.units(found),
+            &[d_mixed.into(), mixed.into()],
+        )?;
         self.change(last, &self.layout.decoder)?;
 
         let top = self.layers.len() - 1;
@@ -85,7 +90,7 @@ impl Training {
                 Some(&self.d_input)
             }
             Some(Maximum { d_mean: Some(d_mean), .. }) => {
-                self.mean_part(d_mean, first * batch, rows)?;
+                self.mean_part(d_mean, first, frames)?;
                 Some(d_mean)
             }
             Some(_) => None,
@@ -118,7 +123,7 @@ impl Training {
         }
         self.launch(
             Kernel::EncoderPointsGradient,
-            self.particles(batch),
+            self.particles(1),
             &[
                 self.at(&self.states, first, self.constants.particles * BODY).into(),
                 self.store.material.address().into(),
@@ -164,7 +169,7 @@ impl Training {
             (Core::Mlp, _) => {
                 self.launch(
                     Kernel::ActivationBackward,
-                    self.units(rows),
+                    self.units(frames),
                     &[gradient.into(), sums.into()],
                 )?;
             }
@@ -176,7 +181,7 @@ impl Training {
                 };
                 self.launch(
                     kernel,
-                    self.units(batch),
+                    self.units(1),
                     &[sums.into(), states.into(), gradient.into(), carried.into(), frames.into()],
                 )?;
             }
@@ -190,7 +195,7 @@ impl Training {
                         let cells = self.at(cells, t, wide);
                         self.launch(
                             Kernel::LstmBackward,
-                            self.units(batch),
+                            self.units(1),
                             &[
                                 sums.into(),
                                 cells.into(),
@@ -205,7 +210,7 @@ impl Training {
                             (self.at(from_state, t, gates), self.at(&layer.states, t, wide));
                         self.launch(
                             Kernel::GruBackward,
-                            self.units(batch),
+                            self.units(1),
                             &[
                                 sums.into(),
                                 from_state.into(),

@@ -14,7 +14,9 @@ use super::{BODY, SUMS, Settings, Training};
 pub(super) struct Decoded {
     /// The first of them.
     pub(super) from: usize,
-    /// Their windows.
+    /// Their number.
+    pub(super) frames: usize,
+    /// Frames of all windows.
     pub(super) rows: usize,
     /// Where they start in the memory of the mixer's outputs, the gradient by these, and the decoder's outputs.
     pub(super) mixed: Address,
@@ -38,8 +40,8 @@ impl Training {
             sums.into(),
             batch.into(),
         ];
-        let shape =
-            Shape { grid: [self.chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 };
+        let grid = [self.chunks, batch, frames * encoder.div_ceil(256)];
+        let shape = Shape { grid, block: [256, 1], shared: 0 };
         if self.device.rounds_to_tf32() {
             let material = self.store.material.address().into();
             let arguments: Vec<_> = [states, material].into_iter().chain(rest).collect();
@@ -80,14 +82,14 @@ impl Training {
             signal = self.core_forward(number, signal, first, frames)?;
         }
 
-        let Decoded { from, rows, mixed, output, .. } = self.decoded(first, frames);
+        let Decoded { from, frames, rows, mixed, output, .. } = self.decoded(first, frames);
         let signal = signal.plus((from - first) * batch * wide);
         self.forward_product(&self.layout.mixer, signal, mixed, rows)?;
-        self.launch(Kernel::ActivationForward, self.units(rows), &[mixed.into()])?;
+        self.launch(Kernel::ActivationForward, self.units(frames), &[mixed.into()])?;
         self.forward_product(&self.layout.decoder, mixed, output, rows)?;
         self.launch(
             Kernel::Advance,
-            self.particles(rows),
+            self.particles(frames),
             &[
                 self.states.address().into(),
                 self.output.address().into(),
@@ -109,6 +111,7 @@ impl Training {
         let (from, wide) = (first.max(decoded), self.constants.hidden_columns());
         Decoded {
             from,
+            frames: first + frames - from,
             rows: (first + frames - from) * self.settings.batch,
             mixed: self.at(&self.mixed, from - decoded, wide),
             d_mixed: self.at(&self.d_mixed, from - decoded, wide),
@@ -133,7 +136,7 @@ impl Training {
         self.forward_product(matrix, input, sums, rows)?;
         let output = match (self.core, recurrent) {
             (Core::Mlp, _) => {
-                self.launch(Kernel::ActivationForward, self.units(rows), &[sums.into()])?;
+                self.launch(Kernel::ActivationForward, self.units(frames), &[sums.into()])?;
                 sums
             }
             (Core::MinGru | Core::MinLstm, _) | (_, None) => {
@@ -142,11 +145,7 @@ impl Training {
                 } else {
                     Kernel::MinLstmForward
                 };
-                self.launch(
-                    kernel,
-                    self.units(batch),
-                    &[sums.into(), states.into(), frames.into()],
-                )?;
+                self.launch(kernel, self.units(1), &[sums.into(), states.into(), frames.into()])?;
                 states.plus(batch * wide)
             }
             (core, Some(recurrent)) => {
@@ -165,7 +164,7 @@ impl Training {
                         let cells = self.at(cells, t, wide);
                         self.launch(
                             Kernel::LstmForward,
-                            self.units(batch),
+                            self.units(1),
                             &[sums.into(), states.into(), cells.into()],
                         )?;
                     } else if let Some(from_state) = &layer.recurrent {
@@ -173,7 +172,7 @@ impl Training {
                         self.forward_product(recurrent, states, from_state, batch)?;
                         self.launch(
                             Kernel::GruForward,
-                            self.units(batch),
+                            self.units(1),
                             &[sums.into(), from_state.into(), states.into()],
                         )?;
                     }

@@ -130,14 +130,16 @@ impl Training {
         self.weights.address().plus(matrix.first)
     }
 
-    /// Blocks over the hidden units of rows.
-    pub(super) fn units(&self, rows: usize) -> Shape {
-        Shape::new(self.constants.hidden_columns().div_ceil(128), rows, 128)
+    /// Blocks over the hidden units of all windows' frames.
+    pub(super) fn units(&self, frames: usize) -> Shape {
+        let blocks = self.constants.hidden_columns().div_ceil(128);
+        Shape { grid: [blocks, self.settings.batch, frames], block: [128, 1], shared: 0 }
     }
 
-    /// Blocks over the particles of rows.
-    pub(super) fn particles(&self, rows: usize) -> Shape {
-        Shape::new(self.constants.particles.div_ceil(256), rows, 256)
+    /// Blocks over the particles of all windows' frames.
+    pub(super) fn particles(&self, frames: usize) -> Shape {
+        let blocks = self.constants.particles.div_ceil(256);
+        Shape { grid: [blocks, self.settings.batch, frames], block: [256, 1], shared: 0 }
     }
 
     /// Where the bodies of the step's windows lie in the memory of the device.

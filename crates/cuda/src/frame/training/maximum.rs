@@ -7,7 +7,7 @@ use crate::{
     kernels::{AXES, Constants, Kernel, MATERIALS},
 };
 
-use super::{BODY, Settings, Training};
+use super::{BODY, MOST_BLOCKS, Settings, Training};
 
 /// Memory for the outputs of particles (bytes).
 const POINTS: usize = 256 << 20;
@@ -38,7 +38,7 @@ impl Maximum {
         let Constants { hidden, encoder, .. } = *constants;
         let numbers = |count: usize| device.allocate(4 * count);
         let optional = |is: bool, count: usize| is.then(|| numbers(count)).transpose();
-        let group = Points::rows_within(constants, POINTS).min(rows);
+        let group = Points::rows_within(constants, POINTS).min(rows).min(MOST_BLOCKS);
         Ok(Self {
             points: Points::new(device, constants, group, 1)?,
             group,
@@ -91,15 +91,14 @@ impl Training {
         Ok(())
     }
 
-    /// The gradient by the means' part of the core's input, of `rows` rows from `from` on.
-    pub(super) fn mean_part(&self, d_mean: &Buffer, from: usize, rows: usize) -> Result<()> {
-        let wide = self.constants.hidden_columns();
+    /// The gradient by the means' part of the core's input, of frames `first..first + frames`.
+    pub(super) fn mean_part(&self, d_mean: &Buffer, first: usize, frames: usize) -> Result<()> {
         self.launch(
             Kernel::MeanPart,
-            self.units(rows),
+            self.units(frames),
             &[
-                self.d_input.address().plus(from * self.constants.input_columns()).into(),
-                d_mean.address().plus(from * wide).into(),
+                self.at(&self.d_input, first, self.constants.input_columns()).into(),
+                self.at(d_mean, first, self.constants.hidden_columns()).into(),
             ],
         )
     }
@@ -167,7 +166,7 @@ impl Training {
         )?;
         self.launch(
             Kernel::MaximumPointsGradient,
-            self.particles(batch),
+            self.particles(1),
             &[which.into(), slopes.address().into(), self.carried.address().into()],
         )
     }
