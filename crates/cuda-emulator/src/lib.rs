@@ -15,14 +15,13 @@ use libloading::Library;
 
 use eddy_cuda::{
     CudaError, Result,
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Shape},
+    device::{
+        Address, Argument, Buffer, Device, HostBuffer, MOST_BLOCKS, Product, Queue, Rank, Shape,
+    },
     kernels::{Kernel, Program},
 };
 
 /// What every kernel of the library is called by.
-/// Blocks of a grid along y and z, at most.
-const MOST_BLOCKS: u32 = 65_535;
-
 type Launch = unsafe extern "C" fn(u32, *const u32, *const u32, *mut *mut c_void);
 
 /// The device.
@@ -233,13 +232,12 @@ impl Device for Emulator {
         arguments: &[Argument],
     ) -> Result<()> {
         let number = Kernel::ALL.iter().position(|&one| one == kernel).unwrap_or_default() as u32;
-        let grid = shape.grid.map(|size| size as u32);
         // As the driver refuses it.
-        if grid[1].max(grid[2]) > MOST_BLOCKS {
-            let reason =
-                format!("grid: found {grid:?}, expected at most {MOST_BLOCKS} along y and z");
+        if shape.grid[1..].iter().any(|&blocks| blocks > MOST_BLOCKS) {
+            let reason = format!("{shape:?}, expected at most {MOST_BLOCKS} blocks along y and z");
             return Err(CudaError::Call { call: kernel.name(), reason });
         }
+        let grid = shape.grid.map(|size| size as u32);
         let block = shape.block.map(|size| size as u32);
         let mut pointers: Vec<*mut c_void> = arguments
             .iter()

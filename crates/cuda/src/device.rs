@@ -190,6 +190,9 @@ impl From<usize> for Argument {
     }
 }
 
+/// Blocks of a grid along y and along z, at most.
+pub const MOST_BLOCKS: usize = 65_535;
+
 /// The blocks and threads of a launch.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {

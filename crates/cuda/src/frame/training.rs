@@ -28,7 +28,7 @@ use super::{
     layout::Layout,
 };
 use crate::{
-    device::{Buffer, Device, Queue, Shape},
+    device::{Buffer, Device, MOST_BLOCKS, Queue, Shape},
     error::{CudaError, Result},
     graphs::Graphs,
     kernels::{AXES, Constants, Kernel, MATERIALS, gates, motion, scaling},
@@ -45,9 +45,6 @@ const SUMS: usize = BODY + MATERIALS + 1;
 const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
 const MOST_NODES: usize = 110;
-
-/// Blocks of a grid along y and z, at most: the windows of a batch, and the observed frames' parts of the encoder.
-const MOST_BLOCKS: usize = 65_535;
 
 /// A layer of the core in the memory of the device; `T` frames of `B` windows.
 struct LayerMemory {
@@ -153,6 +150,7 @@ impl Training {
             return Err(CudaError::Unsupported { setting, expected: "at most 110" });
         }
         let Settings { batch, warm_up, unroll, .. } = *settings;
+        // Blocks of grids along y, and of the encoder's along z.
         let along_z = warm_up * constants.encoder.div_ceil(256);
         for (setting, found) in [
             ("windows.batch", batch),

@@ -59,7 +59,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
   const int tid = threadIdx.x, lane = tid & 127, half = tid >> 7, chunk = blockIdx.x;
   ENCODED
   const int size = (N + gridDim.x - 1) / gridDim.x, first = chunk * size, last = min(N, first + size);
-  const u32 stream = windows[(size_t)progress->step * batch + row % batch].stream;
+  const u32 stream = windows[(size_t)progress->step * batch + blockIdx.y].stream;
   const u32* sorted = order + (size_t)stream * N;
   const u32* ends = segments + (size_t)stream * (MATERIALS + 1);
   float* to = sums + ((size_t)row * gridDim.x + chunk) * SUMS * E;
@@ -156,7 +156,7 @@ extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* _
   const int tid = threadIdx.x, lane = tid & 31, warp = tid >> 5, half = warp >> 2, g = lane >> 2, q = lane & 3;
   ENCODED
   const int size = (N + gridDim.x - 1) / gridDim.x, first = blockIdx.x * size, last = min(N, first + size);
-  const u32 stream = windows[(size_t)progress->step * batch + row % batch].stream;
+  const u32 stream = windows[(size_t)progress->step * batch + blockIdx.y].stream;
   const int local = (warp & 3) * 64 + g;
   float weight[4][GROUPS][4], slope[4][GROUPS][4], value[4][2];
 #pragma unroll

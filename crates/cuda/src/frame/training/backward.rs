@@ -16,14 +16,15 @@ impl Training {
         let batch = self.settings.batch;
         let wide = self.constants.hidden_columns();
         let decoded = self.settings.first_decoded();
-        let Decoded { from, frames: found, rows, mixed, d_mixed, output } =
+        let Decoded { from, frames: decoded_frames, mixed, d_mixed, output } =
             self.decoded(first, frames);
+        let rows = decoded_frames * batch;
         let last = first == 0;
         let density =
             self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
         self.launch(
             Kernel::LossGradient,
-            self.particles(found),
+            self.particles(decoded_frames),
             &[
                 self.states.address().into(),
                 self.output.address().into(),
@@ -50,7 +51,7 @@ impl Training {
         self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
         self.launch(
             Kernel::ActivationBackward,
-            self.units(found),
+            self.units(decoded_frames),
             &[d_mixed.into(), mixed.into()],
         )?;
         self.change(last, &self.layout.decoder)?;

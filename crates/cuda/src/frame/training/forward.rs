@@ -16,8 +16,6 @@ pub(super) struct Decoded {
     pub(super) from: usize,
     /// Their number.
     pub(super) frames: usize,
-    /// Frames of all windows.
-    pub(super) rows: usize,
     /// Where they start in the memory of the mixer's outputs, the gradient by these, and the decoder's outputs.
     pub(super) mixed: Address,
     pub(super) d_mixed: Address,
@@ -82,7 +80,8 @@ impl Training {
             signal = self.core_forward(number, signal, first, frames)?;
         }
 
-        let Decoded { from, frames, rows, mixed, output, .. } = self.decoded(first, frames);
+        let Decoded { from, frames, mixed, output, .. } = self.decoded(first, frames);
+        let rows = frames * batch;
         let signal = signal.plus((from - first) * batch * wide);
         self.forward_product(&self.layout.mixer, signal, mixed, rows)?;
         self.launch(Kernel::ActivationForward, self.units(frames), &[mixed.into()])?;
@@ -112,7 +111,6 @@ impl Training {
         Decoded {
             from,
             frames: first + frames - from,
-            rows: (first + frames - from) * self.settings.batch,
             mixed: self.at(&self.mixed, from - decoded, wide),
             d_mixed: self.at(&self.d_mixed, from - decoded, wide),
             output: self.at(&self.output, from - decoded, self.constants.output_columns()),

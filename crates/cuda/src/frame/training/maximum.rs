@@ -1,13 +1,13 @@
 //! Training through a pooling by the maximum.
 
 use crate::{
-    device::{Buffer, Device, Queue, Shape},
+    device::{Buffer, Device, MOST_BLOCKS, Queue, Shape},
     error::Result,
     frame::maximum::Points,
     kernels::{AXES, Constants, Kernel, MATERIALS},
 };
 
-use super::{BODY, MOST_BLOCKS, Settings, Training};
+use super::{BODY, Settings, Training};
 
 /// Memory for the outputs of particles (bytes).
 const POINTS: usize = 256 << 20;
