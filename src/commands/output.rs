@@ -101,6 +101,7 @@ impl Output {
         force: bool,
         inputs: &[PathBuf],
     ) -> anyhow::Result<Self> {
+        on_disk(path)?;
         let mut output = Self { path: path.to_owned(), old: None };
         if !exists(path, kind) {
             return Ok(output);
@@ -152,6 +153,15 @@ impl Drop for Output {
         let kept = old.keep();
         tracing::warn!("{}: the old output was kept in {}", self.path.display(), kept.display());
     }
+}
+
+/// Checks that a path is not a URL.
+///
+/// # Errors
+/// With what was found and expected.
+pub(crate) fn on_disk(path: &Path) -> anyhow::Result<()> {
+    eddy_storage::on_disk(path).with_context(|| path.display().to_string())?;
+    Ok(())
 }
 
 fn exists(path: &Path, kind: OutputKind) -> bool {

@@ -25,7 +25,7 @@ use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
 use super::{
     Interrupt, TerminalProgress, allocator, counted,
-    output::{Output, OutputKind},
+    output::{self, Output, OutputKind},
     progress_bar,
 };
 use crate::{cli::TrainArgs, terminal};
@@ -41,6 +41,7 @@ const BAR_DELAY: f64 = 2.0;
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     allocator::keep_freed_memory();
     let config = settings(&args)?;
+    output::on_disk(&args.output)?;
     let runs = runs(&args, &config)?;
     let device = args.device.resolve(config.runs_on_gpus());
     let process = process(&args, device)?;

@@ -19,11 +19,17 @@ use eddy_evaluation::dataset::simulate::{
 };
 use eddy_mpm::{Accelerator, Settings};
 use eddy_settings::usage::Usage;
+use eddy_storage::is_remote;
 use source::source;
 
 /// Simulates the scenes that do not exist yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let request = request(&args)?;
+    if let (Some(output), true) = (&args.output, args.force)
+        && is_remote(output)
+    {
+        bail!("{}: --force replaces only what is on this machine", output.display());
+    }
     let room = match (&args.output, args.force) {
         (Some(output), true) => Some(Output::at(output, OutputKind::Bags, true, &[])?),
         _ => None,

@@ -1,11 +1,10 @@
 //! The files of a bag, and where bags are found.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-use super::metadata;
+use eddy_storage::{Entry, Kind};
+
+use super::metadata::{self, exists};
 use crate::error::BagError;
 
 /// Suffix of a file that is being written.
@@ -43,8 +42,7 @@ pub(crate) fn is_active(path: &Path) -> bool {
 /// an unfinished bag, or the file itself.
 pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let not_a_bag = |found: &str| BagError::NotABag { path: path.into(), found: found.into() };
-    let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
-    if kind.is_file() {
+    if kind(path, "opening the bag")? == Kind::File {
         return if is_mcap(path) {
             Ok(vec![path.into()])
         } else {
@@ -52,28 +50,29 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         };
     }
     let description = path.join(metadata::FILE_NAME);
-    if description.exists() {
+    if exists(&description)? {
         return metadata::files(&description, path);
     }
-    let (files, folders) = children(path)?;
+    let Children { files, directories, .. } = children(path)?;
     if files.is_empty() {
         let found = "a directory without metadata.yaml and without .mcap files";
-        let bag = folders.iter().find(|folder| folder.join(metadata::FILE_NAME).exists());
-        return Err(not_a_bag(&match bag {
-            Some(bag) => format!("{found} (but with bags, such as {})", bag.display()),
-            None => found.to_owned(),
-        }));
+        for bag in &directories {
+            if exists(&bag.join(metadata::FILE_NAME))? {
+                let bag = bag.display();
+                return Err(not_a_bag(&format!("{found} (but with bags, such as {bag})")));
+            }
+        }
+        return Err(not_a_bag(found));
     }
     Ok(files)
 }
 
 /// The MCAP files at `path` regardless of `metadata.yaml`: all in a directory, or the file itself.
 pub(crate) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
-    let kind = fs::metadata(path).map_err(BagError::io(path, "opening the bag"))?;
-    if !kind.is_dir() {
+    if kind(path, "opening the bag")? == Kind::File {
         return Ok(vec![path.into()]);
     }
-    let (files, _) = children(path)?;
+    let files = children(path)?.files;
     if files.is_empty() {
         let found = "a directory without .mcap files".into();
         return Err(BagError::NotABag { path: path.into(), found });
@@ -93,11 +92,9 @@ pub(crate) fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
 pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
     let mut bags = Vec::new();
     for path in paths {
-        let kind = fs::metadata(path).map_err(BagError::io(path, "looking for bags"))?;
-        if kind.is_dir() {
-            collect(path, &mut bags)?;
-        } else {
-            bags.extend(files_of(path)?);
+        match kind(path, "looking for bags")? {
+            Kind::Directory => collect(path, &mut bags)?,
+            Kind::File => bags.extend(files_of(path)?),
         }
     }
     let mut seen = std::collections::HashSet::new();
@@ -109,45 +106,58 @@ pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
 }
 
 fn collect(directory: &Path, bags: &mut Vec<PathBuf>) -> Result<(), BagError> {
+    let Children { files, directories, has_metadata } = children(directory)?;
     let active = |file: &Path| PathBuf::from(format!("{}{ACTIVE}", file.display()));
     let named_after_it = name_of(directory).is_ok_and(|name| {
         let file = numbered(directory, &name, 0);
-        file.exists() || active(&file).exists()
+        files.contains(&active(&file)) || files.contains(&file)
     });
-    if named_after_it || directory.join(metadata::FILE_NAME).exists() {
+    if named_after_it || has_metadata {
         bags.push(directory.into());
         return Ok(());
     }
-    let (files, directories) = children(directory)?;
     bags.extend(files);
     directories.iter().try_for_each(|child| collect(child, bags))
 }
 
-/// The MCAP files and the directories in a directory, each sorted by name.
-fn children(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), BagError> {
-    let failed =
-        |reason| BagError::Io { path: directory.into(), action: "listing the directory", reason };
-    let (mut files, mut directories) = (Vec::new(), Vec::new());
-    for entry in fs::read_dir(directory).map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
-        if entry.file_name().as_encoded_bytes().starts_with(b".") {
+/// What a directory holds, each sorted by name.
+struct Children {
+    /// MCAP files.
+    files: Vec<PathBuf>,
+    directories: Vec<PathBuf>,
+    has_metadata: bool,
+}
+
+/// One request where the directory is in a store.
+fn children(directory: &Path) -> Result<Children, BagError> {
+    let entries = eddy_storage::list(directory);
+    let entries = entries.map_err(BagError::io(directory, "listing the directory"))?;
+    let mut children = Children { files: Vec::new(), directories: Vec::new(), has_metadata: false };
+    for Entry { path, is_directory } in entries {
+        let name = path.file_name().unwrap_or_default();
+        if name.as_encoded_bytes().starts_with(b".") {
             // Hidden: for example the scenes that `eddy simulate` is still writing.
             continue;
         }
-        if kind.is_dir() {
-            directories.push(path);
+        if is_directory {
+            children.directories.push(path);
         } else if is_mcap(&path) {
-            files.push(path);
+            children.files.push(path);
+        } else if name == metadata::FILE_NAME {
+            children.has_metadata = true;
         }
     }
-    files.sort();
-    directories.sort();
-    Ok((files, directories))
+    Ok(children)
+}
+
+fn kind(path: &Path, action: &'static str) -> Result<Kind, BagError> {
+    eddy_storage::kind(path).map_err(BagError::io(path, action))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn touch(path: &Path) {

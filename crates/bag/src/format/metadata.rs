@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
     path::{Path, PathBuf},
 };
 
@@ -171,7 +170,8 @@ struct ReadInformation {
 }
 
 fn read(path: &Path) -> Result<ReadInformation, BagError> {
-    let text = fs::read_to_string(path).map_err(BagError::io(path, "reading the metadata"))?;
+    let text =
+        eddy_storage::read_to_string(path).map_err(BagError::io(path, "reading the metadata"))?;
     let document: ReadDocument = serde_saphyr::from_str(&text).map_err(|error| {
         wrong(
             path,
@@ -204,9 +204,11 @@ pub(crate) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagEr
     let file = |name: &String| Path::new(name).file_name().map(|name| directory.join(name));
     let files: Vec<PathBuf> = information.relative_file_paths.iter().filter_map(file).collect();
     let expected = "names of files beside metadata.yaml";
-    if let Some(missing) = files.iter().find(|file| !file.exists()) {
-        let found = format!("{}, which does not exist", missing.display());
-        return Err(wrong(path, "relative_file_paths", found, expected));
+    for file in &files {
+        if !exists(file)? {
+            let found = format!("{}, which does not exist", file.display());
+            return Err(wrong(path, "relative_file_paths", found, expected));
+        }
     }
     if files.is_empty() {
         return Err(wrong(path, "relative_file_paths", "no file".into(), expected));
@@ -214,10 +216,15 @@ pub(crate) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagEr
     Ok(files)
 }
 
+/// Whether there is something at a path.
+pub(super) fn exists(path: &Path) -> Result<bool, BagError> {
+    eddy_storage::exists(path).map_err(BagError::io(path, "looking for the file"))
+}
+
 /// `message_count` in the metadata of the bag at `bag`; `None` without `metadata.yaml`.
 pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
     let path = bag.join(FILE_NAME);
-    if !path.exists() {
+    if !exists(&path)? {
         return Ok(None);
     }
     Ok(Some(read(&path)?.message_count))
@@ -230,7 +237,7 @@ pub(crate) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
+    use std::{fs, sync::Arc};
 
     use super::*;
     use eddy_messages::QosProfile;

@@ -5,13 +5,14 @@ use std::{
     path::Path,
 };
 
+use eddy_storage::File;
 use mcap::{
     Attachment,
     records::{AttachmentIndex, Metadata, MetadataIndex, Record},
 };
 
 use super::{
-    block::{describe, read_bytes},
+    block::{describe, unread},
     records::{RecordHeader, SIZE_LIMIT},
 };
 use crate::{error::BagError, format::parse};
@@ -27,11 +28,11 @@ pub(crate) enum AuxiliaryRecord {
 }
 
 impl AuxiliaryRecord {
-    /// Reads the record at this position.
+    /// Reads the record at this position of `file`, which is at `path`.
     ///
     /// # Errors
     /// [`BagError::Io`]; [`BagError::Corrupt`] when the record is damaged.
-    pub(crate) fn read(path: &Path, header: &RecordHeader) -> Result<Self, BagError> {
+    pub(crate) fn read(path: &Path, file: &File, header: &RecordHeader) -> Result<Self, BagError> {
         let corrupt = |found: String, expected: &str| BagError::Corrupt {
             path: path.into(),
             position: header.position,
@@ -41,7 +42,8 @@ impl AuxiliaryRecord {
         if header.length > SIZE_LIMIT {
             return Err(corrupt(describe(header), "at most 1 GiB"));
         }
-        let body = read_bytes(path, header.body(), header.length)?;
+        let body = file.read(header.body(), header.length);
+        let body = body.map_err(|error| unread(path, header.body(), error))?;
         Self::parse(header.opcode, &body).map_err(|found| corrupt(found, "a valid record"))
     }
 

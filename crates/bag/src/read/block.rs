@@ -1,11 +1,8 @@
 //! Blocks of the data section: a chunk, or consecutive messages outside chunks. Decompressed and checked.
 
-use std::{
-    fs::File,
-    io::{ErrorKind, Read, Seek, SeekFrom},
-    path::Path,
-};
+use std::{io, path::Path};
 
+use eddy_storage::{File, Prefetched};
 use mcap::{
     McapError, McapResult,
     records::{Record, op},
@@ -43,7 +40,13 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Calls `on_record` for every schema, channel and message.
+    /// Begins to fetch the block from a store; `None` for a file on disk, and for a block that is too large to be read.
+    pub(super) fn prefetch(&self, file: &File) -> Option<Prefetched> {
+        (self.length <= SIZE_LIMIT).then(|| file.prefetch(self.position, self.length)).flatten()
+    }
+
+    /// Calls `on_record` for every schema, channel and message of the block in `file`, which is at `path`. Its bytes are those
+    /// that were `prefetched`, if any.
     ///
     /// The checksum of a complete chunk is checked before its first record. Of a truncated chunk the records
     /// before the end of the file are read; its truncation is not an error here.
@@ -54,6 +57,8 @@ impl Block {
     pub(super) fn read(
         &self,
         path: &Path,
+        file: &File,
+        prefetched: Option<Prefetched>,
         on_record: impl FnMut(Record<'_>) -> Result<(), String>,
     ) -> Result<(), BagError> {
         let corrupt = |(found, expected): (String, &str)| BagError::Corrupt {
@@ -65,7 +70,11 @@ impl Block {
         if self.length > SIZE_LIMIT {
             return Err(corrupt((format!("{} bytes", self.length), "at most 1 GiB")));
         }
-        let bytes = read_bytes(path, self.position, self.length)?;
+        let bytes = match prefetched {
+            Some(bytes) => bytes.wait(),
+            None => file.read(self.position, self.length),
+        };
+        let bytes = bytes.map_err(|error| unread(path, self.position, error))?;
         let outcome = match self.kind {
             BlockKind::Unchunked => read_records(&bytes, on_record),
             BlockKind::Chunk => read_chunk(&bytes, on_record),
@@ -77,33 +86,19 @@ impl Block {
     }
 }
 
-/// Reads `length` bytes of a file from byte `position`.
-///
-/// # Errors
-/// [`BagError::Corrupt`] when the disk cannot read them, [`BagError::Io`] for other errors of the system.
-pub(super) fn read_bytes(path: &Path, position: u64, length: u64) -> Result<Vec<u8>, BagError> {
-    let read = || {
-        let mut file = File::open(path)?;
-        file.seek(SeekFrom::Start(position))?;
-        let mut bytes = Vec::with_capacity(length as usize);
-        file.take(length).read_to_end(&mut bytes)?;
-        if (bytes.len() as u64) < length {
-            return Err(ErrorKind::UnexpectedEof.into());
-        }
-        Ok(bytes)
-    };
-    read().map_err(|error: std::io::Error| {
-        if BagError::is_unreadable(&error) {
-            let (found, expected) = (unreadable(&error), "readable bytes".into());
-            BagError::Corrupt { path: path.into(), position, found, expected }
-        } else {
-            BagError::io(path, "reading")(error)
-        }
-    })
+/// Why the bytes from `position` on could not be read: [`BagError::Corrupt`] when it is the disk, [`BagError::Io`] for other
+/// errors.
+pub(super) fn unread(path: &Path, position: u64, error: io::Error) -> BagError {
+    if BagError::is_unreadable(&error) {
+        let (found, expected) = (unreadable(&error), "readable bytes".into());
+        BagError::Corrupt { path: path.into(), position, found, expected }
+    } else {
+        BagError::io(path, "reading")(error)
+    }
 }
 
 /// Describes bytes that the disk cannot read, for error messages.
-pub(super) fn unreadable(error: &std::io::Error) -> String {
+pub(super) fn unreadable(error: &io::Error) -> String {
     format!("bytes that the disk cannot read ({error})")
 }
 

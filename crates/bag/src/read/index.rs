@@ -6,6 +6,7 @@ use std::{
     sync::Arc,
 };
 
+use eddy_storage::File;
 use mcap::{
     MAGIC,
     records::{self, ChunkIndex, Record, SchemaHeader},
@@ -54,6 +55,7 @@ pub(super) type Times = (u64, u64);
 #[derive(Debug)]
 pub(crate) struct FileIndex {
     pub(crate) path: PathBuf,
+    pub(crate) file: File,
     /// Index of the file in the bag.
     pub(super) number: usize,
     /// Size of the file (bytes).
@@ -106,11 +108,12 @@ pub(super) fn add_counts(counts: &mut BTreeMap<u16, u64>, added: &BTreeMap<u16, 
 
 impl FileIndex {
     /// The empty index of file `number` of a bag.
-    pub(super) fn new(path: &Path, number: usize, size: u64) -> Self {
+    pub(super) fn new(path: &Path, number: usize, file: File) -> Self {
         Self {
             path: path.into(),
             number,
-            size,
+            size: file.size(),
+            file,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             counts: BTreeMap::new(),

@@ -1,8 +1,9 @@
 //! The messages of all files of a bag, merged by log time. One block is in memory at a time, several where their
-//! times overlap.
+//! times overlap; of a bag in a store, the next few are on their way.
 
-use std::{collections::VecDeque, path::PathBuf, sync::Arc};
+use std::{collections::VecDeque, sync::Arc};
 
+use eddy_storage::Prefetched;
 use mcap::records::Record;
 
 use super::{
@@ -12,6 +13,9 @@ use super::{
 };
 use crate::{error::BagError, format::channel::Channel};
 use eddy_frames::Stamp;
+
+/// Blocks of a bag in a store that are fetched ahead: with blocks of 1 MiB and 50 ms a request, 80 MiB/s.
+const AHEAD: usize = 4;
 
 /// A message of a bag.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,6 +60,8 @@ pub struct Messages {
     until: u64,
     /// Blocks not read yet, in the order of their first message.
     pending: VecDeque<Block>,
+    /// The first of these, on their way from a store.
+    prefetched: VecDeque<Option<Prefetched>>,
     /// Messages of the blocks that were read, in order.
     ready: VecDeque<BagMessage>,
     /// Returned after the messages.
@@ -88,7 +94,8 @@ impl Messages {
             file.errors().for_each(|error| errors.push(error));
             errors.omit(file.damage.omitted());
         }
-        Self { contents, selected, from, until, pending, ready, errors }
+        let prefetched = VecDeque::new();
+        Self { contents, selected, from, until, pending, prefetched, ready, errors }
     }
 
     /// Whether a pending block may contain a message before all that are ready.
@@ -106,11 +113,14 @@ impl Messages {
         let Some(block) = self.pending.pop_front() else { return };
         let contents = self.contents.clone();
         let file = &contents.files[block.file];
-        let path: &PathBuf = &file.path;
+        let prefetched = self.prefetched.pop_front().flatten();
+        for next in self.pending.iter().take(AHEAD).skip(self.prefetched.len()) {
+            self.prefetched.push_back(next.prefetch(&contents.files[next.file].file));
+        }
         let channels = &contents.channels[block.file];
         let ready = &mut self.ready;
         let ready_before = ready.len();
-        let outcome = block.read(path, |record| {
+        let outcome = block.read(&file.path, &file.file, prefetched, |record| {
             let Record::Message { header, data } = record else { return Ok(()) };
             let FileChannel { topic, channel } = channels
                 .get(&header.channel_id)

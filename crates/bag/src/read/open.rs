@@ -1,11 +1,11 @@
 //! Indexes a file: from its summary section if that is usable, otherwise by a scan of the whole file.
 
 use std::{
-    fs::File,
     io::{self, Read},
     path::Path,
 };
 
+use eddy_storage::File;
 use mcap::MAGIC;
 
 use super::{
@@ -34,16 +34,19 @@ impl FileIndex {
         progress: &mut Progress<'_>,
     ) -> Result<Self, BagError> {
         let failed = |reason| BagError::Io { path: path.into(), action: "reading", reason };
-        let (mut file, size) = open(path)?;
+        let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
+        let size = file.size();
+        let mut reader = file.reader().map_err(failed)?;
         let mut magic = Vec::new();
-        readable(file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic)).map_err(failed)?;
+        readable(reader.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic))
+            .map_err(failed)?;
         if !MAGIC.starts_with(&magic) {
             return Err(BagError::Magic { path: path.into(), found: magic });
         }
-        let mut index = Self::new(path, number, size);
-        let start = readable(records::summary_start(&mut file, size)).map_err(failed)?.flatten();
+        let mut index = Self::new(path, number, file.clone());
+        let start = readable(records::summary_start(&mut reader, size)).map_err(failed)?.flatten();
         if let Some(start) = start {
-            let mut records = Records::new(file.try_clone().map_err(failed)?, size, start);
+            let mut records = Records::new(reader, size, start);
             let found = readable(index.read_summary(&mut records, start)).map_err(failed)?;
             if found == Some(true) {
                 if !progress(size) {
@@ -53,9 +56,10 @@ impl FileIndex {
             }
             // The scan keeps the channels: the start of the file, where they are declared, may be damaged.
             let Self { schemas, channels, .. } = index;
-            index = Self { schemas, channels, ..Self::new(path, number, size) };
+            index = Self { schemas, channels, ..Self::new(path, number, file.clone()) };
+            reader = file.reader().map_err(failed)?;
         }
-        let records = Records::new(file, size, size.min(MAGIC.len() as u64));
+        let records = Records::new(reader, size, size.min(MAGIC.len() as u64));
         index.scan_records(records, progress)
     }
 
@@ -64,17 +68,11 @@ impl FileIndex {
     /// # Errors
     /// [`BagError::Io`].
     pub(crate) fn scan(path: &Path) -> Result<Self, BagError> {
-        let (file, size) = open(path)?;
-        let records = Records::new(file, size, MAGIC.len() as u64);
-        Self::new(path, 0, size).scan_records(records, &mut |_| true)
+        let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
+        let reader = file.reader().map_err(BagError::io(path, "reading"))?;
+        let records = Records::new(reader, file.size(), MAGIC.len() as u64);
+        Self::new(path, 0, file).scan_records(records, &mut |_| true)
     }
-}
-
-/// Opens a file and returns its size (bytes).
-fn open(path: &Path) -> Result<(File, u64), BagError> {
-    let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
-    let size = file.metadata().map_err(BagError::io(path, "reading"))?.len();
-    Ok((file, size))
 }
 
 /// `None` where the disk has a bad sector.

@@ -131,7 +131,9 @@ impl BagReader {
     /// The attachments and metadata records, in the order of the files.
     pub(crate) fn auxiliary(&self) -> impl Iterator<Item = Result<AuxiliaryRecord, BagError>> {
         self.contents.files.iter().flat_map(|file| {
-            file.auxiliary.iter().map(|record| AuxiliaryRecord::read(&file.path, record))
+            file.auxiliary
+                .iter()
+                .map(|record| AuxiliaryRecord::read(&file.path, &file.file, record))
         })
     }
 

@@ -2,11 +2,9 @@
 //!
 //! A record is one byte of opcode, eight bytes of length, and the body (MCAP specification, "Records").
 
-use std::{
-    fs::File,
-    io::{self, BufReader, Read, Seek, SeekFrom},
-};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
+use eddy_storage::Reader;
 use mcap::{MAGIC, records::op};
 
 use crate::error::BagError;
@@ -66,7 +64,7 @@ pub(super) enum Step {
 
 /// The records of a file.
 pub(super) struct Records {
-    file: BufReader<File>,
+    file: BufReader<Reader>,
     pub(super) size: u64,
     /// Start of the next record (bytes).
     pub(super) position: u64,
@@ -83,7 +81,7 @@ pub(super) struct Absent {
 
 impl Records {
     /// Starts at byte `position` of a file of `size` bytes.
-    pub(super) fn new(file: File, size: u64, position: u64) -> Self {
+    pub(super) fn new(file: Reader, size: u64, position: u64) -> Self {
         Self { file: BufReader::new(file), size, position, absent: Absent::default() }
     }
 
@@ -175,7 +173,7 @@ impl ChunkHeader {
 
 /// Start of the summary section (bytes); `None` if the file does not end with a footer or has no summary
 /// section.
-pub(super) fn summary_start(file: &mut File, size: u64) -> io::Result<Option<u64>> {
+pub(super) fn summary_start(file: &mut Reader, size: u64) -> io::Result<Option<u64>> {
     let footer_size = HEADER_SIZE + FOOTER_BODY + MAGIC.len() as u64;
     if size < MAGIC.len() as u64 + footer_size {
         return Ok(None);

@@ -206,9 +206,9 @@ impl FileIndex {
             first: 0,
             last: 0,
         };
-        let path = self.path.clone();
+        let (path, file) = (self.path.clone(), self.file.clone());
         let (mut counts, mut times) = (BTreeMap::new(), None);
-        let outcome = block.read(&path, |record| match record {
+        let outcome = block.read(&path, &file, None, |record| match record {
             Record::Message { header, .. } => {
                 if !self.channels.contains_key(&header.channel_id) {
                     return Err(unknown_channel(header.channel_id));

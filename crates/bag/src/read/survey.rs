@@ -3,11 +3,11 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
-    fs::File,
     io::Read,
     path::Path,
 };
 
+use eddy_storage::File;
 use mcap::{
     McapError,
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
@@ -306,7 +306,7 @@ fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
 
 /// Checks the checksums of the data and summary sections of a file.
 fn checksums(path: &Path) -> Result<(), McapError> {
-    let mut file = File::open(path)?;
+    let mut file = File::open(path)?.reader()?;
     let mut reader = LinearReader::new_with_options(
         LinearReaderOptions::default()
             .with_emit_chunks(true)

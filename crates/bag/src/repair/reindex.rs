@@ -103,6 +103,7 @@ fn summarize(file: &Path, progress: &mut Progress<'_>) -> Result<FileIndex, BagE
     let mut index = finish_file(&copy, FileIndex::scan(&copy)?, OnFullDisk::Fail)?;
     staged.commit().map_err(BagError::io(file, "replacing the file"))?;
     index.path = file.into();
+    index.file = eddy_storage::File::open(file).map_err(BagError::io(file, "opening the file"))?;
     Ok(index)
 }
 

@@ -47,8 +47,9 @@ pub(crate) fn finish_file(
     on_full_disk: OnFullDisk,
 ) -> Result<FileIndex, BagError> {
     let failed = |reason| BagError::Io { path: path.into(), action: "finishing the file", reason };
-    let read =
-        |header: &RecordHeader| Ok((*header, AuxiliaryRecord::read(path, header)?.index(header)));
+    let read = |header: &RecordHeader| {
+        Ok((*header, AuxiliaryRecord::read(path, &index.file, header)?.index(header)))
+    };
     let auxiliary: Vec<_> = index.auxiliary.iter().map(read).collect::<Result<_, BagError>>()?;
     let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
     // Without the messages of a truncated chunk.

@@ -3,6 +3,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
+    io::ErrorKind,
     path::{Path, PathBuf},
 };
 
@@ -13,6 +14,7 @@ use super::SimulateError;
 use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
 use eddy_settings::atomic;
+use eddy_storage::{Version, is_remote};
 
 const NAME: &str = "manifest.json";
 /// Maximum number of points of an energy curve.
@@ -128,6 +130,9 @@ pub(super) struct Manifest {
     /// The directory.
     #[serde(skip)]
     output: PathBuf,
+    /// In a store: the version that was read or written last; none before the first.
+    #[serde(skip)]
+    version: Option<Version>,
     request: RecordedRequest,
     /// The finished scenes, by id.
     scenes: Vec<Finished>,
@@ -139,6 +144,7 @@ impl Manifest {
         let Some(found) = read(output)? else {
             return Ok(Self {
                 output: output.to_owned(),
+                version: None,
                 request: request.clone(),
                 scenes: Vec::new(),
             });
@@ -172,13 +178,24 @@ impl Manifest {
         self.scenes.sort_by_key(|scene| scene.start.id);
     }
 
-    /// Replaces the manifest atomically.
-    pub(super) fn save(&self) -> Result<(), SimulateError> {
+    /// Replaces the manifest atomically; in a store, unless another process has replaced it.
+    pub(super) fn save(&mut self) -> Result<(), SimulateError> {
         let path = path(&self.output);
         let text = self
             .text()
             .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
-        atomic::replace(&path, text.as_bytes()).map_err(SimulateError::io("write", &path))
+        if !is_remote(&path) {
+            return atomic::replace(&path, text.as_bytes())
+                .map_err(SimulateError::io("write", &path));
+        }
+        match eddy_storage::replace(&path, text.into_bytes(), self.version.as_ref()) {
+            Ok(version) => self.version = Some(version),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                return Err(SimulateError::Changed { output: self.output.clone() });
+            }
+            Err(error) => return Err(SimulateError::io("write", &path)(error)),
+        }
+        Ok(())
     }
 
     /// JSON with one line per scene, for readability.
@@ -206,13 +223,19 @@ pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>,
 /// The manifest of a directory; `None` if it does not exist.
 fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
     let file = path(output);
-    if !file.exists() {
-        return Ok(None);
-    }
-    let text = fs::read(&file).map_err(SimulateError::io("read", &file))?;
+    let (text, version) = if is_remote(&file) {
+        let found = eddy_storage::read_version(&file).map_err(SimulateError::io("read", &file))?;
+        let Some((text, version)) = found else { return Ok(None) };
+        (text, Some(version))
+    } else {
+        if !file.exists() {
+            return Ok(None);
+        }
+        (fs::read(&file).map_err(SimulateError::io("read", &file))?, None)
+    };
     let found: Manifest = serde_json::from_slice(&text)
         .map_err(|reason| SimulateError::NoManifest { file, reason })?;
-    Ok(Some(Manifest { output: output.to_owned(), ..found }))
+    Ok(Some(Manifest { output: output.to_owned(), version, ..found }))
 }
 
 /// Adds the fields in which two values differ, such as `settings.duration 2.0 instead of 4.0`.

@@ -6,7 +6,7 @@
 //! 3. [`write`]: simulates scenes in parallel, each into a bag ([`recording`]); [`side_by_side`] does so on a device.
 //! 4. [`staging`] and [`manifest`]: a scene is written to `.incomplete/scene_0007`, entered in the
 //!    manifest, then moved to `scene_0007`. So a bag with its final name is complete, and a scene with an entry but no
-//!    directory is simulated again.
+//!    directory is simulated again. In a store a bag is complete once its `metadata.yaml` is there, which is uploaded last.
 
 mod error;
 mod manifest;
@@ -31,6 +31,9 @@ pub use recording::{Recording, Store};
 pub use side_by_side::MOST_SCENES;
 pub use source::Source;
 pub use write::Summary;
+
+/// The file of a bag in a store that is uploaded last.
+const UPLOADED_LAST: &str = "metadata.yaml";
 
 /// Maximum number of threads.
 const MAX_THREADS: usize = 1024;

@@ -1,15 +1,16 @@
 //! Setup of every scene before the first is simulated.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use rayon::prelude::*;
 
 use super::{
-    SimulateError, SimulationRequest, directory,
+    SimulateError, SimulationRequest, UPLOADED_LAST, directory,
     manifest::{Manifest, Start},
 };
 use crate::dataset::available_memory;
 use eddy_mpm::{MpmError, Scene, Settings, Simulation};
+use eddy_storage::is_remote;
 
 /// A scene to simulate.
 #[derive(Clone, Debug)]
@@ -38,7 +39,7 @@ pub(super) fn plan(
             })?;
             let Some(manifest) = manifest else { return Ok(Some(planned)) };
             let directory = manifest.output().join(directory(id));
-            if fs::symlink_metadata(&directory).is_err() {
+            if !is_there(&directory)? {
                 return Ok(Some(planned));
             }
             if manifest.scene(id).is_none_or(|found| found.start != planned.start) {
@@ -48,6 +49,15 @@ pub(super) fn plan(
         })
         .collect::<Result<_, SimulateError>>()?;
     Ok(planned.into_iter().flatten().collect())
+}
+
+/// Whether there is a bag, or anything else, at a path.
+fn is_there(directory: &Path) -> Result<bool, SimulateError> {
+    if !is_remote(directory) {
+        return Ok(fs::symlink_metadata(directory).is_ok());
+    }
+    let file = directory.join(UPLOADED_LAST);
+    eddy_storage::exists(&file).map_err(SimulateError::io("look for", &file))
 }
 
 fn plan_scene(scene: Scene, at_once: usize, available: u64) -> Result<Planned, SimulateError> {
