@@ -47,6 +47,7 @@ pages! {
     how_to_talk_to_ros: "docs/src/how-to/ros.md",
     how_to_drive_a_replay: "docs/src/how-to/replay.md",
     how_to_write_scenes: "docs/src/how-to/scenes.md",
+    how_to_use_object_stores: "docs/src/how-to/stores.md",
     how_to_exchange_data: "docs/src/how-to/exchange.md",
     how_to_train: "docs/src/how-to/train.md",
     how_to_watch: "docs/src/how-to/view.md",

@@ -97,6 +97,26 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "eddy simulate --preset kinds --scenes 400 --device cuda --output bags/gpu",
         "needs an NVIDIA GPU",
     ),
+    (
+        "cargo build --release --features object-store",
+        "recompiles dependencies; tests/peers/store_peer.py runs such commands with servers of stores",
+    ),
+    (
+        "eddy simulate --preset kinds --scenes 60 --seed 1 --output s3://my-bucket/kinds",
+        "needs a store; tests/peers/store_peer.py",
+    ),
+    (
+        "eddy train --data s3://my-bucket/kinds --output checkpoints/mine",
+        "needs a store; tests/peers/store_peer.py",
+    ),
+    (
+        "eddy eval --checkpoint checkpoints/mine --data gs://another-bucket/unseen --output reports/unseen",
+        "needs a store; tests/peers/store_peer.py",
+    ),
+    (
+        "eddy replay s3://my-bucket/kinds/scene_0000 --to zenoh",
+        "needs a store; tests/peers/store_peer.py",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (
