@@ -609,11 +609,18 @@ pub struct EvalArgs {
     #[arg(long, value_name = "BAG", required_unless_present = "compare", num_args = 1..)]
     pub data: Vec<PathBuf>,
     /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
-    #[arg(long, short, value_name = "DIR", required_unless_present = "compare")]
+    #[arg(long, short, value_name = "DIR", required_unless_present_any = ["compare", "list_starts"])]
     pub output: Option<PathBuf>,
     /// Replace an existing report.
     #[arg(long)]
     pub force: bool,
+    /// Also evaluate rollouts that another program has recorded, in a bag or a directory of bags: frames on /prediction and,
+    /// for each, its first frame and horizon on /prediction/status, as a node publishes them.
+    #[arg(long, value_name = "NAME=BAG", num_args = 1.., value_parser = recorded)]
+    pub predictions: Vec<(String, PathBuf)>,
+    /// Print the sequence numbers that rollouts start from as JSON and exit.
+    #[arg(long, conflicts_with_all = ["output", "predictions"])]
+    pub list_starts: bool,
     /// Print all tables of the report, not only the skill.
     #[arg(long)]
     pub tables: bool,
@@ -623,7 +630,7 @@ pub struct EvalArgs {
         value_name = "REPORT",
         num_args = 2..,
         conflicts_with_all = [
-            "checkpoint", "data", "horizon", "starts", "references", "join_late", "without_rules", "threads", "device"
+            "checkpoint", "data", "predictions", "list_starts", "horizon", "starts", "references", "join_late", "without_rules", "threads", "device"
         ]
     )]
     pub compare: Vec<PathBuf>,
@@ -649,6 +656,14 @@ pub struct EvalArgs {
     /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
     pub device: ComputeDevice,
+}
+
+/// Name and bag of recorded rollouts.
+fn recorded(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((name, bag)) if !name.is_empty() && !bag.is_empty() => Ok((name.into(), bag.into())),
+        _ => Err(format!("found {text}, expected NAME=BAG")),
+    }
 }
 
 /// A reference predictor.

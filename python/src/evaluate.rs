@@ -93,6 +93,7 @@ pub(crate) fn evaluate(
             .map_err(|error| error.to_string())?;
         let request = EvaluationRequest {
             checkpoints: loaded,
+            recorded: Vec::new(),
             streams,
             settings: Settings::full(horizon, starts),
             references,

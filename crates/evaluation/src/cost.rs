@@ -63,7 +63,7 @@ impl KindCost {
 }
 
 /// Times a predictor frame by frame, the same number of frames on each stream. Models must have been loaded for one
-/// thread. `None` for the truth and the mean, which compute nothing; kinds in which a solver fails are left out.
+/// thread. `None` for recorded rollouts, the truth and the mean, which compute nothing; kinds in which a solver fails are left out.
 ///
 /// # Errors
 /// As [`evaluate_scene`](super::evaluate_scene).
@@ -114,7 +114,7 @@ fn add_times(
                 run(times, || matches!(simulation.next_frame(), Ok(Some(_))));
             }
         }
-        Predictor::Mean | Predictor::Truth => {}
+        Predictor::Recorded(_) | Predictor::Mean | Predictor::Truth => {}
     }
     Ok(())
 }

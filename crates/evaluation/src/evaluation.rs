@@ -1,13 +1,17 @@
 //! A whole evaluation: checkpoints, trivial predictors and solvers on the same frames, their time per frame, and the
 //! report.
 
-use std::{collections::BTreeMap, num::NonZeroUsize, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
 
 use rayon::{ThreadPoolBuildError, prelude::*};
 
 use super::{
-    Cost, EvalError, EvaluationResults, Kind, Origin, Predictor, PredictorInfo, Report, Role,
-    SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
+    Cost, EvalError, EvaluationResults, Kind, Origin, Predictor, PredictorInfo, Recorded, Report,
+    Role, SceneResult, Settings, Snapshot, chaos, cost, evaluate_scene,
     references::{Reference, References},
     selection::Selection,
     side_by_side::rollout_threads,
@@ -34,6 +38,8 @@ const MAX_THREADS: usize = 1024;
 pub struct EvaluationRequest {
     /// Checkpoints with their paths.
     pub checkpoints: Vec<(String, Checkpoint)>,
+    /// Rollouts that other programs have recorded.
+    pub recorded: Vec<Recorded>,
     /// Streams; those that a checkpoint was trained on are excluded.
     pub streams: Vec<Trajectory>,
     /// Horizon, starts and measures.
@@ -142,6 +148,7 @@ pub struct Evaluation {
     names: Vec<String>,
     /// The checkpoints' models; on the CPU their steppers have one thread.
     models: Vec<Surrogate>,
+    recorded: Vec<Recorded>,
     join_late: bool,
     remarks: Vec<String>,
     pool: rayon::ThreadPool,
@@ -171,8 +178,15 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<Self, EvaluationError> {
         request.check()?;
-        let EvaluationRequest { checkpoints, streams, settings, references, join_late, threads } =
-            request;
+        let EvaluationRequest {
+            checkpoints,
+            recorded,
+            streams,
+            settings,
+            references,
+            join_late,
+            threads,
+        } = request;
         let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
         let selection = Selection::new(settings, &descriptions, streams)?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
@@ -209,7 +223,16 @@ impl Evaluation {
             return Err(EvaluationError::Cancelled);
         }
         let references = pool.install(|| References::new(&references, &selection.streams))?;
-        Ok(Self { selection, references, names, models, join_late, remarks, pool })
+        Ok(Self { selection, references, names, models, recorded, join_late, remarks, pool })
+    }
+
+    /// The streams to evaluate on: bag, id, and the sequence numbers that rollouts start from.
+    pub fn starts(&self) -> impl Iterator<Item = (&Path, u64, Vec<u64>)> {
+        self.selection.streams.iter().map(|stream| {
+            let starts = self.selection.context.starts(stream.frames).into_iter();
+            let sequences = starts.map(|start| stream.first_sequence + start as u64).collect();
+            (stream.source.as_path(), stream.id, sequences)
+        })
     }
 
     /// Remarks for the user, one sentence each: excluded streams, models trained for a different setup.
@@ -275,7 +298,8 @@ impl Evaluation {
             let found = all.iter().enumerate().filter(move |(_, predictor)| wanted(predictor));
             found.map(|(number, _)| number).take(most)
         };
-        let models = numbers(|p| matches!(p, Predictor::Model(_)), PICTURED_MODELS);
+        let models =
+            numbers(|p| matches!(p, Predictor::Model(_) | Predictor::Recorded(_)), PICTURED_MODELS);
         let chosen: Vec<usize> =
             models.chain(numbers(|p| matches!(p, Predictor::Restart(_)), 1)).collect();
         let predictors: Vec<_> = chosen.iter().map(|&number| all[number]).collect();
@@ -293,7 +317,9 @@ impl Evaluation {
         let references = self.references.predictors.iter().copied();
         let models = self.models.iter().map(Predictor::Model).chain(late);
         let simple = self.selection.context.simple_predictors();
-        models.chain(simple).chain(references).chain([Predictor::Truth]).collect()
+        let recorded = self.recorded.iter().map(Predictor::Recorded);
+        let learned = models.chain(recorded);
+        learned.chain(simple).chain(references).chain([Predictor::Truth]).collect()
     }
 
     fn report(
@@ -378,6 +404,7 @@ fn info(predictor: &Predictor<'_>, short: &str, path: &str) -> PredictorInfo {
         Predictor::JoinedLate(surrogate) => {
             (format!("{short}, joined late"), Role::JoinedLate, Some(origin(surrogate)))
         }
+        Predictor::Recorded(recorded) => (recorded.name.clone(), Role::Recorded, None),
         Predictor::Baseline(baseline) => (baseline.name().to_owned(), Role::Baseline, None),
         Predictor::Mean => ("mean of the training".to_owned(), Role::Mean, None),
         Predictor::LinearFit(_) => ("linear fit".to_owned(), Role::LinearFit, None),
@@ -391,7 +418,7 @@ fn info(predictor: &Predictor<'_>, short: &str, path: &str) -> PredictorInfo {
 /// The last components of paths if they are distinct, else the whole paths.
 pub fn short_names(paths: &[String]) -> Vec<String> {
     let last = |path: &String| {
-        let name = std::path::Path::new(path).file_name();
+        let name = Path::new(path).file_name();
         name.map_or(path.clone(), |name| name.to_string_lossy().into_owned())
     };
     let mut short: Vec<String> = paths.iter().map(last).collect();
@@ -402,7 +429,6 @@ pub fn short_names(paths: &[String]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
 
     use tempfile::TempDir;
 
@@ -440,6 +466,7 @@ mod tests {
     fn request(streams: &[Trajectory]) -> EvaluationRequest {
         EvaluationRequest {
             checkpoints: vec![("models/shipped".to_owned(), Checkpoint::shipped().unwrap())],
+            recorded: Vec::new(),
             streams: streams.to_vec(),
             settings: Settings::errors_only(3, 2),
             references: Vec::new(),

@@ -3,7 +3,7 @@
 //! 1. [`context`]: settings, baselines' walls and error units, the same for all predictors; [`window`]: the frames
 //!    of a stream from which rollouts start.
 //! 2. [`predictor`]: everything that predicts: models ([`model_rollout`]: they see observed frames, then their
-//!    own output), trivial [`baseline`]s, the solver [`restart`]ed from the same observation, and the truth from
+//!    own output), rollouts [`recorded`] by other programs, trivial [`baseline`]s, the solver [`restart`]ed from the same observation, and the truth from
 //!    slightly displaced positions ([`chaos`]). [`task`] is what they predict, [`rollout`] the result.
 //! 3. [`errors`]: squared errors summed over windows, by material and frame ahead; [`steps`]: the
 //!    same for one-step predictions.
@@ -35,6 +35,7 @@ mod numbers;
 pub mod page;
 pub mod picture;
 mod predictor;
+mod recorded;
 mod references;
 mod report;
 mod restart;
@@ -57,6 +58,7 @@ pub use kind::Kind;
 pub use linear_fit::LinearFit;
 pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN_FRAMES};
 pub use predictor::Predictor;
+pub use recorded::{Recorded, RecordedError};
 pub use references::Reference;
 pub use report::{
     Comparison, Entry, EvaluationResults, KindCount, Origin, PredictorInfo, Report, ReportError,
@@ -110,6 +112,15 @@ pub enum EvalError {
     NoScene {
         /// Stream id.
         stream: u64,
+    },
+    /// Recorded rollouts do not fit the stream.
+    #[error("{name}: stream {stream}: {reason}")]
+    Recorded {
+        /// Name of the predictor.
+        name: String,
+        /// Stream id.
+        stream: u64,
+        reason: String,
     },
     /// Every stream is too short.
     #[error(

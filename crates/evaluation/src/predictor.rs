@@ -1,7 +1,7 @@
-//! Everything that predicts: models, baselines, reference solvers, and the truth itself.
+//! Everything that predicts: models, other programs, baselines, reference solvers, and the truth itself.
 
 use super::{
-    Baseline, Context, EvalError, LinearFit, Restart, Rollout, chaos,
+    Baseline, Context, EvalError, LinearFit, Recorded, Restart, Rollout, chaos,
     model_rollout::{roll_out_from_first, roll_out_joined_late},
     steps::StepResults,
     task::RolloutTask,
@@ -17,6 +17,8 @@ pub enum Predictor<'a> {
     Model(&'a Surrogate),
     /// A model that joined the stream in the middle and has observed its warm-up only.
     JoinedLate(&'a Surrogate),
+    /// Another program, by the rollouts that it has recorded.
+    Recorded(&'a Recorded),
     /// A trivial predictor.
     Baseline(Baseline),
     /// All particles in the mean state of the training data: the reference of z-score errors.
@@ -58,6 +60,10 @@ impl Predictor<'_> {
             }
             Self::JoinedLate(surrogate) => {
                 roll_out_joined_late(surrogate, task, each).map_err(model_error)?;
+                None
+            }
+            Self::Recorded(recorded) => {
+                recorded.roll_out(task, each)?;
                 None
             }
             Self::Baseline(baseline) => {

@@ -28,8 +28,6 @@ const EMULATOR: &str = "STORAGE_EMULATOR_HOST";
 
 /// Requests run here, whatever thread waits for them.
 static RUNTIME: LazyLock<io::Result<Runtime>> = LazyLock::new(|| {
-    // Of the two providers that TLS may have, the one that is compiled in; another part of the program may have chosen it.
-    let _ = rustls::crypto::ring::default_provider().install_default();
     Builder::new_multi_thread().worker_threads(2).thread_name("store").enable_all().build()
 });
 
@@ -69,6 +67,8 @@ impl Location {
 }
 
 fn connect(scheme: &str, bucket: &str) -> object_store::Result<Arc<dyn ObjectStore>> {
+    // The only provider of cryptography that is compiled in; an error if another part of the program has chosen it before.
+    let _ = rustls::crypto::ring::default_provider().install_default();
     let backoff = BackoffConfig {
         init_backoff: Duration::from_millis(100),
         max_backoff: Duration::from_secs(2),
@@ -132,7 +132,7 @@ fn explained(error: &Error) -> io::Error {
         _ if reason.starts_with("ExpiredToken") || reason.starts_with("InvalidToken") => {
             (io::ErrorKind::PermissionDenied, refused(&reason))
         }
-        _ => (io::ErrorKind::Other, format!("the store did not answer as expected: {reason}")),
+        _ => (io::ErrorKind::Other, format!("the request to the store failed: {reason}")),
     };
     io::Error::new(kind, message)
 }

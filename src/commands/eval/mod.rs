@@ -8,6 +8,7 @@ mod compare;
 use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::{Context, ensure};
+use serde_json::json;
 
 use super::{
     Interrupt, TerminalProgress, counted,
@@ -18,7 +19,9 @@ use crate::{
     cli::{EvalArgs, ReferenceName},
     terminal,
 };
-use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Report, Settings, dataset};
+use eddy_evaluation::{
+    Evaluation, EvaluationRequest, Recorded, Reference, Report, Settings, dataset,
+};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
 use eddy_settings::ensure_usage;
 
@@ -26,6 +29,9 @@ use eddy_settings::ensure_usage;
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     if !args.compare.is_empty() {
         return compare::run(&args);
+    }
+    if args.list_starts {
+        return list_starts(&args, interrupt);
     }
     // Required by the command line.
     let folder = args.output.as_deref().context("--output: expected a directory")?;
@@ -70,6 +76,8 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
         .map(|path| Ok((path.display().to_string(), Checkpoint::load_or_shipped(Some(path))?)))
         .collect::<anyhow::Result<_>>()?;
     disable_rules(&args.without_rules, &mut checkpoints)?;
+    let recorded = args.predictions.iter().map(|(name, bag)| Recorded::open(name.clone(), bag));
+    let recorded = recorded.collect::<Result<_, _>>()?;
     let memory = dataset::available_memory() / 2;
     let reference = |name: &ReferenceName| match name {
         ReferenceName::Mpm => Reference::Restart,
@@ -77,12 +85,25 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
     };
     Ok(EvaluationRequest {
         checkpoints,
+        recorded,
         streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
         settings: Settings::full(args.horizon, args.starts),
         references: args.references.iter().map(reference).collect(),
         join_late: args.join_late,
         threads: args.threads,
     })
+}
+
+/// Prints what a program needs to know that records rollouts for this evaluation.
+fn list_starts(args: &EvalArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let progress = TerminalProgress::new(true, interrupt);
+    let evaluation = Evaluation::new(request(args)?, &progress)?;
+    let streams: Vec<_> = evaluation
+        .starts()
+        .map(|(bag, stream, sequences)| json!({ "bag": bag, "stream": stream, "sequences": sequences }))
+        .collect();
+    println!("{}", json!({ "horizon": args.horizon, "streams": streams }));
+    Ok(())
 }
 
 /// Switches rules off and adds them to the names of the checkpoints.

@@ -117,6 +117,10 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "eddy replay s3://my-bucket/kinds/scene_0000 --to zenoh",
         "needs a store; tests/peers/store_peer.py",
     ),
+    (
+        "eddy eval --checkpoint checkpoints/particle-mingru --data bags/unseen --predictions mine=bags/mine --output reports/both",
+        "needs another program; tests/peers/predictions_peer.py",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (

@@ -29,6 +29,8 @@ pub enum Role {
     Model,
     /// A checkpoint that observed its warm-up only.
     JoinedLate,
+    /// Rollouts that another program has recorded.
+    Recorded,
     /// A trivial predictor.
     Baseline,
     /// The mean of the training data: the reference of z-score errors. Not a baseline of skill, because it ignores the

@@ -272,6 +272,7 @@ impl Work<'_> {
         let memory = dataset::available_memory() / 2;
         let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
+            recorded: Vec::new(),
             checkpoints,
             streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
             // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.

@@ -35,12 +35,10 @@ impl Staging {
     /// Opens the folder of an output directory, creating both if needed.
     pub(super) fn open(output: &Path) -> Result<Self, SimulateError> {
         if is_remote(output) {
-            let folder = tempfile::Builder::new().prefix("eddy-simulate-").tempdir();
-            let failed = SimulateError::io("create a folder in", &std::env::temp_dir());
-            return Ok(Self {
-                output: output.into(),
-                folder: Folder::Temporary(folder.map_err(failed)?),
-            });
+            let place = std::env::temp_dir();
+            let folder = tempfile::Builder::new().prefix("eddy-simulate-").tempdir_in(&place);
+            let folder = folder.map_err(SimulateError::io("create a folder in", &place))?;
+            return Ok(Self { output: output.into(), folder: Folder::Temporary(folder) });
         }
         let directory = output.join(INCOMPLETE);
         fs::create_dir_all(&directory).map_err(SimulateError::io("create", &directory))?;

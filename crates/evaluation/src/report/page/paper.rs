@@ -88,7 +88,12 @@ impl Report {
         all.filter(|(_, entry)| {
             matches!(
                 entry.role,
-                Role::Model | Role::Baseline | Role::Mean | Role::LinearFit | Role::Solver
+                Role::Model
+                    | Role::Recorded
+                    | Role::Baseline
+                    | Role::Mean
+                    | Role::LinearFit
+                    | Role::Solver
             )
         })
         .map(|(number, entry)| (number, entry.name.as_str()))
