@@ -1,15 +1,17 @@
-//! `manifest.json` beside the bags: the request and the finished scenes.
+//! `manifest.json` beside the bags: the request and the finished scenes. Scenes of processes that share the directory have a file
+//! of the same form each in `.incomplete`, until [`Manifest::collect`] enters them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
+    io::ErrorKind,
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::SimulateError;
+use super::{SimulateError, directory, staging::INCOMPLETE};
 use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
 use eddy_settings::atomic;
@@ -136,18 +138,19 @@ pub(super) struct Manifest {
 impl Manifest {
     /// The manifest of a directory, or an empty one if there is none yet. Rejects the manifest of another request.
     pub(super) fn open(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
-        let Some(found) = read(output)? else {
-            return Ok(Self {
-                output: output.to_owned(),
-                request: request.clone(),
-                scenes: Vec::new(),
-            });
-        };
-        if found.request == *request {
-            return Ok(found);
+        let output = output.to_owned();
+        match read(&path(&output))? {
+            Some(found) => found.of(request, path(&output)).map(|found| Self { output, ..found }),
+            None => Ok(Self { output, request: request.clone(), scenes: Vec::new() }),
         }
-        let file = path(output);
-        let [there, here] = [&found.request, request].map(serde_json::to_value);
+    }
+
+    /// Itself if it is of this request.
+    fn of(self, request: &RecordedRequest, file: PathBuf) -> Result<Self, SimulateError> {
+        if self.request == *request {
+            return Ok(self);
+        }
+        let [there, here] = [&self.request, request].map(serde_json::to_value);
         let invalid = |reason| SimulateError::NoManifest { file: file.clone(), reason };
         let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
         let mut fields = Vec::new();
@@ -160,9 +163,42 @@ impl Manifest {
         &self.output
     }
 
-    /// The finished scene with this id.
-    pub(super) fn scene(&self, id: u64) -> Option<&Finished> {
-        self.scenes.iter().find(|scene| scene.start.id == id)
+    /// The finished scene with this id, here or in its file.
+    pub(super) fn scene(&self, id: u64) -> Result<Option<Finished>, SimulateError> {
+        if let Some(found) = self.scenes.iter().find(|scene| scene.start.id == id) {
+            return Ok(Some(found.clone()));
+        }
+        let file = entry(&self.output, id);
+        let Some(found) = read(&file)? else { return Ok(None) };
+        Ok(found.of(&self.request, file)?.scenes.into_iter().find(|scene| scene.start.id == id))
+    }
+
+    /// Enters the scenes that have a file of their own, if their bags are there. Whether there are any.
+    pub(super) fn collect(&mut self) -> Result<bool, SimulateError> {
+        let folder = self.output.join(INCOMPLETE);
+        let io = || SimulateError::io("read", &folder);
+        let mut collected = false;
+        for found in fs::read_dir(&folder).map_err(io())? {
+            let file = found.map_err(io())?.path();
+            if file.extension().is_none_or(|extension| extension != "json") {
+                continue;
+            }
+            let Some(found) = read(&file)? else { continue };
+            for scene in found.of(&self.request, file)?.scenes {
+                if self.output.join(directory(scene.start.id)).exists() {
+                    self.insert(scene);
+                    collected = true;
+                }
+            }
+        }
+        Ok(collected)
+    }
+
+    /// Writes a scene to a file of its own.
+    pub(super) fn save_entry(&self, scene: &Finished) -> Result<(), SimulateError> {
+        let file = entry(&self.output, scene.start.id);
+        Self { output: PathBuf::new(), request: self.request.clone(), scenes: vec![scene.clone()] }
+            .write(&file)
     }
 
     /// Adds a scene, or replaces the one with its id.
@@ -174,11 +210,14 @@ impl Manifest {
 
     /// Replaces the manifest atomically.
     pub(super) fn save(&self) -> Result<(), SimulateError> {
-        let path = path(&self.output);
+        self.write(&path(&self.output))
+    }
+
+    fn write(&self, path: &Path) -> Result<(), SimulateError> {
         let text = self
             .text()
-            .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
-        atomic::replace(&path, text.as_bytes()).map_err(SimulateError::io("write", &path))
+            .map_err(|reason| SimulateError::NoManifest { file: path.to_owned(), reason })?;
+        atomic::replace(path, text.as_bytes()).map_err(SimulateError::io("write", path))
     }
 
     /// JSON with one line per scene, for readability.
@@ -198,21 +237,20 @@ impl Manifest {
 /// # Errors
 /// [`SimulateError::Io`], [`SimulateError::NoManifest`].
 pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>, SimulateError> {
-    let Some(Manifest { scenes, .. }) = read(directory)? else { return Ok(None) };
+    let Some(Manifest { scenes, .. }) = read(&path(directory))? else { return Ok(None) };
     let scenes = scenes.into_iter().map(|Finished { start, .. }| (start.id, start.scene));
     Ok(Some(scenes.collect()))
 }
 
-/// The manifest of a directory; `None` if it does not exist.
-fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
-    let file = path(output);
-    if !file.exists() {
-        return Ok(None);
-    }
-    let text = fs::read(&file).map_err(SimulateError::io("read", &file))?;
-    let found: Manifest = serde_json::from_slice(&text)
-        .map_err(|reason| SimulateError::NoManifest { file, reason })?;
-    Ok(Some(Manifest { output: output.to_owned(), ..found }))
+/// A manifest, or the file of a scene; `None` if it does not exist.
+fn read(file: &Path) -> Result<Option<Manifest>, SimulateError> {
+    let text = match fs::read(file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(reason) => return Err(SimulateError::io("read", file)(reason)),
+    };
+    let found = serde_json::from_slice(&text);
+    found.map(Some).map_err(|reason| SimulateError::NoManifest { file: file.to_owned(), reason })
 }
 
 /// Adds the fields in which two values differ, such as `settings.duration 2.0 instead of 4.0`.
@@ -236,6 +274,12 @@ fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String
     }
 }
 
-fn path(directory: &Path) -> PathBuf {
+/// The manifest of a directory.
+pub(super) fn path(directory: &Path) -> PathBuf {
     directory.join(NAME)
+}
+
+/// The file of a scene that is not in the manifest yet.
+fn entry(output: &Path, id: u64) -> PathBuf {
+    output.join(INCOMPLETE).join(directory(id) + ".json")
 }
