@@ -2,6 +2,7 @@
 
 mod bag;
 mod examples;
+mod plan;
 mod service;
 mod topic;
 mod values;
@@ -35,6 +36,7 @@ pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
 };
+pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
 pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
@@ -92,6 +94,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Run a comparison of the paper: simulate, train, evaluate, report.
     Study(StudyArgs),
+    /// Divide a long job into tasks that several machines can share, and run them.
+    Plan(PlanArgs),
     /// Run several eddy processes from one file and restart those that fail.
     Launch(LaunchArgs),
     /// Inspect, check, repair, edit, convert and render bags.
@@ -253,6 +257,36 @@ pub struct DemoArgs {
 /// `eddy simulate`
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
+    #[command(flatten)]
+    pub scenes: SceneArgs,
+    /// Output directory; one bag per scene.
+    #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
+    pub output: Option<PathBuf>,
+    /// Replace the scenes in the output directory; without it, the same command adds those that are missing.
+    #[arg(long, requires = "output")]
+    pub force: bool,
+    /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
+    /// time on /clock of the same transport.
+    #[arg(long, value_name = "LINK", value_parser = Link::from_argument)]
+    pub publish: Option<Link>,
+    /// Simulated time per real time when publishing.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish", value_parser = values::positive)]
+    pub rate: f64,
+    /// Wait for N subscribers before the first frame (at most 30 s).
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "publish")]
+    pub wait_for: usize,
+    /// What happens when a subscriber cannot keep up.
+    #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
+    pub reliability: Reliability,
+    /// Number of threads: one per scene, the remaining ones work within the scenes [default: one per scene, at most one
+    /// per core].
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+}
+
+/// Which scenes to simulate, and where the solver runs.
+#[derive(Debug, Args)]
+pub struct SceneArgs {
     /// Kind of random scenes, or one of the scenes shipped with eddy.
     #[arg(long, value_name = "NAME", value_parser = simulate::source::presets(), default_value = "multi-material")]
     pub preset: String,
@@ -291,32 +325,9 @@ pub struct SimulateArgs {
     /// Kinematic viscosity of water (domain lengths^2/s) [default: the scene's; 0].
     #[arg(long, value_name = "NU")]
     pub viscosity: Option<f32>,
-    /// Output directory; one bag per scene.
-    #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
-    pub output: Option<PathBuf>,
     /// Also record pressure and energy of every particle, as point clouds on /particles/fields.
     #[arg(long, requires = "output")]
     pub fields: bool,
-    /// Replace the scenes in the output directory; without it, the same command adds those that are missing.
-    #[arg(long, requires = "output")]
-    pub force: bool,
-    /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
-    /// time on /clock of the same transport.
-    #[arg(long, value_name = "LINK", value_parser = Link::from_argument)]
-    pub publish: Option<Link>,
-    /// Simulated time per real time when publishing.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish", value_parser = values::positive)]
-    pub rate: f64,
-    /// Wait for N subscribers before the first frame (at most 30 s).
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "publish")]
-    pub wait_for: usize,
-    /// What happens when a subscriber cannot keep up.
-    #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
-    pub reliability: Reliability,
-    /// Number of threads: one per scene, the remaining ones work within the scenes [default: one per scene, at most one
-    /// per core].
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
     /// Where the solver runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second. A GPU simulates up to 256 scenes side by
     /// side, and its results differ from the processor's by rounding.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]

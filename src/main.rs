@@ -79,6 +79,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
         Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
+        Command::Plan(args) => commands::plan::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
         Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),

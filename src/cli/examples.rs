@@ -61,6 +61,16 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "plan simulate",
+        &["eddy plan simulate plan.json --preset kinds --scenes 4 --output bags/planned"],
+    ),
+    ("plan list", &["eddy plan list plan.json", "eddy plan list plan.json --arrays"]),
+    (
+        "plan run",
+        &["eddy plan run plan.json --task scene-0002", "eddy plan run plan.json --jobs 2"],
+    ),
+    ("plan study", &["eddy plan study study.json cores --output reports/study"]),
+    (
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",

@@ -9,6 +9,7 @@ pub mod lab;
 pub mod launch;
 pub mod node;
 pub mod param;
+pub mod plan;
 pub mod predict;
 pub mod real_time;
 pub mod record;

@@ -2,12 +2,14 @@
 //!
 //! 1. [`mod@bench`]: what `eddy bench` measures.
 //! 2. [`study`]: the paper's comparisons.
-//! 3. [`commands`]: arguments and tables of `eddy bench` and `eddy study`.
-//! 4. [`fuzzing`]: one function per kind of external input.
+//! 3. [`plans`]: data sets and comparisons as tasks for several machines.
+//! 4. [`commands`]: arguments and tables of `eddy bench`, `eddy study` and `eddy plan`.
+//! 5. [`fuzzing`]: one function per kind of external input.
 
 pub mod bench;
 pub mod commands;
 pub mod fuzzing;
+pub mod plans;
 pub mod study;
 
 /// Compiles and runs the example of the README.

@@ -7,13 +7,15 @@
 mod publish;
 pub(crate) mod source;
 
+use std::num::NonZeroUsize;
+
 use anyhow::bail;
 
 use super::{
     Interrupt, TerminalProgress,
     output::{Output, OutputKind},
 };
-use crate::cli::{ComputeDevice, SimulateArgs};
+use crate::cli::{ComputeDevice, SceneArgs, SimulateArgs};
 use eddy_evaluation::dataset::simulate::{
     Job, MOST_SCENES, SimulateError, SimulationRequest, Source,
 };
@@ -24,7 +26,7 @@ use source::source;
 
 /// Simulates the scenes that do not exist yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let request = request(&args)?;
+    let request = request(&args.scenes, args.threads)?;
     if let (Some(output), true) = (&args.output, args.force)
         && is_remote(output)
     {
@@ -53,7 +55,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         );
     }
     // Before anything is written, and after what needs no device is checked.
-    let mut device = open(args.device)?;
+    let mut device = open(args.scenes.device)?;
     let store = args.output.as_ref().map(|output| job.open_store(output)).transpose()?;
     let outcome = match (&args.publish, &store) {
         (Some(link), store) => publish::run(&job, link, &args, store.as_ref(), quiet, interrupt),
@@ -88,14 +90,19 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
 }
 
 /// An invalid request is wrong usage: its numbers are all from the command line.
-fn with_usage(error: SimulateError) -> anyhow::Error {
-    match error {
-        SimulateError::Request { .. } => Usage::new(format_args!("--{error}")).into(),
-        _ => error.into(),
+pub(super) fn with_usage(error: impl Into<anyhow::Error>) -> anyhow::Error {
+    let error = error.into();
+    match error.downcast_ref() {
+        Some(SimulateError::Request { .. }) => Usage::new(format_args!("--{error}")).into(),
+        _ => error,
     }
 }
 
-fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
+/// The request of the command line.
+pub(super) fn request(
+    args: &SceneArgs,
+    threads: Option<NonZeroUsize>,
+) -> anyhow::Result<SimulationRequest> {
     let source = source(args)?;
     let scene_name = match (&source, &args.scene) {
         (_, Some(file)) => Some(file.display().to_string()),
@@ -106,9 +113,8 @@ fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
         Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         None => args.preset.clone(),
     };
-    let SimulateArgs {
-        stiffness, law, viscosity, substeps, duration, particle_order: order, ..
-    } = *args;
+    let SceneArgs { stiffness, law, viscosity, substeps, duration, particle_order: order, .. } =
+        *args;
     Ok(SimulationRequest {
         source,
         name,
@@ -118,6 +124,6 @@ fn request(args: &SimulateArgs) -> anyhow::Result<SimulationRequest> {
         settings: Settings { stiffness, law, viscosity, substeps, duration, order },
         fields: args.fields,
         device: (args.device != ComputeDevice::Cpu).then_some("cuda"),
-        threads: args.threads,
+        threads,
     })
 }

@@ -7,7 +7,7 @@ use clap::{
     builder::{PossibleValue, PossibleValuesParser},
 };
 
-use crate::cli::SimulateArgs;
+use crate::cli::SceneArgs;
 use eddy_evaluation::dataset::simulate::Source;
 use eddy_mpm::{Extent, Preset, Scene};
 use eddy_settings::{self as config, usage::Usage};
@@ -34,7 +34,7 @@ pub(crate) fn presets() -> PossibleValuesParser {
 }
 
 /// The source that the arguments describe.
-pub(super) fn source(args: &SimulateArgs) -> anyhow::Result<Source> {
+pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
     if let Some(file) = &args.scene {
         return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
     }

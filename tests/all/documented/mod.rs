@@ -41,6 +41,7 @@ pages! {
     how_to_train_elsewhere: "docs/src/how-to/pytorch.md",
     how_to_use_python: "docs/src/how-to/python.md",
     how_to_record_from_a_robot: "docs/src/how-to/record.md",
+    how_to_run_on_a_cluster: "docs/src/how-to/cluster.md",
     how_to_compare_cores: "docs/src/how-to/cores.md",
     how_to_serve_many_streams: "docs/src/how-to/streams.md",
     how_to_work_on_two_machines: "docs/src/how-to/two_machines.md",

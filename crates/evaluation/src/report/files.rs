@@ -1,9 +1,14 @@
 //! The files of a report.
 
-use std::{fmt::Write as _, fs, io, path::Path};
+use std::{
+    fmt::Write as _,
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use super::{Entry, Report, curves::Curves, curves::StepCurves};
 use crate::picture::write_png;
+use eddy_settings::atomic;
 
 pub(super) const JSON: &str = "report.json";
 const CSV: &str = "curves.csv";
@@ -13,6 +18,11 @@ const PLOT: &str = "cost_error.png";
 const COLUMNS: &str = "predictor,kind,frame,position_rmse,velocity_rmse,minmax_mse,zscore_mse,skill,one_step_rmse,cumulated_rmse";
 
 impl Report {
+    /// The file in the folder of a report that [`Report::save`] writes last.
+    pub fn file(folder: &Path) -> PathBuf {
+        folder.join(JSON)
+    }
+
     /// Writes `report.json`, `report.html`, `curves.csv` and, if times were measured, `cost_error.png` into `folder`, which
     /// is created if needed.
     ///
@@ -20,18 +30,18 @@ impl Report {
     /// I/O errors.
     pub fn save(&self, folder: &Path) -> io::Result<()> {
         fs::create_dir_all(folder)?;
-        let json = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
-        fs::write(folder.join(JSON), json + "\n")?;
         self.page()?.save(&folder.join(HTML))?;
         fs::write(folder.join(CSV), self.curves())?;
         let plot = folder.join(PLOT);
         if fs::exists(&plot)? {
             fs::remove_file(&plot)?;
         }
-        match self.cost_plot().canvas() {
-            Some(canvas) => write_png(&plot, &canvas).map_err(io::Error::other),
-            None => Ok(()),
+        if let Some(canvas) = self.cost_plot().canvas() {
+            write_png(&plot, &canvas).map_err(io::Error::other)?;
         }
+        // The last one and whole: where it is, the others are.
+        let json = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        atomic::replace(&folder.join(JSON), (json + "\n").as_bytes())
     }
 
     /// All curves as CSV, one row per predictor, kind (or `all`) and frame ahead. Missing numbers are empty.

@@ -229,6 +229,20 @@ pub struct BenchTrainingArgs {
 /// `eddy study`
 #[derive(Debug, Args)]
 pub struct StudyArgs {
+    /// What to compare, and how.
+    #[command(flatten)]
+    pub choice: StudyChoice,
+    /// Number of networks to train in parallel.
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub jobs: NonZeroUsize,
+    /// NVIDIA GPUs that networks are spread over, from that of --device on: each is trained on one of them.
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub gpus: NonZeroUsize,
+}
+
+/// What `eddy study` and `eddy plan study` compare, and how.
+#[derive(Debug, Args)]
+pub struct StudyChoice {
     /// The comparison.
     #[arg(value_enum)]
     pub comparison: Comparison,
@@ -249,16 +263,39 @@ pub struct StudyArgs {
     /// the same command resumes an interrupted study.
     #[arg(long, value_name = "DIR", short)]
     pub output: PathBuf,
-    /// Number of networks to train in parallel.
-    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
-    pub jobs: NonZeroUsize,
     /// Device for training and for the timed steps; with cuda also for the simulation of the scenes.
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
-    /// NVIDIA GPUs that networks are spread over, from that of --device on: each is trained on one of them.
-    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
-    pub gpus: NonZeroUsize,
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
     #[arg(long, value_enum, default_value_t = Precision::Tf32)]
     pub precision: Precision,
+}
+
+/// `eddy plan list`
+#[derive(Debug, Args)]
+pub struct PlanListArgs {
+    /// Plan.
+    #[arg(value_name = "PLAN")]
+    pub file: PathBuf,
+    /// List the tasks that are not done as job arrays: position, kind, number of the first task, tasks relative to it, arrays that
+    /// must be done before, cores, GPUs, memory (MiB) and estimated time (s) of a task.
+    #[arg(long)]
+    pub arrays: bool,
+    /// Print JSON instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy plan run`
+#[derive(Debug, Args)]
+pub struct PlanRunArgs {
+    /// Plan.
+    #[arg(value_name = "PLAN")]
+    pub file: PathBuf,
+    /// Run these tasks, by number or name, one after the other [default: all, in an order in which each has its inputs].
+    #[arg(long, value_name = "TASK", num_args = 1.., conflicts_with = "jobs")]
+    pub task: Vec<String>,
+    /// Number of tasks to run in parallel.
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub jobs: NonZeroUsize,
 }

@@ -1,10 +1,11 @@
-//! `eddy bench` and `eddy study`: arguments, and output as tables, JSON or HTML.
+//! `eddy bench`, `eddy study` and `eddy plan`: arguments, and output as tables, JSON or HTML.
 
 mod args;
 mod bag;
 mod inference;
 mod node;
 mod output;
+mod plan;
 mod replay;
 mod solver;
 mod study;
@@ -12,8 +13,11 @@ mod training;
 mod transport;
 mod view;
 
-pub use args::{BenchArgs, BenchCommand, StudyArgs};
-pub use study::run as study;
+pub use args::{
+    BenchArgs, BenchCommand, PlanListArgs, PlanRunArgs, StudyArgs, StudyChoice,
+};
+pub use plan::{list as plan_list, run as plan_run, save as plan_save};
+pub use study::{request as study_request, run as study};
 
 use eddy_frames::progress::Progress;
 use output::{BenchOutput, table};

@@ -1,9 +1,11 @@
 //! `eddy study`: the paper's comparisons.
 
+use std::num::NonZeroUsize;
+
 use anyhow::Context;
 
 use super::{
-    StudyArgs,
+    StudyArgs, StudyChoice,
     output::{COLUMNS, print},
 };
 use crate::study::{self, StudyConfig, StudyRequest};
@@ -15,7 +17,8 @@ use eddy_settings::{Overrides, usage::Usage};
 /// # Errors
 /// Settings out of range; errors of the comparison.
 pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
-    let request = request(args)?;
+    let StudyArgs { choice, jobs, gpus } = args;
+    let request = StudyRequest { jobs, gpus, ..request(choice)? };
     let warning = request.study.warning(request.comparison);
     if let Some(warning) = &warning {
         progress.message(warning);
@@ -30,11 +33,13 @@ pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
     print(&format!("\n{}", outcome.page.display()))
 }
 
-/// The settings of the preset, overridden by the file.
-fn request(args: StudyArgs) -> anyhow::Result<StudyRequest> {
-    let StudyArgs {
-        comparison, paper, mended, config, output, jobs, device, gpus, precision, ..
-    } = args;
+/// The settings of the preset, overridden by the file; one job on one GPU.
+///
+/// # Errors
+/// Settings out of range.
+pub fn request(choice: StudyChoice) -> anyhow::Result<StudyRequest> {
+    let StudyChoice { comparison, paper, mended, config, output, device, precision, .. } = choice;
+    let (jobs, gpus) = (NonZeroUsize::MIN, NonZeroUsize::MIN);
     let defaults = match (paper, mended) {
         (true, _) => StudyConfig::paper(),
         (_, true) => StudyConfig::mended(),

@@ -6,13 +6,15 @@
 //! 4. [`networks`](Networks), [`page`](StudyReport): tables and plots.
 //! 5. [`run`]: a whole comparison: scenes ([`eddy_evaluation::dataset::simulate`]), networks (`training`)
 //!    or `learning_curves`, evaluation ([`eddy_evaluation`]), `step_times`, and the files of the report (`write`).
-//! 6. `command_lines`: the equivalent commands, step by step.
+//! 6. [`parts`](Part): the parts of a comparison, for plans whose tasks run on several machines.
+//! 7. `command_lines`: the equivalent commands, step by step.
 
 mod command_lines;
 mod config;
 mod learning_curves;
 mod networks;
 mod page;
+mod parts;
 mod plan;
 mod results;
 mod run;
@@ -25,6 +27,8 @@ mod write;
 pub use config::{DataConfig, DataSet, EvaluationConfig, InvalidStudy, SceneChoice, StudyConfig};
 pub use networks::Networks;
 pub use page::StudyReport;
+pub use parts::{Part, run_part};
 pub use plan::{Comparison, Folders, Variant};
 pub use results::{Curve, Losses, ResultError, Speed, Trained};
 pub use run::{StudyOutcome, StudyRequest, run};
+pub(crate) use {plan::runs, run::solvers, write::files as report_files};

@@ -2,12 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use super::{DataSet, StudyConfig};
 use eddy_inference::checkpoint::{Core, FrameOutput};
 use eddy_learning::train::TrainConfig;
 
 /// A comparison of the paper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Comparison {
     /// Compare the five cores on every preset: the paper's Tables 2 and 3, and its Table 4 for this machine.
     Cores,
@@ -116,6 +119,18 @@ impl Comparison {
     }
 }
 
+impl Comparison {
+    /// All scenes: of its data, and of the test sets.
+    pub fn simulated_sets(self, study: &StudyConfig) -> Vec<DataSet> {
+        let mut sets = self.data_sets(study);
+        for set in sets.clone() {
+            let test_set = self.test_set(study, &set);
+            sets.extend(test_set.filter(|test_set| !sets.contains(test_set)));
+        }
+        sets
+    }
+}
+
 impl Variant {
     fn new(comparison: Comparison, config: TrainConfig, base: &TrainConfig) -> Self {
         let core = config.core.name();
@@ -143,7 +158,7 @@ impl Variant {
 }
 
 /// Every network with every seed. Seeds are in the outer loop, so that an interrupted study has complete seeds.
-pub(super) fn runs<'a>(
+pub(crate) fn runs<'a>(
     study: &'a StudyConfig,
     variants: &'a [Variant],
 ) -> impl Iterator<Item = (&'a Variant, u64)> {

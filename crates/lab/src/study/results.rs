@@ -111,6 +111,11 @@ pub enum ResultError {
 const TRAINED_FILE: &str = "trained.toml";
 
 impl Trained {
+    /// The file in the folder of a run that is written last.
+    pub fn file(folder: &Path) -> PathBuf {
+        folder.join(TRAINED_FILE)
+    }
+
     /// The result in the folder of a run, if it has finished.
     ///
     /// # Errors
@@ -121,7 +126,7 @@ impl Trained {
         device: DeviceKind,
         precision: &str,
     ) -> Result<Option<Self>, ResultError> {
-        find(folder.join(TRAINED_FILE), |trained: &Self| {
+        find(Self::file(folder), |trained: &Self| {
             (&trained.config, trained.device, trained.precision.as_str())
                 == (config, device, precision)
         })
@@ -143,7 +148,7 @@ impl Trained {
     /// # Errors
     /// [`ResultError::File`].
     pub fn save(&self, folder: &Path) -> Result<(), ResultError> {
-        save(folder.join(TRAINED_FILE), self)
+        save(Self::file(folder), self)
     }
 }
 
@@ -190,6 +195,11 @@ pub struct Speed {
 const SPEED_FILE: &str = "training_speed.toml";
 
 impl Speed {
+    /// The file in the folder of a comparison.
+    pub fn file(folder: &Path) -> PathBuf {
+        folder.join(SPEED_FILE)
+    }
+
     /// The times in the folder of a comparison, if measured.
     ///
     /// # Errors
@@ -204,7 +214,7 @@ impl Speed {
             let timed = |&frames: &usize| speed.steps.iter().any(|step| step.frames == frames);
             speed.device == device && speed.precision == precision && frames.iter().all(timed)
         };
-        find(folder.join(SPEED_FILE), is_ours)
+        find(Self::file(folder), is_ours)
     }
 
     /// Writes them to the folder of a comparison.
@@ -212,7 +222,7 @@ impl Speed {
     /// # Errors
     /// [`ResultError::File`].
     pub fn save(&self, folder: &Path) -> Result<(), ResultError> {
-        save(folder.join(SPEED_FILE), self)
+        save(Self::file(folder), self)
     }
 }
 

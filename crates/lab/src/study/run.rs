@@ -23,7 +23,7 @@ use super::{
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Report, Role, Settings,
     dataset::{
-        self,
+        self, Dataset, DatasetError,
         simulate::{SimulationRequest, simulate},
     },
     page::{Table, command_line},
@@ -92,7 +92,33 @@ impl StudyRequest {
 /// The error of the part that failed, or cancellation. Finished parts are kept.
 pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<StudyOutcome> {
     request.check()?;
-    let StudyRequest { comparison, study, output, jobs, device, gpus, precision } = request;
+    let work = Work::new(request, progress)?;
+    work.simulate()?;
+    match request.comparison {
+        Comparison::Activations => learning_curves::run(&work)?,
+        _ => training::run(&work)?,
+    }
+    if progress.cancelled() {
+        bail!("interrupted: run the same command again to resume");
+    }
+    for set in &work.data_sets {
+        work.evaluate(set)?;
+    }
+    if request.comparison == Comparison::Cores {
+        step_times::run(&work)?;
+    }
+    if progress.cancelled() {
+        bail!("interrupted: run the same command again to resume");
+    }
+    write::write(&work)
+}
+
+/// The device of a comparison.
+///
+/// # Errors
+/// When there is none, or it cannot train the networks.
+fn checked_device(request: &StudyRequest) -> anyhow::Result<DeviceKind> {
+    let StudyRequest { comparison, study, device, gpus, .. } = request;
     let device = device.resolve(study.training.runs_on_gpus());
     if *comparison == Comparison::Activations {
         ensure!(
@@ -107,40 +133,11 @@ pub fn run(request: &StudyRequest, progress: &dyn Progress) -> anyhow::Result<St
         device.name()
     );
     (0..gpus.get()).try_for_each(|number| device.plus(number).check())?;
-    let work = Work {
-        folders: Folders::new(output),
-        comparison: *comparison,
-        variants: comparison.variants(study),
-        data_sets: comparison.data_sets(study),
-        study,
-        jobs: jobs.get(),
-        device,
-        gpus: gpus.get(),
-        precision: *precision,
-        kernel_cache: kernel_cache(),
-        progress,
-        failed: AtomicBool::new(false),
-    };
-    work.simulate()?;
-    match comparison {
-        Comparison::Activations => learning_curves::run(&work)?,
-        _ => training::run(&work)?,
-    }
-    if progress.cancelled() {
-        bail!("interrupted: run the same command again to resume");
-    }
-    work.evaluate()?;
-    if *comparison == Comparison::Cores {
-        step_times::run(&work)?;
-    }
-    if progress.cancelled() {
-        bail!("interrupted: run the same command again to resume");
-    }
-    write::write(&work)
+    Ok(device)
 }
 
 /// What simulates on a device; `None` for the processor.
-fn solvers(device: DeviceKind) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
+pub(crate) fn solvers(device: DeviceKind) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
     match device {
         #[cfg(feature = "cuda")]
         DeviceKind::Cuda(number) => Ok(Some(Box::new(open_solver(number.into())?))),
@@ -179,7 +176,29 @@ pub(super) struct Work<'a> {
     failed: AtomicBool,
 }
 
-impl Work<'_> {
+impl<'a> Work<'a> {
+    /// A comparison on a device that is there.
+    pub(super) fn new(
+        request: &'a StudyRequest,
+        progress: &'a dyn Progress,
+    ) -> anyhow::Result<Self> {
+        let StudyRequest { comparison, study, output, jobs, gpus, precision, .. } = request;
+        Ok(Self {
+            folders: Folders::new(output),
+            comparison: *comparison,
+            variants: comparison.variants(study),
+            data_sets: comparison.data_sets(study),
+            study,
+            jobs: jobs.get(),
+            device: checked_device(request)?,
+            gpus: gpus.get(),
+            precision: *precision,
+            kernel_cache: kernel_cache(),
+            progress,
+            failed: AtomicBool::new(false),
+        })
+    }
+
     /// The precision of products on an NVIDIA GPU; empty on other devices.
     pub(super) fn gpu_precision(&self) -> &'static str {
         if self.device.is_cuda() { self.precision.name() } else { "" }
@@ -217,15 +236,15 @@ impl Work<'_> {
         }
     }
 
+    /// The scenes of a data set.
+    pub(super) fn load_data(&self, set: &str) -> Result<Dataset, DatasetError> {
+        Dataset::load(&[self.folders.data(set)], dataset::available_memory() / 2, &mut |_, _| ())
+    }
+
     /// Simulates the missing scenes of every data set, and those for the evaluation, on an NVIDIA GPU if that is the device.
     fn simulate(&self) -> anyhow::Result<()> {
         let mut device = solvers(self.device)?;
-        let mut sets = self.data_sets.clone();
-        for set in &self.data_sets {
-            let test_set = self.comparison.test_set(self.study, set);
-            sets.extend(test_set.filter(|test_set| !sets.contains(test_set)));
-        }
-        for set in &sets {
+        for set in &self.comparison.simulated_sets(self.study) {
             let request = set.simulation(&self.study.data)?;
             let request = SimulationRequest { device: device.as_ref().map(|_| "cuda"), ..request };
             self.tell(&command_line(&self.command_lines().simulation(set)));
@@ -235,23 +254,20 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Evaluates every network on the scenes of its data set, unless already done.
-    fn evaluate(&self) -> anyhow::Result<()> {
-        for set in &self.data_sets {
-            let folder = self.folders.evaluation(self.comparison, &set.name);
-            if self.variants.is_empty() || self.is_evaluated(set, &folder)? {
-                continue;
-            }
-            let command = command_line(&self.command_lines().evaluation(set));
-            self.tell(&command);
-            let evaluation =
-                Evaluation::with_models(self.evaluation(set)?, &self.loader(), self.progress)?;
-            evaluation.remarks().iter().for_each(|remark| self.tell(remark));
-            let mut report = evaluation.run(self.progress)?;
-            report.made.command = command;
-            report.save(&folder).with_context(|| shown(&folder))?;
+    /// Evaluates every network of a data set on its scenes, unless already done.
+    pub(super) fn evaluate(&self, set: &DataSet) -> anyhow::Result<()> {
+        let folder = self.folders.evaluation(self.comparison, &set.name);
+        if self.variants.is_empty() || self.is_evaluated(set, &folder)? {
+            return Ok(());
         }
-        Ok(())
+        let command = command_line(&self.command_lines().evaluation(set));
+        self.tell(&command);
+        let evaluation =
+            Evaluation::with_models(self.evaluation(set)?, &self.loader(), self.progress)?;
+        evaluation.remarks().iter().for_each(|remark| self.tell(remark));
+        let mut report = evaluation.run(self.progress)?;
+        report.made.command = command;
+        report.save(&folder).with_context(|| shown(&folder))
     }
 
     /// Loads networks for their evaluation, on the GPUs in turn.
@@ -285,7 +301,7 @@ impl Work<'_> {
 
     /// Whether `folder` has the report of this evaluation.
     fn is_evaluated(&self, set: &DataSet, folder: &Path) -> anyhow::Result<bool> {
-        if !folder.exists() {
+        if !Report::file(folder).exists() {
             return Ok(false);
         }
         let report = Report::load(folder)?;

@@ -3,14 +3,14 @@
 use std::{
     collections::VecDeque,
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Mutex, PoisonError},
 };
 
 use anyhow::{Context, bail};
 
 use super::{
-    Losses, Trained,
+    Losses, Trained, Variant,
     run::{Work, load, write_settings},
 };
 use eddy_evaluation::{
@@ -41,21 +41,12 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         let set = set.name.as_str();
         let mut tasks = VecDeque::new();
         for (number, (variant, seed)) in work.runs().enumerate() {
-            let config = TrainConfig { seed, ..variant.config.clone() };
-            let output = work.folders.run(set, &variant.name, seed);
-            let precision = work.gpu_precision();
-            if Trained::find(&output, &config, work.device, precision)?.is_none() {
-                let name = format!("{set} {} seed {seed}", variant.name);
-                let command = command_line(&work.command_lines().training(set, variant, seed));
-                let device = work.device_of(number);
-                tasks.push_back(Task { name, config, device, output, command });
-            }
+            tasks.extend(Task::missing(work, set, variant, seed, work.device_of(number))?);
         }
         if tasks.is_empty() {
             continue;
         }
-        let data = work.folders.data(set);
-        let dataset = Dataset::load(&[data], available_memory() / 2, &mut |_, _| ())?;
+        let dataset = work.load_data(set)?;
         let at_once = work.jobs.min(tasks.len());
         let memory = available_memory() / at_once as u64;
         work.each(tasks, "networks", |task| task.run(work, &dataset, memory, at_once))?;
@@ -64,6 +55,19 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Trains a network, unless it is trained. Returns a message; `None` if it was stopped.
+pub(super) fn run_one(
+    work: &Work,
+    set: &str,
+    variant: &Variant,
+    seed: u64,
+) -> anyhow::Result<Option<String>> {
+    match Task::missing(work, set, variant, seed, work.device)? {
+        Some(task) => task.run(work, &work.load_data(set)?, available_memory(), 1),
+        None => Ok(Some("is already trained".to_owned())),
+    }
 }
 
 /// The losses of a checkpoint on training scenes, and of the linear fit on those for validation.
@@ -92,6 +96,25 @@ impl Progress for StopSignal<'_> {
 }
 
 impl Task {
+    /// A network that is not trained yet.
+    fn missing(
+        work: &Work,
+        set: &str,
+        variant: &Variant,
+        seed: u64,
+        device: DeviceKind,
+    ) -> anyhow::Result<Option<Self>> {
+        let config = TrainConfig { seed, ..variant.config.clone() };
+        let output = work.folders.run(set, &variant.name, seed);
+        if Trained::find(&output, &config, work.device, work.gpu_precision())?.is_some() {
+            // Left by a process that was killed after the result was saved.
+            return remove_last(&output).map(|()| None);
+        }
+        let name = format!("{set} {} seed {seed}", variant.name);
+        let command = command_line(&work.command_lines().training(set, variant, seed));
+        Ok(Some(Self { name, config, device, output, command }))
+    }
+
     /// Trains the network and returns a message; `None` if it was stopped.
     fn run(
         &self,
@@ -142,13 +165,20 @@ impl Task {
             losses: losses(config, dataset, &best.description, &load(&best, *device)?)?,
         };
         trained.save(output)?;
-        // The state for resuming is three times as large as the network and no longer needed.
-        let last = output.join(LAST_FOLDER);
-        fs::remove_dir_all(&last).with_context(|| last.display().to_string())?;
+        remove_last(output)?;
         let best = &best.description.training;
         Ok(Some(format!(
             "{name}: {} epochs in {:.0} s, best epoch {} with validation loss {:.3}",
             best.epochs, trained.seconds, best.best_epoch, best.validation_loss
         )))
     }
+}
+
+/// Removes the state for resuming: it is three times as large as the network and no longer needed.
+fn remove_last(output: &Path) -> anyhow::Result<()> {
+    let last = output.join(LAST_FOLDER);
+    if !last.exists() {
+        return Ok(());
+    }
+    fs::remove_dir_all(&last).with_context(|| last.display().to_string())
 }

@@ -1,5 +1,7 @@
 //! Writes the report of a comparison: `report.html`, and `tables.md` for use in documents.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::Context;
 
 use super::{
@@ -8,6 +10,11 @@ use super::{
     run::{StudyOutcome, Work, write_settings},
 };
 use eddy_evaluation::{Report, page::Provenance};
+
+/// Both files in the folder of a comparison; the page is written last.
+pub(crate) fn files(folder: &Path) -> [PathBuf; 2] {
+    ["tables.md", "report.html"].map(|name| folder.join(name))
+}
 
 /// Writes both files.
 pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
@@ -39,8 +46,8 @@ pub(super) fn write(work: &Work) -> anyhow::Result<StudyOutcome> {
     }
     let summaries = report.summaries();
     let summaries = summaries.map(|(heading, table)| (heading.to_owned(), table.clone())).collect();
-    write_settings(&folder.join("tables.md"), &report.markdown())?;
-    let html = folder.join("report.html");
+    let [tables, html] = files(&folder);
+    write_settings(&tables, &report.markdown())?;
     let page = report.page(&Provenance::here(), &work.command_lines().all());
     page.save(&html).with_context(|| shown(&html))?;
     Ok(StudyOutcome { summaries, page: html })

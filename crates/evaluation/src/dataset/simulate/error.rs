@@ -93,7 +93,7 @@ pub enum SimulateError {
         directory: PathBuf,
     },
     /// Another process uses the output directory.
-    #[error("{}: another `eddy simulate` is running in this directory: {reason}", lock.display())]
+    #[error("{}: another process simulates scenes in this directory: {reason}", lock.display())]
     Locked {
         /// The locked file.
         lock: PathBuf,
@@ -108,6 +108,14 @@ pub enum SimulateError {
     Changed {
         /// The output directory.
         output: PathBuf,
+    },
+    /// Scenes that other processes should have simulated are not there.
+    #[error("{}: found no bag, expected that of a simulated scene{}", directory.display(), others(*more))]
+    Missing {
+        /// The directory of the first that is missing.
+        directory: PathBuf,
+        /// How many others are missing.
+        more: usize,
     },
     /// A bag cannot be written.
     #[error(transparent)]
@@ -164,6 +172,11 @@ impl SimulateError {
             _ => false,
         }
     }
+}
+
+/// How many others are missing, too.
+fn others(more: usize) -> String {
+    if more == 0 { String::new() } else { format!("; {more} more are missing") }
 }
 
 /// One line per failure, then the remaining work and the remedy.

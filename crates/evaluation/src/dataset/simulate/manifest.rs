@@ -1,4 +1,5 @@
-//! `manifest.json` beside the bags: the request and the finished scenes.
+//! `manifest.json` beside the bags: the request and the finished scenes. Scenes of processes that share the directory have a file
+//! of the same form each in `.incomplete`, until [`Manifest::collect`] enters them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -10,7 +11,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::SimulateError;
+use super::{SimulateError, directory, staging::INCOMPLETE};
 use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
 use eddy_settings::atomic;
@@ -141,19 +142,21 @@ pub(super) struct Manifest {
 impl Manifest {
     /// The manifest of a directory, or an empty one if there is none yet. Rejects the manifest of another request.
     pub(super) fn open(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
-        let Some(found) = read(output)? else {
-            return Ok(Self {
-                output: output.to_owned(),
-                version: None,
-                request: request.clone(),
-                scenes: Vec::new(),
-            });
-        };
-        if found.request == *request {
-            return Ok(found);
+        let output = output.to_owned();
+        match read(&path(&output))? {
+            Some(found) => found.of(request, path(&output)).map(|found| Self { output, ..found }),
+            None => {
+                Ok(Self { output, version: None, request: request.clone(), scenes: Vec::new() })
+            }
         }
-        let file = path(output);
-        let [there, here] = [&found.request, request].map(serde_json::to_value);
+    }
+
+    /// Itself if it is of this request.
+    fn of(self, request: &RecordedRequest, file: PathBuf) -> Result<Self, SimulateError> {
+        if self.request == *request {
+            return Ok(self);
+        }
+        let [there, here] = [&self.request, request].map(serde_json::to_value);
         let invalid = |reason| SimulateError::NoManifest { file: file.clone(), reason };
         let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
         let mut fields = Vec::new();
@@ -166,9 +169,46 @@ impl Manifest {
         &self.output
     }
 
-    /// The finished scene with this id.
-    pub(super) fn scene(&self, id: u64) -> Option<&Finished> {
-        self.scenes.iter().find(|scene| scene.start.id == id)
+    /// The finished scene with this id, here or in its file.
+    pub(super) fn scene(&self, id: u64) -> Result<Option<Finished>, SimulateError> {
+        if let Some(found) = self.scenes.iter().find(|scene| scene.start.id == id) {
+            return Ok(Some(found.clone()));
+        }
+        let file = entry(&self.output, id);
+        let Some(found) = read(&file)? else { return Ok(None) };
+        Ok(found.of(&self.request, file)?.scenes.into_iter().find(|scene| scene.start.id == id))
+    }
+
+    /// Enters the scenes that have a file of their own, if their bags are there. Whether there are any. In a store there are none:
+    /// its directories are not shared.
+    pub(super) fn collect(&mut self) -> Result<bool, SimulateError> {
+        if is_remote(&self.output) {
+            return Ok(false);
+        }
+        let folder = self.output.join(INCOMPLETE);
+        let io = || SimulateError::io("read", &folder);
+        let mut collected = false;
+        for found in fs::read_dir(&folder).map_err(io())? {
+            let file = found.map_err(io())?.path();
+            if file.extension().is_none_or(|extension| extension != "json") {
+                continue;
+            }
+            let Some(found) = read(&file)? else { continue };
+            for scene in found.of(&self.request, file)?.scenes {
+                if self.output.join(directory(scene.start.id)).exists() {
+                    self.insert(scene);
+                    collected = true;
+                }
+            }
+        }
+        Ok(collected)
+    }
+
+    /// Writes a scene to a file of its own.
+    pub(super) fn save_entry(&self, scene: &Finished) -> Result<(), SimulateError> {
+        let file = entry(&self.output, scene.start.id);
+        let (request, scenes) = (self.request.clone(), vec![scene.clone()]);
+        Self { output: PathBuf::new(), version: None, request, scenes }.write(&file)
     }
 
     /// Adds a scene, or replaces the one with its id.
@@ -181,14 +221,11 @@ impl Manifest {
     /// Replaces the manifest atomically; in a store, unless another process has replaced it.
     pub(super) fn save(&mut self) -> Result<(), SimulateError> {
         let path = path(&self.output);
-        let text = self
-            .text()
-            .map_err(|reason| SimulateError::NoManifest { file: path.clone(), reason })?;
         if !is_remote(&path) {
-            return atomic::replace(&path, text.as_bytes())
-                .map_err(SimulateError::io("write", &path));
+            return self.write(&path);
         }
-        match eddy_storage::replace(&path, text.into_bytes(), self.version.as_ref()) {
+        let text = self.text(&path)?.into_bytes();
+        match eddy_storage::replace(&path, text, self.version.as_ref()) {
             Ok(version) => self.version = Some(version),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
                 return Err(SimulateError::Changed { output: self.output.clone() });
@@ -198,13 +235,22 @@ impl Manifest {
         Ok(())
     }
 
-    /// JSON with one line per scene, for readability.
-    fn text(&self) -> serde_json::Result<String> {
-        let scenes: Vec<String> =
-            self.scenes.iter().map(serde_json::to_string).collect::<serde_json::Result<_>>()?;
+    fn write(&self, path: &Path) -> Result<(), SimulateError> {
+        atomic::replace(path, self.text(path)?.as_bytes()).map_err(SimulateError::io("write", path))
+    }
+
+    /// JSON with one line per scene, for readability; `path` is the file that it is for.
+    fn text(&self, path: &Path) -> Result<String, SimulateError> {
+        let invalid = |reason| SimulateError::NoManifest { file: path.to_owned(), reason };
+        let scenes: Vec<String> = self
+            .scenes
+            .iter()
+            .map(serde_json::to_string)
+            .collect::<serde_json::Result<_>>()
+            .map_err(invalid)?;
         Ok(format!(
             "{{\n\"request\": {},\n\"scenes\": [\n{}\n]\n}}\n",
-            serde_json::to_string(&self.request)?,
+            serde_json::to_string(&self.request).map_err(invalid)?,
             scenes.join(",\n")
         ))
     }
@@ -215,27 +261,28 @@ impl Manifest {
 /// # Errors
 /// [`SimulateError::Io`], [`SimulateError::NoManifest`].
 pub fn recorded_scenes(directory: &Path) -> Result<Option<BTreeMap<u64, Scene>>, SimulateError> {
-    let Some(Manifest { scenes, .. }) = read(directory)? else { return Ok(None) };
+    let Some(Manifest { scenes, .. }) = read(&path(directory))? else { return Ok(None) };
     let scenes = scenes.into_iter().map(|Finished { start, .. }| (start.id, start.scene));
     Ok(Some(scenes.collect()))
 }
 
-/// The manifest of a directory; `None` if it does not exist.
-fn read(output: &Path) -> Result<Option<Manifest>, SimulateError> {
-    let file = path(output);
-    let (text, version) = if is_remote(&file) {
-        let found = eddy_storage::read_version(&file).map_err(SimulateError::io("read", &file))?;
+/// A manifest, or the file of a scene; `None` if it does not exist.
+fn read(file: &Path) -> Result<Option<Manifest>, SimulateError> {
+    let failed = || SimulateError::io("read", file);
+    let (text, version) = if is_remote(file) {
+        let found = eddy_storage::read_version(file).map_err(failed())?;
         let Some((text, version)) = found else { return Ok(None) };
         (text, Some(version))
     } else {
-        if !file.exists() {
-            return Ok(None);
+        match fs::read(file) {
+            Ok(text) => (text, None),
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            Err(reason) => return Err(failed()(reason)),
         }
-        (fs::read(&file).map_err(SimulateError::io("read", &file))?, None)
     };
     let found: Manifest = serde_json::from_slice(&text)
-        .map_err(|reason| SimulateError::NoManifest { file, reason })?;
-    Ok(Some(Manifest { output: output.to_owned(), version, ..found }))
+        .map_err(|reason| SimulateError::NoManifest { file: file.to_owned(), reason })?;
+    Ok(Some(Manifest { version, ..found }))
 }
 
 /// Adds the fields in which two values differ, such as `settings.duration 2.0 instead of 4.0`.
@@ -259,6 +306,12 @@ fn differences(prefix: &str, one: &Value, other: &Value, fields: &mut Vec<String
     }
 }
 
-fn path(directory: &Path) -> PathBuf {
+/// The manifest of a directory.
+pub(super) fn path(directory: &Path) -> PathBuf {
     directory.join(NAME)
+}
+
+/// The file of a scene that is not in the manifest yet.
+fn entry(output: &Path, id: u64) -> PathBuf {
+    output.join(INCOMPLETE).join(directory(id) + ".json")
 }

@@ -7,6 +7,9 @@
 //! 4. [`staging`] and [`manifest`]: a scene is written to `.incomplete/scene_0007`, entered in the
 //!    manifest, then moved to `scene_0007`. So a bag with its final name is complete, and a scene with an entry but no
 //!    directory is simulated again. In a store a bag is complete once its `metadata.yaml` is there, which is uploaded last.
+//!
+//! Several processes can simulate scenes of one request at the same time ([`simulate_some`]); the manifest is then written at
+//! the end ([`collect`]).
 
 mod error;
 mod manifest;
@@ -19,7 +22,11 @@ mod staging;
 mod tests;
 mod write;
 
-use std::{num::NonZeroUsize, path::Path};
+use std::{
+    num::NonZeroUsize,
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
 use eddy_frames::progress::Progress;
 use eddy_mpm::{Accelerator, MpmError, Scene, Settings, Simulation};
@@ -101,6 +108,16 @@ impl SimulationRequest {
         self.settings.over(self.source.scene(self.seed, index))
     }
 
+    /// The bag of scene `index` in an output directory.
+    pub fn bag(&self, output: &Path, index: u32) -> PathBuf {
+        output.join(directory(self.scene(index.into()).id))
+    }
+
+    /// The manifest in an output directory.
+    pub fn manifest(output: &Path) -> PathBuf {
+        manifest::path(output)
+    }
+
     /// Name of a scene in errors.
     fn scene_name(&self, id: u64) -> String {
         self.scene_name.clone().unwrap_or_else(|| format!("scene {id}"))
@@ -131,10 +148,45 @@ pub fn simulate(
     Ok(summary)
 }
 
+/// As [`simulate`], for some of the scenes and with other processes that simulate others in the same directory.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_some(
+    request: &SimulationRequest,
+    scenes: Range<u32>,
+    output: &Path,
+    progress: &dyn Progress,
+    device: Option<&mut dyn Accelerator>,
+) -> Result<Summary, SimulateError> {
+    let at_once = device.as_ref().map(|_| MOST_SCENES);
+    let job = Job::plan_some(request, scenes, Some(output), at_once)?;
+    let store = Store::share(output, &request.recorded())?;
+    let summary = job.write(&store, progress, device);
+    store.close();
+    Ok(summary)
+}
+
+/// Writes the manifest of a directory in which other processes have simulated all scenes ([`simulate_some`]).
+///
+/// # Errors
+/// [`SimulateError::Missing`] when they have not; [`SimulateError`] when `output` belongs to another request.
+pub fn collect(request: &SimulationRequest, output: &Path) -> Result<(), SimulateError> {
+    let job = Job::plan(request, Some(output), None)?;
+    if let Some(first) = job.planned.first() {
+        let directory = output.join(directory(first.start.id));
+        return Err(SimulateError::Missing { directory, more: job.planned.len() - 1 });
+    }
+    job.open_store(output)?.close();
+    Ok(())
+}
+
 /// A request and its remaining scenes.
 #[derive(Debug)]
 pub struct Job {
     request: SimulationRequest,
+    /// The scenes of the request that this job is about.
+    range: Range<u32>,
     /// The manifest of the output directory, if one is used.
     manifest: Option<Manifest>,
     /// Scenes to simulate.
@@ -155,6 +207,16 @@ impl Job {
         output: Option<&Path>,
         at_once: Option<usize>,
     ) -> Result<Self, SimulateError> {
+        Self::plan_some(request, 0..request.scenes, output, at_once)
+    }
+
+    /// As [`Job::plan`], for a range of the scenes.
+    fn plan_some(
+        request: &SimulationRequest,
+        range: Range<u32>,
+        output: Option<&Path>,
+        at_once: Option<usize>,
+    ) -> Result<Self, SimulateError> {
         request.check()?;
         // Zero means one per core, or RAYON_NUM_THREADS.
         let threads = request.threads.map_or(0, NonZeroUsize::get);
@@ -162,11 +224,12 @@ impl Job {
         let manifest =
             output.map(|output| Manifest::open(output, &request.recorded())).transpose()?;
         let at_once = at_once.unwrap_or(pool.current_num_threads());
-        let planned = pool.install(|| plan::plan(request, manifest.as_ref(), at_once))?;
+        let planned =
+            pool.install(|| plan::plan(request, range.clone(), manifest.as_ref(), at_once))?;
         // Surplus threads are used within scenes, but only if requested: on a busy machine, threads that wait for each
         // other lose more than they gain.
         let threads = (threads / at_once.min(planned.len().max(1))).max(1);
-        Ok(Self { request: request.clone(), manifest, planned, threads, pool })
+        Ok(Self { request: request.clone(), range, manifest, planned, threads, pool })
     }
 
     /// The scenes to simulate.
@@ -174,14 +237,19 @@ impl Job {
         &self.planned
     }
 
+    /// Number of scenes that this job is about.
+    fn scenes(&self) -> u32 {
+        self.range.end - self.range.start
+    }
+
     /// Number of scenes already in the output directory.
     pub fn present(&self) -> usize {
-        self.request.scenes as usize - self.planned.len()
+        self.scenes() as usize - self.planned.len()
     }
 
     /// A message about the scenes already in the output directory.
     pub fn present_scenes(&self, output: &Path) -> String {
-        let (present, scenes) = (self.present(), self.request.scenes);
+        let (present, scenes) = (self.present(), self.scenes());
         format!("{present} of {scenes} scenes are already in {}", output.display())
     }
 

@@ -1,6 +1,6 @@
 //! Setup of every scene before the first is simulated.
 
-use std::{fs, path::Path};
+use std::{fs, ops::Range, path::Path};
 
 use rayon::prelude::*;
 
@@ -21,18 +21,27 @@ pub struct Planned {
     pub most_frames: u64,
 }
 
-/// The scenes to simulate, without those already in the output. `at_once` scenes will be simulated in parallel.
+impl Planned {
+    /// Updates of particles in all substeps, which the time is proportional to; at most, since scenes may end early.
+    pub fn particle_updates(&self) -> f64 {
+        let scene = &self.start.scene;
+        scene.estimate() * f64::from(self.start.substeps) * self.most_frames as f64
+    }
+}
+
+/// The scenes of a range to simulate, without those already in the output. `at_once` scenes will be simulated in parallel.
 pub(super) fn plan(
     request: &SimulationRequest,
+    range: Range<u32>,
     manifest: Option<&Manifest>,
     at_once: usize,
 ) -> Result<Vec<Planned>, SimulateError> {
     let available = available_memory();
-    let at_once = at_once.min(request.scenes as usize);
-    let planned: Vec<Option<Planned>> = (0..u64::from(request.scenes))
+    let at_once = at_once.min(range.len());
+    let planned: Vec<Option<Planned>> = range
         .into_par_iter()
         .map(|index| {
-            let scene = request.scene(index);
+            let scene = request.scene(index.into());
             let id = scene.id;
             let planned = plan_scene(scene, at_once, available).map_err(|reason| {
                 SimulateError::Scene { scene: request.scene_name(id), reason: Box::new(reason) }
@@ -42,7 +51,7 @@ pub(super) fn plan(
             if !is_there(&directory)? {
                 return Ok(Some(planned));
             }
-            if manifest.scene(id).is_none_or(|found| found.start != planned.start) {
+            if manifest.scene(id)?.is_none_or(|found| found.start != planned.start) {
                 return Err(SimulateError::OtherScene { directory });
             }
             Ok(None)

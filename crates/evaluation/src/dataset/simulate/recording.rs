@@ -18,29 +18,42 @@ use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
 use eddy_mpm::{ParticleState, Simulation};
 
-/// The output directory, locked by this process.
+/// The output directory, locked by this process or shared with others.
 #[derive(Debug)]
 pub struct Store {
     staging: Staging,
     manifest: Mutex<Manifest>,
+    /// Whether others share it: a scene then has a file of its own instead of an entry in the manifest.
+    is_shared: bool,
     /// Whether pressure and energy of every particle are recorded.
     records_fields: bool,
 }
 
 impl Store {
-    /// Locks the directory, which must still have the manifest that was planned with.
+    /// Locks the directory, which must still have the manifest that was planned with. Enters the scenes of processes that have
+    /// shared the directory.
     pub(super) fn open(
         output: &Path,
         request: &RecordedRequest,
         manifest: Option<&Manifest>,
     ) -> Result<Self, SimulateError> {
         let staging = Staging::open(output)?;
-        let found = Manifest::open(output, request)?;
+        let mut found = Manifest::open(output, request)?;
         if Some(&found) != manifest {
             return Err(SimulateError::Changed { output: output.to_owned() });
         }
-        let records_fields = request.fields;
-        Ok(Self { staging, manifest: Mutex::new(found), records_fields })
+        if found.collect()? {
+            found.save()?;
+        }
+        let (manifest, records_fields) = (Mutex::new(found), request.fields);
+        Ok(Self { staging, manifest, is_shared: false, records_fields })
+    }
+
+    /// Shares the directory with other processes that simulate scenes of the same request.
+    pub(super) fn share(output: &Path, request: &RecordedRequest) -> Result<Self, SimulateError> {
+        let staging = Staging::share(output)?;
+        let manifest = Mutex::new(Manifest::open(output, request)?);
+        Ok(Self { staging, manifest, is_shared: true, records_fields: request.fields })
     }
 
     /// The directory.
@@ -54,8 +67,12 @@ impl Store {
     /// [`SimulateError::Io`] when the manifest or the bag cannot be written.
     pub fn deliver(&self, finished: &Finished) -> Result<(), SimulateError> {
         let mut manifest = self.manifest.lock().unwrap_or_else(PoisonError::into_inner);
-        manifest.insert(finished.clone());
-        manifest.save()?;
+        if self.is_shared {
+            manifest.save_entry(finished)?;
+        } else {
+            manifest.insert(finished.clone());
+            manifest.save()?;
+        }
         self.staging.deliver(&directory(finished.start.id))
     }
 
@@ -64,7 +81,7 @@ impl Store {
         self.staging.discard(&directory(id))
     }
 
-    /// Removes all unfinished bags and unlocks the directory.
+    /// Removes all unfinished bags, or those of this process if others share the directory, and unlocks it.
     pub fn close(self) {
         self.staging.close();
     }

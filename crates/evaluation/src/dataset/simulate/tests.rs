@@ -303,3 +303,66 @@ fn finished_scenes_stay_when_a_device_fails_and_the_others_are_resumed() {
     run(u32::MAX).unwrap();
     assert_eq!(names(&output).len(), 6);
 }
+
+/// All files of a folder with their bytes.
+fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    for name in names(folder) {
+        let path = folder.join(&name);
+        if path.is_dir() {
+            let inside = contents(&path).into_iter();
+            files.extend(inside.map(|(file, bytes)| (format!("{name}/{file}"), bytes)));
+        } else {
+            files.push((name, fs::read(path).unwrap()));
+        }
+    }
+    files
+}
+
+#[test]
+fn scenes_of_several_processes_are_those_of_one_byte_for_byte() {
+    let ((_a, alone), (_b, shared)) = (output(), output());
+    let request = request(4);
+    simulate(&request, &alone, &Silent, None).unwrap().complete().unwrap();
+    let some = |scenes| simulate_some(&request, scenes, &shared, &Silent, None).unwrap();
+    some(2..4).complete().unwrap();
+    let error = collect(&request, &shared).unwrap_err().to_string();
+    assert!(
+        error.contains("scene_0000: found no bag") && error.ends_with("1 more are missing"),
+        "{error}"
+    );
+    // Two at once, of which one runs a scene that the other has just finished.
+    let late = Job::plan_some(&request, 1..2, Some(&shared), None).unwrap();
+    let store = Store::share(&shared, &request.recorded()).unwrap();
+    assert_eq!(some(0..2).finished.len(), 2);
+    let before = changed(&shared, 1);
+    late.write(&store, &Silent, None).complete().unwrap();
+    assert_eq!(changed(&shared, 1), before);
+    let error = simulate(&request, &shared, &Silent, None).unwrap_err();
+    assert!(matches!(error, SimulateError::Locked { .. }), "{error}");
+    let error = collect(&request, &shared).unwrap_err();
+    assert!(matches!(error, SimulateError::Locked { .. }), "{error}");
+    store.close();
+    assert_eq!(some(0..4).present, 4);
+    collect(&request, &shared).unwrap();
+    assert_eq!(contents(&shared), contents(&alone));
+    collect(&request, &shared).unwrap();
+    assert_eq!(contents(&shared), contents(&alone));
+}
+
+#[test]
+fn one_process_goes_on_where_several_have_begun() {
+    let ((_a, alone), (_b, shared)) = (output(), output());
+    simulate(&request(3), &alone, &Silent, None).unwrap().complete().unwrap();
+    simulate_some(&request(3), 1..2, &shared, &Silent, None).unwrap().complete().unwrap();
+    let other = SimulationRequest { seed: 2, ..request(3) };
+    for error in [
+        simulate(&other, &shared, &Silent, None).unwrap_err(),
+        simulate_some(&other, 0..2, &shared, &Silent, None).unwrap_err(),
+    ] {
+        let SimulateError::OtherRequest { fields, .. } = error else { panic!("{error}") };
+        assert_eq!(fields, ["seed 1 instead of 2"]);
+    }
+    assert_eq!(simulate(&request(3), &shared, &Silent, None).unwrap().finished.len(), 2);
+    assert_eq!(contents(&shared), contents(&alone));
+}

@@ -75,7 +75,7 @@ pub(super) fn write(
     progress: &dyn Progress,
     device: Option<&mut dyn Accelerator>,
 ) -> Summary {
-    let (present, scenes) = (job.present(), job.request.scenes);
+    let (present, scenes) = (job.present(), job.scenes());
     let mut summary = Summary {
         finished: Vec::new(),
         present,
