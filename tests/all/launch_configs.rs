@@ -1,4 +1,5 @@
-//! Runs the files in `launch_configs/`; `scenes.rs` runs those in `launch_configs/scenes`.
+//! Runs the files in `launch_configs/`; `scenes.rs` runs those in `launch_configs/scenes`, and `tests/cluster/run`
+//! those in `launch_configs/cluster`.
 
 use std::{collections::BTreeSet, fs, os::unix::fs::symlink, path::Path};
 
@@ -140,7 +141,7 @@ fn every_file_is_run_by_a_test() {
         let handed = arguments.filter_map(|argument| argument.strip_prefix("launch_configs/"));
         run.extend(handed.map(str::to_owned));
     }
-    run.insert("scenes".to_owned());
+    run.extend(["cluster", "scenes"].map(str::to_owned));
     let entries = fs::read_dir(file("")).unwrap();
     let found: BTreeSet<_> =
         entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();

@@ -23,6 +23,7 @@ mod launch_configs;
 mod mpm;
 mod outputs;
 mod pipeline;
+mod plan;
 mod pty;
 mod pytorch;
 #[cfg(target_os = "linux")]

@@ -80,7 +80,7 @@ class Job:
                     words = (entry / "cmdline").read_bytes().decode().split("\0")
                 except OSError:
                     continue
-                if len(words) > 5 and words[0] == str(self.eddy) and words[3] == str(self.plan):
+                if len(words) > 5 and words[:4] == [str(self.eddy), "plan", "run", str(self.plan)]:
                     found.append((int(entry.name), words[5]))
         return found
 

@@ -13,9 +13,7 @@ mod training;
 mod transport;
 mod view;
 
-pub use args::{
-    BenchArgs, BenchCommand, PlanListArgs, PlanRunArgs, StudyArgs, StudyChoice,
-};
+pub use args::{BenchArgs, BenchCommand, PlanListArgs, PlanRunArgs, StudyArgs, StudyChoice};
 pub use plan::{list as plan_list, run as plan_run, save as plan_save};
 pub use study::{request as study_request, run as study};
 

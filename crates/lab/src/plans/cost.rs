@@ -44,7 +44,12 @@ pub(super) fn training(config: &TrainConfig, frames: f64, gpu: bool) -> Cost {
     // Forward, and twice as much for the gradients.
     let products = 3.0 * forward(config) * window * windows;
     let rate = if gpu { GPU_RATE } else { CORE_RATE * f64::from(cores()) };
-    Cost { seconds: round(products / rate), cores: cores(), memory: data_memory(frames), gpus: gpu.into() }
+    Cost {
+        seconds: round(products / rate),
+        cores: cores(),
+        memory: data_memory(frames),
+        gpus: gpu.into(),
+    }
 }
 
 /// Of a learning curve of the dense network, which reads all particles of a frame and predicts those of the next.
@@ -53,7 +58,12 @@ pub(super) fn curve(config: &DenseConfig, frames: f64, gpu: bool) -> Cost {
     let sample = 8.0 * PARTICLES as f64 * width + layers * width * width;
     let products = sample * config.per_epoch as f64 * f64::from(config.epochs);
     let rate = if gpu { GPU_RATE } else { CORE_RATE * f64::from(cores()) };
-    Cost { seconds: round(3.0 * products / rate), cores: cores(), memory: data_memory(frames), gpus: gpu.into() }
+    Cost {
+        seconds: round(3.0 * products / rate),
+        cores: cores(),
+        memory: data_memory(frames),
+        gpus: gpu.into(),
+    }
 }
 
 /// Of so many predicted frames by networks of this kind.

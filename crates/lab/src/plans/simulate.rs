@@ -106,11 +106,7 @@ impl SimulateJob {
     pub(super) fn data(&self, name: &str) -> anyhow::Result<DataTask> {
         let expected = self.data_name();
         ensure!(name == expected, "data: found {name}, expected {expected}");
-        Ok(DataTask {
-            request: self.request()?,
-            output: self.output.clone(),
-            device: self.device,
-        })
+        Ok(DataTask { request: self.request()?, output: self.output.clone(), device: self.device })
     }
 
     pub(super) fn tasks(&self, per_task: u32) -> anyhow::Result<Vec<Task<Work>>> {

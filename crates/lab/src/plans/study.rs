@@ -1,6 +1,10 @@
 //! `eddy study` as a plan.
 
-use std::{collections::BTreeMap, num::NonZeroUsize, path::{Path, PathBuf}};
+use std::{
+    collections::BTreeMap,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Context as _;
 use eddy_evaluation::{Report, dataset::simulate::SimulationRequest};
@@ -59,7 +63,9 @@ impl StudyJob {
     pub(super) fn data(&self, name: &str) -> anyhow::Result<DataTask> {
         let sets = self.comparison.simulated_sets(&self.study);
         let set = sets.into_iter().find(|set| set.name == name);
-        let set = set.with_context(|| format!("data: found {name}, expected a data set of this comparison"))?;
+        let set = set.with_context(|| {
+            format!("data: found {name}, expected a data set of this comparison")
+        })?;
         let request = SimulationRequest {
             device: self.device.is_cuda().then_some("cuda"),
             threads: Some(NonZeroUsize::MIN),
