@@ -17,6 +17,7 @@ import argparse
 import hashlib
 import http.client
 import json
+import logging
 import os
 import shutil
 import signal
@@ -349,7 +350,6 @@ def faults(eddy, target, client, truth, big):
         sentences[name] = eddy.fail(
             relay.url, words, "predict", "--input", f"s3://bags/big/{big.name}", "--output", eddy.folder / name
         )
-        expect(not (eddy.folder / name).exists(), f"{name}: an output was left")
         relay.shutdown()
     relay = Relay(target, lambda *_: (400, "ExpiredToken", "The provided token has expired."))
     sentences["expired"] = eddy.fail(relay.url, [url, "refused access (ExpiredToken: The provided token has expired)"], "bag", "info", url)
@@ -437,11 +437,13 @@ def main():
     parser.add_argument("eddy", type=Path)
     parser.add_argument("--time", action="store_true", help="compare times of an epoch")
     arguments = parser.parse_args()
+    # moto's server logs every request.
+    logging.getLogger("werkzeug").setLevel(logging.CRITICAL)
     results = {}
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         eddy = Eddy(arguments.eddy.resolve(), folder)
-        (folder / "small.toml").write_text("[windows]\nbatch = 4\n[training]\nsteps = 8\n")
+        (folder / "small.toml").write_text("[windows]\nbatch = 4\nper_epoch = 16\n")
         truth, big = folder / "set", folder / "big"
         eddy.succeed(None, "simulate", "--preset", "fluid", "--scenes", "6", "--seed", "1", "--duration", "1", "--output", truth)
         eddy.succeed(None, "simulate", "--preset", "fluid", "--scenes", "1", "--seed", "2", "--duration", "6", "--output", big)

@@ -10,9 +10,9 @@ use std::{
 };
 
 use object_store::{
-    BackoffConfig, Error, ObjectStore, RetryConfig,
+    BackoffConfig, Error, ObjectStore, RetryConfig, StaticCredentialProvider,
     aws::AmazonS3Builder,
-    gcp::{GoogleCloudStorageBuilder, GoogleConfigKey},
+    gcp::{GcpCredential, GoogleCloudStorageBuilder, GoogleConfigKey},
     path::Path as Key,
 };
 use tokio::runtime::{Builder, Runtime};
@@ -86,7 +86,10 @@ fn connect(scheme: &str, bucket: &str) -> object_store::Result<Arc<dyn ObjectSto
         let client = object_store::ClientOptions::new().with_allow_http(true);
         builder = builder
             .with_config(GoogleConfigKey::BaseUrl, url)
-            .with_skip_signature(true)
+            // Without a signature, object_store 0.14.2 would look for credentials all the same when it writes.
+            .with_credentials(Arc::new(StaticCredentialProvider::new(GcpCredential {
+                bearer: String::new(),
+            })))
             .with_client_options(client);
     }
     Ok(Arc::new(builder.build()?))
@@ -158,7 +161,8 @@ fn reason(error: &Error) -> String {
     while let Some(inner) = cause.and_then(|cause| cause.source()) {
         cause = Some(inner);
     }
-    cause.map_or(text, ToString::to_string)
+    let text = cause.map_or(text, ToString::to_string);
+    text.trim_end_matches([':', ' ']).to_owned()
 }
 
 #[cfg(test)]

@@ -33,7 +33,11 @@ impl Storage for Objects {
                 match store.head(&key).await {
                     Ok(_) => return Ok(Kind::File),
                     Err(Error::NotFound { .. }) => {}
-                    Err(error) => return Err(error),
+                    Err(error) => {
+                        // An answer to HEAD has no body that says why.
+                        store.list(Some(&key)).try_next().await?;
+                        return Err(error);
+                    }
                 }
             }
             match store.list(Some(&key)).try_next().await? {
