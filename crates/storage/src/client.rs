@@ -23,6 +23,16 @@ const RETRIES: usize = 5;
 /// Time after which a request is not tried again.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Codes of S3 that mean wrong or expired credentials, whatever the status of the answer.
+const REFUSALS: [&str; 6] = [
+    "AccessDenied",
+    "ExpiredToken",
+    "InvalidAccessKeyId",
+    "InvalidToken",
+    "RequestTimeTooSkewed",
+    "SignatureDoesNotMatch",
+];
+
 /// Stands for the host of an emulator of Google Cloud Storage, in Google's own tools as well.
 const EMULATOR: &str = "STORAGE_EMULATOR_HOST";
 
@@ -132,7 +142,7 @@ fn explained(error: &Error) -> io::Error {
         Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => {
             (io::ErrorKind::PermissionDenied, refused(&reason))
         }
-        _ if reason.starts_with("ExpiredToken") || reason.starts_with("InvalidToken") => {
+        _ if REFUSALS.iter().any(|code| reason.starts_with(code)) => {
             (io::ErrorKind::PermissionDenied, refused(&reason))
         }
         _ => (io::ErrorKind::Other, format!("the request to the store failed: {reason}")),

@@ -30,7 +30,24 @@ pub struct StudyJob {
     output: PathBuf,
     device: DeviceKind,
     precision: Precision,
+    /// As the text of a file for `--config`: JSON has no infinite numbers, which settings may be.
+    #[serde(with = "settings_text")]
     study: StudyConfig,
+}
+
+/// Settings as TOML.
+mod settings_text {
+    use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _, ser::Error as _};
+
+    use crate::study::StudyConfig;
+
+    pub(super) fn serialize<S: Serializer>(study: &StudyConfig, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&toml::to_string(study).map_err(S::Error::custom)?)
+    }
+
+    pub(super) fn deserialize<'a, D: Deserializer<'a>>(from: D) -> Result<StudyConfig, D::Error> {
+        toml::from_str(&String::deserialize(from)?).map_err(D::Error::custom)
+    }
 }
 
 impl StudyJob {
