@@ -9,6 +9,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
         "simulate --preset kinds --particles 250 --duration 0.8",
         "small scenes",
     ),
+    (
+        "plan.json --preset kinds",
+        "plan.json --preset kinds --particles 250 --duration 0.8",
+        "small scenes",
+    ),
     ("--scenes 400", "--scenes 5", "one of each kind"),
     ("--scenes 96", "--scenes 5", "one of each kind"),
     ("--scenes 10 ", "--scenes 5 ", "one of each kind"),
