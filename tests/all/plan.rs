@@ -113,7 +113,9 @@ fn a_process_that_is_killed_and_a_second_one_at_the_same_time_do_no_harm() {
         } else {
             "plan.state/scene-0000.lock"
         });
-        let holds = || fs::read_to_string(&lock).is_ok_and(|text| !text.is_empty()).then_some(());
+        // The file of a process that was killed is still there.
+        let id = process.id().to_string();
+        let holds = || fs::read_to_string(&lock).is_ok_and(|text| text.contains(&id)).then_some(());
         wait_for("it has started", holds);
         process
     };

@@ -177,7 +177,8 @@ fn examples(command: &[String]) -> Vec<String> {
 fn the_examples_of_every_help() {
     let mut world = World::new();
     // Earlier examples create the files that later ones use.
-    let order = ["simulate", "train", "predict", "bag merge", "bag recover", "bag export"];
+    let order =
+        ["simulate", "train", "predict", "bag merge", "bag recover", "bag export", "plan simulate"];
     let place = |words: &[String]| {
         let name = words.join(" ");
         order.iter().position(|first| *first == name).unwrap_or(order.len())
