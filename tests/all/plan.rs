@@ -28,7 +28,7 @@ impl Planned {
         self.folder.path().join(name).to_str().unwrap().to_owned()
     }
 
-    fn arguments<'a>(&self, more: &[&'a str]) -> Vec<String> {
+    fn arguments(&self, more: &[&str]) -> Vec<String> {
         let words = ["plan".to_owned(), "run".to_owned(), self.path("plan.json")];
         words.into_iter().chain(more.iter().map(|&word| word.to_owned())).collect()
     }

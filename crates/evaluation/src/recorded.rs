@@ -19,6 +19,14 @@ const STATUS_TOPIC: &str = "/prediction/status";
 /// The states of a rollout by the number of frames ahead, from 1.
 type Ahead = BTreeMap<u32, State>;
 
+/// Messages of one predicted sequence number whose counterpart has not been read yet.
+#[derive(Default)]
+struct Unmatched {
+    frames: VecDeque<State>,
+    /// Sequence number of the start, frames ahead.
+    sources: VecDeque<(u64, u32)>,
+}
+
 /// Recorded rollouts of one predictor.
 #[derive(Clone, Debug)]
 pub struct Recorded {
@@ -130,8 +138,7 @@ impl Recorded {
         let selection = Selection { topics, ..Selection::default() };
         for &number in self.streams.get(&stream).into_iter().flatten() {
             // Frames and statuses of the same predicted sequence belong together in the order in which they were written.
-            let mut unmatched: HashMap<u64, (VecDeque<State>, VecDeque<(u64, u32)>)> =
-                HashMap::new();
+            let mut unmatched: HashMap<u64, Unmatched> = HashMap::new();
             for message in self.bags[number].select(&selection) {
                 let message = message.map_err(|error| error.to_string())?;
                 let predicted = if &*message.topic == PREDICTION_TOPIC {
@@ -145,8 +152,8 @@ impl Recorded {
                         continue;
                     }
                     let Frame { sequence, position, velocity, .. } = frame;
-                    let (frames, _) = unmatched.entry(sequence).or_default();
-                    frames.push_back(State { position, velocity });
+                    let state = State { position, velocity };
+                    unmatched.entry(sequence).or_default().frames.push_back(state);
                     sequence
                 } else {
                     let status = cdr::decode::<PredictionStatus>(&message.data)
@@ -155,11 +162,13 @@ impl Recorded {
                         continue;
                     }
                     let sequence = status.source_sequence.saturating_add(status.horizon.into());
-                    let (_, sources) = unmatched.entry(sequence).or_default();
-                    sources.push_back((status.source_sequence, status.horizon));
+                    let source = (status.source_sequence, status.horizon);
+                    unmatched.entry(sequence).or_default().sources.push_back(source);
                     sequence
                 };
-                let Some((frames, sources)) = unmatched.get_mut(&predicted) else { continue };
+                let Some(Unmatched { frames, sources }) = unmatched.get_mut(&predicted) else {
+                    continue;
+                };
                 if let (Some(_), Some(_)) = (frames.front(), sources.front()) {
                     let matched = frames.pop_front().zip(sources.pop_front());
                     if let Some((state, (source, horizon))) = matched
