@@ -141,6 +141,7 @@ fn a_process_that_is_killed_and_a_second_one_at_the_same_time_do_no_harm() {
     assert!(!planned.folder.path().join("data/scene_0000").exists());
 
     let mut process = start(&[]);
+    wait_for("a task is running", || planned.list(&[]).contains("running").then_some(()));
     process.interrupt();
     assert!(!process.wait().success());
     assert!(planned.list(&[]).contains("0 of 3 tasks are done"));

@@ -273,7 +273,7 @@ mod tests {
             frame.material.truncate(9);
         });
         for (name, expected) in [
-            ("short", "found 4 frames predicted from sequence 1, expected 6"),
+            ("short", "found 4 frames predicted from sequence 2, expected 6"),
             ("few", "found 9 particles, expected 2500"),
         ] {
             let recorded = Recorded::open(name.into(), &folder.path().join(name)).unwrap();

@@ -19,7 +19,7 @@ mod pieces;
 
 use std::{
     borrow::Cow,
-    io::{self, Read as _},
+    io::{self, ErrorKind, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -85,11 +85,13 @@ pub fn kind(path: &Path) -> io::Result<Kind> {
 /// Whether there is something at a path.
 ///
 /// # Errors
-/// Those of the system or of the store, except [`io::ErrorKind::NotFound`].
+/// Those of the system or of the store, except that there is nothing.
 pub fn exists(path: &Path) -> io::Result<bool> {
     match kind(path) {
         Ok(_) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            Ok(false)
+        }
         Err(error) => Err(error),
     }
 }
@@ -200,6 +202,7 @@ mod tests {
             assert!(!file.is_directory && file.path.ends_with("a text.txt"), "{names:?}");
             assert!(directory.is_directory && directory.path.ends_with("b"), "{names:?}");
             assert!(!exists(&at(&folder.path().join("c"))).unwrap());
+            assert!(!exists(&at(&path.join("below a file"))).unwrap());
         }
     }
 
