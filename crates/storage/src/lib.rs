@@ -171,7 +171,7 @@ fn scheme(path: &Path) -> Option<&str> {
 
 fn unsupported(scheme: &str, expected: &str) -> io::Error {
     let message = format!("found a URL that begins with {scheme}://, expected {expected}");
-    io::Error::new(io::ErrorKind::Unsupported, message)
+    io::Error::new(ErrorKind::Unsupported, message)
 }
 
 /// The example of the README, which a test runs.
