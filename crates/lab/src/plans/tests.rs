@@ -1,31 +1,16 @@
 use std::{collections::BTreeMap, fs, num::NonZeroUsize, path::Path};
 
 use eddy_frames::progress::Silent;
-use eddy_inference::checkpoint::Core;
-use eddy_learning::model::{DeviceKind, Precision};
 use eddy_plan::{OpenPlan, PlanError};
 
 use super::*;
-use crate::study::{Comparison, StudyConfig, run};
+use crate::study::{Comparison, StudyConfig, run, tests};
 
-/// Small enough for a test: three scenes, and two networks of two epochs or two learning curves.
+/// The small study of `eddy study`'s tests, with one seed.
 fn request(comparison: Comparison, output: &Path) -> StudyRequest {
-    let mut study = StudyConfig::quick();
-    (study.data.scenes, study.data.duration) = (3, Some(0.4));
-    study.data.presets.truncate(1);
-    study.cores = vec![Core::MinGru];
-    study.density_weights = vec![0.0];
-    (study.dense.width, study.dense.epochs) = (8, 2);
-    (study.dense.batch, study.dense.per_epoch) = (4, 8);
-    study.activations.truncate(1);
-    let training = &mut study.training;
-    (training.network.encoder, training.network.hidden) = (8, 16);
-    (training.windows.batch, training.windows.per_epoch, training.epochs) = (4, 8, 2);
-    (study.evaluation.horizon, study.evaluation.starts) = (3, 1);
-    (study.step_frames, study.step_seconds) = (vec![2], 0.01);
-    let (output, device) = (output.to_owned(), DeviceKind::Flex);
-    let (jobs, gpus, precision) = (NonZeroUsize::MIN, NonZeroUsize::MIN, Precision::default());
-    StudyRequest { comparison, study, output, jobs, device, gpus, precision }
+    let mut request = tests::request(comparison, output);
+    request.study.seeds = StudyConfig::quick().seeds;
+    request
 }
 
 /// The files of a study that do not hold times, with the folder's name taken out of them.

@@ -20,7 +20,7 @@ mod results;
 mod run;
 mod step_times;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod training;
 mod write;
 

@@ -16,7 +16,7 @@ use eddy_inference::checkpoint::Core;
 use eddy_learning::model::{DeviceKind, Precision};
 
 /// Small enough for a test: three scenes, two networks of two epochs, or two learning curves.
-fn request(comparison: Comparison, output: &Path) -> StudyRequest {
+pub(crate) fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     let mut study = StudyConfig::quick();
     study.seeds = vec![1, 2];
     (study.data.scenes, study.data.duration) = (3, Some(0.4));
