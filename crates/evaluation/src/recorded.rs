@@ -2,7 +2,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap, VecDeque},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use super::{EvalError, Rollout, task::RolloutTask};
@@ -49,15 +49,18 @@ pub enum RecordedError {
         reason: Box<BagError>,
     },
     /// A message is no valid status.
-    #[error("{name}: {}: {STATUS_TOPIC}: {reason}", bag.display())]
+    #[error("{name}: {reason}")]
     Status {
         /// Name of the predictor.
         name: String,
-        /// The bag.
-        bag: PathBuf,
-        /// What is wrong.
+        /// The bag and what is wrong.
         reason: String,
     },
+}
+
+/// Decodes a status of a bag; the error names the bag.
+fn decode_status(bag: &Path, data: &[u8]) -> Result<PredictionStatus, String> {
+    cdr::decode(data).map_err(|error| format!("{}: {STATUS_TOPIC}: {error}", bag.display()))
 }
 
 impl Recorded {
@@ -75,13 +78,9 @@ impl Recorded {
             bag.messages_of(PREDICTION_TOPIC, ParticleFrame::TYPE).map_err(failed)?;
             let mut ids = BTreeSet::new();
             for message in bag.messages_of(STATUS_TOPIC, PredictionStatus::TYPE).map_err(failed)? {
-                let status = cdr::decode::<PredictionStatus>(&message.map_err(failed)?.data);
-                let status = status.map_err(|error| RecordedError::Status {
-                    name: name.clone(),
-                    bag: bag.path().into(),
-                    reason: error.to_string(),
-                })?;
-                ids.insert(status.stream);
+                let status = decode_status(bag.path(), &message.map_err(failed)?.data);
+                let invalid = |reason| RecordedError::Status { name: name.clone(), reason };
+                ids.insert(status.map_err(invalid)?.stream);
             }
             ids.into_iter().for_each(|id| streams.entry(id).or_default().push(number));
         }
@@ -156,8 +155,7 @@ impl Recorded {
                     unmatched.entry(sequence).or_default().frames.push_back(state);
                     sequence
                 } else {
-                    let status = cdr::decode::<PredictionStatus>(&message.data)
-                        .map_err(|error| error.to_string())?;
+                    let status = decode_status(self.bags[number].path(), &message.data)?;
                     if status.stream != stream {
                         continue;
                     }
