@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Ok((name, Box::new(constants) as Box<dyn Program>))
     });
     let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
-    let learning = Core::ALL.into_iter().flat_map(|core| [(core, 16, 24), (core, 64, 128)]);
+    let learning = Core::ALL.map(|core| (core, 16, 24)).into_iter().chain([(Core::Lstm, 64, 128)]);
     let learning = learning.map(|(core, encoder, hidden)| {
         let sizes = Sizes { encoder, hidden, layers: 1, particles: None };
         let description = Description::untrained(Architecture::Particle, core, sizes);

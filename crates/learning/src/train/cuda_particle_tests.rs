@@ -33,6 +33,8 @@ use eddy_inference::{
 
 /// Distance between particles at rest (domain lengths).
 const SPACING: f32 = 0.03;
+/// Of the weights at first. With this seed a unit of minGRU's encoder is at the bend of its ReLU in the third step.
+const SEED: u64 = 11;
 
 /// Streams of two blocks, a few particles each, of different materials and numbers: they fall, turn and spread a little, some
 /// into a wall.
@@ -109,15 +111,22 @@ pub(super) fn description(config: &TrainConfig) -> Description {
     description
 }
 
-/// Initial weights, all moved a little: a decoder of zeros would leave the other layers without gradients. The seed is one with
-/// which no unit comes so close to the bend of its ReLU that the last bits decide on its gradient.
-fn weights(description: &Description) -> BTreeMap<String, Weights> {
-    let seed =
-        if description.core == Core::MinGru || description.form == Form::Log { 13 } else { 11 };
+/// Initial weights, all moved a little: a decoder of zeros would leave the other layers without gradients.
+fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut tensors = initial_weights(description, 5);
     for values in tensors.values_mut().map(|weights| &mut weights.values) {
         values.iter_mut().for_each(|value| *value += random.random_range(-0.1..0.1));
+    }
+    tensors
+}
+
+/// The same weights but for their last bits.
+fn nearly(weights: &BTreeMap<String, Weights>, seed: u64) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = weights.clone();
+    for values in tensors.values_mut().map(|weights| &mut weights.values) {
+        values.iter_mut().for_each(|value| *value *= 1.0 + random.random_range(-2e-7f32..2e-7));
     }
     tensors
 }
@@ -129,7 +138,7 @@ fn training(config: &TrainConfig, description: &Description, streams: &[Trajecto
     let store = cuda::particle_store(&*device, streams, SPACING).unwrap();
     let settings = cuda::settings(config, config.unroll[0].frames, 1);
     let training = Training::new(device, Arc::new(store), description, &settings).unwrap();
-    training.set_weights(&weights(description)).unwrap();
+    training.set_weights(&weights(description, SEED)).unwrap();
     training
 }
 
@@ -156,7 +165,8 @@ fn scale<'a>(
     scale
 }
 
-/// Steps on the CPU and in the emulator, from the same weights on the same windows.
+/// Steps on the CPU and in the emulator, each from the same weights on the same windows. Where a unit is so close to the bend of
+/// its ReLU that the last bits of the weights decide on its gradient, the gradients may differ by what these bits change.
 fn compare(config: &TrainConfig) {
     let streams = streams();
     let description = description(config);
@@ -164,20 +174,19 @@ fn compare(config: &TrainConfig) {
     let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
     let mut state = RunState::new(config, &description, DeviceKind::Flex);
     let device = DeviceKind::Flex.device().autodiff();
-    state.network = Network::new(&description, &weights(&description), &device);
     state.unroll = unroll;
     let scale = scale(config, &description, &sampler, &mut state);
+    let task =
+        GradientTask { config, description: &description, scale: &scale, device: DeviceKind::Flex };
     let mut training = training(config, &description, &streams);
 
     for step in 0..3 {
         let draws = sampler.choose_many(config.windows.batch, &mut state.order);
         let windows: Vec<Window> = draws.iter().map(|&draw| sampler.cut(draw).unwrap()).collect();
-        let task = GradientTask {
-            config,
-            description: &description,
-            scale: &scale,
-            device: DeviceKind::Flex,
-        };
+        let before = training.weights().unwrap();
+        let near = Network::new(&description, &nearly(&before, step), &device);
+        let near = task.compute(&near, &windows, &mut state.dropout).gradients;
+        state.network = Network::new(&description, &before, &device);
         let slope = task.compute(&state.network, &windows, &mut state.dropout);
 
         let correction = Correction::new(state.adam.steps + 1, 1e-2, &config.optimizer);
@@ -189,9 +198,16 @@ fn compare(config: &TrainConfig) {
         let difference = f64::from(outcome.loss / slope.loss - 1.0).abs();
         assert!(difference < 2e-5, "step {step}: loss {} on the CPU, {}", slope.loss, outcome.loss);
         let gradients = training.gradients().unwrap();
+        let near = named(&description, near);
+        let mut allowed = BTreeMap::new();
         for (name, expected) in named(&description, slope.gradients.clone()) {
             let found = relative_error(&gradients[&name].values, &expected);
-            assert!(found < 5e-5, "step {step}: gradient by {name}: relative error {found:.1e}");
+            let most = 2e-5 + 2.0 * relative_error(&near[&name], &expected);
+            assert!(
+                found < most,
+                "step {step}: gradient by {name}: relative error {found:.1e}, at most {most:.1e}"
+            );
+            allowed.insert(name, most);
         }
 
         let mut adam = state.adam.step(1e-2, &config.optimizer).measured();
@@ -199,8 +215,9 @@ fn compare(config: &TrainConfig) {
             adam.change(tensor, values, &slope.gradients[tensor]);
         });
         let norm = adam.gradient_norm();
+        let most = allowed.values().fold(0.0, |most, &own| f64::max(most, own));
         assert!(
-            (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < 1e-4,
+            (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < most,
             "norm of the gradient"
         );
         for (found, expected) in [
@@ -209,7 +226,11 @@ fn compare(config: &TrainConfig) {
         ] {
             for (name, expected) in expected {
                 let found = relative_error(&found[&name].values, &expected.values);
-                assert!(found < 5e-5, "step {step}: {name}: relative error {found:.1e}");
+                assert!(
+                    found < allowed[&name],
+                    "step {step}: {name}: relative error {found:.1e}, at most {:.1e}",
+                    allowed[&name]
+                );
             }
         }
     }
@@ -244,7 +265,7 @@ fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let run = |open: &dyn Fn() -> Learner| {
         let mut state = RunState::new(&config, &description, DeviceKind::Flex);
         let device = DeviceKind::Flex.device().autodiff();
-        state.network = Network::new(&description, &weights(&description), &device);
+        state.network = Network::new(&description, &weights(&description, 13), &device);
         state.unroll = unroll;
         let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
         let scale = scale(&config, &description, &sampler, &mut state);
